@@ -1,0 +1,69 @@
+"""The contract of every source of skeletons: live, recorded or simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.skeleton import Skeleton
+from fusion.viewing_plane import Intrinsics
+
+
+class DeviceError(Exception):
+    """A source that cannot give frames: what happened, the value, the way out."""
+
+
+@dataclass(frozen=True, eq=False)
+class SensorFrame:
+    """Everything one sensor says about one moment.
+
+    Attributes:
+        time_ns: Capture time on the sensor's own clock.
+        people: The skeletons seen, by the tracker's person id; empty when no one is seen.
+        depth: (height, width) uint16 millimetres, 0 where there is no reading; None without a depth image.
+        color: (height, width, 3) uint8 RGB; None without a colour image.
+    """
+
+    time_ns: int
+    people: dict[str, Skeleton] = field(default_factory=dict)
+    depth: NDArray[np.uint16] | None = None
+    color: NDArray[np.uint8] | None = None
+
+
+class Sensor(Protocol):
+    """One source of frames. Building one opens nothing; use it as a context manager.
+
+    Attributes:
+        name: What to call it in messages: a serial number, a file name.
+        body: The body its tracker reports.
+        intrinsics: Of its depth camera; None where the source does not say.
+    """
+
+    name: str
+    body: Body
+    intrinsics: Intrinsics | None
+
+    def __enter__(self) -> Sensor:
+        """Opens the source.
+
+        Raises:
+            DeviceError: It cannot be opened.
+        """
+        ...
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Closes the source, on every path; closing twice is harmless."""
+        ...
+
+    def frames(self) -> Iterator[SensorFrame]:
+        """The frames in capture order, ending when the source ends.
+
+        Raises:
+            DeviceError: The source failed; frames before the failure were given.
+        """
+        ...

@@ -1,0 +1,287 @@
+"""Which joints a body tracker reports, and the tree of bones between them.
+
+A bone is named after the limb it is and belongs to the joint at its far end, so every joint but the
+root has exactly one. Left and right are the person's own.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.errors import FusionError
+
+# Directions in a sensor frame (x right, y down, z forward) of a person who faces the sensor:
+# the person's left is then on the sensor's right.
+_REST_DIRECTIONS = {
+    "root": (0.0, 0.0, 0.0),
+    "up": (0.0, -1.0, 0.0),
+    "down": (0.0, 1.0, 0.0),
+    "left": (1.0, 0.0, 0.0),
+    "right": (-1.0, 0.0, 0.0),
+    "front": (0.0, 0.0, -1.0),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """The joints of one body tracker and the bones between them.
+
+    Attributes:
+        name: The tracker's family: ``kinect_v1``, ``kinect_v2`` or ``azure_kinect``.
+        joints: J joint names in the tracker's own order and spelling.
+        parents: (J,) index of each joint's parent; the root has -1. A parent may stand after its child.
+        bones: (J,) name of the bone that ends in the joint; empty for the root.
+        torso: Joints of the main body, whose centre carries t from frame to frame (sec. 4).
+        rest: (J, 3) unit direction parent → joint of a person at rest who faces the sensor; zero for the root.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    parents: tuple[int, ...]
+    bones: tuple[str, ...]
+    torso: tuple[int, ...]
+    rest: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        """The number of joints J."""
+        return len(self.joints)
+
+    def __repr__(self) -> str:
+        return f"Body({self.name}, {len(self)} joints)"
+
+    @cached_property
+    def root(self) -> int:
+        """The joint without a parent."""
+        return self.parents.index(-1)
+
+    @cached_property
+    def order(self) -> NDArray[np.int64]:
+        """(J,) joints sorted so that every parent stands before its children."""
+        order = [self.root]
+        for joint in order:
+            order.extend(child for child, parent in enumerate(self.parents) if parent == joint)
+        return np.array(order, dtype=np.int64)
+
+    @cached_property
+    def parent_indices(self) -> NDArray[np.int64]:
+        """(J,) ``parents`` as an array."""
+        return np.array(self.parents, dtype=np.int64)
+
+    @cached_property
+    def bone_joints(self) -> NDArray[np.int64]:
+        """(J-1,) the joints that end a bone: all but the root, in joint order."""
+        return np.array([j for j, parent in enumerate(self.parents) if parent >= 0], dtype=np.int64)
+
+    @cached_property
+    def linked(self) -> NDArray[np.bool_]:
+        """(J, J) whether two joints are the same or share a bone (sec. 3: such a joint cannot mislead)."""
+        linked = np.eye(len(self), dtype=bool)
+        for child in self.bone_joints:
+            parent = self.parents[child]
+            linked[child, parent] = linked[parent, child] = True
+        return linked
+
+    @cached_property
+    def mirror(self) -> NDArray[np.int64]:
+        """(J,) the joint on the other side of the body; a joint on the middle line is its own mirror."""
+        index = {name: j for j, name in enumerate(self.joints)}
+        return np.array([index[_other_side(name)] for name in self.joints], dtype=np.int64)
+
+    def joint(self, name: str) -> int:
+        """The index of a joint by name, in any spelling: ``ElbowLeft``, ``ELBOW_LEFT``, ``elbow left``.
+
+        Raises:
+            FusionError: The body has no such joint.
+        """
+        try:
+            return self._index_by_plain_name[_plain(name)]
+        except KeyError:
+            raise FusionError(
+                f"{self.name} has no joint {name!r}. Its joints: {', '.join(self.joints)}."
+            ) from None
+
+    def find(self, name: str) -> int | None:
+        """Like :meth:`joint`, but None where the body has no such joint."""
+        return self._index_by_plain_name.get(_plain(name))
+
+    def bone(self, name: str) -> int:
+        """The joint at the far end of a bone, by the bone's name.
+
+        Raises:
+            FusionError: The body has no such bone.
+        """
+        if name and name in self.bones:
+            return self.bones.index(name)
+        raise FusionError(
+            f"{self.name} has no bone {name!r}. Its bones: {', '.join(filter(None, self.bones))}."
+        )
+
+    @cached_property
+    def _index_by_plain_name(self) -> dict[str, int]:
+        return {_plain(name): j for j, name in enumerate(self.joints)}
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower().removeprefix("k4abt_joint_"))
+
+
+def _other_side(name: str) -> str:
+    for left, right in (("Left", "Right"), ("LEFT", "RIGHT")):
+        if left in name:
+            return name.replace(left, right)
+        if right in name:
+            return name.replace(right, left)
+    return name
+
+
+def _body(name: str, torso: tuple[str, ...], table: str) -> Body:
+    """A body from rows ``joint parent bone direction-at-rest`` in the tracker's joint order."""
+    rows = [line.split() for line in table.strip().splitlines()]
+    joints = tuple(row[0] for row in rows)
+    return Body(
+        name=name,
+        joints=joints,
+        parents=tuple(-1 if row[1] == "-" else joints.index(row[1]) for row in rows),
+        bones=tuple("" if row[2] == "-" else row[2] for row in rows),
+        torso=tuple(joints.index(joint) for joint in torso),
+        rest=np.array([_REST_DIRECTIONS[row[3]] for row in rows]),
+    )
+
+
+KINECT_V1 = _body(
+    "kinect_v1",
+    ("HipCenter", "Spine", "ShoulderCenter", "ShoulderLeft", "ShoulderRight", "HipLeft", "HipRight"),
+    """
+    HipCenter       -               -                root
+    Spine           HipCenter       lower_spine      up
+    ShoulderCenter  Spine           upper_spine      up
+    Head            ShoulderCenter  neck             up
+    ShoulderLeft    ShoulderCenter  collar_left      left
+    ElbowLeft       ShoulderLeft    upper_arm_left   down
+    WristLeft       ElbowLeft       forearm_left     down
+    HandLeft        WristLeft       hand_left        down
+    ShoulderRight   ShoulderCenter  collar_right     right
+    ElbowRight      ShoulderRight   upper_arm_right  down
+    WristRight      ElbowRight      forearm_right    down
+    HandRight       WristRight      hand_right       down
+    HipLeft         HipCenter       pelvis_left      left
+    KneeLeft        HipLeft         thigh_left       down
+    AnkleLeft       KneeLeft        shin_left        down
+    FootLeft        AnkleLeft       foot_left        front
+    HipRight        HipCenter       pelvis_right     right
+    KneeRight       HipRight        thigh_right      down
+    AnkleRight      KneeRight       shin_right       down
+    FootRight       AnkleRight      foot_right       front
+    """,
+)
+"""Kinect for Xbox 360: the paper's 20 joints."""
+
+KINECT_V2 = _body(
+    "kinect_v2",
+    ("SpineBase", "SpineMid", "SpineShoulder", "ShoulderLeft", "ShoulderRight", "HipLeft", "HipRight"),
+    """
+    SpineBase      -              -                root
+    SpineMid       SpineBase      lower_spine      up
+    Neck           SpineShoulder  neck             up
+    Head           Neck           head             up
+    ShoulderLeft   SpineShoulder  collar_left      left
+    ElbowLeft      ShoulderLeft   upper_arm_left   down
+    WristLeft      ElbowLeft      forearm_left     down
+    HandLeft       WristLeft      hand_left        down
+    ShoulderRight  SpineShoulder  collar_right     right
+    ElbowRight     ShoulderRight  upper_arm_right  down
+    WristRight     ElbowRight     forearm_right    down
+    HandRight      WristRight     hand_right       down
+    HipLeft        SpineBase      pelvis_left      left
+    KneeLeft       HipLeft        thigh_left       down
+    AnkleLeft      KneeLeft       shin_left        down
+    FootLeft       AnkleLeft      foot_left        front
+    HipRight       SpineBase      pelvis_right     right
+    KneeRight      HipRight       thigh_right      down
+    AnkleRight     KneeRight      shin_right       down
+    FootRight      AnkleRight     foot_right       front
+    SpineShoulder  SpineMid       upper_spine      up
+    HandTipLeft    HandLeft       fingers_left     down
+    ThumbLeft      WristLeft      thumb_left       front
+    HandTipRight   HandRight      fingers_right    down
+    ThumbRight     WristRight     thumb_right      front
+    """,
+)
+"""Kinect for Xbox One: 25 joints."""
+
+AZURE_KINECT = _body(
+    "azure_kinect",
+    (
+        "PELVIS",
+        "SPINE_NAVEL",
+        "SPINE_CHEST",
+        "CLAVICLE_LEFT",
+        "SHOULDER_LEFT",
+        "CLAVICLE_RIGHT",
+        "SHOULDER_RIGHT",
+        "HIP_LEFT",
+        "HIP_RIGHT",
+    ),
+    """
+    PELVIS          -               -                root
+    SPINE_NAVEL     PELVIS          lower_spine      up
+    SPINE_CHEST     SPINE_NAVEL     upper_spine      up
+    NECK            SPINE_CHEST     neck             up
+    CLAVICLE_LEFT   SPINE_CHEST     clavicle_left    up
+    SHOULDER_LEFT   CLAVICLE_LEFT   collar_left      left
+    ELBOW_LEFT      SHOULDER_LEFT   upper_arm_left   down
+    WRIST_LEFT      ELBOW_LEFT      forearm_left     down
+    HAND_LEFT       WRIST_LEFT      hand_left        down
+    HANDTIP_LEFT    HAND_LEFT       fingers_left     down
+    THUMB_LEFT      WRIST_LEFT      thumb_left       front
+    CLAVICLE_RIGHT  SPINE_CHEST     clavicle_right   up
+    SHOULDER_RIGHT  CLAVICLE_RIGHT  collar_right     right
+    ELBOW_RIGHT     SHOULDER_RIGHT  upper_arm_right  down
+    WRIST_RIGHT     ELBOW_RIGHT     forearm_right    down
+    HAND_RIGHT      WRIST_RIGHT     hand_right       down
+    HANDTIP_RIGHT   HAND_RIGHT      fingers_right    down
+    THUMB_RIGHT     WRIST_RIGHT     thumb_right      front
+    HIP_LEFT        PELVIS          pelvis_left      left
+    KNEE_LEFT       HIP_LEFT        thigh_left       down
+    ANKLE_LEFT      KNEE_LEFT       shin_left        down
+    FOOT_LEFT       ANKLE_LEFT      foot_left        front
+    HIP_RIGHT       PELVIS          pelvis_right     right
+    KNEE_RIGHT      HIP_RIGHT       thigh_right      down
+    ANKLE_RIGHT     KNEE_RIGHT      shin_right       down
+    FOOT_RIGHT      ANKLE_RIGHT     foot_right       front
+    HEAD            NECK            head             up
+    NOSE            HEAD            nose             front
+    EYE_LEFT        HEAD            eye_left         front
+    EAR_LEFT        HEAD            ear_left         left
+    EYE_RIGHT       HEAD            eye_right        front
+    EAR_RIGHT       HEAD            ear_right        right
+    """,
+)
+"""Azure Kinect body tracking (libk4abt), and Orbbec's cameras with it: 32 joints."""
+
+BODIES = {body.name: body for body in (KINECT_V1, KINECT_V2, AZURE_KINECT)}
+
+
+def body_of(joint_names: set[str]) -> Body:
+    """The body whose joints these are.
+
+    Args:
+        joint_names: Names as a recording spells them; a recording may lack some joints of its body.
+
+    Raises:
+        FusionError: No body has all of these joints; the message names the strangers.
+    """
+    fitting = [b for b in BODIES.values() if all(b.find(name) is not None for name in joint_names)]
+    if fitting:
+        return min(fitting, key=len)
+    nearest = min(BODIES.values(), key=lambda b: sum(b.find(name) is None for name in joint_names))
+    strangers = sorted(name for name in joint_names if nearest.find(name) is None)
+    raise FusionError(
+        f"Unknown joint {', '.join(map(repr, strangers[:4]))}: the nearest body, {nearest.name}, has "
+        f"{', '.join(nearest.joints)}."
+    )

@@ -1,0 +1,65 @@
+"""A rotation and a translation between two named frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fusion.errors import FusionError
+
+
+@dataclass(frozen=True, eq=False)
+class RigidTransform:
+    """Takes points from a source frame to a target frame: q' = R q + t.
+
+    Name an instance ``target_from_source``; adjacent names cancel: ``a_from_b.apply(points_b)``.
+
+    Attributes:
+        rotation: (3, 3) R, orthonormal with determinant +1.
+        translation: (3,) t, metres, in the target frame.
+    """
+
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+
+    @staticmethod
+    def of(rotation: ArrayLike, translation: ArrayLike) -> RigidTransform:
+        """A transform from a rotation matrix and a translation, both checked.
+
+        Raises:
+            FusionError: Not a rotation: a wrong shape, not finite, not orthonormal, or a reflection.
+        """
+        R = np.array(rotation, dtype=np.float64)
+        t = np.array(translation, dtype=np.float64)
+        if R.shape != (3, 3) or t.shape != (3,) or not (np.isfinite(R).all() and np.isfinite(t).all()):
+            raise FusionError(
+                f"A rigid transform needs a finite (3, 3) R and (3,) t; got {R.shape}, {t.shape}."
+            )
+        if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
+            raise FusionError("R is not a rotation: it is not orthonormal, or it is a reflection.")
+        R.flags.writeable = t.flags.writeable = False
+        return RigidTransform(R, t)
+
+    @staticmethod
+    def identity() -> RigidTransform:
+        """The transform that leaves every point where it is."""
+        return RigidTransform.of(np.eye(3), np.zeros(3))
+
+    def apply(self, points: ArrayLike) -> NDArray[np.float64]:
+        """(…, 3) points of the source frame, in the target frame."""
+        return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
+
+    def inverse(self) -> RigidTransform:
+        """``source_from_target``."""
+        return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
+
+    def __matmul__(self, other: RigidTransform) -> RigidTransform:
+        """``a_from_b @ b_from_c`` is ``a_from_c``."""
+        return RigidTransform(self.rotation @ other.rotation, self.apply(other.translation))
+
+    def angle_to(self, other: RigidTransform) -> float:
+        """The angle of the rotation between the two, in radians."""
+        cosine = (np.trace(self.rotation.T @ other.rotation) - 1.0) / 2.0
+        return float(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -1,0 +1,106 @@
+"""Where the joints of one person are, how surely, and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fusion.body import Body
+from fusion.errors import FusionError
+
+
+class TrackingState(IntEnum):
+    """How a body tracker came to a joint's position."""
+
+    NOT_TRACKED = 0
+    """No position."""
+    INFERRED = 1
+    """The joint is hidden; its position is the tracker's guess."""
+    TRACKED = 2
+    """The joint is seen. It can be in the wrong place all the same (sec. 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """One person in one frame of one sensor: S_A or S_B.
+
+    Attributes:
+        body: Which joints these are.
+        positions: (J, 3) float32, metres, in the sensor's frame; NaN where not tracked.
+        states: (J,) uint8, a :class:`TrackingState` a joint.
+        time_ns: When it was captured, on the sensor's clock.
+    """
+
+    body: Body
+    positions: NDArray[np.float32]
+    states: NDArray[np.uint8]
+    time_ns: int
+
+    @staticmethod
+    def of(body: Body, positions: ArrayLike, states: ArrayLike | None = None, time_ns: int = 0) -> Skeleton:
+        """A skeleton from what a tracker reported, checked once: here.
+
+        A joint with a coordinate that is NaN or infinite is not tracked, whatever its state says; a
+        joint that is not tracked has no position, whatever its coordinates say.
+
+        Args:
+            body: Which joints these are.
+            positions: (J, 3) metres, sensor frame.
+            states: (J,) tracking states 0, 1 or 2; all tracked where None.
+            time_ns: Capture time on the sensor's clock.
+
+        Raises:
+            FusionError: A shape does not fit the body, or a state is none of 0, 1, 2.
+        """
+        at = np.array(positions, dtype=np.float32)
+        if at.shape != (len(body), 3):
+            raise FusionError(f"{body.name} has {len(body)} joints; positions have shape {at.shape}.")
+        if states is None:
+            state = np.full(len(body), TrackingState.TRACKED, dtype=np.uint8)
+        else:
+            given = np.asarray(states)
+            if given.shape != (len(body),) or not np.isin(given, (0, 1, 2)).all():
+                raise FusionError(
+                    f"Tracking states must be {len(body)} values of 0, 1 or 2; got shape {given.shape}."
+                )
+            state = given.astype(np.uint8)
+        state[~np.isfinite(at).all(axis=1)] = TrackingState.NOT_TRACKED
+        at[state == TrackingState.NOT_TRACKED] = np.nan
+        at.flags.writeable = state.flags.writeable = False
+        return Skeleton(body, at, state, int(time_ns))
+
+    @property
+    def has_position(self) -> NDArray[np.bool_]:
+        """(J,) whether the joint has a position, tracked or inferred."""
+        return self.states != TrackingState.NOT_TRACKED
+
+    @property
+    def tracked(self) -> NDArray[np.bool_]:
+        """(J,) whether the joint is tracked."""
+        return self.states == TrackingState.TRACKED
+
+    def repeats(self, earlier: Skeleton | None) -> bool:
+        """Whether this is the earlier skeleton again: a stale frame, delivered twice by the tracker."""
+        return (
+            earlier is not None
+            and np.array_equal(self.positions, earlier.positions, equal_nan=True)
+            and np.array_equal(self.states, earlier.states)
+        )
+
+
+@dataclass(frozen=True)
+class SkeletonPair:
+    """What the two sensors saw of one person at one time; a sensor that saw no one has None.
+
+    Attributes:
+        a: S_A, in the principal sensor's frame.
+        b: S_B, in the secondary sensor's frame.
+        time_ns: The pair's own time, on the principal sensor's clock.
+    """
+
+    a: Skeleton | None
+    b: Skeleton | None
+    time_ns: int
