@@ -37,7 +37,7 @@ class Body:
         parents: (J,) index of each joint's parent; the root has -1. A parent may stand after its child.
         bones: (J,) name of the bone that ends in the joint; empty for the root.
         torso: Joints of the main body, whose centre carries t from frame to frame (sec. 4).
-        rest: (J, 3) unit direction parent → joint of a person at rest who faces the sensor; zero for the root.
+        rest: (J, 3) unit direction parent → joint at rest, facing the sensor; zero for the root.
     """
 
     name: str

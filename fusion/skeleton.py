@@ -75,12 +75,12 @@ class Skeleton:
     @property
     def has_position(self) -> NDArray[np.bool_]:
         """(J,) whether the joint has a position, tracked or inferred."""
-        return self.states != TrackingState.NOT_TRACKED
+        return np.not_equal(self.states, TrackingState.NOT_TRACKED)
 
     @property
     def tracked(self) -> NDArray[np.bool_]:
         """(J,) whether the joint is tracked."""
-        return self.states == TrackingState.TRACKED
+        return np.equal(self.states, TrackingState.TRACKED)
 
     def repeats(self, earlier: Skeleton | None) -> bool:
         """Whether this is the earlier skeleton again: a stale frame, delivered twice by the tracker."""
