@@ -38,6 +38,7 @@ class Body:
         bones: (J,) name of the bone that ends in the joint; empty for the root.
         torso: Joints of the main body, whose centre carries t from frame to frame (sec. 4).
         rest: (J, 3) unit direction parent → joint at rest, facing the sensor; zero for the root.
+        nominal_lengths: (J,) metres, of an adult 1.75 m tall; zero for the root. For bones no one has seen.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Body:
     bones: tuple[str, ...]
     torso: tuple[int, ...]
     rest: NDArray[np.float64]
+    nominal_lengths: NDArray[np.float64]
 
     def __len__(self) -> int:
         """The number of joints J."""
@@ -140,7 +142,7 @@ def _other_side(name: str) -> str:
 
 
 def _body(name: str, torso: tuple[str, ...], table: str) -> Body:
-    """A body from rows ``joint parent bone direction-at-rest`` in the tracker's joint order."""
+    """A body from rows ``joint parent bone rest-direction length`` in the tracker's joint order."""
     rows = [line.split() for line in table.strip().splitlines()]
     joints = tuple(row[0] for row in rows)
     return Body(
@@ -150,6 +152,7 @@ def _body(name: str, torso: tuple[str, ...], table: str) -> Body:
         bones=tuple("" if row[2] == "-" else row[2] for row in rows),
         torso=tuple(joints.index(joint) for joint in torso),
         rest=np.array([_REST_DIRECTIONS[row[3]] for row in rows]),
+        nominal_lengths=np.array([float(row[4]) for row in rows]),
     )
 
 
@@ -157,26 +160,26 @@ KINECT_V1 = _body(
     "kinect_v1",
     ("HipCenter", "Spine", "ShoulderCenter", "ShoulderLeft", "ShoulderRight", "HipLeft", "HipRight"),
     """
-    HipCenter       -               -                root
-    Spine           HipCenter       lower_spine      up
-    ShoulderCenter  Spine           upper_spine      up
-    Head            ShoulderCenter  neck             up
-    ShoulderLeft    ShoulderCenter  collar_left      left
-    ElbowLeft       ShoulderLeft    upper_arm_left   down
-    WristLeft       ElbowLeft       forearm_left     down
-    HandLeft        WristLeft       hand_left        down
-    ShoulderRight   ShoulderCenter  collar_right     right
-    ElbowRight      ShoulderRight   upper_arm_right  down
-    WristRight      ElbowRight      forearm_right    down
-    HandRight       WristRight      hand_right       down
-    HipLeft         HipCenter       pelvis_left      left
-    KneeLeft        HipLeft         thigh_left       down
-    AnkleLeft       KneeLeft        shin_left        down
-    FootLeft        AnkleLeft       foot_left        front
-    HipRight        HipCenter       pelvis_right     right
-    KneeRight       HipRight        thigh_right      down
-    AnkleRight      KneeRight       shin_right       down
-    FootRight       AnkleRight      foot_right       front
+    HipCenter       -               -                root   0.00
+    Spine           HipCenter       lower_spine      up     0.12
+    ShoulderCenter  Spine           upper_spine      up     0.33
+    Head            ShoulderCenter  neck             up     0.21
+    ShoulderLeft    ShoulderCenter  collar_left      left   0.17
+    ElbowLeft       ShoulderLeft    upper_arm_left   down   0.29
+    WristLeft       ElbowLeft       forearm_left     down   0.25
+    HandLeft        WristLeft       hand_left        down   0.08
+    ShoulderRight   ShoulderCenter  collar_right     right  0.17
+    ElbowRight      ShoulderRight   upper_arm_right  down   0.29
+    WristRight      ElbowRight      forearm_right    down   0.25
+    HandRight       WristRight      hand_right       down   0.08
+    HipLeft         HipCenter       pelvis_left      left   0.09
+    KneeLeft        HipLeft         thigh_left       down   0.42
+    AnkleLeft       KneeLeft        shin_left        down   0.41
+    FootLeft        AnkleLeft       foot_left        front  0.13
+    HipRight        HipCenter       pelvis_right     right  0.09
+    KneeRight       HipRight        thigh_right      down   0.42
+    AnkleRight      KneeRight       shin_right       down   0.41
+    FootRight       AnkleRight      foot_right       front  0.13
     """,
 )
 """Kinect for Xbox 360: the paper's 20 joints."""
@@ -185,31 +188,31 @@ KINECT_V2 = _body(
     "kinect_v2",
     ("SpineBase", "SpineMid", "SpineShoulder", "ShoulderLeft", "ShoulderRight", "HipLeft", "HipRight"),
     """
-    SpineBase      -              -                root
-    SpineMid       SpineBase      lower_spine      up
-    Neck           SpineShoulder  neck             up
-    Head           Neck           head             up
-    ShoulderLeft   SpineShoulder  collar_left      left
-    ElbowLeft      ShoulderLeft   upper_arm_left   down
-    WristLeft      ElbowLeft      forearm_left     down
-    HandLeft       WristLeft      hand_left        down
-    ShoulderRight  SpineShoulder  collar_right     right
-    ElbowRight     ShoulderRight  upper_arm_right  down
-    WristRight     ElbowRight     forearm_right    down
-    HandRight      WristRight     hand_right       down
-    HipLeft        SpineBase      pelvis_left      left
-    KneeLeft       HipLeft        thigh_left       down
-    AnkleLeft      KneeLeft       shin_left        down
-    FootLeft       AnkleLeft      foot_left        front
-    HipRight       SpineBase      pelvis_right     right
-    KneeRight      HipRight       thigh_right      down
-    AnkleRight     KneeRight      shin_right       down
-    FootRight      AnkleRight     foot_right       front
-    SpineShoulder  SpineMid       upper_spine      up
-    HandTipLeft    HandLeft       fingers_left     down
-    ThumbLeft      WristLeft      thumb_left       front
-    HandTipRight   HandRight      fingers_right    down
-    ThumbRight     WristRight     thumb_right      front
+    SpineBase      -              -                root   0.00
+    SpineMid       SpineBase      lower_spine      up     0.20
+    Neck           SpineShoulder  neck             up     0.09
+    Head           Neck           head             up     0.16
+    ShoulderLeft   SpineShoulder  collar_left      left   0.17
+    ElbowLeft      ShoulderLeft   upper_arm_left   down   0.29
+    WristLeft      ElbowLeft      forearm_left     down   0.25
+    HandLeft       WristLeft      hand_left        down   0.08
+    ShoulderRight  SpineShoulder  collar_right     right  0.17
+    ElbowRight     ShoulderRight  upper_arm_right  down   0.29
+    WristRight     ElbowRight     forearm_right    down   0.25
+    HandRight      WristRight     hand_right       down   0.08
+    HipLeft        SpineBase      pelvis_left      left   0.09
+    KneeLeft       HipLeft        thigh_left       down   0.42
+    AnkleLeft      KneeLeft       shin_left        down   0.41
+    FootLeft       AnkleLeft      foot_left        front  0.13
+    HipRight       SpineBase      pelvis_right     right  0.09
+    KneeRight      HipRight       thigh_right      down   0.42
+    AnkleRight     KneeRight      shin_right       down   0.41
+    FootRight      AnkleRight     foot_right       front  0.13
+    SpineShoulder  SpineMid       upper_spine      up     0.24
+    HandTipLeft    HandLeft       fingers_left     down   0.08
+    ThumbLeft      WristLeft      thumb_left       front  0.06
+    HandTipRight   HandRight      fingers_right    down   0.08
+    ThumbRight     WristRight     thumb_right      front  0.06
     """,
 )
 """Kinect for Xbox One: 25 joints."""
@@ -228,38 +231,38 @@ AZURE_KINECT = _body(
         "HIP_RIGHT",
     ),
     """
-    PELVIS          -               -                root
-    SPINE_NAVEL     PELVIS          lower_spine      up
-    SPINE_CHEST     SPINE_NAVEL     upper_spine      up
-    NECK            SPINE_CHEST     neck             up
-    CLAVICLE_LEFT   SPINE_CHEST     clavicle_left    up
-    SHOULDER_LEFT   CLAVICLE_LEFT   collar_left      left
-    ELBOW_LEFT      SHOULDER_LEFT   upper_arm_left   down
-    WRIST_LEFT      ELBOW_LEFT      forearm_left     down
-    HAND_LEFT       WRIST_LEFT      hand_left        down
-    HANDTIP_LEFT    HAND_LEFT       fingers_left     down
-    THUMB_LEFT      WRIST_LEFT      thumb_left       front
-    CLAVICLE_RIGHT  SPINE_CHEST     clavicle_right   up
-    SHOULDER_RIGHT  CLAVICLE_RIGHT  collar_right     right
-    ELBOW_RIGHT     SHOULDER_RIGHT  upper_arm_right  down
-    WRIST_RIGHT     ELBOW_RIGHT     forearm_right    down
-    HAND_RIGHT      WRIST_RIGHT     hand_right       down
-    HANDTIP_RIGHT   HAND_RIGHT      fingers_right    down
-    THUMB_RIGHT     WRIST_RIGHT     thumb_right      front
-    HIP_LEFT        PELVIS          pelvis_left      left
-    KNEE_LEFT       HIP_LEFT        thigh_left       down
-    ANKLE_LEFT      KNEE_LEFT       shin_left        down
-    FOOT_LEFT       ANKLE_LEFT      foot_left        front
-    HIP_RIGHT       PELVIS          pelvis_right     right
-    KNEE_RIGHT      HIP_RIGHT       thigh_right      down
-    ANKLE_RIGHT     KNEE_RIGHT      shin_right       down
-    FOOT_RIGHT      ANKLE_RIGHT     foot_right       front
-    HEAD            NECK            head             up
-    NOSE            HEAD            nose             front
-    EYE_LEFT        HEAD            eye_left         front
-    EAR_LEFT        HEAD            ear_left         left
-    EYE_RIGHT       HEAD            eye_right        front
-    EAR_RIGHT       HEAD            ear_right        right
+    PELVIS          -               -                root   0.00
+    SPINE_NAVEL     PELVIS          lower_spine      up     0.20
+    SPINE_CHEST     SPINE_NAVEL     upper_spine      up     0.24
+    NECK            SPINE_CHEST     neck             up     0.09
+    CLAVICLE_LEFT   SPINE_CHEST     clavicle_left    up     0.10
+    SHOULDER_LEFT   CLAVICLE_LEFT   collar_left      left   0.14
+    ELBOW_LEFT      SHOULDER_LEFT   upper_arm_left   down   0.29
+    WRIST_LEFT      ELBOW_LEFT      forearm_left     down   0.25
+    HAND_LEFT       WRIST_LEFT      hand_left        down   0.08
+    HANDTIP_LEFT    HAND_LEFT       fingers_left     down   0.08
+    THUMB_LEFT      WRIST_LEFT      thumb_left       front  0.06
+    CLAVICLE_RIGHT  SPINE_CHEST     clavicle_right   up     0.10
+    SHOULDER_RIGHT  CLAVICLE_RIGHT  collar_right     right  0.14
+    ELBOW_RIGHT     SHOULDER_RIGHT  upper_arm_right  down   0.29
+    WRIST_RIGHT     ELBOW_RIGHT     forearm_right    down   0.25
+    HAND_RIGHT      WRIST_RIGHT     hand_right       down   0.08
+    HANDTIP_RIGHT   HAND_RIGHT      fingers_right    down   0.08
+    THUMB_RIGHT     WRIST_RIGHT     thumb_right      front  0.06
+    HIP_LEFT        PELVIS          pelvis_left      left   0.09
+    KNEE_LEFT       HIP_LEFT        thigh_left       down   0.42
+    ANKLE_LEFT      KNEE_LEFT       shin_left        down   0.41
+    FOOT_LEFT       ANKLE_LEFT      foot_left        front  0.13
+    HIP_RIGHT       PELVIS          pelvis_right     right  0.09
+    KNEE_RIGHT      HIP_RIGHT       thigh_right      down   0.42
+    ANKLE_RIGHT     KNEE_RIGHT      shin_right       down   0.41
+    FOOT_RIGHT      ANKLE_RIGHT     foot_right       front  0.13
+    HEAD            NECK            head             up     0.16
+    NOSE            HEAD            nose             front  0.17
+    EYE_LEFT        HEAD            eye_left         front  0.14
+    EAR_LEFT        HEAD            ear_left         left   0.09
+    EYE_RIGHT       HEAD            eye_right        front  0.14
+    EAR_RIGHT       HEAD            ear_right        right  0.09
     """,
 )
 """Azure Kinect body tracking (libk4abt), and Orbbec's cameras with it: 32 joints."""
