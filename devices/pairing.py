@@ -1,0 +1,115 @@
+"""Two recorded streams made one stream of pairs, by capture time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.sensor import DeviceError, SensorFrame
+from fusion.skeleton import Skeleton, SkeletonPair
+
+
+@dataclass(frozen=True, eq=False)
+class FramePair:
+    """What both sensors said about one moment.
+
+    Attributes:
+        a, b: The frames; None where a sensor has none for this moment.
+        person_a, person_b: The ids of the person meant, in each sensor's own numbering.
+        time_ns: The pair's time, on the principal sensor's clock.
+        skew_ns: Capture time of B less that of A, both on the principal sensor's clock; 0 without both.
+    """
+
+    a: SensorFrame | None
+    b: SensorFrame | None
+    person_a: str
+    person_b: str
+    time_ns: int
+    skew_ns: int = 0
+
+    @property
+    def skeletons(self) -> SkeletonPair:
+        """S_A and S_B of the person meant; None for a sensor that does not see this person."""
+        return SkeletonPair(_person(self.a, self.person_a), _person(self.b, self.person_b), self.time_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """All pairs of two recordings, and what was left over.
+
+    Attributes:
+        pairs: In time order.
+        frames_a, frames_b: How many frames each recording has.
+        dropped_a, dropped_b: Frames without a partner within the tolerance.
+    """
+
+    pairs: list[FramePair] = field(repr=False)
+    frames_a: int
+    frames_b: int
+    dropped_a: int
+    dropped_b: int
+
+
+def pair_recordings(
+    frames_a: Sequence[SensorFrame],
+    frames_b: Sequence[SensorFrame],
+    person_a: str,
+    person_b: str,
+    tolerance_ns: int | None = None,
+) -> Pairing:
+    """Pairs each frame of A with the nearest of B in time, each frame once.
+
+    Two frames are a pair when each is the other's nearest and they lie within the tolerance. Assumes that
+    both sensors' clocks agree, as recordings of synchronised sensors' do.
+
+    Args:
+        frames_a, frames_b: Frames of each recording in time order.
+        person_a, person_b: The person meant in each.
+        tolerance_ns: Half the slower stream's median frame interval where None.
+
+    Raises:
+        DeviceError: A recording is empty, or the two never overlap in time.
+    """
+    time_a = np.array([frame.time_ns for frame in frames_a], dtype=np.int64)
+    time_b = np.array([frame.time_ns for frame in frames_b], dtype=np.int64)
+    if len(time_a) == 0 or len(time_b) == 0:
+        raise DeviceError("A recording without frames cannot be paired.")
+    if tolerance_ns is None:
+        tolerance_ns = max(_median_interval(time_a), _median_interval(time_b)) // 2
+    nearest_b = _nearest(time_a, time_b)
+    mutual = _nearest(time_b, time_a)[nearest_b] == np.arange(len(time_a))
+    skew = time_b[nearest_b] - time_a
+    chosen = np.flatnonzero(mutual & (np.abs(skew) <= tolerance_ns))
+    if len(chosen) == 0:
+        raise DeviceError(
+            f"The two recordings never overlap in time: A runs from {_span(time_a)}, B from {_span(time_b)}. "
+            "They must be of the same capture, on one clock."
+        )
+    pairs = [
+        FramePair(frames_a[i], frames_b[j], person_a, person_b, int(time_a[i]), int(skew[i]))
+        for i, j in zip(chosen.tolist(), nearest_b[chosen].tolist(), strict=True)
+    ]
+    return Pairing(pairs, len(time_a), len(time_b), len(time_a) - len(pairs), len(time_b) - len(pairs))
+
+
+def _person(frame: SensorFrame | None, person: str) -> Skeleton | None:
+    return None if frame is None else frame.people.get(person)
+
+
+def _nearest(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:
+    """For each time the index of the nearest of the others, the earlier where two are as near."""
+    after = np.clip(np.searchsorted(others, times), 1, max(len(others) - 1, 1))
+    after = np.minimum(after, len(others) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(others[before] - times) <= np.abs(others[after] - times), before, after)
+
+
+def _median_interval(times: NDArray[np.int64]) -> int:
+    return int(np.median(np.diff(times))) if len(times) > 1 else 33_000_000
+
+
+def _span(times: NDArray[np.int64]) -> str:
+    return f"{times[0] * 1e-9:.3f} s to {times[-1] * 1e-9:.3f} s"

@@ -1,0 +1,59 @@
+"""Skeletons as Microsoft's ``offline_processor`` sample writes them: JSON, millimetres, no confidences."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from devices.sensor import DeviceError, SensorFrame
+from fusion.body import Body, body_of
+from fusion.errors import FusionError
+from fusion.skeleton import Skeleton
+
+
+def read_json(path: Path) -> tuple[Body, list[SensorFrame]]:
+    """The body and frames of an offline_processor file. Every joint counts as tracked.
+
+    Raises:
+        DeviceError: Not JSON, cut off, not of this layout, or a joint unknown.
+    """
+    text = path.read_text(encoding="utf-8-sig")
+    if not text.strip():
+        raise DeviceError(f"{path} is empty.")
+    try:
+        document = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise DeviceError(f"{path} is not whole JSON: {error}. Was it cut off?") from None
+    where = "the top level"
+    try:
+        names = [str(name) for name in document["joint_names"]]
+        body = body_of(set(names))
+        joint = np.array([body.joint(name) for name in names], dtype=np.int64)
+        if len(names) == 0 or len(set(joint.tolist())) < len(names):
+            raise DeviceError(f"{path}: joint_names is empty or names a joint twice.")
+        frames = []
+        for number, frame in enumerate(document["frames"]):
+            where = f"frame {number}"
+            frames.append(_frame(frame, body, joint))
+    except FusionError as error:
+        raise DeviceError(f"{path}: {error}") from None
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        what = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise DeviceError(f"{path}, {where}: not as offline_processor writes it ({what}).") from None
+    return body, sorted(frames, key=lambda frame: frame.time_ns)
+
+
+def _frame(frame: dict[str, Any], body: Body, joint: np.ndarray[Any, np.dtype[np.int64]]) -> SensorFrame:
+    time_ns = int(frame["timestamp_usec"]) * 1000
+    people = {}
+    for person in frame["bodies"]:
+        given = np.array(person["joint_positions"], dtype=np.float64)
+        if given.shape != (len(joint), 3):
+            raise ValueError(f"joint_positions has shape {given.shape}, not ({len(joint)}, 3)")
+        positions = np.full((len(body), 3), np.nan)
+        positions[joint] = given * 1e-3
+        people[str(person["body_id"])] = Skeleton.of(body, positions, None, time_ns)
+    return SensorFrame(time_ns, people)

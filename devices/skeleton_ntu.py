@@ -1,0 +1,87 @@
+"""Skeletons of the NTU RGB+D data set: ``.skeleton`` text files of a Kinect v2, without times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from devices.sensor import DeviceError, SensorFrame
+from fusion.body import KINECT_V2, Body
+from fusion.skeleton import Skeleton
+
+FRAME_NS = 33_333_333
+"""The files carry no times; their frames come at 30 Hz."""
+
+# Camera space has x to the sensor's left and y up.
+_SENSOR_FROM_CAMERA_SPACE = np.array([-1.0, -1.0, 1.0])
+
+
+def read_ntu(path: Path) -> tuple[Body, list[SensorFrame]]:
+    """The body and frames of a ``.skeleton`` file.
+
+    Raises:
+        DeviceError: Empty, cut off, or a line that is not what its place asks for; the message names it.
+    """
+    lines = _Lines(path)
+    frames = []
+    for number in range(lines.whole_number("frame count")):
+        time_ns = number * FRAME_NS
+        people = {}
+        for _ in range(lines.whole_number("body count")):
+            person = lines.take("body").split()[0]
+            joints = lines.whole_number("joint count")
+            if joints != len(KINECT_V2):
+                raise DeviceError(
+                    f"{lines.here}: a body has {joints} joints; Kinect v2 has {len(KINECT_V2)}."
+                )
+            rows = np.array([lines.joint() for _ in range(joints)])
+            people[person] = Skeleton.of(
+                KINECT_V2, rows[:, :3] * _SENSOR_FROM_CAMERA_SPACE, rows[:, 3].astype(int), time_ns
+            )
+        frames.append(SensorFrame(time_ns, people))
+    return KINECT_V2, frames
+
+
+class _Lines:
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._lines: Iterator[str] = iter(path.read_text(encoding="utf-8-sig").splitlines())
+        self._number = 0
+
+    @property
+    def here(self) -> str:
+        return f"{self._path}, line {self._number}"
+
+    def take(self, what: str) -> str:
+        self._number += 1
+        line = next(self._lines, "")
+        if not line.strip():
+            ended = "is empty" if self._number == 1 else f"is cut off at line {self._number}"
+            raise DeviceError(f"{self._path} {ended}, where a {what} should stand.")
+        return line
+
+    def whole_number(self, what: str) -> int:
+        line = self.take(what)
+        try:
+            number = int(line)
+        except ValueError:
+            number = -1
+        if number < 0:
+            raise DeviceError(f"{self.here}: {what} must be a whole number; got {line[:40]!r}.")
+        return number
+
+    def joint(self) -> tuple[float, float, float, float]:
+        """x, y, z in camera space and the state, from a line of twelve numbers."""
+        line = self.take("joint")
+        try:
+            values = [float(value) for value in line.split()]
+        except ValueError:
+            raise DeviceError(f"{self.here}: text where a number belongs, in {line[:60]!r}.") from None
+        if len(values) != 12 or values[11] not in (0.0, 1.0, 2.0):
+            raise DeviceError(
+                f"{self.here}: a joint has 12 numbers, the last a state 0, 1 or 2; got {line[:60]!r}. "
+                "Is the file cut off?"
+            )
+        return values[0], values[1], values[2], values[11]

@@ -1,0 +1,139 @@
+"""Where K_B stands: the rotation R and translation t that lay its joints on K_A's, eq. (12)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fusion.body import Body
+from fusion.errors import CalibrationError
+from fusion.rigid import RigidTransform
+from fusion.skeleton import SkeletonPair
+
+LARGEST_RESIDUAL = 0.300
+"""Metres: a fit whose median residual is larger cannot be right."""
+
+_FEWEST_JOINTS = 5
+_THINNEST = 0.02  # second to first singular value of the joints' spread: below, they lie on a line
+
+
+def fit_rigid(points_a: NDArray[np.float64], points_b: NDArray[np.float64]) -> RigidTransform:
+    """The rigid transform that minimises eq. (12), J_R = Σ ‖R(q_i − c_q) + t − (p_i − c_p)‖².
+
+    R is the rotation nearest to the points' covariance (SVD, reflections excluded), taken through a unit
+    quaternion as in the paper; t then lays the centres on each other, c_p = R c_q + t.
+
+    Args:
+        points_a: (N, 3) p, metres, in K_A's frame.
+        points_b: (N, 3) q, the same points in K_B's frame.
+
+    Returns:
+        ``a_from_b``.
+
+    Raises:
+        CalibrationError: The points do not pin a rotation: fewer than three, or all on one line.
+    """
+    if len(points_a) < 3:
+        raise CalibrationError(f"A rigid fit needs at least 3 points; there are {len(points_a)}.")
+    centre_a, centre_b = points_a.mean(axis=0), points_b.mean(axis=0)
+    spread_b = np.linalg.svd(points_b - centre_b, compute_uv=False)
+    if spread_b[1] < _THINNEST * spread_b[0] or spread_b[0] == 0.0:
+        raise CalibrationError(
+            "The joints seen by both sensors lie on one line, which leaves a rotation open."
+        )
+    U, _, Vt = np.linalg.svd((points_a - centre_a).T @ (points_b - centre_b))
+    U[:, 2] *= np.sign(np.linalg.det(U @ Vt))
+    R = Rotation.from_matrix(U @ Vt).as_matrix()
+    return RigidTransform.of(R, centre_a - R @ centre_b)
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """A transform between the sensors and how far to believe it.
+
+    Attributes:
+        a_from_b: R and t.
+        residual_median, residual_rms: Metres between p_i and R q_i + t over all joints and frames.
+        joint_residuals: (J,) metres, the median of each joint; NaN for a joint never tracked in both views.
+        rotation_sd: Radians, standard error of R about its least certain axis. It takes every joint as one
+            observation however many frames saw it: a joint's bias stays the same in all of them.
+        frames: How many pairs were used.
+        body: The body the joints belong to.
+    """
+
+    a_from_b: RigidTransform
+    residual_median: float
+    residual_rms: float
+    joint_residuals: NDArray[np.float64]
+    rotation_sd: float
+    frames: int
+    body: Body
+
+    def worst_joints(self, count: int = 3) -> list[tuple[str, float]]:
+        """The joints that disagree most: (name, median residual in metres), worst first."""
+        known = np.flatnonzero(np.isfinite(self.joint_residuals))
+        worst = known[np.argsort(-self.joint_residuals[known])][:count]
+        return [(self.body.joints[j], float(self.joint_residuals[j])) for j in worst]
+
+
+def register(pairs: Sequence[SkeletonPair]) -> Registration:
+    """R and t from all joints tracked in both views, over all given pairs at once.
+
+    Assumes that the sensors do not move meanwhile; the person may, and the transform is the more certain
+    the more of the room the poses fill.
+
+    Raises:
+        CalibrationError: Too few joints tracked in both views, a degenerate constellation, or a residual
+            that only swapped, mixed-up or unrelated recordings have.
+    """
+    seen = [(pair.a, pair.b) for pair in pairs if pair.a is not None and pair.b is not None]
+    if not seen:
+        raise CalibrationError(
+            "No frame shows a person to both sensors. Check that the two recordings overlap and that the "
+            "person stands in both views."
+        )
+    body = seen[0][0].body
+    p = np.array([a.positions for a, _ in seen], dtype=np.float64)  # (T, J, 3)
+    q = np.array([b.positions for _, b in seen], dtype=np.float64)
+    both = np.array([a.tracked & b.tracked for a, b in seen])  # (T, J)
+    joints = int(both.any(axis=0).sum())
+    if joints < _FEWEST_JOINTS:
+        raise CalibrationError(
+            f"Only {joints} joints are tracked in both views; registration needs {_FEWEST_JOINTS}. "
+            "Stand at 45° to both sensors, arms and legs apart, the whole body in both views."
+        )
+    a_from_b = fit_rigid(p[both], q[both])
+    distance = np.full(both.shape, np.nan)
+    distance[both] = np.linalg.norm(p[both] - a_from_b.apply(q[both]), axis=1)
+    median = float(np.median(distance[both]))
+    joint_residuals = np.full(len(body), np.nan)
+    for joint in np.flatnonzero(both.any(axis=0)):
+        joint_residuals[joint] = np.median(distance[both[:, joint], joint])
+    registration = Registration(
+        a_from_b=a_from_b,
+        residual_median=median,
+        residual_rms=float(np.sqrt(np.mean(distance[both] ** 2))),
+        joint_residuals=joint_residuals,
+        rotation_sd=_rotation_sd(p[both], float(np.mean(distance[both] ** 2)), joints),
+        frames=len(seen),
+        body=body,
+    )
+    if median > LARGEST_RESIDUAL:
+        raise CalibrationError(
+            f"The two views disagree by {median * 1000:.0f} mm (median) after the best fit; more than "
+            f"{LARGEST_RESIDUAL * 1000:.0f} mm cannot be right. Do both recordings show the same person at "
+            f"the same time? Worst: {', '.join(name for name, _ in registration.worst_joints())}."
+        )
+    return registration
+
+
+def _rotation_sd(points: NDArray[np.float64], mean_square: float, joints: int) -> float:
+    # A rotation by a small θ moves a point at r from the centre by θ × r, so the information about θ
+    # is Σ (|r|² I − r rᵀ) / σ², here per joint, with σ² the residual's variance along one axis.
+    r = points - points.mean(axis=0)
+    information = (np.sum(r * r) * np.eye(3) - r.T @ r) * (joints / len(points))
+    return float(np.sqrt(mean_square / 3.0 / np.linalg.eigvalsh(information)[0]))

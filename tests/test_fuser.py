@@ -1,0 +1,182 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
+from fusion.bone_lengths import bone_lengths_of
+from fusion.calibration import Calibration, calibrate
+from fusion.errors import FusionError
+from fusion.fuser import FusedFrame, Fuser, FuserSettings
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from tests.conftest import A_FROM_B, FRAME_NS, moving, pair_of, standing
+
+# float32 positions at up to 4 m from a sensor are exact to 2.4e-7 m in each coordinate; R and t of the torso
+# add as much again, and turning an error over the longest chain of a body triples it at most.
+FLOAT32 = 3e-6
+
+
+def flawless_calibration(body: Body) -> Calibration:
+    return Calibration(body, A_FROM_B, body.nominal_lengths, "known truth")
+
+
+def noisy(pair: SkeletonPair, rng: np.random.Generator, sd: float) -> SkeletonPair:
+    def shaken(skeleton: Skeleton | None) -> Skeleton | None:
+        if skeleton is None:
+            return None
+        moved = skeleton.positions + rng.normal(0.0, sd, skeleton.positions.shape)
+        return Skeleton.of(skeleton.body, moved, skeleton.states, skeleton.time_ns)
+
+    return SkeletonPair(shaken(pair.a), shaken(pair.b), pair.time_ns)
+
+
+def with_states(skeleton: Skeleton | None, states: dict[str, TrackingState]) -> Skeleton:
+    assert skeleton is not None
+    all_states = np.array(skeleton.states)
+    for name, state in states.items():
+        all_states[skeleton.body.joint(name)] = state
+    return Skeleton.of(skeleton.body, skeleton.positions, all_states, skeleton.time_ns)
+
+
+def bone_error(body: Body, frame: FusedFrame) -> float:
+    lengths = bone_lengths_of(body, frame.positions)[body.bone_joints]
+    return float(np.abs(lengths - body.nominal_lengths[body.bone_joints]).max())
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_two_flawless_views_give_the_truth(body: Body) -> None:
+    truth = moving(body, 90)
+    pairs = [pair_of(body, at, t * FRAME_NS) for t, at in enumerate(truth)]
+    fuser = Fuser(calibrate(body, pairs[:40], "test"))
+    for pair, at in zip(pairs, truth, strict=True):
+        np.testing.assert_allclose(fuser.update(pair).positions, at, atol=FLOAT32)
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_fused_bones_have_their_length_whatever_the_noise(body: Body) -> None:
+    rng = np.random.default_rng(5)
+    fuser = Fuser(flawless_calibration(body))
+    for t, at in enumerate(moving(body, 40)):
+        frame = fuser.update(noisy(pair_of(body, at, t * FRAME_NS), rng, 0.06))
+        assert bone_error(body, frame) < 1e-9
+
+
+def test_a_mistracked_elbow_follows_the_view_that_keeps_it_apart() -> None:
+    # fig. 3: in A's picture the elbow lies on the hip's place; B sees them far apart, and is believed
+    body = KINECT_V1
+    truth = standing(body)
+    pair = pair_of(body, truth)
+    assert pair.a is not None
+    elbow, hip = body.joint("ElbowRight"), body.joint("HipRight")
+    mixed_up = np.array(pair.a.positions)
+    mixed_up[elbow] = mixed_up[hip] + [0.01, 0.0, 0.0]
+    frame = Fuser(flawless_calibration(body)).update(
+        SkeletonPair(Skeleton.of(body, mixed_up), pair.b, pair.time_ns)
+    )
+    assert frame.misleading[elbow] == hip
+    assert frame.weights_b[elbow] > 0.99
+    off = np.linalg.norm(frame.positions[elbow] - truth[elbow])
+    equal = Fuser(flawless_calibration(body), FuserSettings(weights="equal")).update(
+        SkeletonPair(Skeleton.of(body, mixed_up), pair.b, pair.time_ns)
+    )
+    assert off < 0.02 < 0.1 < np.linalg.norm(equal.positions[elbow] - truth[elbow])
+
+
+def test_a_tracked_view_outweighs_an_inferred_one() -> None:
+    body = KINECT_V1
+    pair = pair_of(body, standing(body))
+    hidden = with_states(pair.a, {"KneeLeft": TrackingState.INFERRED})
+    plain = Fuser(flawless_calibration(body)).update(pair)
+    frame = Fuser(flawless_calibration(body)).update(SkeletonPair(hidden, pair.b, 0))
+    knee = body.joint("KneeLeft")
+    ratio = (0.786 / (1.0 - 0.786)) ** 4  # eq. (11)
+    assert frame.weights_b[knee] / frame.weights_a[knee] == pytest.approx(
+        ratio * plain.weights_b[knee] / plain.weights_a[knee], rel=1e-6
+    )
+
+
+def test_a_joint_one_view_lost_takes_the_others() -> None:
+    body = KINECT_V2
+    truth = standing(body)
+    pair = pair_of(body, truth)
+    frame = Fuser(flawless_calibration(body)).update(
+        SkeletonPair(with_states(pair.a, {"WristLeft": TrackingState.NOT_TRACKED}), pair.b, 0)
+    )
+    wrist = body.joint("WristLeft")
+    assert (frame.weights_a[wrist], frame.weights_b[wrist]) == (0.0, 1.0)
+    assert not frame.predicted[wrist]
+    np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
+
+
+def test_a_joint_both_lost_hangs_on_its_bones_and_the_frame_before() -> None:
+    body = KINECT_V2
+    truth = standing(body)
+    pair = pair_of(body, truth)
+    fuser = Fuser(flawless_calibration(body))
+    fuser.update(pair)
+    lost = {name: TrackingState.NOT_TRACKED for name in ("HandLeft", "HandTipLeft", "ElbowRight")}
+    step = np.array([0.05, 0.0, 0.1])
+    moved = pair_of(body, truth + step, FRAME_NS)
+    frame = fuser.update(SkeletonPair(with_states(moved.a, lost), with_states(moved.b, lost), FRAME_NS))
+    assert [body.joints[j] for j in np.flatnonzero(frame.predicted)] == [
+        "HandLeft", "ElbowRight", "HandTipLeft",
+    ]  # fmt: skip
+    # the body moved as a whole, so what hangs on it moved with it
+    np.testing.assert_allclose(frame.positions, truth + step, atol=1e-3)
+    assert bone_error(body, frame) < 1e-9
+
+
+def test_one_sensor_alone_still_gives_a_skeleton_with_the_same_bones() -> None:
+    body = KINECT_V1
+    truth = standing(body)
+    pair = pair_of(body, truth)
+    for alone in (SkeletonPair(pair.a, None, 0), SkeletonPair(None, pair.b, 0)):
+        frame = Fuser(flawless_calibration(body)).update(alone)
+        assert frame.has_person
+        np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
+
+
+def test_without_anyone_there_is_no_skeleton_and_the_next_person_is_picked_up() -> None:
+    body = KINECT_V1
+    fuser = Fuser(flawless_calibration(body))
+    fuser.update(pair_of(body, standing(body)))
+    empty = fuser.update(SkeletonPair(None, None, FRAME_NS))
+    assert not empty.has_person
+    assert np.isnan(empty.positions).all()
+    elsewhere = standing(body) @ Rotation.from_euler("y", 150, degrees=True).as_matrix().T + [0.0, 0.0, 5.0]
+    back = fuser.update(pair_of(body, elsewhere, 100 * FRAME_NS))
+    np.testing.assert_allclose(back.positions, elsewhere, atol=2 * FLOAT32)
+
+
+def test_a_repeated_frame_is_noticed_a_sensor_at_a_time() -> None:
+    body = KINECT_V1
+    fuser = Fuser(flawless_calibration(body))
+    first, second = (pair_of(body, at, t) for t, at in enumerate(moving(body, 60)[58:]))
+    assert not fuser.update(first).stale_a
+    frame = fuser.update(SkeletonPair(first.a, second.b, 1))
+    assert (frame.stale_a, frame.stale_b) == (True, False)
+
+
+def test_t_follows_the_torso_when_a_sensor_is_pushed() -> None:
+    body = KINECT_V1
+    truth = standing(body)
+    push = np.array([0.1, -0.03, 0.2])
+    pushed = RigidTransform(A_FROM_B.rotation, A_FROM_B.translation + push)
+    frame = Fuser(flawless_calibration(body)).update(pair_of(body, truth, 0, pushed))
+    np.testing.assert_allclose(frame.a_from_b.translation, pushed.translation, atol=FLOAT32)
+    np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
+
+
+def test_the_same_pairs_give_the_same_skeleton_bit_for_bit() -> None:
+    body = KINECT_V2
+    rng = np.random.default_rng(2)
+    pairs = [noisy(pair_of(body, at, t * FRAME_NS), rng, 0.03) for t, at in enumerate(moving(body, 30))]
+    one, two = (Fuser(flawless_calibration(body)) for _ in range(2))
+    for pair in pairs:
+        assert (one.update(pair).positions == two.update(pair).positions).all()
+
+
+@pytest.mark.parametrize("h", [0.5, 1.0, 2.0, float("nan")])
+def test_h_outside_its_range_is_refused(h: float) -> None:
+    with pytest.raises(FusionError, match=r"between 0\.5 and 1"):
+        FuserSettings(h=h)

@@ -1,0 +1,38 @@
+import numpy as np
+import pytest
+
+from fusion.body import KINECT_V1
+from fusion.errors import FusionError
+from fusion.skeleton import Skeleton, TrackingState
+
+
+def test_a_coordinate_that_is_no_number_makes_the_joint_not_tracked() -> None:
+    positions = np.ones((20, 3))
+    positions[3, 1], positions[5, 0] = np.nan, np.inf
+    skeleton = Skeleton.of(KINECT_V1, positions)
+    assert skeleton.states[[3, 5]].tolist() == [TrackingState.NOT_TRACKED] * 2
+    assert np.isnan(skeleton.positions[[3, 5]]).all()
+    assert skeleton.has_position.sum() == 18
+
+
+def test_a_joint_that_is_not_tracked_has_no_position() -> None:
+    states = np.full(20, 2)
+    states[7] = 0
+    assert np.isnan(Skeleton.of(KINECT_V1, np.ones((20, 3)), states).positions[7]).all()
+
+
+def test_what_does_not_fit_the_body_is_refused() -> None:
+    with pytest.raises(FusionError, match="20 joints"):
+        Skeleton.of(KINECT_V1, np.ones((25, 3)))
+    with pytest.raises(FusionError, match="0, 1 or 2"):
+        Skeleton.of(KINECT_V1, np.ones((20, 3)), np.full(20, 3))
+
+
+def test_a_repeated_skeleton_is_noticed_holes_included() -> None:
+    positions = np.ones((20, 3))
+    positions[3] = np.nan
+    first, again = Skeleton.of(KINECT_V1, positions, None, 0), Skeleton.of(KINECT_V1, positions, None, 33)
+    positions[0, 0] += 1e-5
+    assert again.repeats(first)
+    assert not Skeleton.of(KINECT_V1, positions).repeats(first)
+    assert not first.repeats(None)
