@@ -70,7 +70,7 @@ def _rotation(app: float, aqq: float, apq: float) -> tuple[float, float]:
 def eigen_3x3(
     xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
 ) -> tuple[tuple[float, float, float], tuple[tuple[float, float, float], ...]]:
-    """Eigenvalues, unsorted, and their unit eigenvectors of a symmetric matrix, by cyclic Jacobi rotations."""
+    """Eigenvalues, unsorted, and unit eigenvectors of a symmetric matrix, by cyclic Jacobi rotations."""
     ux, uy, uz = 1.0, 0.0, 0.0
     vx, vy, vz = 0.0, 1.0, 0.0
     wx, wy, wz = 0.0, 0.0, 1.0
