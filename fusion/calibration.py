@@ -188,7 +188,7 @@ def _calmest(body: Body, pairs: Sequence[SkeletonPair], seconds: float = 2.0) ->
     main = main_joints(body)
     a = np.array([p.a.positions[main] for p in seen if p.a is not None])  # (T, M, 3)
     b = np.array([p.b.positions[main] for p in seen if p.b is not None])
-    both = np.array(
+    both: NDArray[np.bool_] = np.array(
         [(p.a.tracked & p.b.tracked).tolist() for p in seen if p.a is not None and p.b is not None]
     )
     share = both[:, main].mean(axis=1)

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from fusion.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.paper_solver import PaperSolver
-from fusion.reliability import equal_weights, paper_weights
+from fusion.reliability import PAPER_H, equal_weights, reliability_weights
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
-from fusion.solver import DenseSolver, Solver
+from fusion.solver import Solver
+from fusion.tree_solver import TreeSolver
 from fusion.viewing_plane import NOMINAL_INTRINSICS, Intrinsics
 
 _FORGET_NS = 1_000_000_000  # after so long without a person the next one starts afresh
@@ -30,7 +31,7 @@ class FuserSettings:
         weights: ``paper`` (eqs. (10), (11)) or ``equal``.
     """
 
-    h: float = 0.786
+    h: float = PAPER_H
     solver: Literal["exact", "paper"] = "exact"
     weights: Literal["paper", "equal"] = "paper"
 
@@ -95,7 +96,11 @@ class Fuser:
         self._body = body
         self._nobody = Skeleton.of(body, np.full((len(body), 3), np.nan))
         self._torso = np.array(body.torso, dtype=np.int64)
-        self._solver: Solver = PaperSolver(body) if self.settings.solver == "paper" else DenseSolver(body)
+        self._solver: Solver = (
+            PaperSolver(body.parents)
+            if self.settings.solver == "paper"
+            else TreeSolver(body.parents, body.order, body.rest)
+        )
         self._a_from_b = calibration.a_from_b
         self._before: NDArray[np.float64] | None = None
         self._before_ns = 0
@@ -130,7 +135,8 @@ class Fuser:
             targets = np.where(weights_a[:, None] > 0.0, weights_a[:, None] * p, 0.0)
             targets += np.where(weights_b[:, None] > 0.0, weights_b[:, None] * q, 0.0)
             targets /= np.where(predicted, 1.0, weights)[:, None]
-            solution = self._solver.solve(targets, weights, self.calibration.bone_lengths, self._before)
+            start = self._first_guess(targets, predicted) if self._before is None else self._before
+            solution = self._solver.solve(targets, weights, self.calibration.bone_lengths, start)
             fused, iterations = solution.positions, solution.iterations
             self._before, self._before_ns = fused, pair.time_ns
         return FusedFrame(
@@ -157,13 +163,20 @@ class Fuser:
     def _trust(
         self, a: Skeleton, b: Skeleton
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+        pixels_a = self.intrinsics_a.project(a.positions)
+        pixels_b = self.intrinsics_b.project(b.positions)
         if self.settings.weights == "equal":
-            return equal_weights(a.states, b.states)
-        return paper_weights(
-            self.intrinsics_a.project(a.positions),
-            self.intrinsics_b.project(b.positions),
-            a.states,
-            b.states,
-            self._body.linked,
-            self.settings.h,
+            return *equal_weights(pixels_a, pixels_b), np.full(len(self._body), -1, dtype=np.int64)
+        return reliability_weights(pixels_a, pixels_b, a.states, b.states, self._body.linked, self.settings.h)
+
+    def _first_guess(self, targets: NDArray[np.float64], predicted: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """(J, 3) the targets, with joints that have none hung on their parents as in a person at rest."""
+        guess = np.where(predicted[:, None], np.nan, targets)
+        guess[self._body.root] = np.where(
+            predicted[self._body.root], np.nanmean(guess, axis=0), guess[self._body.root]
         )
+        for joint in self._body.order[1:]:
+            if predicted[joint]:
+                bone = self.calibration.bone_lengths[joint] * self._body.rest[joint]
+                guess[joint] = guess[self._body.parents[joint]] + bone
+        return guess

@@ -9,36 +9,17 @@ constant. Eq. (1) adds all bones into one scalar constraint, which does not enfo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-
-MAX_ITERATIONS = 50
+from fusion.tree_solver import MAX_ITERATIONS, Solution
 
 _STEP_TOLERANCE = 1e-10  # metres; Newton's error after a step of s is of the order of s²
 _SUFFICIENT_DECREASE = 1e-4
 _FLATTEST = 1e-9  # smallest curvature kept, relative to the largest
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """What a solver found.
-
-    Attributes:
-        positions: (J, 3) metres.
-        objective: f, square metres.
-        iterations: Newton steps taken.
-        converged: Whether the solver's own stopping rule was met within its iterations.
-    """
-
-    positions: NDArray[np.float64]
-    objective: float
-    iterations: int
-    converged: bool
 
 
 class Solver(Protocol):
@@ -108,11 +89,11 @@ class DenseSolver:
                     break
                 tau *= 0.5
             if f_trial > f:
-                return Solution(x, f, iteration, converged=bool(np.abs(d).max() < 1e-6))
+                return Solution(x, iteration, f, converged=bool(np.abs(d).max() < 1e-6))
             x, f = trial, f_trial
             if np.abs(d).max() < _STEP_TOLERANCE:
-                return Solution(x, f, iteration, converged=True)
-        return Solution(x, f, MAX_ITERATIONS, converged=False)
+                return Solution(x, iteration, f, converged=True)
+        return Solution(x, MAX_ITERATIONS, f, converged=False)
 
     def _starts(
         self,
@@ -173,7 +154,7 @@ class DenseSolver:
         for k, joint in enumerate(body.bone_joints):
             ends = [joint, body.parents[joint]]
             H[np.ix_(ends, ends)] += multipliers[k] * np.array([[1.0, -1.0], [-1.0, 1.0]])
-        return np.kron(H, np.eye(3))
+        return np.asarray(np.kron(H, np.eye(3)), dtype=np.float64)
 
 
 def _downhill(H: NDArray[np.float64], gradient: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
@@ -181,7 +162,7 @@ def _downhill(H: NDArray[np.float64], gradient: NDArray[np.float64]) -> tuple[ND
     curvature, directions = np.linalg.eigh(H)
     curvature = np.abs(curvature)
     curvature = np.maximum(curvature, _FLATTEST * curvature.max())
-    step = -directions @ ((directions.T @ gradient) / curvature)
+    step: NDArray[np.float64] = -directions @ ((directions.T @ gradient) / curvature)
     return step, float(gradient @ step)
 
 

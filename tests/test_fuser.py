@@ -114,7 +114,7 @@ def test_a_joint_both_lost_hangs_on_its_bones_and_the_frame_before() -> None:
     pair = pair_of(body, truth)
     fuser = Fuser(flawless_calibration(body))
     fuser.update(pair)
-    lost = {name: TrackingState.NOT_TRACKED for name in ("HandLeft", "HandTipLeft", "ElbowRight")}
+    lost = dict.fromkeys(("HandLeft", "HandTipLeft", "ElbowRight"), TrackingState.NOT_TRACKED)
     step = np.array([0.05, 0.0, 0.1])
     moved = pair_of(body, truth + step, FRAME_NS)
     frame = fuser.update(SkeletonPair(with_states(moved.a, lost), with_states(moved.b, lost), FRAME_NS))

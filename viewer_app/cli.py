@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import tyro
 
 from viewer_app.options import FuseOptions
 
-_COMMANDS = {"fuse": FuseOptions}
+_COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
+    "fuse": (FuseOptions, "viewer_app.fuse"),
+}
+"""By name: the options, and the module whose ``run`` carries the command out."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -21,26 +26,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     os.environ.setdefault("RERUN_ANALYTICS", "0")
     options = tyro.extras.subcommand_cli_from_dict(
-        _COMMANDS,
+        {name: options for name, (options, _) in _COMMANDS.items()},
         args=arguments,
         prog="duplex",
         description="One skeleton from two Kinects.",
         config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.FlagCreatePairsOff),
     )
+    module = next(module for kind, module in _COMMANDS.values() if kind is type(options))
     try:
-        _dispatch(options)
+        importlib.import_module(module).run(options)
     except KeyboardInterrupt:
         print("duplex: stopped", file=sys.stderr)
         sys.exit(130)
-    except _mistakes() as error:
+    except Exception as error:
+        if not isinstance(error, _mistakes()):
+            raise
         print(f"duplex: {error}", file=sys.stderr)
         sys.exit(2)
-
-
-def _dispatch(options: FuseOptions) -> None:
-    from viewer_app import fuse
-
-    fuse.run(options)
 
 
 def _mistakes() -> tuple[type[Exception], ...]:
