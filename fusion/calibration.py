@@ -208,7 +208,7 @@ def _calmest(body: Body, pairs: Sequence[SkeletonPair], seconds: float = 2.0) ->
 
 def _tremble(positions: NDArray[np.float32]) -> float:
     """RMS distance of (T, M, 3) joints from their own mean over the window; missing joints left out."""
-    finite = np.isfinite(positions).all(axis=2)
+    finite = np.asarray(np.isfinite(positions).all(axis=2), dtype=bool)
     if not finite.any():
         return np.inf
     at = np.where(finite[..., None], positions, 0.0).astype(np.float64)
