@@ -6,10 +6,11 @@ Both ways give the same layout, because both come from the same list of what a f
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import rerun as rr
@@ -19,6 +20,13 @@ from fusion.body import Body
 from fusion.fuser import Fuser
 from recordings import layout
 from recordings.arrays import RecordedFrame, SessionArrays
+from recordings.checksums import (
+    frame_checksums,
+    fused_checksums,
+    properties_checksum,
+    text_checksum,
+)
+from recordings.rvl import MEDIA_TYPE, encode_depth
 
 
 class Recorder:
@@ -28,14 +36,25 @@ class Recorder:
         stream: Where to log to; its sinks decide whether that is a viewer, a file or both.
         fuser: Whose settings, calibration and intrinsics the session keeps.
         sources: What the sensors are called, K_A first.
+        depth_every: Keep the depth images of every so many pairs; 0 for none.
+        about: More to say of the session's origin, kept among its properties.
     """
 
-    def __init__(self, stream: rr.RecordingStream, fuser: Fuser, sources: tuple[str, str]) -> None:
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        fuser: Fuser,
+        sources: tuple[str, str],
+        depth_every: int = 0,
+        about: Mapping[str, str | int] | None = None,
+    ) -> None:
         self._stream = stream
         self._calibration = fuser.calibration
         self._frames = 0
         self._start_ns: int | None = None
-        self._log_static(fuser, sources)
+        self._last: tuple[int, int] | None = None
+        self._depth_every = depth_every
+        self._log_static(fuser, sources, about or {})
 
     def record(self, frame: RecordedFrame) -> None:
         """Logs one frame at once, for live use."""
@@ -44,6 +63,8 @@ class Recorder:
         self._stream.set_time(layout.TIME, duration=np.timedelta64(int(rows.time_ns[0]), "ns"))
         for stream in _streams(rows):
             self._stream.log(stream.entity, stream.archetype(**stream.of_frame(0)))
+        self._log_depth([frame], rows)
+        self._last = (int(rows.frame[0]), int(rows.time_ns[0]))
 
     def record_all(self, frames: Sequence[RecordedFrame]) -> SessionArrays:
         """Logs many frames by columns, for offline use; may be called again with the frames that follow.
@@ -52,17 +73,64 @@ class Recorder:
             What was logged.
         """
         rows = self._stack(frames)
+        self.record_rows(rows)
+        self._log_depth(frames, rows)
+        return rows
+
+    def record_rows(self, rows: SessionArrays, fused_crc: NDArray[np.uint32] | None = None) -> None:
+        """Logs frames that are arrays already, under the numbers and times they have.
+
+        Args:
+            rows: The frames.
+            fused_crc: (T,) checksums of S* in float64, where `rows` have it from a file, in float32.
+        """
         times = [
             rr.TimeColumn(layout.FRAME, sequence=rows.frame),
             rr.TimeColumn(layout.TIME, duration=rows.time_ns.astype("timedelta64[ns]")),
         ]
-        for stream in _streams(rows):
+        for stream in _streams(rows, fused_crc):
             self._stream.send_columns(stream.entity, times, stream.columns())
-        return rows
+        self._frames = max(self._frames, int(rows.frame[-1]) + 1)
+        self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
 
-    def event(self, text: str, level: str = "INFO") -> None:
-        """Logs what happened, at the time of the last frame."""
-        self._stream.log(layout.EVENTS, rr.TextLog(text, level=level))
+    def record_depth(self, side: str, frame: int, time_ns: int, depth: NDArray[np.uint16]) -> None:
+        """Logs a depth image: (height, width) millimetres, without loss."""
+        blob = encode_depth(depth)
+        self._stream.set_time(layout.FRAME, sequence=frame)
+        self._stream.set_time(layout.TIME, duration=np.timedelta64(time_ns, "ns"))
+        self._stream.log(
+            layout.depth(side),
+            rr.EncodedDepthImage(blob, media_type=MEDIA_TYPE, meter=1000.0),
+            rr.AnyValues(crc32=crc32(blob)),
+        )
+
+    def event(self, text: str, level: str = "INFO", at: tuple[int, int] | None = None) -> None:
+        """Logs what happened, at the time of the last frame.
+
+        Args:
+            text: What.
+            level: How bad: INFO, WARN or ERROR.
+            at: Number and time (ns since the first pair) of the frame meant, where it is not the last.
+        """
+        at = at or self._last
+        if at is not None:
+            self._stream.set_time(layout.FRAME, sequence=at[0])
+            self._stream.set_time(layout.TIME, duration=np.timedelta64(at[1], "ns"))
+        self._stream.log(
+            layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=text_checksum(text, level))
+        )
+
+    def finish(self) -> None:
+        """Says that the session is whole; a reader takes one without this for cut off."""
+        self._stream.send_property("end", rr.AnyValues(frames=self._frames))
+
+    def _log_depth(self, frames: Sequence[RecordedFrame], rows: SessionArrays) -> None:
+        for frame, number, time_ns in zip(frames, rows.frame.tolist(), rows.time_ns.tolist(), strict=True):
+            if self._depth_every == 0 or number % self._depth_every:
+                continue
+            for side, seen in (("a", frame.pair.a), ("b", frame.pair.b)):
+                if seen is not None and seen.depth is not None:
+                    self.record_depth(side, number, time_ns, seen.depth)
 
     def _stack(self, frames: Sequence[RecordedFrame]) -> SessionArrays:
         if self._start_ns is None:
@@ -73,7 +141,9 @@ class Recorder:
         self._frames += len(frames)
         return rows
 
-    def _log_static(self, fuser: Fuser, sources: tuple[str, str]) -> None:
+    def _log_static(
+        self, fuser: Fuser, sources: tuple[str, str], about: Mapping[str, str | int]
+    ) -> None:
         body = self._calibration.body
         stream = self._stream
 
@@ -102,10 +172,14 @@ class Recorder:
             once(layout.bone(body.bones[joint]), _BONE_LINES)
         for name in layout.QUALITY_NAMES:
             once(layout.quality(name), _QUALITY_LINES[name])
-        for name, values in self._properties(fuser, sources).items():
+        properties = self._properties(fuser, sources, about)
+        for name, values in properties.items():
             stream.send_property(name, rr.AnyValues(**values))
+        stream.send_property("check", rr.AnyValues(crc32=properties_checksum(properties)))
 
-    def _properties(self, fuser: Fuser, sources: tuple[str, str]) -> dict[str, dict[str, Any]]:
+    def _properties(
+        self, fuser: Fuser, sources: tuple[str, str], about: Mapping[str, str | int]
+    ) -> dict[str, dict[str, Any]]:
         """What a replay needs, and what a person asks of a file."""
         calibration = self._calibration
         registration = calibration.registration
@@ -121,12 +195,9 @@ class Recorder:
                 "body": calibration.body.name,
                 "source_a": sources[0],
                 "source_b": sources[1],
+                **about,
             },
-            "settings": {
-                "h": fuser.settings.h,
-                "solver": fuser.settings.solver,
-                "weights": fuser.settings.weights,
-            },
+            "settings": asdict(fuser.settings),
             "calibration": {
                 "how": calibration.how,
                 "rotation": calibration.a_from_b.rotation.ravel(),
@@ -165,19 +236,27 @@ class _Stream:
         return columns.partition([self.per_frame] * frames)
 
 
-def _streams(rows: SessionArrays) -> Iterator[_Stream]:
+def _streams(rows: SessionArrays, fused_crc: NDArray[np.uint32] | None = None) -> Iterator[_Stream]:
     """Everything that is logged a frame."""
     joints = len(rows.body)
-    for side, positions, states, weights in (
-        ("a", rows.positions_a, rows.states_a, rows.weights_a),
-        ("b", rows.positions_b, rows.states_b, rows.weights_b),
+    for side, positions, states, weights, clock in (
+        ("a", rows.positions_a, rows.states_a, rows.weights_a, rows.clock_a),
+        ("b", rows.positions_b, rows.states_b, rows.weights_b, rows.clock_b),
     ):
         yield _Stream(layout.skeleton(side), rr.Points3D, {"positions": positions}, joints)
         yield _Stream(layout.states(side), rr.AnyValues, {"state": states}, joints)
         yield _Stream(layout.weights(side), rr.Scalars, {"scalars": weights.astype(np.float64)}, joints)
+        yield _Stream(layout.clock(side), rr.AnyValues, {"captured_ns": clock[:, None]}, 1)
     yield _Stream(
         layout.kinect("b"), rr.Transform3D, {"mat3x3": rows.rotation, "translation": rows.translation}
     )
+    # R row by row, then t
+    placement = np.concatenate([rows.rotation.reshape(-1, 9), rows.translation], axis=1)
+    yield _Stream(layout.PLACEMENT, rr.AnyValues, {"rotation_translation": placement}, 12)
+    if fused_crc is None:
+        fused_crc = fused_checksums(rows.fused)
+    checks = np.stack([frame_checksums(rows), fused_crc], axis=1)
+    yield _Stream(layout.CHECKS, rr.AnyValues, {"frame_crc32": checks}, 2)
     yield _Stream(layout.FUSED_SKELETON, rr.Points3D, {"positions": rows.fused.astype(np.float32)}, joints)
     yield _Stream(
         layout.FUSED_TRUST, rr.AnyValues, {"misleading": rows.misleading, "predicted": rows.predicted}, joints
@@ -188,7 +267,7 @@ def _streams(rows: SessionArrays) -> Iterator[_Stream]:
         yield _Stream(
             layout.bone(rows.body.bones[joint]),
             rr.Scalars,
-            {"scalars": np.stack([*lengths[:, :, joint], target], axis=1)},
+            {"scalars": np.round(np.stack([*lengths[:, :, joint], target], axis=1) / _FINEST) * _FINEST},
             4,
         )
     for name, values in _quality(rows).items():
@@ -254,6 +333,9 @@ def _weight_lines(body: Body) -> rr.SeriesLines:
         names=body.joints, colors=colors, visible_series=[j in hue for j in range(len(body))]
     )
 
+
+_FINEST = 2.0**-14
+"""Metres to which plotted bone lengths are rounded, 0.06 mm: round numbers compress. S* itself is not rounded."""
 
 _BONE_LINES = rr.SeriesLines(
     names=[*(layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")), "target"],

@@ -56,6 +56,7 @@ def run(options: FuseOptions) -> None:
             pairing.pairs, "fusing", console=console, transient=True, disable=not console.is_terminal
         )
         frames = fuse_offline(shown, fuser, recorder)
+        recorder.finish()
 
     rows = SessionArrays.stack(body, calibration.bone_lengths, frames)
     exact = None

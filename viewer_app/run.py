@@ -10,7 +10,7 @@ from fusion.fuser import Fuser
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
 
-_BLOCK = 256  # frames written at a time, so that a viewer shows the work going on
+_BLOCK = 1024  # frames written at a time, so that a viewer shows the work going on
 
 
 def fuse_one(fuser: Fuser, pair: FramePair) -> RecordedFrame:

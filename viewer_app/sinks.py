@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from uuid import uuid4
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -47,7 +48,7 @@ def open_stream(save: Path | None, window: bool, blueprint: rrb.Blueprint) -> It
             sinks.append(rr.FileSink(str(stack.enter_context(whole_file(save)))))
         if window:
             sinks.append(rr.GrpcSink(_start_window()))
-        stream = rr.RecordingStream(layout.APPLICATION_ID)
+        stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
         if sinks:
             stream.set_sinks(*sinks, default_blueprint=blueprint)
         try:
