@@ -57,8 +57,9 @@ def properties_checksum(properties: Mapping[str, Mapping[str, Any]]) -> int:
         values = np.atleast_1d(np.asarray(value)).ravel().tolist()
         return [f"{v:.17g}" if isinstance(v, (int, float)) else str(v) for v in values]
 
-    text = json.dumps({name: {k: plain(v) for k, v in of.items()} for name, of in properties.items()},
-                      sort_keys=True)
+    text = json.dumps(
+        {name: {k: plain(v) for k, v in of.items()} for name, of in properties.items()}, sort_keys=True
+    )
     return crc32(text.encode())
 
 

@@ -96,7 +96,9 @@ class GrowingSession:
             return
         if self._depth_every == 0 or self._queue.qsize() > _DEPTH_WAITING:
             if self._depth_every:
-                self.depth_dropped += sum(s is not None and s.depth is not None for s in (frame.pair.a, frame.pair.b))
+                self.depth_dropped += sum(
+                    s is not None and s.depth is not None for s in (frame.pair.a, frame.pair.b)
+                )
             pair = replace(frame.pair, a=_without_images(frame.pair.a), b=_without_images(frame.pair.b))
             frame = replace(frame, pair=pair)
         self._queue.put(frame)

@@ -141,9 +141,7 @@ class Recorder:
         self._frames += len(frames)
         return rows
 
-    def _log_static(
-        self, fuser: Fuser, sources: tuple[str, str], about: Mapping[str, str | int]
-    ) -> None:
+    def _log_static(self, fuser: Fuser, sources: tuple[str, str], about: Mapping[str, str | int]) -> None:
         body = self._calibration.body
         stream = self._stream
 

@@ -29,7 +29,9 @@ _MAGIC = b"RRF2"
 _FILE_HEADER = 12
 _MESSAGE = struct.Struct("<QQ")  # kind, length of what follows
 _END, _LAST_KIND = 0, 3
-_LZ4_RATIO = 255  # the most that LZ4 can pack: a message that claims more is damaged, and would fill the memory
+_LZ4_RATIO = (
+    255  # the most that LZ4 can pack: a message that claims more is damaged, and would fill the memory
+)
 PROPERTIES = "/__properties"
 
 
@@ -332,9 +334,9 @@ def _dense(column: pa.Array) -> NDArray[Any] | None:
 
 def _is_decoding(error: BaseException) -> bool:
     """Whether this is how Rerun or Arrow say that bytes make no sense, a panic in Rust among them."""
-    return isinstance(error, (RuntimeError, ValueError, TypeError, OSError, MemoryError, pa.ArrowException)) or (
-        type(error).__name__ == "PanicException"
-    )
+    return isinstance(
+        error, (RuntimeError, ValueError, TypeError, OSError, MemoryError, pa.ArrowException)
+    ) or (type(error).__name__ == "PanicException")
 
 
 def _one_line(error: BaseException) -> str:

@@ -164,8 +164,12 @@ class Session:
                     seen[side] = image[1]
                     ahead[side] = next(images[side], None)
             yield FramePair(
-                _sensor_frame(self.body, rows.clock_a[t], rows.positions_a[t], rows.states_a[t], seen.get("a")),
-                _sensor_frame(self.body, rows.clock_b[t], rows.positions_b[t], rows.states_b[t], seen.get("b")),
+                _sensor_frame(
+                    self.body, rows.clock_a[t], rows.positions_a[t], rows.states_a[t], seen.get("a")
+                ),
+                _sensor_frame(
+                    self.body, rows.clock_b[t], rows.positions_b[t], rows.states_b[t], seen.get("b")
+                ),
                 PERSON,
                 PERSON,
                 int(rows.time_ns[t]),
