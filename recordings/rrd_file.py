@@ -1,18 +1,15 @@
 """An ``.rrd`` file as columns of numbers, whatever happened to it: cut off, damaged, or still growing.
 
-Rerun's reader gives up on a file that ends inside a message, so such a file is read from a copy that ends
-before. Where a message in the middle cannot be decoded, what stands before it is given.
+Rerun's own reader is not asked, because it ends the whole process where a byte is wrong. The file is a chain of
+messages, each with its kind and length before it; those of kind 2 hold one chunk of one entity as an Arrow
+stream packed with LZ4. A message that cannot be unpacked is left out, and the rest is read all the same.
 """
 
 from __future__ import annotations
 
 import mmap
-import os
 import struct
-import tempfile
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,30 +17,33 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
-from rerun.chunk import Chunk, RrdReader
 
 from recordings import layout
 from recordings.errors import RecordingError
 
+PROPERTIES = "/__properties"
+
 _MAGIC = b"RRF2"
 _FILE_HEADER = 12
 _MESSAGE = struct.Struct("<QQ")  # kind, length of what follows
-_END, _LAST_KIND = 0, 3
-_LZ4_RATIO = (
-    255  # the most that LZ4 can pack: a message that claims more is damaged, and would fill the memory
-)
-PROPERTIES = "/__properties"
+_END, _CHUNK, _LAST_KIND = 0, 2, 3
+# fields of a chunk's message, and what some of their values mean
+_STORE, _PACKING, _SIZE, _PAYLOAD = 1, 2, 3, 5
+_RECORDING, _LZ4 = 1, 2
+_LZ4_RATIO = 255  # the most that LZ4 can pack: a message that claims more would only fill the memory
+_ENTITY = b"rerun:entity_path"
+_IMAGE, _IMAGE_WITHIN = b"EncodedDepthImage", 8192  # stands unpacked near the beginning of every depth chunk
 
 
 @dataclass
 class Columns:
-    """What a file holds.
+    """What a file holds, but for images.
 
     Attributes:
         properties: Values by property and component name.
         values: By (entity, component): frame numbers (N,) and a value each, (N, …), as stored.
         texts: Of the text log: (frame or None, time or None, {component: value}).
-        damage: Why reading ended early; None where it did not.
+        damage: What is wrong with the file; None where it is whole.
     """
 
     properties: dict[str, dict[str, list[Any]]] = field(default_factory=dict)
@@ -52,26 +52,19 @@ class Columns:
     damage: str | None = None
 
 
-def read_columns(path: Path, without: Sequence[str]) -> Columns:
-    """Everything in the file but the entities named.
-
-    Args:
-        path: The file.
-        without: Entities to leave out, subtrees with ``/**``; of a whole file they are not even read.
+def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
+    """Everything of the entities wanted.
 
     Raises:
-        RecordingError: It cannot be read, or is no such file.
+        RecordingError: The file cannot be read, or is no such file.
     """
     found = Columns()
     parts: dict[tuple[str, str], list[tuple[NDArray[np.int64], NDArray[Any]]]] = {}
-    with chunks(path, drop=without) as source:
-        try:
-            for chunk in source:
-                _take(chunk, found, parts)
-        except _Damaged as damaged:
-            found.damage = str(damaged)
-        if source.cut is not None:
-            found.damage = found.damage or source.cut
+    with RrdFile(path) as file:
+        for entity, batch in file.chunks(images=False):
+            if wanted(entity):
+                _take(entity, batch, found, parts)
+        found.damage = file.damage
     for key, pieces in parts.items():
         shape = pieces[0][1].shape[1:]
         fitting = [p for p in pieces if p[1].shape[1:] == shape and p[1].dtype == pieces[0][1].dtype]
@@ -82,108 +75,91 @@ def read_columns(path: Path, without: Sequence[str]) -> Columns:
     return found
 
 
-class _Damaged(Exception):
-    """A message in the middle of the file that cannot be decoded."""
-
-
-@dataclass
-class ChunkSource:
-    """The chunks of a file in the order they were written, up to the first that cannot be decoded.
+class RrdFile:
+    """The messages of a file, as many as there are when it is opened.
 
     Attributes:
-        cut: Why the file was read from its beginning only; None where it is whole.
-    """
-
-    reader: RrdReader
-    only: str | None
-    drop: Sequence[str]
-    cut: str | None
-
-    def __iter__(self) -> Iterator[pa.RecordBatch]:
-        """Chunks as record batches.
-
-        Raises:
-            _Damaged: A message cannot be decoded.
-        """
-        try:
-            try:
-                stream = self.reader.store().stream()
-            except (RuntimeError, ValueError):  # no footer: a file that was not ended
-                stream = self.reader.stream()
-            for entity in self.drop:
-                stream = stream.drop(content=entity)
-            if self.only is not None:
-                stream = stream.filter(content=self.only)
-            for chunk in stream:
-                yield chunk
-        except GeneratorExit:
-            raise
-        except BaseException as error:
-            if not _is_decoding(error):
-                raise
-            raise _Damaged(_one_line(error)) from None
-
-
-@contextmanager
-def chunks(path: Path, only: str | None = None, drop: Sequence[str] = ()) -> Iterator[ChunkSource]:
-    """Opens a file.
-
-    Args:
-        path: The file.
-        only: The one entity wanted; all where None.
-        drop: Entities not wanted.
+        damage: What was found to be wrong so far; None where nothing was.
 
     Raises:
         RecordingError: It cannot be read, or is no such file.
     """
-    end, cut = _whole_messages(path)
-    with tempfile.TemporaryDirectory(prefix="duplex-") as folder:
-        readable = path if cut is None else _beginning(path, end, Path(folder) / "whole.rrd")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about the missing footer of a file that was not ended
+
+    def __init__(self, path: Path) -> None:
+        self.damage: str | None = None
+        self._path = path
+        try:
+            if path.is_dir():
+                raise RecordingError(f"{path} is a folder, not a session.")
+            with path.open("rb") as file:
+                start = file.read(_FILE_HEADER)
+                if start[:4] != _MAGIC:
+                    raise RecordingError(f"{path} is no session: it does not begin as an .rrd file does.")
+                self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except FileNotFoundError:
+            raise RecordingError(f"No session {path}.") from None
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from None
+
+    def __enter__(self) -> RrdFile:
+        """Itself."""
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Closes the file."""
+        self._data.close()
+
+    def messages(self) -> Iterator[tuple[int, int, int]]:
+        """Kind, beginning and end of each message's content, up to the end or the first that is not whole."""
+        at, size = _FILE_HEADER, len(self._data)
+        while at + _MESSAGE.size <= size:
+            kind, length = _MESSAGE.unpack_from(self._data, at)
+            begin, end = at + _MESSAGE.size, at + _MESSAGE.size + length
+            if kind > _LAST_KIND:
+                self._wrong(f"byte {at} is damaged")
+                return
+            if end > size:
+                self._wrong(f"it is cut off at byte {size}")
+                return
+            yield kind, begin, end
+            if kind == _END:
+                return
+            at = end
+        self._wrong("it was not ended")
+
+    def chunks(self, images: bool) -> Iterator[tuple[str, pa.RecordBatch]]:
+        """Entity and content of each chunk of the recording, in the order they were written.
+
+        Args:
+            images: Chunks with depth images only; or all others, without unpacking those.
+        """
+        for kind, begin, end in self.messages():
+            if kind != _CHUNK or images != (
+                self._data.find(_IMAGE, begin, min(begin + _IMAGE_WITHIN, end)) >= 0
+            ):
+                continue
             try:
-                reader = RrdReader(readable)
-                recordings = reader.recordings()
-            except BaseException as error:
-                if not _is_decoding(error):
-                    raise
-                if cut is not None:
-                    raise RecordingError(f"{path} is damaged throughout: {_one_line(error)}.") from None
-                cut = f"its table of contents is damaged ({_one_line(error)})"
-                readable = _beginning(path, end, Path(folder) / "whole.rrd")
-                reader, recordings = _reopen(path, readable)
-            if not recordings:
-                raise RecordingError(f"{path} holds no recording.")
-            yield ChunkSource(reader, only, drop, cut)
+                chunk = _unpack(self._data[begin:end])
+            except (pa.ArrowException, ValueError, IndexError, KeyError, OSError, MemoryError):
+                self._wrong(f"the message at byte {begin} is damaged")
+                continue
+            if chunk is not None:
+                yield chunk
+
+    def _wrong(self, what: str) -> None:
+        self.damage = self.damage or what
 
 
-def _reopen(path: Path, readable: Path) -> tuple[RrdReader, list[Any]]:
-    try:
-        reader = RrdReader(readable)
-        return reader, reader.recordings()
-    except BaseException as error:
-        if not _is_decoding(error):
-            raise
-        raise RecordingError(f"{path} is damaged throughout: {_one_line(error)}.") from None
+def damage_of(path: Path) -> str | None:
+    """What is wrong with how a file ends; None where it is whole.
 
-
-def _whole_messages(path: Path) -> tuple[int, str | None]:
-    """Where the last whole message before the footer ends, and what is wrong after it."""
-    try:
-        size = path.stat().st_size
-        if path.is_dir():
-            raise RecordingError(f"{path} is a folder, not a session.")
-        with path.open("rb") as file:
-            if file.read(len(_MAGIC)) != _MAGIC:
-                raise RecordingError(f"{path} is no session: it does not begin as an .rrd file does.")
-            if size <= _FILE_HEADER:
-                raise RecordingError(f"{path} is empty: the session was cut off before its first frame.")
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                return _walk(data, min(size, len(data)))
-    except FileNotFoundError:
-        raise RecordingError(f"No session {path}.") from None
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from None
+    Raises:
+        RecordingError: It cannot be read, or is no such file.
+    """
+    with RrdFile(path) as file:
+        for _ in file.messages():
+            pass
+        return file.damage
 
 
 def without_footer(rrd: bytes, with_header: bool) -> bytes:
@@ -200,85 +176,69 @@ def without_footer(rrd: bytes, with_header: bool) -> bytes:
     return rrd[0 if with_header else _FILE_HEADER : at]
 
 
-def damage_of(path: Path) -> str | None:
-    """What is wrong with how a file ends; None where it is whole.
+def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:
+    """Entity and content of a chunk; None where it belongs to a blueprint.
 
     Raises:
-        RecordingError: It cannot be read, or is no such file.
+        ArrowException, ValueError, IndexError, KeyError, OSError: The message is damaged.
     """
-    return _whole_messages(path)[1]
+    fields = _fields(message)
+    if _fields(fields[_STORE]).get(1) != _RECORDING:
+        return None
+    payload = fields[_PAYLOAD]
+    if fields[_PACKING] == _LZ4:
+        if fields[_SIZE] > _LZ4_RATIO * len(payload):
+            raise ValueError("claims more than it can hold")
+        payload = pa.Codec("lz4_raw").decompress(payload, fields[_SIZE])
+    with pa.ipc.open_stream(payload) as stream:
+        batch = stream.read_next_batch()
+    batch.validate(full=True)
+    return (batch.schema.metadata or {})[_ENTITY].decode(), batch
 
 
-def _walk(data: mmap.mmap, size: int) -> tuple[int, str | None]:
-    at = _FILE_HEADER
-    while at + _MESSAGE.size <= size:
-        kind, length = _MESSAGE.unpack_from(data, at)
-        after = at + _MESSAGE.size + length
-        if kind > _LAST_KIND:
-            return at, f"the message at byte {at} is damaged"
-        if after > size:
-            return at, f"it is cut off at byte {size}"
-        if kind == _END:
-            return at, None if after < size else "its footer is missing"
-        if kind == 2 and _claims_too_much(data[at + _MESSAGE.size : after]):
-            return at, f"the message at byte {at} is damaged"
-        at = after
-    return at, "it was not ended"
-
-
-def _claims_too_much(message: bytes) -> bool:
-    """Whether an ArrowMsg claims to unpack to more than its bytes can hold (its field 3, a varint)."""
+def _fields(message: bytes) -> dict[int, Any]:
+    """The fields of a protobuf message by number: an int or bytes each."""
+    fields: dict[int, Any] = {}
     at = 0
     while at < len(message):
         tag, at = _varint(message, at)
         wire = tag & 7
         if wire == 0:
-            value, at = _varint(message, at)
-            if tag >> 3 == 3:
-                return value > _LZ4_RATIO * len(message)
-        elif wire == 2:
+            fields[tag >> 3], at = _varint(message, at)
+            continue
+        if wire == 2:
             length, at = _varint(message, at)
-            at += length
         else:
-            at += {1: 8, 5: 4}.get(wire, len(message))
-    return False
+            length = {1: 8, 5: 4}[wire]
+        if at + length > len(message):
+            raise ValueError("a field is longer than its message")
+        fields[tag >> 3] = message[at : at + length]
+        at += length
+    return fields
 
 
 def _varint(message: bytes, at: int) -> tuple[int, int]:
     value = shift = 0
-    while at < len(message) and shift < 70:
+    while shift < 70:
         byte = message[at]
         value |= (byte & 127) << shift
         at, shift = at + 1, shift + 7
         if byte < 128:
-            break
-    return value, at
-
-
-def _beginning(path: Path, end: int, copy: Path) -> Path:
-    with path.open("rb") as source, copy.open("wb") as target:
-        at = 0
-        while at < end:
-            sent = os.sendfile(target.fileno(), source.fileno(), at, end - at)
-            if sent == 0:
-                break
-            at += sent
-    return copy
+            return value, at
+    raise ValueError("a number has no end")
 
 
 def _take(
-    chunk: Chunk,
+    entity: str,
+    batch: pa.RecordBatch,
     found: Columns,
     parts: dict[tuple[str, str], list[tuple[NDArray[np.int64], NDArray[Any]]]],
 ) -> None:
-    entity = chunk.entity_path
-    batch = chunk.to_record_batch()
     names = batch.schema.names
-    if chunk.is_static:
-        if entity.startswith(f"{PROPERTIES}/"):
-            values = found.properties.setdefault(entity.removeprefix(f"{PROPERTIES}/"), {})
-            for name in names[1:]:
-                values[name] = batch.column(name).to_pylist()[-1]
+    if entity.startswith(f"{PROPERTIES}/"):
+        values = found.properties.setdefault(entity.removeprefix(f"{PROPERTIES}/"), {})
+        for name in names[1:]:
+            values[name] = batch.column(name).to_pylist()[-1]
         return
     if entity == layout.EVENTS:
         found.texts += _texts(batch)
@@ -330,14 +290,3 @@ def _dense(column: pa.Array) -> NDArray[Any] | None:
         return None
     values = np.asarray(column.to_numpy(zero_copy_only=False))
     return values.reshape(shape) if values.size == np.prod(shape) else None
-
-
-def _is_decoding(error: BaseException) -> bool:
-    """Whether this is how Rerun or Arrow say that bytes make no sense, a panic in Rust among them."""
-    return isinstance(
-        error, (RuntimeError, ValueError, TypeError, OSError, MemoryError, pa.ArrowException)
-    ) or (type(error).__name__ == "PanicException")
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200].rstrip(".")

@@ -24,9 +24,10 @@ from recordings import layout
 from recordings.arrays import SessionArrays
 from recordings.checksums import frame_checksums, properties_checksum, text_checksum
 from recordings.errors import RecordingError
-from recordings.rrd_file import Columns, chunks, read_columns
+from recordings.rrd_file import Columns, RrdFile, read_columns
 from recordings.rvl import decode_depth
 
+_BLOB = "EncodedDepthImage:blob"
 PERSON = "0"
 """The id of the one person of a session, as a source of pairs."""
 
@@ -91,7 +92,7 @@ class Session:
                 frame.
         """
         path = Path(path)
-        found = read_columns(path, ("/bones/**", layout.depth("a"), layout.depth("b")))
+        found = read_columns(path, lambda entity: not entity.startswith("/bones/"))
         about = _checked_properties(path, found)
         body, calibration = _calibration(about)
         rows, checks, lost = _frames(body, calibration.bone_lengths, found)
@@ -188,23 +189,22 @@ class Session:
         Raises:
             RecordingError: An image is damaged; those before it were given.
         """
-        with chunks(self.path, only=layout.depth(side)) as source:
-            for frame, blob, check in _blobs(source):
+        with RrdFile(self.path) as file:
+            for frame, blob, check in _images(file, layout.depth(side)):
                 if check != crc32(blob):
                     raise RecordingError(f"{self.path}: the depth image of frame {frame} is damaged.")
                 if frame < len(self):
                     yield frame, decode_depth(blob)
 
 
-def _blobs(source: Any) -> Iterator[tuple[int, bytes, int | None]]:
-    for chunk in source:
-        batch = chunk.to_record_batch()
+def _images(file: RrdFile, entity: str) -> Iterator[tuple[int, bytes, int | None]]:
+    for of, batch in file.chunks(images=True):
         names = batch.schema.names
-        if chunk.is_static or "EncodedDepthImage:blob" not in names or layout.FRAME not in names:
+        if of != entity or layout.FRAME not in names or _BLOB not in names:
             continue
         checks = batch.column("crc32") if "crc32" in names else None
         for k, frame in enumerate(batch.column(layout.FRAME).to_pylist()):
-            blob = batch.column("EncodedDepthImage:blob")[k].values[0].values.to_numpy().tobytes()
+            blob = batch.column(_BLOB)[k].values[0].values.to_numpy().tobytes()
             yield frame, blob, None if checks is None else checks[k].as_py()[0]
 
 

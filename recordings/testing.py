@@ -35,6 +35,7 @@ def record_fused(
     calibration: Calibration,
     settings: FuserSettings | None = None,
     depth_every: int = 0,
+    block: int = 256,
 ) -> Session:
     """Fuses pairs, records them into a file, and reads it back.
 
@@ -44,13 +45,17 @@ def record_fused(
         calibration: R, t and the bone lengths.
         settings: The method's choices.
         depth_every: Keep the depth images of every so many pairs; 0 for none.
+        block: Frames written at a time.
     """
     fuser = Fuser(calibration, settings)
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
     stream.save(path)
     try:
         recorder = Recorder(stream, fuser, ("a", "b"), depth_every)
-        recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
+        recorder.event(f"calibrated: {calibration.how}")
+        frames = [RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
+        for first in range(0, len(frames), block):
+            recorder.record_all(frames[first : first + block])
         recorder.finish()
     finally:
         stream.disconnect()
