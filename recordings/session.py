@@ -144,6 +144,16 @@ class Session:
             return 30.0
         return float(1e9 / np.median(np.diff(self.rows.time_ns)))
 
+    @property
+    def calibration_residual(self) -> float:
+        """Metres by which the two views differed (median) when they were registered; NaN where not known."""
+        return float(self.about["calibration"].get("residual_median", [np.nan])[0])
+
+    def depth_count(self, side: str) -> int:
+        """How many depth images of a sensor the session has."""
+        with RrdFile(self.path) as file:
+            return sum(1 for _ in _images(file, layout.depth(side)))
+
     def fuser(self, settings: FuserSettings | None = None) -> Fuser:
         """A fuser as it was before the first frame, with these settings or the session's own."""
         return Fuser(self.calibration, settings or self.settings, self.intrinsics_a, self.intrinsics_b)

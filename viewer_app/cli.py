@@ -10,10 +10,24 @@ from typing import Any
 
 import tyro
 
-from viewer_app.options import FuseOptions
+from viewer_app.options import (
+    CompareOptions,
+    ExportOptions,
+    FuseOptions,
+    InfoOptions,
+    ReplayOptions,
+    ReviewOptions,
+    TrimOptions,
+)
 
 _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "fuse": (FuseOptions, "viewer_app.fuse"),
+    "replay": (ReplayOptions, "viewer_app.replay"),
+    "review": (ReviewOptions, "viewer_app.review"),
+    "compare": (CompareOptions, "viewer_app.compare"),
+    "export": (ExportOptions, "viewer_app.export"),
+    "trim": (TrimOptions, "viewer_app.trim"),
+    "info": (InfoOptions, "viewer_app.info"),
 }
 """By name: the options, and the module whose ``run`` carries the command out."""
 
