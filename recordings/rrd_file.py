@@ -35,6 +35,10 @@ _ENTITY = b"rerun:entity_path"
 _IMAGE, _IMAGE_WITHIN = b"EncodedDepthImage", 8192  # stands unpacked near the beginning of every depth chunk
 
 
+_DAMAGED = (pa.ArrowException, ValueError, TypeError, LookupError, AttributeError, OSError, MemoryError)
+"""What unpacking bytes that make no sense can raise."""
+
+
 @dataclass
 class Columns:
     """What a file holds, but for images.
@@ -140,7 +144,7 @@ class RrdFile:
                 continue
             try:
                 chunk = _unpack(self._data[begin:end])
-            except (pa.ArrowException, ValueError, IndexError, KeyError, OSError, MemoryError):
+            except _DAMAGED:
                 self._wrong(f"the message at byte {begin} is damaged")
                 continue
             if chunk is not None:
@@ -180,7 +184,7 @@ def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:
     """Entity and content of a chunk; None where it belongs to a blueprint.
 
     Raises:
-        ArrowException, ValueError, IndexError, KeyError, OSError: The message is damaged.
+        Exception: One of _DAMAGED where it is damaged.
     """
     fields = _fields(message)
     if _fields(fields[_STORE]).get(1) != _RECORDING:
@@ -193,6 +197,8 @@ def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:
     with pa.ipc.open_stream(payload) as stream:
         batch = stream.read_next_batch()
     batch.validate(full=True)
+    if len(set(batch.schema.names)) != len(batch.schema.names):
+        raise ValueError("two columns of one name")
     return (batch.schema.metadata or {})[_ENTITY].decode(), batch
 
 
@@ -238,7 +244,9 @@ def _take(
     if entity.startswith(f"{PROPERTIES}/"):
         values = found.properties.setdefault(entity.removeprefix(f"{PROPERTIES}/"), {})
         for name in names[1:]:
-            values[name] = batch.column(name).to_pylist()[-1]
+            value = batch.column(name).to_pylist()
+            if value and isinstance(value[-1], list) and value[-1]:
+                values[name] = value[-1]
         return
     if entity == layout.EVENTS:
         found.texts += _texts(batch)

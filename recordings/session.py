@@ -214,8 +214,10 @@ def _images(file: RrdFile, entity: str) -> Iterator[tuple[int, bytes, int | None
             continue
         checks = batch.column("crc32") if "crc32" in names else None
         for k, frame in enumerate(batch.column(layout.FRAME).to_pylist()):
-            blob = batch.column(_BLOB)[k].values[0].values.to_numpy().tobytes()
-            yield frame, blob, None if checks is None else checks[k].as_py()[0]
+            cell, check = batch.column(_BLOB)[k].values, None if checks is None else checks[k].as_py()
+            if not cell or not cell[0].is_valid or not check:
+                raise RecordingError(f"{entity[1:]}: the depth image of frame {frame} is damaged.")
+            yield frame, cell[0].values.to_numpy().tobytes(), check[0]
 
 
 def _sensor_frame(
