@@ -55,6 +55,8 @@ class Recorder:
         self._last: tuple[int, int] | None = None
         self._depth_every = depth_every
         self._log_static(fuser, sources, about or {})
+        # what a reader needs first must stand first in the file; columns would overtake it
+        stream.flush(timeout_sec=0.0)
 
     def record(self, frame: RecordedFrame) -> None:
         """Logs one frame at once, for live use."""

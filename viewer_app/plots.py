@@ -41,7 +41,7 @@ def line_plot(
         axes.axhline(level, color=_INK, linewidth=0.9, linestyle=(0, (5, 4)))
     if logarithmic:
         axes.set_yscale("log")
-    axes.set_title(title, fontsize=10, loc="left")
+    axes.set_title(title, fontsize=10, loc="left", color=_INK)
     axes.set_xlabel("s")
     axes.set_ylabel(unit)
     if len(lines) > 1:
@@ -105,7 +105,7 @@ def _figure(width: float, height: float) -> tuple[Any, Any]:
     axes = figure.add_subplot()
     axes.patch.set_visible(False)
     axes.tick_params(colors=_INK, labelsize=8)
-    for part in (axes.xaxis.label, axes.yaxis.label, axes.title):
+    for part in (axes.xaxis.label, axes.yaxis.label):
         part.set_color(_INK)
     for name, spine in axes.spines.items():
         spine.set_color(_INK)

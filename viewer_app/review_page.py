@@ -27,7 +27,7 @@ p.note { color: var(--quiet); }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 td, th { padding: .15rem .8rem; border-bottom: 1px solid var(--line); text-align: right; }
 td:first-child, th:first-child { text-align: left; }
-figure { margin: 0; } figure svg { width: 100%; height: auto; }
+figure { margin: 0; max-width: 70rem; } figure svg { width: 100%; height: auto; }
 .grid { display: grid; grid-template-columns: repeat(auto-fit, minmax(28rem, 1fr)); gap: 1rem; }
 strong.bad { color: #d7263d; }
 """
@@ -160,7 +160,7 @@ def _disagreement(session: Session, figures: dict[str, Any]) -> str:
     plot = line_plot(
         "S_A against S_B", "mm", time, {"median joint": (session.rows.disagreement * 1e3, "fused")}
     )
-    return f"<p>Median {_mm(of['median'])}, 95 % {_mm(of['p95'])}.</p>{plot}"
+    return f"<p>Median {_mm(of['median'])}, 95 % {_mm(of['p95'])}.</p><div class="grid">{plot}</div>"
 
 
 def _timing(session: Session, figures: dict[str, Any]) -> str:
