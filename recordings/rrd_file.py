@@ -32,7 +32,8 @@ _STORE, _PACKING, _SIZE, _PAYLOAD = 1, 2, 3, 5
 _RECORDING, _LZ4 = 1, 2
 _LZ4_RATIO = 255  # the most that LZ4 can pack: a message that claims more would only fill the memory
 _ENTITY = b"rerun:entity_path"
-_IMAGE, _IMAGE_WITHIN = b"EncodedDepthImage", 8192  # stands unpacked near the beginning of every depth chunk
+# EncodedDepthImage, as far as it is sure to stand unpacked: "depth" has been in the entity's path before
+_IMAGE, _IMAGE_WITHIN = b"Encoded", 2048
 
 
 _DAMAGED = (pa.ArrowException, ValueError, TypeError, LookupError, AttributeError, OSError, MemoryError)
@@ -135,12 +136,12 @@ class RrdFile:
         """Entity and content of each chunk of the recording, in the order they were written.
 
         Args:
-            images: Chunks with depth images only; or all others, without unpacking those.
+            images: With depth images; those need not even be unpacked where they are not wanted.
         """
         for kind, begin, end in self.messages():
-            if kind != _CHUNK or images != (
-                self._data.find(_IMAGE, begin, min(begin + _IMAGE_WITHIN, end)) >= 0
-            ):
+            if kind != _CHUNK:
+                continue
+            if not images and self._data.find(_IMAGE, begin, min(begin + _IMAGE_WITHIN, end)) >= 0:
                 continue
             try:
                 chunk = _unpack(self._data[begin:end])

@@ -1,0 +1,71 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from numpy.typing import NDArray
+
+from recordings.errors import RecordingError
+from recordings.rvl import MEDIA_TYPE, decode_depth, encode_depth
+
+
+def wall(height: int = 576, width: int = 640) -> NDArray[np.uint16]:
+    """A slanted wall with 2 mm noise, a missing stripe and missing pixels."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:height, :width]
+    depth = (1500 + 1.5 * x + y + rng.normal(0, 2, x.shape)).astype(np.uint16)
+    depth[:, : width // 8] = 0
+    depth[rng.random(depth.shape) < 0.02] = 0
+    return depth
+
+
+@given(
+    arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=40))
+    | arrays(np.uint16, (20, 30), elements=st.sampled_from([0, 0, 1, 65535, 32768]))
+)
+def test_nothing_is_lost(depth: NDArray[np.uint16]) -> None:
+    np.testing.assert_array_equal(decode_depth(encode_depth(depth)), depth)
+
+
+def test_a_depth_image_shrinks_to_less_than_half() -> None:
+    assert len(encode_depth(wall())) < 0.5 * wall().nbytes
+
+
+@given(st.binary(max_size=400), st.integers(0, 399), st.integers(0, 255))
+def test_bytes_that_are_no_image_are_refused(junk: bytes, at: int, value: int) -> None:
+    blob = bytearray(encode_depth(wall(24, 32)))
+    blob[at % len(blob)] = value
+    for bad in (junk, bytes(blob), bytes(blob[: at // 4 * 4])):
+        try:
+            assert decode_depth(bad).dtype == np.uint16
+        except RecordingError as error:
+            assert "depth image" in str(error)  # noqa: PT017
+
+
+def test_a_cut_image_is_refused() -> None:
+    with pytest.raises(RecordingError, match="damaged"):
+        decode_depth(encode_depth(wall(24, 32))[:-8])
+
+
+def test_the_viewer_draws_it(tmp_path: Path) -> None:
+    client_module = pytest.importorskip("rerun.experimental")
+    cv2 = pytest.importorskip("cv2")
+    blueprint = rr.blueprint
+    try:
+        client = client_module.ViewerClient.spawn(headless=True, port=0)
+    except Exception as error:
+        pytest.skip(f"no headless viewer here: {error}")
+    try:
+        stream = rr.RecordingStream("rvl")
+        stream.connect_grpc(client.url) if hasattr(client, "url") else pytest.skip("the viewer has no address")
+        stream.send_blueprint(blueprint.Blueprint(blueprint.Spatial2DView(origin="/"), collapse_panels=True))
+        stream.log("depth", rr.EncodedDepthImage(encode_depth(wall()), media_type=MEDIA_TYPE, meter=1000.0))
+        stream.flush()
+        client.save_screenshot(tmp_path / "depth.png")
+    finally:
+        client.quit()
+    picture = cv2.imread(str(tmp_path / "depth.png"))
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50
