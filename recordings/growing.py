@@ -20,7 +20,7 @@ from recordings import layout
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
 from recordings.rewriting import rewrite
-from recordings.rrd_file import without_footer
+from recordings.rrd_file import END_OF_FILE, without_footer
 from recordings.session import Session
 
 _DEPTH_WAITING = 90
@@ -117,6 +117,8 @@ class GrowingSession:
         self._thread.join()
         self._stream.disconnect()
         with suppress(OSError):
+            if self.failure is None:
+                self._file.write(END_OF_FILE)
             self._file.close()
         if self.failure is None and self._depth_every == 0:
             self._tidy()

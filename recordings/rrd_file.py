@@ -30,6 +30,8 @@ _END, _CHUNK, _LAST_KIND = 0, 2, 3
 # fields of a chunk's message, and what some of their values mean
 _STORE, _PACKING, _SIZE, _PAYLOAD = 1, 2, 3, 5
 _RECORDING, _LZ4 = 1, 2
+END_OF_FILE = _MESSAGE.pack(_END, 0)
+"""Ends a file that has no table of contents."""
 _LZ4_RATIO = 255  # the most that LZ4 can pack: a message that claims more would only fill the memory
 _ENTITY = b"rerun:entity_path"
 # EncodedDepthImage, as far as it is sure to stand unpacked: "depth" has been in the entity's path before

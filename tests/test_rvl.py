@@ -1,15 +1,20 @@
 from pathlib import Path
+from uuid import uuid4
 
+import cv2
 import numpy as np
 import pytest
 import rerun as rr
+import rerun.blueprint as rrb
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
+from rerun.experimental import ViewerClient
 
 from recordings.errors import RecordingError
 from recordings.rvl import MEDIA_TYPE, decode_depth, encode_depth
+from viewer_app.sinks import free_port
 
 
 def wall(height: int = 576, width: int = 640) -> NDArray[np.uint16]:
@@ -51,21 +56,22 @@ def test_a_cut_image_is_refused() -> None:
 
 
 def test_the_viewer_draws_it(tmp_path: Path) -> None:
-    client_module = pytest.importorskip("rerun.experimental")
-    cv2 = pytest.importorskip("cv2")
-    blueprint = rr.blueprint
+    picture = tmp_path / "depth.png"
     try:
-        client = client_module.ViewerClient.spawn(headless=True, port=0)
-    except Exception as error:
-        pytest.skip(f"no headless viewer here: {error}")
+        viewer = ViewerClient.spawn(headless=True, port=free_port())
+    except Exception as error:  # whatever a machine without graphics says
+        pytest.skip(f"no headless viewer on this machine: {error}")
     try:
-        stream = rr.RecordingStream("rvl")
-        stream.connect_grpc(client.url) if hasattr(client, "url") else pytest.skip("the viewer has no address")
-        stream.send_blueprint(blueprint.Blueprint(blueprint.Spatial2DView(origin="/"), collapse_panels=True))
+        stream = rr.RecordingStream("rvl", recording_id=uuid4())
+        stream.connect_grpc(viewer.url)
+        view = rrb.Spatial2DView(origin="/depth")
+        stream.send_blueprint(rrb.Blueprint(view, collapse_panels=True), make_active=True)
         stream.log("depth", rr.EncodedDepthImage(encode_depth(wall()), media_type=MEDIA_TYPE, meter=1000.0))
         stream.flush()
-        client.save_screenshot(tmp_path / "depth.png")
+        viewer.save_screenshot(str(picture), view_id=view.id)
+        reports = [report for shown in viewer.get_state().views for report in shown.reports]
     finally:
-        client.quit()
-    picture = cv2.imread(str(tmp_path / "depth.png"))
-    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50
+        viewer.quit()
+    assert reports == []
+    pixels = cv2.imread(str(picture))
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 50

@@ -160,7 +160,7 @@ def _disagreement(session: Session, figures: dict[str, Any]) -> str:
     plot = line_plot(
         "S_A against S_B", "mm", time, {"median joint": (session.rows.disagreement * 1e3, "fused")}
     )
-    return f"<p>Median {_mm(of['median'])}, 95 % {_mm(of['p95'])}.</p><div class="grid">{plot}</div>"
+    return f"<p>Median {_mm(of['median'])}, 95 % {_mm(of['p95'])}.</p>" + f'<div class="grid">{plot}</div>'
 
 
 def _timing(session: Session, figures: dict[str, Any]) -> str:
