@@ -131,7 +131,7 @@ class SessionArrays:
         """The number of frames T."""
         return len(self.frame)
 
-    def __getitem__(self, frames: slice) -> SessionArrays:
+    def __getitem__(self, frames: slice | NDArray[np.int64]) -> SessionArrays:
         """Some of the frames, with their numbers and times as they are."""
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
         per_frame = {n: v[frames] for n, v in kept.items() if n not in ("body", "bone_lengths")}

@@ -63,6 +63,11 @@ def properties_checksum(properties: Mapping[str, Mapping[str, Any]]) -> int:
     return crc32(text.encode())
 
 
+def image_checksum(frame: int, blob: bytes) -> int:
+    """CRC-32 of an encoded image and the number of its frame."""
+    return crc32(blob, crc32(frame.to_bytes(8, "little", signed=True)))
+
+
 def text_checksum(*texts: str) -> int:
     """CRC-32 of some texts."""
     return crc32("\0".join(texts).encode())

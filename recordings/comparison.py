@@ -55,7 +55,12 @@ class Comparison:
                 f"{first.path} and {second.path} have no frame of the same time: not one capture."
             )
         target = np.stack([first.calibration.bone_lengths, second.calibration.bone_lengths])
-        return Comparison(first.body, first.rows[np.sort(i)], second.rows[np.sort(j)], target)
+        return Comparison(
+            first.body,
+            first.rows[np.sort(i).astype(np.int64)],
+            second.rows[np.sort(j).astype(np.int64)],
+            target,
+        )
 
     def __len__(self) -> int:
         """The number of frames T."""
@@ -166,6 +171,6 @@ def record_comparison(
 
 
 def _moments(session: Session) -> NDArray[np.int64]:
-    """(T,) the frames' own times, by A's clock; those without A by the session's, out of the way of the others."""
+    """(T,) the frames' own times, by A's clock; those without A by the session's, below 0."""
     rows = session.rows
     return np.where(rows.clock_a == layout.NO_FRAME, -1 - rows.time_ns, rows.clock_a)

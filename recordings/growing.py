@@ -1,4 +1,4 @@
-"""A live session on disk: readable while it grows, whole but for its last moments whenever the process ends."""
+"""A live session on disk: readable while it grows, whole but for its last second whenever it ends."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class GrowingSession:
         self._period, self._clock = period, clock
         self._file: BinaryIO = path.open("wb")
         self._stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
-        self._bytes = self._stream.binary_stream()
+        self._bytes = rr.binary_stream(self._stream)
         if blueprint is not None:
             self._stream.set_sinks(self._bytes, default_blueprint=blueprint)
         self._recorder = Recorder(self._stream, fuser, sources, depth_every, about)

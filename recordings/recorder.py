@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 import rerun as rr
@@ -23,6 +22,7 @@ from recordings.arrays import RecordedFrame, SessionArrays
 from recordings.checksums import (
     frame_checksums,
     fused_checksums,
+    image_checksum,
     properties_checksum,
     text_checksum,
 )
@@ -103,7 +103,7 @@ class Recorder:
         self._stream.log(
             layout.depth(side),
             rr.EncodedDepthImage(blob, media_type=MEDIA_TYPE, meter=1000.0),
-            rr.AnyValues(crc32=crc32(blob)),
+            rr.AnyValues(crc32=image_checksum(frame, blob)),
         )
 
     def event(self, text: str, level: str = "INFO", at: tuple[int, int] | None = None) -> None:
@@ -335,7 +335,7 @@ def _weight_lines(body: Body) -> rr.SeriesLines:
 
 
 _FINEST = 2.0**-14
-"""Metres to which plotted bone lengths are rounded, 0.06 mm: round numbers compress. S* itself is not rounded."""
+"""Metres to which plotted bone lengths are rounded, 0.06 mm: round numbers compress. S* is not rounded."""
 
 _BONE_LINES = rr.SeriesLines(
     names=[*(layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")), "target"],

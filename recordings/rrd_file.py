@@ -1,8 +1,9 @@
 """An ``.rrd`` file as columns of numbers, whatever happened to it: cut off, damaged, or still growing.
 
-Rerun's own reader is not asked, because it ends the whole process where a byte is wrong. The file is a chain of
-messages, each with its kind and length before it; those of kind 2 hold one chunk of one entity as an Arrow
-stream packed with LZ4. A message that cannot be unpacked is left out, and the rest is read all the same.
+Rerun's own reader is not asked, because it ends the whole process where a byte is wrong. The file is a chain
+of messages, each with its kind and length before it; those of kind 2 hold one chunk of one entity as an
+Arrow stream packed with LZ4. A message that cannot be unpacked is left out, and the rest is read all the
+same.
 """
 
 from __future__ import annotations
@@ -262,9 +263,9 @@ def _take(
     for name, column in [*zip(names, batch.columns, strict=True)][1:]:
         if name == layout.FRAME:
             continue
-        values = _dense(column)
-        if values is not None and len(values) == len(frames):
-            parts.setdefault((entity, name), []).append((frames, values))
+        dense = _dense(column)
+        if dense is not None and len(dense) == len(frames):
+            parts.setdefault((entity, name), []).append((frames, dense))
 
 
 def _texts(batch: pa.RecordBatch) -> list[tuple[int | None, int | None, dict[str, Any]]]:

@@ -1,8 +1,8 @@
 """Depth images without loss, fast: run-length and variable-length coding (RVL).
 
-After A. D. Wilson, *Fast Lossless Depth Image Compression*, ISS 2017. Runs of pixels without a reading and runs
-with one alternate; a reading is coded as its difference from the one before, three bits a nibble. The
-header is that of ROS 2's compressed depth, which Rerun's viewer reads as ``application/rvl``.
+After A. D. Wilson, *Fast Lossless Depth Image Compression*, ISS 2017. Runs of pixels without a reading
+and runs with one alternate; a reading is coded as its difference from the one before, three bits a nibble.
+The header is that of ROS 2's compressed depth, which Rerun's viewer reads as ``application/rvl``.
 """
 
 from __future__ import annotations
@@ -63,7 +63,8 @@ def _put(value, words, at, word, nibbles):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _encode(pixels, words):  # type: ignore[no-untyped-def]
-    at, word, nibbles, previous, i, size = 0, 0, 0, 0, 0, len(pixels)
+    at, word, nibbles, i, size = 0, 0, 0, 0, len(pixels)
+    previous = np.int64(0)
     while i < size:
         start = i
         while i < size and pixels[i] == 0:
@@ -101,7 +102,7 @@ def _get(words, nibble):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _decode(words, pixels):  # type: ignore[no-untyped-def]
     """Whether the words were a whole image."""
-    i, nibble, previous, size = 0, 0, np.int64(0), len(pixels)
+    i, nibble, previous, size = 0, 0, 0, len(pixels)
     while i < size:
         zeros, nibble = _get(words, nibble)
         readings, nibble = _get(words, nibble)

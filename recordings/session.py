@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,7 @@ from fusion.skeleton import Skeleton
 from fusion.viewing_plane import Intrinsics
 from recordings import layout
 from recordings.arrays import SessionArrays
-from recordings.checksums import frame_checksums, properties_checksum, text_checksum
+from recordings.checksums import frame_checksums, image_checksum, properties_checksum, text_checksum
 from recordings.errors import RecordingError
 from recordings.rrd_file import Columns, RrdFile, read_columns
 from recordings.rvl import decode_depth
@@ -201,7 +200,7 @@ class Session:
         """
         with RrdFile(self.path) as file:
             for frame, blob, check in _images(file, layout.depth(side)):
-                if check != crc32(blob):
+                if check != image_checksum(frame, blob):
                     raise RecordingError(f"{self.path}: the depth image of frame {frame} is damaged.")
                 if frame < len(self):
                     yield frame, decode_depth(blob)

@@ -80,9 +80,7 @@ def test_a_killed_process_leaves_all_but_the_last_second(tmp_path: Path) -> None
         [sys.executable, "-c", _CHILD, str(path)], stdout=subprocess.PIPE, text=True, cwd=ROOT
     )
     assert child.stdout is not None
-    recorded = 0
-    for _ in child.stdout:
-        recorded += 1
+    for recorded, _ in enumerate(child.stdout, 1):
         if recorded == 75:
             os.kill(child.pid, signal.SIGKILL)
             break

@@ -162,7 +162,7 @@ def test_files_that_are_no_sessions_are_named_in_one_line(tmp_path: Path) -> Non
 
 
 def test_another_layout_says_which_version_wrote_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fused_run: FusedRun
+    monkeypatch: pytest.MonkeyPatch, fused_run: FusedRun
 ) -> None:
     monkeypatch.setattr(layout, "VERSION", 1)
     old = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1))

@@ -1,7 +1,7 @@
 """Plots as SVG inside a page, in the page's own text colour.
 
-By matplotlib: its SVG needs no script, so a page stays small and safe to open; Plotly would add 4 MB of script
-to each, Bokeh 1 MB.
+By matplotlib: its SVG needs no script, so a page stays small and safe to open; Plotly would add 4 MB of
+script to each, Bokeh 1 MB.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Line = tuple[NDArray[Any], str]
 def line_plot(
     title: str,
     unit: str,
-    time: NDArray[np.float64],
+    time: NDArray[Any],
     lines: Mapping[str, Line],
     level: float | None = None,
     logarithmic: bool = False,
@@ -67,7 +67,7 @@ def bar_plot(unit: str, names: Sequence[str], bars: Mapping[str, Line]) -> str:
     return _svg(figure, f"{', '.join(bars)}, {unit}, of each joint")
 
 
-def trust_map(time: NDArray[np.float64], names: Sequence[str], share: NDArray[np.float64]) -> str:
+def trust_map(time: NDArray[Any], names: Sequence[str], share: NDArray[Any]) -> str:
     """(T, J) share of A, a row a joint: A's colour, B's colour, and empty where neither."""
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -134,9 +134,7 @@ def _color(key: str) -> str:
     return "#{:02x}{:02x}{:02x}".format(*layout.SKELETON_COLORS[key])
 
 
-def _thinned(
-    time: NDArray[np.float64], values: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _thinned(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Lowest and highest of each stretch, so that a peak is never lost."""
     if len(values) <= _MOST_POINTS:
         return time, values

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ def run(options: ReplayOptions) -> None:
         FusionError, RecordingError, UsageError: With one line for the person who asked.
     """
     console = Console()
-    changed = {
+    changed: dict[str, Any] = {
         name: value
         for name, value in (("h", options.h), ("solver", options.solver), ("weights", options.weights))
         if value is not None
@@ -99,8 +100,8 @@ def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bo
     worst = "only one has an S* in some frame" if one_missing else f"at most {np.nanmax(apart) * 1e3:.3g} mm"
     if session.first_frame and not one_missing and np.nanmax(apart) < _CUT_WITHIN:
         console.print(
-            f"[bold]Verified[/]: this session was trimmed before its frame 0, so the solver starts from another "
-            f"place; S* is the recorded one within {_CUT_WITHIN * 1e6:g} µm."
+            f"[bold]Verified[/]: this session was trimmed at its beginning, so the solver starts elsewhere"
+            f"; S* is the recorded one within {_CUT_WITHIN * 1e6:g} µm."
         )
         return True
     console.print(
@@ -118,7 +119,7 @@ def pairing_of(session: Session) -> Pairing:
 
 
 def whereabouts(session: Session) -> NDArray[np.float64]:
-    """(3,) metres in K_A's frame, the middle of where the person is; before the sensor where no one ever is."""
+    """(3,) metres in K_A's frame, the middle of where the person is; somewhere before it where no one is."""
     at = session.rows.fused.reshape(-1, 3)
     seen = at[np.isfinite(at).all(axis=1)]
     return np.asarray(np.median(seen, axis=0)) if len(seen) else np.array([0.0, 0.0, 2.5])

@@ -80,8 +80,8 @@ def _verdict(session: Session, figures: dict[str, Any]) -> str:
         )
     settings = ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items())
     return (
-        f"{damage}<p>{len(session)} frames in {seconds:.1f} s, {escape(session.body.name)}; {escape(settings)}."
-        f" A: {escape(session.sources[0])}. B: {escape(session.sources[1])}.</p>"
+        f"{damage}<p>{len(session)} frames in {seconds:.1f} s, {escape(session.body.name)}; "
+        f"{escape(settings)}. A: {escape(session.sources[0])}. B: {escape(session.sources[1])}.</p>"
         f"<p>Largest bone error: S_A {_mm(figures['bone_error_mm']['a']['max'])}, "
         f"S_B {_mm(figures['bone_error_mm']['b']['max'])}, "
         f"<strong>S* {_mm(figures['bone_error_mm']['fused']['max'])}</strong>. "
@@ -120,7 +120,7 @@ def _bones(session: Session) -> str:
                 line_plot(bone.replace("_", " "), "m", time, lines, level=float(rows.bone_lengths[j]))
             )
     return (
-        '<p class="note">As the paper\'s fig. 5: the dashed line is the length measured in the start-up pose.</p>'
+        '<p class="note">As in the paper\'s fig. 5; dashed is the length measured in the start-up pose.</p>'
         f'<div class="grid">{"".join(plots)}</div>'
     )
 
@@ -171,7 +171,8 @@ def _timing(session: Session, figures: dict[str, Any]) -> str:
             line_plot("skew of B", "ms", time, {"skew": (session.rows.skew_ns * 1e-6, "b")}),
         )
     )
-    text = f"{ms['p50']:.3f} ms a frame (median), 99 % {ms['p99']:.3f} ms; {session.frame_rate:.1f} frames a second"
+    rate = f"{session.frame_rate:.1f} frames a second"
+    text = f"{ms['p50']:.3f} ms a frame (median), 99 % {ms['p99']:.3f} ms; {rate}"
     return f'<p>{text}.</p><div class="grid">{plots}</div>'
 
 

@@ -29,7 +29,8 @@ def run(options: TrimOptions) -> None:
     first, end = np.searchsorted(time, options.start), np.searchsorted(time, last, side="right")
     if first >= end:
         raise UsageError(
-            f"No frame from {options.start:g} s to {last:g} s; {session.path} runs from 0 to {time[-1]:.3f} s."
+            f"No frame from {options.start:g} s to {last:g} s; "
+            f"{session.path} runs from 0 to {time[-1]:.3f} s."
         )
     with whole_file(options.save) as partial:
         rewrite(session, partial, inspect_blueprint(session.body, whereabouts(session)), int(first), int(end))

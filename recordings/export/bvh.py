@@ -1,8 +1,8 @@
 """BVH, animation's skeleton file: the bones' rest pose, and a rotation a joint and frame.
 
-S* has bones of constant length, so BVH keeps it exactly. Where several bones leave a joint their angles vary, and
-one rotation cannot turn them all: there the joint takes the rotation that fits best, as an animator expects of
-a pelvis, and each bone gets a joint of its own in the same place for the rest. Centimetres, y up.
+S* has bones of constant length, so BVH keeps it exactly. Where several bones leave a joint their angles vary,
+and one rotation cannot turn them all: there the joint takes the rotation that fits best, as an animator
+expects of a pelvis, and each bone gets a joint of its own in the same place for the rest. Centimetres, y up.
 """
 
 from __future__ import annotations

@@ -58,4 +58,4 @@ def at_even_frames(values: NDArray[np.float64], even: EvenFrames) -> NDArray[np.
 
 def y_up(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """(…, 3) from K_A's frame (x right, y down, z forward) to x right, y up, z towards the sensor."""
-    return positions * np.array([1.0, -1.0, -1.0])
+    return np.asarray(positions * np.array([1.0, -1.0, -1.0]))

@@ -47,7 +47,7 @@ def write_parquet(session: Session, path: Path) -> None:
 
 
 def write_npz(session: Session, path: Path) -> None:
-    """Every array of :class:`recordings.arrays.SessionArrays` under its name, with joints and bones by name."""
+    """Every array of :class:`recordings.arrays.SessionArrays` under its name; joints and bones by name."""
     rows = session.rows
     arrays = {f.name: getattr(rows, f.name) for f in fields(SessionArrays) if f.name != "body"}
     with path.open("wb") as file:

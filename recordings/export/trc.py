@@ -11,7 +11,7 @@ from recordings.session import Session
 
 
 def write_trc(session: Session, path: Path) -> None:
-    """S* as markers named after the joints. Times are the recorded ones; the rate in the header is their mean."""
+    """S* as markers named after the joints. Times are the recorded ones; the header has their mean rate."""
     rows = session.rows
     joints, rate = rows.body.joints, f"{even_frames(rows).rate:.6g}"
     T, J = len(rows), len(joints)
