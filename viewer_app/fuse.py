@@ -29,7 +29,7 @@ from viewer_app.errors import UsageError
 from viewer_app.options import FuseOptions
 from viewer_app.outputs import check_writable, whole_file
 from viewer_app.report import FusionResult, print_summary, report, report_to_json
-from viewer_app.run import fuse_offline, fuse_one
+from viewer_app.run import fuse_offline, fuse_one, warm_up
 from viewer_app.sinks import has_display, open_stream
 
 
@@ -50,6 +50,7 @@ def run(options: FuseOptions) -> None:
 
     with open_stream(options.save, window, inspect_blueprint(body, _whereabouts(skeletons))) as stream:
         fuser = Fuser(calibration, settings)
+        warm_up(fuser, console)
         recorder = Recorder(stream, fuser, (str(options.a), str(options.b)))
         recorder.event(f"calibrated: {calibration.how}")
         shown = track(
