@@ -42,7 +42,7 @@ _SMALL_STEP = 1e-7  # m: where the force is zero too, a shorter step tells nothi
 _ROUNDING = 1e-14  # relative: two objectives nearer than this are the same
 _NEAR_SADDLE = 0.01  # of the bone's length: a shorter step, with a negative pivot, crawls along a saddle
 _KICK = 0.5  # of the bone's length: how far a saddle is left at once
-_SHORTER_KICK = 0.2  # after one that led uphill on the other side
+_SHORTER_KICK = 0.2  # after patience ran out
 
 # Levenberg's damping, as a share of the subtree's information. The values were chosen on random problems
 # whose weights span six orders of magnitude; ordinary frames never need any.
@@ -233,13 +233,11 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         if iterations == MAX_ITERATIONS:
             break
         iterations += 1
-        kicked = False
         if saddle >= 0 and relative < _NEAR_SADDLE:
             eliminate(parents, order, work, damping, False)
             step[root, 2], step[root, 3], step[root, 4] = vx, vy, vz
             slope = _leave_saddle(parents, order, saddle, s1, s2, kick, work)
             relative = kick
-            kicked = True
         trial = retract(parents, order, work)
         if patience == 0:
             best, best_step, predicted = objective, relative, -0.5 * slope
@@ -254,7 +252,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
                 damping = max(2.0 * damping, _FIRST_DAMPING)
             elif ratio > 0.25:
                 damping = damping * _LESS if damping > _NONE else 0.0
-        elif not kicked and patience < _PATIENCE and max(best_step, relative) < _LONGEST:
+        elif patience < _PATIENCE and max(best_step, relative) < _LONGEST:
             patience += 1
             if patience > 1:
                 damping = max(_PATIENT_MORE * damping, _PATIENT_DAMPING)
@@ -265,10 +263,9 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             objective = best
             last_step = math.inf
             patience = 0
-            if kicked:
+            damping = max(_MORE * damping, _FIRST_DAMPING)
+            if stationary:
                 kick *= _SHORTER_KICK
-            else:
-                damping = max(_MORE * damping, _FIRST_DAMPING)
             continue
         update_multipliers(order, work)
         _keep(TRIAL, POSITION, work)
