@@ -27,6 +27,7 @@ from fusion.tree_elimination import (
     TARGET,
     TRIAL,
     eliminate,
+    measure_multipliers,
     misfit,
     pull,
     retract,
@@ -217,6 +218,8 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         if not step[root, 5] > 0.0 or (stationary and last_step < _LAST_STEP):
             converged = True
             break
+        if stationary:
+            measure_multipliers(order, work)
         scale = step[root, 5]
         saddle, s1, s2 = eliminate(parents, order, work, damping, False)
         x, y, z, lowest, vx, vy, vz = solve_root(work[REDUCED, root], work[FORCE, root], scale)
