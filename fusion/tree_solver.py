@@ -43,6 +43,7 @@ _SMALL_STEP = 1e-7  # m: where the force is zero too, a shorter step tells nothi
 _ROUNDING = 1e-14  # relative: two objectives nearer than this are the same
 _NEAR_SADDLE = 0.01  # of the bone's length: a shorter step, with a negative pivot, crawls along a saddle
 _KICK = 0.5  # of the bone's length: how far a saddle is left at once
+_DOUBLINGS = 6
 _SHORTER_KICK = 0.2  # after patience ran out
 
 # Levenberg's damping, as a share of the subtree's information. The values were chosen on random problems
@@ -153,10 +154,32 @@ def _leave_saddle(parents, order, saddle, s1, s2, length, work):  # type: ignore
     scale = length / max(relative, 1e-3)
     if slope > 0.0:
         scale = -scale
-    for i in range(len(order)):
-        for c in range(5):
-            step[i, c] *= scale
+    _scale(step, scale)
     return slope * scale
+
+
+@njit(cache=True, error_model="numpy")
+def _stretch(parents, order, trial, work):  # type: ignore[no-untyped-def]
+    """Doubles a downhill step while the objective falls: a Gauss–Newton step is too short where curvature is
+    negative. Returns the objective at the trial point."""
+    step = work[STEP]
+    factor = 2.0
+    for _ in range(_DOUBLINGS):
+        _scale(step, factor)
+        longer = retract(parents, order, work)
+        if not longer < trial:
+            _scale(step, 1.0 / factor)
+            return retract(parents, order, work)
+        trial = longer
+    return trial
+
+
+@njit(cache=True, error_model="numpy")
+def _scale(step, factor):  # type: ignore[no-untyped-def]
+    """The step of every joint, times a factor."""
+    for i in range(len(step)):
+        for c in range(5):
+            step[i, c] *= factor
 
 
 @njit(cache=True, error_model="numpy")
@@ -242,6 +265,8 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             slope = _leave_saddle(parents, order, saddle, s1, s2, kick, work)
             relative = kick
         trial = retract(parents, order, work)
+        if saddle >= 0 and trial < objective:
+            trial = _stretch(parents, order, trial, work)
         if patience == 0:
             best, best_step, predicted = objective, relative, -0.5 * slope
             _keep(POSITION, BEST, work)
