@@ -71,7 +71,9 @@ _SIDED: dict[str, tuple[str, str, tuple[float, float, float]]] = {
 
 
 def _landmark_table() -> dict[str, tuple[str, str, tuple[float, float, float]]]:
-    table: dict[str, tuple[str, str, tuple[float, float, float]]] = {"PELVIS": ("pelvis", "", (0.0, 0.0, 0.0))}
+    table: dict[str, tuple[str, str, tuple[float, float, float]]] = {
+        "PELVIS": ("pelvis", "", (0.0, 0.0, 0.0))
+    }
     table |= _MIDDLE
     for side, sign in (("LEFT", 1.0), ("RIGHT", -1.0)):
         for name, (segment, origin, (x, y, z)) in _SIDED.items():
@@ -169,7 +171,7 @@ def unit(vectors: Array) -> Array:
 
 
 def along(down: Array, back: Array) -> Array:
-    """(T, 3, 3) rotation of a segment whose long axis (y) points along ``down``, its z nearest to ``back``."""
+    """(T, 3, 3) rotation of a segment with its long axis (y) along ``down`` and z nearest to ``back``."""
     y = unit(down)
     z = unit(back - y * np.sum(back * y, axis=-1, keepdims=True))
     return np.stack((np.cross(y, z), y, z), axis=-1)

@@ -78,7 +78,9 @@ def walking(name: str, half_length: float, half_width: float, strides: int) -> M
     # The first round starts from standing: its first steps are those that leave the floor after phase 0.
     first = tuple(s for s in map(footstep, numbers) if s.start - 0.4 * (s.end - s.start) > 0.0)
     begin = (stance(0), FEET_AT_EASE[1])
-    arrive = Footsteps(FEET_APART, (Step(1, 0.05, 0.5, begin[1], heel=0.2), Step(0, 0.55, 1.0, begin[0], heel=0.3)))
+    arrive = Footsteps(
+        FEET_APART, (Step(1, 0.05, 0.5, begin[1], heel=0.2), Step(0, 0.55, 1.0, begin[0], heel=0.3))
+    )
     return Motion(name, period, loop, every, Footsteps(begin, first), arrive, speeds_up=True)
 
 

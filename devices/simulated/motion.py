@@ -113,7 +113,9 @@ FEET_APART = (Stance(0.25, -0.13, 0.25), Stance(-0.25, -0.13, -0.25))
 FEET_AT_EASE = (Stance(0.12, -0.15, 0.15), Stance(-0.12, -0.15, -0.15))
 
 
-def walk_feet(stances: tuple[Stance, Stance], steps: tuple[Step, ...], t: Array) -> tuple[Array, Array, Array]:
+def walk_feet(
+    stances: tuple[Stance, Stance], steps: tuple[Step, ...], t: Array
+) -> tuple[Array, Array, Array]:
     """Both feet over time.
 
     Returns:
@@ -281,7 +283,9 @@ def follow(c: Array, toes: Array, yaw: Array, pitch: Array) -> Pose:
     foot_rotations = [turn(yaw[:, f]) @ bow(pitch[:, f]) for f in (0, 1)]
     jump = np.maximum(of("hop"), 0.0)
     hop = jump**2 / (jump + 0.02) * (0.0, -1.0, 0.0)
-    ankles = [toes[:, f] + hop - foot_rotations[f] @ offset(f"FOOT_{s}") for f, s in enumerate(("LEFT", "RIGHT"))]
+    ankles = [
+        toes[:, f] + hop - foot_rotations[f] @ offset(f"FOOT_{s}") for f, s in enumerate(("LEFT", "RIGHT"))
+    ]
     pelvis = np.stack((of("place")[:, 0], -of("height")[:, 0], of("place")[:, 1]), axis=1) + hop
     pelvis[:, 1] = _within_reach(pelvis, rotations["pelvis"], ankles)
 
