@@ -103,7 +103,7 @@ def visibility(joints: Array, shapes: Array, flesh: Array, intrinsics: Intrinsic
     return np.where(inside, seen, 0.0)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def capsule_depth(dx, dy, dz, s):  # type: ignore[no-untyped-def]
     """Where the ray t·d from the origin first meets capsule s, in t; infinity where it does not."""
     bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
@@ -134,7 +134,7 @@ def capsule_depth(dx, dy, dz, s):  # type: ignore[no-untyped-def]
     return t if t > 0.0 else np.inf
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _seen(joints, shapes, flesh):  # type: ignore[no-untyped-def]
     rays = 9
     seen = np.zeros(len(joints))

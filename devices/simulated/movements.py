@@ -79,6 +79,34 @@ def _turn() -> Motion:
     return Motion("turn", period, keyframes(period, *frames), Footsteps(FEET_AT_EASE, tuple(steps)))
 
 
+def _steps() -> Motion:
+    """Steps to the sides, to the front and back, facing the same way."""
+    offsets = [
+        (0.0, 0.0),
+        (0.45, 0.0),
+        (0.0, 0.0),
+        (-0.45, 0.0),
+        (0.0, 0.0),
+        (0.0, -0.5),
+        (0.0, 0.0),
+        (0.0, 0.4),
+    ]
+    seconds = 1.5
+    frames: list[tuple[float, Frame]] = []
+    steps: list[Step] = []
+    for k, (x, z) in enumerate(offsets):
+        to = offsets[(k + 1) % len(offsets)]
+        begin = k * seconds + 0.15
+        frames += [(k * seconds, {"place": (x, z)}), (k * seconds + 1.2, {"place": to})]
+        lead = 0 if to[0] > x or (to[0] == x and k % 2) else 1
+        for order, foot in enumerate((lead, 1 - lead)):
+            at = FEET_AT_EASE[foot]
+            there = Stance(at.x + to[0], at.z + to[1], at.yaw)
+            steps.append(Step(foot, begin + 0.55 * order, begin + 0.55 * order + 0.48, there, 0.06, 0.25))
+    period = seconds * len(offsets)
+    return Motion("steps", period, keyframes(period, *frames), Footsteps(FEET_AT_EASE, tuple(steps)))
+
+
 def _turned(foot: int, left: float, forward: float = 0.0, out: float = 0.0) -> Stance:
     at = FEET_AT_EASE[foot]
     x, z = at.x + (out if foot == 0 else -out), at.z - forward
@@ -311,6 +339,7 @@ MOTIONS = {
     for motion in (
         _startup(),
         walking("walk", half_length=1.0, half_width=0.55, strides=8),
+        _steps(),
         _turn(),
         _arms(),
         _badminton(),

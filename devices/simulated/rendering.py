@@ -97,7 +97,7 @@ def depth_image(
     return image
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _span(x, z, r, f, c, size):  # type: ignore[no-untyped-def]
     """Pixels that a sphere can touch along one axis of the image."""
     if z - r <= 0.05:
@@ -108,7 +108,7 @@ def _span(x, z, r, f, c, size):  # type: ignore[no-untyped-def]
     return max(0, int(np.floor(first))), min(size - 1, int(np.ceil(last)))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _cast(shapes, planes, fx, fy, cx, cy, z, label, cosine):  # type: ignore[no-untyped-def]
     height, width = z.shape
     for k in range(len(shapes)):
@@ -151,7 +151,7 @@ def _cast(shapes, planes, fx, fy, cx, cy, z, label, cosine):  # type: ignore[no-
                     cosine[v, u] = abs(facing) / norm
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _read_out(  # type: ignore[no-untyped-def]
     z, cosine, normal, uniform, noise, growth, grazing, edge_loss, nearest, farthest, image
 ):
