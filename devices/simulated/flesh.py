@@ -68,16 +68,25 @@ def capsules(landmarks: Array, height: float = REFERENCE_HEIGHT) -> Array:
 
 @cache
 def flesh_over(body: Body) -> Array:
-    """(J,) how deep each joint lies under the skin at reference height, metres; at least 15 mm."""
+    """(J,) how deep each joint lies under the skin at reference height, metres; at least 15 mm.
+
+    Measured as a sensor would: on the start-up pose, from in front and up to 60 degrees from either side,
+    the lower quartile of what lies before the joint.
+    """
     standing = MOTIONS["startup"].landmarks(0.0)[0]
-    shapes = capsules(standing)
-    depth = np.full(len(body), 0.015)
-    for k, joint in enumerate(standing[anatomy.landmarks_of(body)]):
-        along = shapes[:, 3:6] - shapes[:, :3]
-        share = np.sum((joint - shapes[:, :3]) * along, axis=1) / np.sum(along**2, axis=1)
-        nearest = shapes[:, :3] + np.clip(share, 0.0, 1.0)[:, None] * along
-        depth[k] = max(depth[k], float(np.max(shapes[:, 6] - np.linalg.norm(joint - nearest, axis=1))))
-    return depth
+    joints, shapes = standing[anatomy.landmarks_of(body)], capsules(standing)
+    before = []
+    for azimuth in np.radians(np.linspace(-60.0, 60.0, 9)):
+        away = _AFAR * np.array((np.sin(azimuth), 0.0, -np.cos(azimuth)))
+        for joint in joints:
+            seen_from = shapes - np.concatenate((joint + away, joint + away, (0.0,)))
+            x, y, z = -away
+            before.append(_AFAR * (1.0 - min(capsule_depth(x, y, z, shape) for shape in seen_from)))
+    flesh: Array = np.maximum(np.percentile(np.reshape(before, (9, len(joints))), 25, axis=0), 0.015)
+    return flesh
+
+
+_AFAR = 3.0  # metres
 
 
 def visibility(joints: Array, shapes: Array, flesh: Array, intrinsics: Intrinsics) -> NDArray[np.float64]:

@@ -96,8 +96,8 @@ def _steps() -> Motion:
     steps: list[Step] = []
     for k, (x, z) in enumerate(offsets):
         to = offsets[(k + 1) % len(offsets)]
-        begin = k * seconds + 0.15
-        frames += [(k * seconds, {"place": (x, z)}), (k * seconds + 1.2, {"place": to})]
+        begin = k * seconds + 0.22
+        frames += [(k * seconds, {"place": (x, z)}), (k * seconds + 1.3, {"place": to})]
         lead = 0 if to[0] > x or (to[0] == x and k % 2) else 1
         for order, foot in enumerate((lead, 1 - lead)):
             at = FEET_AT_EASE[foot]

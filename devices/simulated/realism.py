@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,7 +167,7 @@ def _changes(at: Array, states: NDArray[np.uint8]) -> tuple[Array, NDArray[np.bo
 
 def _stale(view: Sequence[Skeleton | None]) -> float:
     known = [s for s in view if s is not None]
-    return float(np.mean([s.repeats(before) for before, s in zip(known, known[1:], strict=False)]))
+    return float(np.mean([s.repeats(before) for before, s in pairwise(known)]))
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[int]:

@@ -74,6 +74,11 @@ class TrackerErrors:
         not_tracked: Share of hidden spells in which the joint has no position at all.
         mistracked: Share of hidden spells in which the joint is reported as tracked all the same.
         snap: How far towards the joint that covers it a mis-tracked joint is moved, 0 to 1.
+        stretch: Share of a bone's error in length that stays: a tracker's own model of the body holds bones
+            nearly to their length, so that an error moves all that hangs on the joint. 1 lets every joint err
+            by itself.
+        outliers: Share of frames in which a joint stands somewhere else for a moment, though tracked.
+        outlier_size: How far away at most, an axis.
         rescale: Standard deviation of the skeleton's scale.
         rescale_seconds: How long a scale lasts.
         jitter: Standard deviation of a joint's jitter an axis, by kind.
@@ -95,6 +100,9 @@ class TrackerErrors:
     not_tracked: float = 0.0
     mistracked: float = 0.0
     snap: float = 0.0
+    stretch: float = 1.0
+    outliers: float = 0.0
+    outlier_size: float = 0.0
     rescale: float = 0.0
     rescale_seconds: float = 1.0
     jitter: JointGroups = field(default_factory=JointGroups)
@@ -127,22 +135,22 @@ class TrackerErrors:
 
 
 _KINECT_V2 = TrackerErrors(
-    view_bias=0.030, skin=0.25, seen_share=0.35,
+    view_bias=0.023, skin=0.25, seen_share=0.35,
     unsure=JointGroups(hand=0.03, tip=0.05, thumb=0.05, foot=0.05),
-    inferred_error=0.10, inferred_jitter=2.0, not_tracked=0.02, mistracked=0.4, snap=0.7,
-    rescale=0.02,
-    jitter=JointGroups(spine=0.0006, head=0.001, girdle=0.0014, elbow=0.0024, wrist=0.0036, hand=0.006,
-                       tip=0.007, thumb=0.014, knee=0.0016, ankle=0.002, foot=0.003, face=0.003),
-    swapped=0.25, stale=0.05, lost=0.002,
+    inferred_error=0.14, inferred_jitter=2.0, not_tracked=0.02, mistracked=0.4, snap=0.6,
+    stretch=0.35, outliers=0.007, outlier_size=0.17, rescale=0.02, rescale_seconds=2.0,
+    jitter=JointGroups(spine=0.0016, head=0.001, girdle=0.0024, elbow=0.0024, wrist=0.0036, hand=0.005,
+                       tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
+    moving_jitter=0.002, jitter_memory=0.7, swapped=0.16, swap_seconds=1.2, stale=0.05, lost=0.002,
 )  # fmt: skip
 _AZURE = TrackerErrors(
-    view_bias=0.012, skin=0.15, seen_share=0.35,
-    unsure=JointGroups(hand=0.08, tip=0.2, thumb=0.3, foot=0.1),
-    inferred_error=0.07, inferred_jitter=2.0, not_tracked=0.6, mistracked=0.25, snap=0.7,
-    rescale=0.03,
-    jitter=JointGroups(spine=0.0006, head=0.001, girdle=0.0014, elbow=0.0024, wrist=0.0036, hand=0.006,
-                       tip=0.007, thumb=0.014, knee=0.0016, ankle=0.002, foot=0.003, face=0.003),
-    swapped=0.2, stale=0.04, lost=0.001,
+    view_bias=0.009, skin=0.15, seen_share=0.35,
+    unsure=JointGroups(hand=0.10, tip=0.2, thumb=0.3, foot=0.16),
+    inferred_error=0.06, inferred_jitter=2.5, not_tracked=0.65, mistracked=0.25, snap=0.6,
+    stretch=0.35, outliers=0.005, outlier_size=0.20, rescale=0.03, rescale_seconds=0.6,
+    jitter=JointGroups(spine=0.0012, head=0.001, girdle=0.0020, elbow=0.0024, wrist=0.0036, hand=0.005,
+                       tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
+    moving_jitter=0.002, jitter_memory=0.7, swapped=0.12, swap_seconds=1.2, stale=0.04, lost=0.001,
 )  # fmt: skip
 
 # How much larger than the median the bias of a kind of joint is: limbs' ends are placed worse.
@@ -150,6 +158,7 @@ _BIAS = JointGroups(0.7, 0.9, 0.9, 1.1, 1.1, 1.1, 1.2, 1.3, 0.9, 1.0, 1.2, 0.9)
 _HIDING_SECONDS = 0.08  # how fast a guess takes over from what was seen
 _GUESS_SECONDS = 0.6  # how long a guess errs to the same side
 _UNSURE_SECONDS = 0.4
+_OUTLIER_SECONDS = 0.12
 _BACK_TURNED = -0.3  # cosine between the person's front and the direction to the sensor
 
 
@@ -188,6 +197,7 @@ class Tracker:
         self._unsure = np.zeros(count, dtype=bool)
         self._spell = np.full(count, int(TrackingState.INFERRED))
         self._cover = np.arange(count)
+        self._away = np.zeros((count, 3))
         self._swapped = self._lost = False
         self._before: Array | None = None
         self._last: tuple[NDArray[np.float64], NDArray[np.uint8]] | None = None
@@ -205,7 +215,7 @@ class Tracker:
         """
         e, body = self._errors, self._body
         normal = self._random.standard_normal((2 * len(body) + 1, 3))
-        uniform = self._random.random((3, len(body)))
+        uniform = self._random.random((7, len(body)))
         chance = self._random.random(3)
         self._wander(normal)
         hidden = self._hide(joints, visible, uniform)
@@ -217,6 +227,7 @@ class Tracker:
         guess = at + e.inferred_error * self._guess
         guess[snapped] = at[snapped] + e.snap * (joints[self._cover] - at)[snapped]
         at = at + weight * (guess - at)
+        at = self._hold_bones(at, joints) + self._outliers(uniform[3:])
         root = at[body.root]
         at = root + (at - root) * (1.0 + e.rescale * self._scale)
         shaking = (e.jitter.of(body) + e.moving_jitter * self._speed(joints))[:, None]
@@ -270,6 +281,29 @@ class Tracker:
         self._hiding += (hidden - self._hiding) * -np.expm1(-self._dt / _HIDING_SECONDS)
         return hidden
 
+    def _hold_bones(self, at: Array, joints: Array) -> Array:
+        """(J, 3) the joints with their bones nearly of their length, from the root outwards."""
+        body, stretch = self._body, self._errors.stretch
+        if stretch == 1.0:
+            return at
+        held = at.copy()
+        for joint in body.order[1:]:
+            parent = body.parents[joint]
+            bone = at[joint] - held[parent]
+            true = float(np.linalg.norm(joints[joint] - joints[parent]))
+            given = float(np.linalg.norm(bone))
+            held[joint] = held[parent] + bone * ((true + stretch * (given - true)) / max(given, 1e-6))
+        return held
+
+    def _outliers(self, uniform: Array) -> Array:
+        """(J, 3) how far the joints stand elsewhere for a moment, uniformly drawn."""
+        start, stop = self._rates(self._errors.outliers, _OUTLIER_SECONDS)
+        keeps = self._away.any(axis=1) & (uniform[0] >= stop)
+        leaves = ~keeps & (uniform[0] < start)
+        fresh = (2.0 * uniform[1:4].T - 1.0) * self._errors.outlier_size
+        self._away = np.where(keeps[:, None], self._away, np.where(leaves[:, None], fresh, 0.0))
+        return self._away
+
     def _speed(self, joints: Array) -> Array:
         """(J,) how fast each joint moves, metres a second."""
         before = joints if self._before is None else self._before
@@ -308,7 +342,7 @@ class Tracker:
         return float((direction[0] * to_sensor[0] + direction[2] * to_sensor[2]) / max(across, 1e-9))
 
     def _rates(self, share: Array | float, seconds: float) -> tuple[Array, float]:
-        """Chances a frame that a spell starts, and ends: spells of a mean length that fill a share of time."""
+        """Chances a frame that a spell starts and ends, for spells of this length that fill this share."""
         stop = min(1.0, self._dt / max(seconds, self._dt))
         share = np.minimum(np.asarray(share), 0.99)
         return np.asarray(stop * share / (1.0 - share)), stop
