@@ -97,7 +97,7 @@ def read_bvh(path: Path, *, startup: bool = True) -> CapturedMotion:
     axes = np.stack([np.stack(frames[s], axis=1) for s in _AXES], axis=1)
     # Many files begin with one frame of the rig's rest pose; it is no movement.
     changes = np.abs(np.diff(axes, axis=0)).max(axis=(1, 2, 3))
-    if changes[0] > 10.0 * np.median(changes) and changes[0] > 0.1:
+    if changes[0] > 0.1 and changes[0] > 5.0 * changes[1:6].max(initial=0.0):
         axes, middle = axes[1:], middle[1:]
         frames = {segment: (y[1:], z[1:]) for segment, (y, z) in frames.items()}
     # The person first faces between the sensors, and the middle of the way is the world's origin.
@@ -226,7 +226,7 @@ def _level(down: Array, back: Array) -> tuple[Array, Array]:
     """The foot's axes, from the perpendicular of the ankle-to-toes line and that line."""
     _, drop, ahead = offset("FOOT_LEFT")
     slope = np.arctan2(drop, -ahead)
-    return np.cos(slope) * down + np.sin(slope) * back, np.cos(slope) * back - np.sin(slope) * down
+    return np.cos(slope) * down - np.sin(slope) * back, np.cos(slope) * back + np.sin(slope) * down
 
 
 def _find(skeleton: _Captured, path: Path, wanted: str, names: tuple[str, ...]) -> str:

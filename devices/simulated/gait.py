@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
 from devices.simulated.anatomy import Array
@@ -25,15 +26,15 @@ _FIRST_STANCE = 0.44  # seconds until the body stands over the left foot; the ri
 _HALF_WIDTH = 0.075  # of the track, metres
 
 
-def walking(name: str, half_length: float, half_width: float, strides: int) -> Motion:
-    """Walking round and round a figure of eight, through every heading, turning both ways.
+def walking(name: str, length: float, strides: int) -> Motion:
+    """Walking a loop to the left and one to the right, each through every heading.
 
     Args:
         name: What to call it.
-        half_length, half_width: Of the figure, metres.
+        length: Of a round, both loops together, metres.
         strides: How many to a round.
     """
-    path, heading = _figure_of_eight(half_length, half_width, strides * _STRIDE_SECONDS)
+    path, heading = _two_loops(length, strides * _STRIDE_SECONDS)
     period = strides * _STRIDE_SECONDS
 
     def stance(step: int) -> Stance:
@@ -89,19 +90,19 @@ def _middle_of_stance(step: int) -> float:
     return 0.5 * step * _STRIDE_SECONDS + _FIRST_STANCE
 
 
-def _figure_of_eight(half_length: float, half_width: float, period: float) -> tuple[CubicSpline, CubicSpline]:
-    """The path (x, z) and the heading to the left over time, at constant speed, heading 0 at time 0."""
-    s = np.linspace(0.0, 2.0 * np.pi, 721)
-    ahead, aside = half_length * np.sin(s), half_width * np.sin(2.0 * s)
-    first = np.arctan2(2.0 * half_width, half_length)
-    x = aside * np.cos(first) - ahead * np.sin(first)
-    z = -(ahead * np.cos(first) + aside * np.sin(first))
-    walked = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(x), np.diff(z)))))
-    x[-1], z[-1] = x[0], z[0]
-    path = CubicSpline(period * walked / walked[-1], np.stack((x, z), axis=1), bc_type="periodic")
-    t = np.linspace(0.0, period, 721)
-    vx, vz = path(t, 1).T
-    angle = np.unwrap(np.arctan2(vx, -vz))
-    angle -= angle[0]
-    angle[-1] = 0.0
-    return path, CubicSpline(t, angle, bc_type="periodic", extrapolate="periodic")
+def _two_loops(length: float, period: float) -> tuple[CubicSpline, CubicSpline]:
+    """The path (x, z) and the heading to the left over time, at constant speed, heading 0 at time 0.
+
+    One oval loop to the left, then its mirror image to the right. With θ the share of a loop times 2π, the
+    heading is θ − ½ sin 2θ: no curvature where the loops touch, and any such loop closes.
+    """
+    share = np.linspace(0.0, 1.0, 2001)
+    theta = 2.0 * np.pi * np.where(share < 0.5, 2.0 * share, 2.0 - 2.0 * share)
+    angle = theta - 0.5 * np.sin(2.0 * theta)
+    x, z = (cumulative_simpson(length * way, x=share, initial=0.0) for way in (np.sin(angle), -np.cos(angle)))
+    x[-1], z[-1], angle[-1] = x[0], z[0], angle[0]
+    t = period * share
+    return (
+        CubicSpline(t, np.stack((x, z), axis=1), bc_type="periodic"),
+        CubicSpline(t, angle, bc_type="periodic", extrapolate="periodic"),
+    )

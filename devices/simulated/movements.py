@@ -338,7 +338,7 @@ MOTIONS = {
     motion.name: motion
     for motion in (
         _startup(),
-        walking("walk", half_length=1.0, half_width=0.55, strides=8),
+        walking("walk", length=8.4, strides=10),
         _steps(),
         _turn(),
         _arms(),
