@@ -95,11 +95,9 @@ def read_bvh(path: Path, *, startup: bool = True) -> CapturedMotion:
     skeleton = _read(path)
     frames, middle = _segments(skeleton, path)
     axes = np.stack([np.stack(frames[s], axis=1) for s in _AXES], axis=1)
-    # Many files begin with one frame of the rig's rest pose; it is no movement.
-    changes = np.abs(np.diff(axes, axis=0)).max(axis=(1, 2, 3))
-    if changes[0] > 0.1 and changes[0] > 5.0 * changes[1:6].max(initial=0.0):
-        axes, middle = axes[1:], middle[1:]
-        frames = {segment: (y[1:], z[1:]) for segment, (y, z) in frames.items()}
+    first = _first_frame(axes)
+    axes, middle = axes[first:], middle[first:]
+    frames = {segment: (y[first:], z[first:]) for segment, (y, z) in frames.items()}
     # The person first faces between the sensors, and the middle of the way is the world's origin.
     ahead = -along(*frames["pelvis"])[0, :, 2]
     back = anatomy.turn(np.array([-np.arctan2(ahead[0], -ahead[2])]))[0]
@@ -122,6 +120,13 @@ def read_bvh(path: Path, *, startup: bool = True) -> CapturedMotion:
 
 
 _TOES = [anatomy.INDEX["FOOT_LEFT"], anatomy.INDEX["FOOT_RIGHT"]]
+
+
+def _first_frame(axes: Array) -> int:
+    """Where the movement begins: many files come from the rig's rest pose within their first frames."""
+    changes = np.abs(np.diff(axes, axis=0)).mean(axis=(1, 2, 3))
+    jumps = changes[:10] > 3.0 * np.percentile(changes, 90)
+    return int(np.argmin(jumps)) if not jumps.all() else 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -167,5 +167,5 @@ def _seen(joints, shapes, flesh):  # type: ignore[no-untyped-def]
                     free = False
                     break
             if free:
-                seen[j] += 1.0 / rays
-    return seen
+                seen[j] += 1.0
+    return seen / rays

@@ -85,10 +85,10 @@ def statistics(a: Sequence[Skeleton | None], b: Sequence[Skeleton | None]) -> Pa
     (pa, _), (pb, _) = views
     apart, mirrored = _views_apart(pa, pb, body)
     swapped = np.nanmean(mirrored, axis=1) < np.nanmean(apart, axis=1)
-    runs = _runs(swapped)
-    lengths = [_bone_lengths(p, body) for p, _ in views]
-    deviations = np.array([np.nanstd(length, axis=0) for length in lengths])
-    means = np.array([np.nanmean(length, axis=0) for length in lengths])
+    runs = run_lengths(swapped)
+    lengths = np.concatenate([_bone_lengths(p, body) for p, _ in views], axis=1)
+    lengths = lengths[:, np.isfinite(lengths).sum(axis=0) >= _WINDOW]
+    deviations, means = np.nanstd(lengths, axis=0), np.nanmean(lengths, axis=0)
     states = np.concatenate([s for _, s in views])
     unsure = (states != TrackingState.TRACKED).mean(axis=0)
     change, sure = (np.concatenate(parts) for parts in zip(*(_changes(p, s) for p, s in views), strict=True))
@@ -107,7 +107,7 @@ def statistics(a: Sequence[Skeleton | None], b: Sequence[Skeleton | None]) -> Pa
         swap_frames=float(np.mean(runs)) if runs else float("nan"),
         tracked_change=float(np.median(change[sure])),
         tracked_change_p99=float(np.percentile(change[sure], 99)),
-        inferred_change=float(np.median(guessed)) if guessed.size else float("nan"),
+        inferred_change=_median(guessed),
         inferred_change_p99=float(np.percentile(guessed, 99)) if guessed.size else float("nan"),
         stale=float(np.mean([_stale(view) for view in (a, b)])),
     )
@@ -155,7 +155,12 @@ def _jitter(views: list[Array], body: Body) -> dict[str, float]:
         found.append(np.sqrt(apart[: seconds * _WINDOW].reshape(seconds, _WINDOW, -1).mean(axis=1)))
     per_second = np.concatenate(found)
     groups = dict.fromkeys(JointGroups.group(name) for name in body.joints)
-    return {group: float(np.nanmedian(per_second[:, _kinds(body, group)])) for group in groups}
+    return {group: _median(per_second[:, _kinds(body, group)]) for group in groups}
+
+
+def _median(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else float("nan")
 
 
 def _changes(at: Array, states: NDArray[np.uint8]) -> tuple[Array, NDArray[np.bool_]]:
@@ -170,6 +175,7 @@ def _stale(view: Sequence[Skeleton | None]) -> float:
     return float(np.mean([s.repeats(before) for before, s in pairwise(known)]))
 
 
-def _runs(flags: NDArray[np.bool_]) -> list[int]:
+def run_lengths(flags: NDArray[np.bool_]) -> list[int]:
+    """How long each run of True is."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     return list(np.diff(edges)[::2])

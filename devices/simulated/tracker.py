@@ -138,10 +138,10 @@ _KINECT_V2 = TrackerErrors(
     view_bias=0.023, skin=0.25, seen_share=0.35,
     unsure=JointGroups(hand=0.03, tip=0.05, thumb=0.05, foot=0.05),
     inferred_error=0.14, inferred_jitter=2.0, not_tracked=0.02, mistracked=0.4, snap=0.6,
-    stretch=0.16, outliers=0.008, outlier_size=0.17, rescale=0.02, rescale_seconds=2.0,
+    stretch=0.16, outliers=0.0065, outlier_size=0.17, rescale=0.017, rescale_seconds=2.0,
     jitter=JointGroups(spine=0.0016, head=0.001, girdle=0.0024, elbow=0.0024, wrist=0.0036, hand=0.005,
                        tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
-    moving_jitter=0.002, jitter_memory=0.7, swapped=0.25, swap_seconds=1.2, stale=0.05, lost=0.002,
+    moving_jitter=0.002, jitter_memory=0.7, swapped=0.25, swap_seconds=2.0, stale=0.05, lost=0.002,
 )  # fmt: skip
 _AZURE = TrackerErrors(
     view_bias=0.009, skin=0.15, seen_share=0.35,
@@ -150,7 +150,7 @@ _AZURE = TrackerErrors(
     stretch=0.16, outliers=0.005, outlier_size=0.20, rescale=0.028, rescale_seconds=0.6,
     jitter=JointGroups(spine=0.0012, head=0.001, girdle=0.0020, elbow=0.0024, wrist=0.0036, hand=0.005,
                        tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
-    moving_jitter=0.002, jitter_memory=0.7, swapped=0.18, swap_seconds=1.2, stale=0.04, lost=0.001,
+    moving_jitter=0.002, jitter_memory=0.7, swapped=0.18, swap_seconds=2.0, stale=0.04, lost=0.001,
 )  # fmt: skip
 
 # How much larger than the median the bias of a kind of joint is: limbs' ends are placed worse.
