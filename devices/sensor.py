@@ -27,12 +27,17 @@ class SensorFrame:
         people: The skeletons seen, by the tracker's person id; empty when no one is seen.
         depth: (height, width) uint16 millimetres, 0 where there is no reading; None without a depth image.
         color: (height, width, 3) uint8 RGB; None without a colour image.
+        ir: (height, width) uint16 active infrared, of the depth camera; None without one.
+        host_ns: When the images reached this machine, on ``time.perf_counter_ns``, before any body
+            tracking: what relates two sensors' clocks. None for a recording.
     """
 
     time_ns: int
     people: dict[str, Skeleton] = field(default_factory=dict)
     depth: NDArray[np.uint16] | None = None
     color: NDArray[np.uint8] | None = None
+    ir: NDArray[np.uint16] | None = None
+    host_ns: int | None = None
 
 
 class Sensor(Protocol):
