@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytest_plugins = ("standin",)
+
 _PROJECT = Path(__file__).parents[1]
 
 
