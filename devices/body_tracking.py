@@ -124,8 +124,8 @@ class BodyTracker:
             raise DeviceError(
                 f"The body tracker did not start (status {status}, {settings.processing}). Its network "
                 f"(dnn_model_2_0_op11.onnx) or a library of {settings.processing} is missing beside "
-                f"libk4abt, or the depth mode is neither NFOV_UNBINNED nor WFOV_2X2BINNED. Try processing cpu; "
-                f"K4ABT_ENABLE_LOG_TO_STDOUT=1 makes it say more."
+                f"libk4abt, or the depth mode is neither NFOV_UNBINNED nor WFOV_2X2BINNED. Try processing "
+                f"cpu; K4ABT_ENABLE_LOG_TO_STDOUT=1 makes it say more."
             )
         library.k4abt_tracker_set_temporal_smoothing(tracker, settings.smoothing)
         self._library, self._tracker, self._results = library, tracker, 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,4 +71,13 @@ class Sensor(Protocol):
         Raises:
             DeviceError: The source failed; frames before the failure were given.
         """
+        ...
+
+
+@runtime_checkable
+class Interruptible(Protocol):
+    """A sensor that may wait long between frames, and can be asked to stop waiting."""
+
+    def interrupt(self) -> None:
+        """Makes ``frames`` end soon, within a second. Called from another thread; opening undoes it."""
         ...

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-pytest_plugins = ("standin",)
+pytest_plugins = ("standin", "standin_pyk4a")
 
 _PROJECT = Path(__file__).parents[1]
 
