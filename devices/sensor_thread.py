@@ -170,10 +170,12 @@ class SensorThread:
         self._stopping.set()
         if isinstance(self.sensor, Interruptible):
             self.sensor.interrupt()
-        thread.join(within_s)
-        with self._lock:
-            self._frames.clear()
-            self._state = SensorState.CLOSED
+        try:
+            thread.join(within_s)
+        finally:  # Ctrl-C may end the wait; the thread closes the sensor all the same
+            with self._lock:
+                self._frames.clear()
+                self._state = SensorState.CLOSED
         if thread.is_alive():
             self._left_behind = True
             self._tell(
