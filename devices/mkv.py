@@ -217,7 +217,8 @@ class MkvRecording:
         """The packets of the cameras that hold a whole image."""
         mode = depth_mode(info.depth_mode)
         whole = 2 * mode.width * mode.height
-        for title, at_ns, data in self._packets({"COLOR", "DEPTH", "IR"}):
+        wanted = {"COLOR", "DEPTH", "IR"} if info.color_mode is not None else {"DEPTH", "IR"}
+        for title, at_ns, data in self._packets(wanted):
             if data and (title == "COLOR" or len(data) == whole):
                 yield title, at_ns, data
 
@@ -244,7 +245,7 @@ class MkvRecording:
             time_ns=info.start_offset_ns + capture.at_ns,
             depth=_image16(capture.depth, mode.width, mode.height),
             ir=None if capture.ir is None else _image16(capture.ir, mode.width, mode.height),
-            color=None if capture.color is None or not self._color else decode_jpeg(capture.color),
+            color=None if capture.color is None else decode_jpeg(capture.color),
         )
 
     def _judge(self, given: int, last_ns: int, missing: int, info: MkvInfo) -> None:
