@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from fusion.errors import FusionError
 from fusion.tree_elimination import (
     BEST,
-    BLOCKS,
     BONE,
     FORCE,
     INFORMATION,
@@ -34,6 +33,9 @@ from fusion.tree_elimination import (
     solve_root,
     substitute,
     update_multipliers,
+)
+from fusion.tree_elimination import (
+    BLOCKS as BLOCKS,
 )
 
 MAX_ITERATIONS = 50
