@@ -35,7 +35,27 @@ class Recorder:
         self._calibration = fuser.calibration
         self._frames = 0
         self._start_ns: int | None = None
-        self._log_static(fuser, sources)
+        self._last_ns = 0
+        self._sources = sources
+        self._log_static(fuser)
+        self.calibrate(fuser)
+
+    def calibrate(self, fuser: Fuser) -> None:
+        """Keeps the calibration and settings with which the frames that follow are fused."""
+        calibration = self._calibration = fuser.calibration
+        self._stream.set_time(layout.FRAME, sequence=self._frames)
+        self._stream.set_time(layout.TIME, duration=np.timedelta64(self._last_ns, "ns"))
+        self._stream.log(
+            layout.CALIBRATION,
+            rr.AnyValues(
+                how=calibration.how,
+                rotation=calibration.a_from_b.rotation.ravel(),
+                translation=calibration.a_from_b.translation,
+                bone_lengths=calibration.bone_lengths,
+            ),
+        )
+        for name, values in self._properties(fuser).items():
+            self._stream.send_property(name, rr.AnyValues(**values))
 
     def record(self, frame: RecordedFrame) -> None:
         """Logs one frame at once, for live use."""
@@ -71,9 +91,10 @@ class Recorder:
             self._calibration.body, self._calibration.bone_lengths, frames, self._frames, self._start_ns
         )
         self._frames += len(frames)
+        self._last_ns = int(rows.time_ns[-1])
         return rows
 
-    def _log_static(self, fuser: Fuser, sources: tuple[str, str]) -> None:
+    def _log_static(self, fuser: Fuser) -> None:
         body = self._calibration.body
         stream = self._stream
 
@@ -98,14 +119,13 @@ class Recorder:
             )
             once(layout.weights(side), _weight_lines(body))
         once(layout.FUSED_SKELETON, _joint_look(body, "fused"))
+        once(layout.TRUTH_SKELETON, _joint_look(body, "truth"))
         for joint in body.bone_joints:
             once(layout.bone(body.bones[joint]), _BONE_LINES)
         for name in layout.QUALITY_NAMES:
             once(layout.quality(name), _QUALITY_LINES[name])
-        for name, values in self._properties(fuser, sources).items():
-            stream.send_property(name, rr.AnyValues(**values))
 
-    def _properties(self, fuser: Fuser, sources: tuple[str, str]) -> dict[str, dict[str, Any]]:
+    def _properties(self, fuser: Fuser) -> dict[str, dict[str, Any]]:
         """What a replay needs, and what a person asks of a file."""
         calibration = self._calibration
         registration = calibration.registration
@@ -119,8 +139,8 @@ class Recorder:
                 "layout_version": layout.VERSION,
                 "written_by": f"duplex-kinects {version('duplex-kinects')}",
                 "body": calibration.body.name,
-                "source_a": sources[0],
-                "source_b": sources[1],
+                "source_a": self._sources[0],
+                "source_b": self._sources[1],
             },
             "settings": {
                 "h": fuser.settings.h,
@@ -182,6 +202,10 @@ def _streams(rows: SessionArrays) -> Iterator[_Stream]:
     yield _Stream(
         layout.FUSED_TRUST, rr.AnyValues, {"misleading": rows.misleading, "predicted": rows.predicted}, joints
     )
+    if rows.truth is not None:
+        yield _Stream(
+            layout.TRUTH_SKELETON, rr.Points3D, {"positions": rows.truth.astype(np.float32)}, joints
+        )
     lengths = rows.bone_length_of_each  # (3, T, J)
     for joint in rows.body.bone_joints:
         target = np.full(len(rows), rows.bone_lengths[joint])
