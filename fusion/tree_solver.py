@@ -53,7 +53,7 @@ _SHORTER_KICK = 0.2  # after patience ran out
 _FIRST_DAMPING = 1e-5
 _MORE, _LESS, _NONE = 8.0, 0.03, 1e-9
 _PATIENCE = 8  # steps that may climb before the best point is taken up again
-_PATIENT_DAMPING, _PATIENT_MORE = 1e-7, 3.0
+_PATIENT_DAMPING, _PATIENT_MORE = 1e-8, 6.0
 _LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
 
 
