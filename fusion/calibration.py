@@ -61,6 +61,13 @@ class Calibration:
         return float(np.arccos(np.clip(self.a_from_b.rotation[2, 2], -1.0, 1.0)))
 
 
+def nominal_calibration(body: Body) -> Calibration:
+    """What to begin with before anything was seen: K_B where K_A is, an adult's proportions."""
+    return Calibration(
+        body, RigidTransform.identity(), body.nominal_lengths, "none yet: an adult's proportions"
+    )
+
+
 def calibrate(body: Body, pairs: Sequence[SkeletonPair], how: str) -> Calibration:
     """Registration (eq. (12)) and bone lengths (eq. (13)) from the given pairs.
 

@@ -46,3 +46,30 @@ class FuseOptions:
     """Keep the sensors' placement and the bone lengths in a file."""
     force: bool = False
     """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """See the whole program at work without a sensor: two simulated Kinects watch one person.
+
+    The person's true joints are logged too, as a fourth skeleton (hidden at first).
+    """
+
+    motion: str = "badminton"
+    """A movement of the library (duplex demo --motion list names them), or a BVH file."""
+    seconds: float = 30.0
+    """How long."""
+    seed: int = 0
+    """Of the simulated sensors' errors; the same seed makes the same skeletons."""
+    angle: float = 90.0
+    """Degrees between the two sensors."""
+    body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
+    """Whose body tracker is simulated."""
+    depth: Literal["off", "half", "full"] = "half"
+    """Depth images, and at which part of the sensor's resolution."""
+    save: Path | None = None
+    """Keep the session as an .rrd file; without a display demo.rrd if not given."""
+    no_viewer: bool = False
+    """Do not open the viewer."""
+    force: bool = False
+    """Overwrite files that exist."""
