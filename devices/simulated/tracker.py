@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from devices.simulated.anatomy import Array
@@ -138,10 +139,10 @@ _KINECT_V2 = TrackerErrors(
     view_bias=0.023, skin=0.25, seen_share=0.35,
     unsure=JointGroups(hand=0.03, tip=0.05, thumb=0.05, foot=0.05),
     inferred_error=0.14, inferred_jitter=2.0, not_tracked=0.02, mistracked=0.4, snap=0.6,
-    stretch=0.16, outliers=0.0065, outlier_size=0.17, rescale=0.017, rescale_seconds=2.0,
+    stretch=0.12, outliers=0.0065, outlier_size=0.17, rescale=0.018, rescale_seconds=2.0,
     jitter=JointGroups(spine=0.0016, head=0.001, girdle=0.0024, elbow=0.0024, wrist=0.0036, hand=0.005,
                        tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
-    moving_jitter=0.002, jitter_memory=0.7, swapped=0.25, swap_seconds=2.0, stale=0.05, lost=0.002,
+    moving_jitter=0.002, jitter_memory=0.7, swapped=0.34, swap_seconds=2.0, stale=0.05, lost=0.002,
 )  # fmt: skip
 _AZURE = TrackerErrors(
     view_bias=0.009, skin=0.15, seen_share=0.35,
@@ -186,6 +187,8 @@ class Tracker:
         self._body, self._errors, self._flesh, self._intrinsics = body, errors, flesh, intrinsics
         self._dt, self._random = frame_seconds, random
         count = len(body)
+        self._jitter_size, self._unsure_share = errors.jitter.of(body), errors.unsure.of(body)
+        self._corners = [body.joint(n) for n in ("ShoulderLeft", "HipLeft", "ShoulderRight", "HipRight")]
         # Coefficients of 1, cos and sin of the view's azimuth: a bias of every view, changing smoothly.
         spread = errors.view_bias * _BIAS.of(body)[:, None, None] / np.sqrt(2.0)
         self._bias = random.standard_normal((count, 3, 3)) * spread
@@ -230,7 +233,7 @@ class Tracker:
         at = self._hold_bones(at, joints) + self._outliers(uniform[3:])
         root = at[body.root]
         at = root + (at - root) * (1.0 + e.rescale * self._scale)
-        shaking = (e.jitter.of(body) + e.moving_jitter * self._speed(joints))[:, None]
+        shaking = (self._jitter_size + e.moving_jitter * self._speed(joints))[:, None]
         at = at + shaking * (1.0 + (e.inferred_jitter - 1.0) * weight) * self._jitter
 
         states = np.where(hidden, self._spell, int(TrackingState.TRACKED)).astype(np.uint8)
@@ -264,8 +267,7 @@ class Tracker:
     def _hide(self, joints: Array, visible: Array, uniform: Array) -> NDArray[np.bool_]:
         """(J,) which joints are hidden in this frame; what becomes of one is drawn when it disappears."""
         e = self._errors
-        share = e.unsure.of(self._body)
-        start, stop = self._rates(share, _UNSURE_SECONDS)
+        start, stop = self._rates(self._unsure_share, _UNSURE_SECONDS)
         self._unsure = np.where(self._unsure, uniform[0] >= stop, uniform[0] < start)
         hidden = (visible < e.seen_share) | self._unsure
         begins = hidden & ~self._was_hidden
@@ -283,16 +285,10 @@ class Tracker:
 
     def _hold_bones(self, at: Array, joints: Array) -> Array:
         """(J, 3) the joints with their bones nearly of their length, from the root outwards."""
-        body, stretch = self._body, self._errors.stretch
-        if stretch == 1.0:
+        if self._errors.stretch == 1.0:
             return at
         held = at.copy()
-        for joint in body.order[1:]:
-            parent = body.parents[joint]
-            bone = at[joint] - held[parent]
-            true = float(np.linalg.norm(joints[joint] - joints[parent]))
-            given = float(np.linalg.norm(bone))
-            held[joint] = held[parent] + bone * ((true + stretch * (given - true)) / max(given, 1e-6))
+        _hold(held, at, joints, self._body.order[1:], self._body.parent_indices, self._errors.stretch)
         return held
 
     def _outliers(self, uniform: Array) -> Array:
@@ -332,12 +328,10 @@ class Tracker:
 
     def _facing(self, joints: Array, *, sideways: bool = False) -> float:
         """Cosine between the person's front (or left) and the direction to the sensor, seen from above."""
-        body = self._body
-        names = ("ShoulderLeft", "ShoulderRight", "HipLeft", "HipRight")
-        l1, r1, l2, r2 = (joints[body.joint(name)] for name in names)
+        l1, l2, r1, r2 = joints[self._corners]
         left = (l1 - r1) + (l2 - r2)
         direction = left if sideways else np.array((-left[2], 0.0, left[0])) * -1.0
-        to_sensor = -joints[body.root]
+        to_sensor = -joints[self._body.root]
         across = np.hypot(direction[0], direction[2]) * np.hypot(to_sensor[0], to_sensor[2])
         return float((direction[0] * to_sensor[0] + direction[2] * to_sensor[2]) / max(across, 1e-9))
 
@@ -352,3 +346,13 @@ class Tracker:
         if share <= 0.0:
             return on and chance >= max(stop, 0.3)
         return bool(chance >= stop) if on else bool(chance < start)
+
+
+@njit(cache=True)
+def _hold(held, at, joints, order, parents, stretch):  # type: ignore[no-untyped-def]
+    for joint in order:
+        parent = parents[joint]
+        true = np.sqrt(np.sum((joints[joint] - joints[parent]) ** 2))
+        bone = at[joint] - held[parent]
+        given = np.sqrt(np.sum(bone**2))
+        held[joint] = held[parent] + bone * ((true + stretch * (given - true)) / max(given, 1e-6))
