@@ -23,7 +23,7 @@ from devices.simulated.comparison import (
 from devices.simulated.realism import rigid_fit, run_lengths, statistics
 from devices.simulated.rig import Rig
 from devices.simulated.sensor import PERSON, simulated_pair
-from devices.simulated.tracker import JointGroups, TrackerErrors
+from devices.simulated.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import KINECT_V2
 from fusion.skeleton import Skeleton, TrackingState
 

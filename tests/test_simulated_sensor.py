@@ -13,7 +13,7 @@ from devices.simulated.movements import MOTIONS
 from devices.simulated.rendering import DepthErrors
 from devices.simulated.rig import Rig
 from devices.simulated.sensor import PERSON, SimulatedKinect, simulated_pair
-from devices.simulated.tracker import TrackerErrors
+from devices.simulated.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, BODIES, Body
 
 # A coordinate below 4 m is rounded to float32 by at most 2⁻²³ m.

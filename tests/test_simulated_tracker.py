@@ -10,7 +10,8 @@ import pytest
 
 from devices.simulated.realism import run_lengths
 from devices.simulated.sensor import PERSON, simulated_pair
-from devices.simulated.tracker import JointGroups, Tracker, TrackerErrors
+from devices.simulated.tracker import Tracker
+from devices.simulated.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V2, Body
 from fusion.skeleton import Skeleton, TrackingState
 from fusion.viewing_plane import NOMINAL_INTRINSICS

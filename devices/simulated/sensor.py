@@ -18,7 +18,8 @@ from devices.simulated.flesh import capsules, flesh_over, visibility
 from devices.simulated.movements import MOTIONS
 from devices.simulated.rendering import DepthErrors, depth_image, halved, surface
 from devices.simulated.rig import Rig
-from devices.simulated.tracker import Tracker, TrackerErrors
+from devices.simulated.tracker import Tracker
+from devices.simulated.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, Body
 from fusion.rigid import RigidTransform
 from fusion.viewing_plane import NOMINAL_INTRINSICS, Intrinsics
