@@ -133,6 +133,28 @@ def _depth_images_within(path: Path, length: int) -> int:
         return sum(packet.pos + packet.size <= length for packet in container.demux(depth) if packet.size)
 
 
+@settings(
+    max_examples=80,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    derandomize=True,
+)
+@given(flips=st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), min_size=1, max_size=12))
+def test_a_damaged_head_gives_frames_or_a_device_error(
+    recording: Path, tmp_path: Path, flips: list[tuple[int, int]]
+) -> None:
+    content = bytearray(recording.read_bytes())
+    for at, value in flips:
+        content[at] = value
+    damaged = tmp_path / "damaged.mkv"
+    damaged.write_bytes(content)
+    try:
+        count, _ = _frames_of(damaged)
+    except DeviceError:
+        count = 0
+    assert 0 <= count <= FRAMES
+
+
 def test_a_cut_through_the_last_image_is_told(recording: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mkv"
     cut.write_bytes(recording.read_bytes()[:-100_000])
