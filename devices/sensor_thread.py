@@ -58,7 +58,7 @@ class SensorThread:
         self,
         sensor: Sensor,
         *,
-        keep: int = 2,
+        keep: int = 4,
         stall_s: float = 2.0,
         retry_s: float = 1.0,
         arrival: threading.Event | None = None,
@@ -118,7 +118,7 @@ class SensorThread:
         """Whether no frame is to be expected soon: stalled, lost, ended or closed."""
         return self.state not in (SensorState.RUNNING, SensorState.OPENING)
 
-    def open(self, within_s: float = 60.0) -> SensorThread:
+    def open(self, within_s: float = 120.0) -> SensorThread:
         """Starts the thread and waits until the sensor is open.
 
         Args:
