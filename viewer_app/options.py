@@ -73,3 +73,31 @@ class DemoOptions:
     """Do not open the viewer."""
     force: bool = False
     """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
+class BenchAccuracyOptions:
+    """Say in millimetres what S* is worth: methods beside each other on simulated sensors with known truth."""
+
+    set: Literal["simulated", "real"] = "simulated"
+    """simulated: the methods against the truth. real: the simulator against figures of real sensors."""
+    motions: tuple[str, ...] = (
+        *("walk", "arms", "badminton", "basketball", "squat", "sit", "boxing", "still"),
+    )
+    """Movements of the library."""
+    angles: tuple[float, ...] = (45.0, 90.0, 135.0)
+    """Degrees between the sensors."""
+    seeds: int = 10
+    """How many recordings of each movement and angle: seeds 0, 1, …"""
+    seconds: float = 20.0
+    """How long each recording is."""
+    body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
+    """Whose body tracker is simulated."""
+    recordings: Path | None = None
+    """With --set real: a folder of real pairs NAME/a.csv, NAME/b.csv to compare with, too."""
+    json: Path | None = None
+    """Write all figures as JSON."""
+    picture: Path | None = None
+    """Draw the comparison as a PNG (needs matplotlib)."""
+    force: bool = False
+    """Overwrite files that exist."""
