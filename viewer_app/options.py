@@ -11,6 +11,8 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+_BENCH_MOTIONS = ("walk", "arms", "badminton", "basketball", "squat", "sit", "boxing", "still")
+
 
 @dataclass(frozen=True)
 class FuseOptions:
@@ -81,9 +83,7 @@ class BenchAccuracyOptions:
 
     set: Literal["simulated", "real"] = "simulated"
     """simulated: the methods against the truth. real: the simulator against figures of real sensors."""
-    motions: tuple[str, ...] = (
-        *("walk", "arms", "badminton", "basketball", "squat", "sit", "boxing", "still"),
-    )
+    motions: tuple[str, ...] = _BENCH_MOTIONS
     """Movements of the library."""
     angles: tuple[float, ...] = (45.0, 90.0, 135.0)
     """Degrees between the sensors."""
