@@ -79,7 +79,7 @@ class DemoOptions:
 
 @dataclass(frozen=True)
 class BenchAccuracyOptions:
-    """Say in millimetres what S* is worth: methods beside each other on simulated sensors with known truth."""
+    """Say in millimetres what S* is worth: methods side by side on simulated sensors, truth known."""
 
     set: Literal["simulated", "real"] = "simulated"
     """simulated: the methods against the truth. real: the simulator against figures of real sensors."""
