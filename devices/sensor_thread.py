@@ -148,9 +148,7 @@ class SensorThread:
             raise
         if not opened:
             self.close(0.0)
-            raise DeviceError(
-                f"{self.sensor.name} did not open in {within_s:g} s. Plug it in anew and retry."
-            )
+            raise DeviceError(f"{self.sensor.name} did not open in {within_s:g} s. Plug it in anew, retry.")
         self._raise_fault()
         return self
 
