@@ -221,7 +221,7 @@ def _draw(outcomes: list[Outcome], path: Path) -> None:
     axes.set_ylabel("MPJPE (mm)")
     axes.set_title("Distance from the true joints, by movement (bars: deviation over angles and seeds)")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(ncols=len(METHODS), frameon=False, fontsize=8, loc="upper left")
+    figure.legend(ncols=len(METHODS), frameon=False, fontsize=9, loc="outside lower center")
     with whole_file(path) as partial:
         figure.savefig(partial, format="png")
     pyplot.close(figure)
