@@ -185,10 +185,8 @@ def _table_by(title: str, of: Callable[[Trial], str], outcomes: list[Outcome]) -
 
 
 def _draw(outcomes: list[Outcome], path: Path) -> None:
-    try:
-        import matplotlib
-    except ImportError:
-        raise UsageError("--picture needs matplotlib: pip install matplotlib.") from None
+    import matplotlib
+
     matplotlib.use("Agg")
     from matplotlib import pyplot
 

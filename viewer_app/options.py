@@ -98,6 +98,6 @@ class BenchAccuracyOptions:
     json: Path | None = None
     """Write all figures as JSON."""
     picture: Path | None = None
-    """Draw the comparison as a PNG (needs matplotlib)."""
+    """Draw the comparison as a PNG."""
     force: bool = False
     """Overwrite files that exist."""
