@@ -24,6 +24,8 @@ class RecordedFrame:
     pair: FramePair
     fused: FusedFrame
     fuse_ns: int
+    truth: NDArray[np.float64] | None = None
+    """(J, 3) where the joints really are, in K_A's frame; simulations only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,7 @@ class SessionArrays:
         iterations: (T,) of the solver.
         stale_a, stale_b: (T,) whether the sensor repeated its last skeleton.
         fuse_ms: (T,) what the fusion took.
+        truth: (T, J, 3) where the joints really are, in K_A's frame; None where no one knows.
     """
 
     body: Body
@@ -71,6 +74,7 @@ class SessionArrays:
     stale_a: NDArray[np.bool_]
     stale_b: NDArray[np.bool_]
     fuse_ms: NDArray[np.float64]
+    truth: NDArray[np.float64] | None = None
 
     @staticmethod
     def stack(
@@ -125,6 +129,9 @@ class SessionArrays:
             stale_a=np.array([f.stale_a for f in fused]),
             stale_b=np.array([f.stale_b for f in fused]),
             fuse_ms=np.array([f.fuse_ns for f in frames]) * 1e-6,
+            truth=None
+            if frames[0].truth is None
+            else np.array([nowhere if f.truth is None else f.truth for f in frames]),
         )
 
     def __len__(self) -> int:
@@ -134,7 +141,9 @@ class SessionArrays:
     def __getitem__(self, frames: slice | NDArray[np.int64]) -> SessionArrays:
         """Some of the frames, with their numbers and times as they are."""
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
-        per_frame = {n: v[frames] for n, v in kept.items() if n not in ("body", "bone_lengths")}
+        per_frame = {
+            n: v[frames] for n, v in kept.items() if n not in ("body", "bone_lengths") and v is not None
+        }
         return replace(self, **per_frame)
 
     @property

@@ -42,7 +42,10 @@ _STORED: tuple[tuple[str, Any], ...] = (
 
 def frame_checksums(rows: SessionArrays) -> NDArray[np.uint32]:
     """(T,) CRC-32 of everything a frame stores; a NaN is a NaN, whatever its payload."""
-    return _checksums(*(getattr(rows, name).astype(kind) for name, kind in _STORED))
+    columns = [getattr(rows, name).astype(kind) for name, kind in _STORED]
+    if rows.truth is not None:
+        columns.append(rows.truth.astype(np.float32))
+    return _checksums(*columns)
 
 
 def fused_checksums(fused: NDArray[np.float64]) -> NDArray[np.uint32]:

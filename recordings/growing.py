@@ -76,7 +76,7 @@ class GrowingSession:
         if blueprint is not None:
             self._stream.set_sinks(self._bytes, default_blueprint=blueprint)
         self._recorder = Recorder(self._stream, fuser, sources, depth_every, about)
-        self._queue: queue.SimpleQueue[RecordedFrame | tuple[str, str] | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[RecordedFrame | Fuser | tuple[str, str] | None] = queue.SimpleQueue()
         self._closed = False
         self._flush()
         self._thread = threading.Thread(target=self._run, name="session file", daemon=True)
@@ -102,6 +102,11 @@ class GrowingSession:
             pair = replace(frame.pair, a=_without_images(frame.pair.a), b=_without_images(frame.pair.b))
             frame = replace(frame, pair=pair)
         self._queue.put(frame)
+
+    def calibrate(self, fuser: Fuser) -> None:
+        """Hands over the calibration with which the frames that follow are fused, by a new fuser."""
+        if self.failure is None:
+            self._queue.put(fuser)
 
     def event(self, text: str, level: str = "INFO") -> None:
         """Hands over what happened."""
@@ -145,7 +150,9 @@ class GrowingSession:
                     if self._clock() < due:
                         continue
                 self._write(waiting)
-                if isinstance(item, tuple):
+                if isinstance(item, Fuser):
+                    self._recorder.calibrate(item)
+                elif isinstance(item, tuple):
                     self._recorder.event(*item)
                 elif item is None:
                     self._recorder.finish()

@@ -54,9 +54,31 @@ class Recorder:
         self._start_ns: int | None = None
         self._last: tuple[int, int] | None = None
         self._depth_every = depth_every
-        self._log_static(fuser, sources, about or {})
+        self._log_static(fuser)
+        properties = self._properties(fuser, sources, about or {})
+        for name, values in properties.items():
+            stream.send_property(name, rr.AnyValues(**values))
+        stream.send_property("check", rr.AnyValues(crc32=properties_checksum(properties)))
+        self.calibrate(fuser)
         # what a reader needs first must stand first in the file; columns would overtake it
         stream.flush(timeout_sec=0.0)
+
+    def calibrate(self, fuser: Fuser) -> None:
+        """Keeps the calibration with which the frames that follow are fused, by a new fuser."""
+        calibration = self._calibration = fuser.calibration
+        registration = calibration.registration
+        values: dict[str, Any] = {
+            "how": calibration.how,
+            "rotation": calibration.a_from_b.rotation.ravel(),
+            "translation": calibration.a_from_b.translation,
+            "bone_lengths": calibration.bone_lengths,
+            "residual_median": np.nan if registration is None else registration.residual_median,
+            "residual_rms": np.nan if registration is None else registration.residual_rms,
+        }
+        self._stream.set_time(layout.FRAME, sequence=self._frames)
+        self._stream.set_time(layout.TIME, duration=np.timedelta64(self._last[1] if self._last else 0, "ns"))
+        check = properties_checksum({"calibration": {"frame": self._frames, **values}})
+        self._stream.log(layout.CALIBRATION, rr.AnyValues(**values, calibration_crc32=check))
 
     def record(self, frame: RecordedFrame) -> None:
         """Logs one frame at once, for live use."""
@@ -143,7 +165,7 @@ class Recorder:
         self._frames += len(frames)
         return rows
 
-    def _log_static(self, fuser: Fuser, sources: tuple[str, str], about: Mapping[str, str | int]) -> None:
+    def _log_static(self, fuser: Fuser) -> None:
         body = self._calibration.body
         stream = self._stream
 
@@ -168,21 +190,16 @@ class Recorder:
             )
             once(layout.weights(side), _weight_lines(body))
         once(layout.FUSED_SKELETON, _joint_look(body, "fused"))
+        once(layout.TRUTH_SKELETON, _joint_look(body, "truth"))
         for joint in body.bone_joints:
             once(layout.bone(body.bones[joint]), _BONE_LINES)
         for name in layout.QUALITY_NAMES:
             once(layout.quality(name), _QUALITY_LINES[name])
-        properties = self._properties(fuser, sources, about)
-        for name, values in properties.items():
-            stream.send_property(name, rr.AnyValues(**values))
-        stream.send_property("check", rr.AnyValues(crc32=properties_checksum(properties)))
 
     def _properties(
         self, fuser: Fuser, sources: tuple[str, str], about: Mapping[str, str | int]
     ) -> dict[str, dict[str, Any]]:
         """What a replay needs, and what a person asks of a file."""
-        calibration = self._calibration
-        registration = calibration.registration
 
         def camera(intrinsics: Any) -> list[float]:
             i = intrinsics
@@ -192,21 +209,13 @@ class Recorder:
             "session": {
                 "layout_version": layout.VERSION,
                 "written_by": f"duplex-kinects {version('duplex-kinects')}",
-                "body": calibration.body.name,
+                "body": self._calibration.body.name,
+                "bone_names": [name or "root" for name in self._calibration.body.bones],
                 "source_a": sources[0],
                 "source_b": sources[1],
                 **about,
             },
             "settings": asdict(fuser.settings),
-            "calibration": {
-                "how": calibration.how,
-                "rotation": calibration.a_from_b.rotation.ravel(),
-                "translation": calibration.a_from_b.translation,
-                "bone_names": [name or "root" for name in calibration.body.bones],
-                "bone_lengths": calibration.bone_lengths,
-                "residual_median": np.nan if registration is None else registration.residual_median,
-                "residual_rms": np.nan if registration is None else registration.residual_rms,
-            },
             "intrinsics": {"a": camera(fuser.intrinsics_a), "b": camera(fuser.intrinsics_b)},
         }
 
@@ -261,6 +270,10 @@ def _streams(rows: SessionArrays, fused_crc: NDArray[np.uint32] | None = None) -
     yield _Stream(
         layout.FUSED_TRUST, rr.AnyValues, {"misleading": rows.misleading, "predicted": rows.predicted}, joints
     )
+    if rows.truth is not None:
+        yield _Stream(
+            layout.TRUTH_SKELETON, rr.Points3D, {"positions": rows.truth.astype(np.float32)}, joints
+        )
     lengths = rows.bone_length_of_each  # (3, T, J)
     for joint in rows.body.bone_joints:
         target = np.full(len(rows), rows.bone_lengths[joint])

@@ -38,15 +38,26 @@ def rewrite(
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
     stream.set_sinks(rr.FileSink(str(path)), default_blueprint=blueprint)
     try:
-        recorder = Recorder(stream, session.fuser(), session.sources, about=about)
+        segments = [(fuser, own) for fuser, own in session.fusers() if own.stop > first and own.start < end]
+        recorder = Recorder(stream, segments[0][0], session.sources, about=about)
         start_ns = int(session.rows.time_ns[first])
         for event in session.events:
             if event.frame is None:
                 recorder.event(event.text, event.level)
-        for begin in range(first, end, _BLOCK):
-            rows = session.rows[begin : min(begin + _BLOCK, end)]
-            rows = replace(rows, frame=rows.frame - first, time_ns=rows.time_ns - start_ns)
-            recorder.record_rows(rows, session.fused_checksums[begin : min(begin + _BLOCK, end)])
+        for fuser, own in segments:
+            if own.start > first:
+                recorder.calibrate(fuser)
+            stop = min(own.stop, end)
+            for begin in range(max(own.start, first), stop, _BLOCK):
+                block = slice(begin, min(begin + _BLOCK, stop))
+                rows = session.rows[block]
+                rows = replace(
+                    rows,
+                    frame=rows.frame - first,
+                    time_ns=rows.time_ns - start_ns,
+                    bone_lengths=fuser.calibration.bone_lengths,
+                )
+                recorder.record_rows(rows, session.fused_checksums[block])
         for side in layout.SIDES:
             for frame, image in session.depth(side):
                 if first <= frame < end:

@@ -51,12 +51,14 @@ class Columns:
         properties: Values by property and component name.
         values: By (entity, component): frame numbers (N,) and a value each, (N, …), as stored.
         texts: Of the text log: (frame or None, time or None, {component: value}).
+        logged: By entity, of those logged now and then: (frame, {component: values}).
         damage: What is wrong with the file; None where it is whole.
     """
 
     properties: dict[str, dict[str, list[Any]]] = field(default_factory=dict)
     values: dict[tuple[str, str], tuple[NDArray[np.int64], NDArray[Any]]] = field(default_factory=dict)
     texts: list[tuple[int | None, int | None, dict[str, Any]]] = field(default_factory=list)
+    logged: dict[str, list[tuple[int, dict[str, Any]]]] = field(default_factory=dict)
     damage: str | None = None
 
 
@@ -256,6 +258,12 @@ def _take(
         found.texts += _texts(batch)
         return
     if layout.FRAME not in names:
+        return
+    if entity == layout.CALIBRATION:
+        of_entity = found.logged.setdefault(entity, [])
+        components = [name for name in names[1:] if name not in (layout.FRAME, layout.TIME, "log_time")]
+        for frame, _, row in _texts(batch):
+            of_entity.append((frame or 0, {name: row[name] for name in components}))
         return
     frames = np.asarray(batch.column(layout.FRAME).to_numpy(zero_copy_only=False))
     if frames.dtype != np.int64:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +56,7 @@ class Session:
         path: The file.
         rows: Everything that has a value a frame, as arrays.
         settings: What the fusion ran with.
-        calibration: R, t and the bone lengths; its ``registration`` is not kept.
+        calibrations: From which frame on it was fused with which, each by a new fuser; the first from 0.
         intrinsics_a, intrinsics_b: Of the depth cameras.
         sources: What the sensors were called, K_A first.
         about: All properties as they were written, by group and name.
@@ -69,7 +69,7 @@ class Session:
     path: Path
     rows: SessionArrays
     settings: FuserSettings
-    calibration: Calibration
+    calibrations: tuple[tuple[int, Calibration], ...]
     intrinsics_a: Intrinsics
     intrinsics_b: Intrinsics
     sources: tuple[str, str]
@@ -93,8 +93,15 @@ class Session:
         path = Path(path)
         found = read_columns(path, lambda entity: not entity.startswith("/bones/"))
         about = _checked_properties(path, found)
-        body, calibration = _calibration(about)
-        rows, checks, lost = _frames(body, calibration.bone_lengths, found)
+        name = about["session"]["body"][0]
+        if name not in BODIES:
+            raise RecordingError(f"{path} is of an unknown body {name!r}. Known: {', '.join(BODIES)}.")
+        calibrations, residuals = _calibrations(path, BODIES[name], found)
+        rows, checks, lost = _frames(BODIES[name], calibrations[-1][1].bone_lengths, found)
+        used = [number < max(len(rows), 1) for number, _ in calibrations]
+        calibrations = [c for c, use in zip(calibrations, used, strict=True) if use]
+        about["calibration"] = {"residual_median": [residuals[len(calibrations) - 1]]}
+        rows = replace(rows, bone_lengths=calibrations[-1][1].bone_lengths)
         damage = found.damage
         end = about.get("end", {}).get("frames")
         if end is None:
@@ -111,7 +118,7 @@ class Session:
             path=path,
             rows=rows,
             settings=_settings(about["settings"]),
-            calibration=calibration,
+            calibrations=tuple(calibrations),
             intrinsics_a=_camera(cameras["a"]),
             intrinsics_b=_camera(cameras["b"]),
             sources=(str(session["source_a"][0]), str(session["source_b"][0])),
@@ -130,6 +137,11 @@ class Session:
     def body(self) -> Body:
         """Which joints these are."""
         return self.rows.body
+
+    @property
+    def calibration(self) -> Calibration:
+        """R, t and the bone lengths, the last where there were several; without its ``registration``."""
+        return self.calibrations[-1][1]
 
     @property
     def first_frame(self) -> int:
@@ -153,9 +165,16 @@ class Session:
         with RrdFile(self.path) as file:
             return sum(1 for _ in _images(file, layout.depth(side)))
 
-    def fuser(self, settings: FuserSettings | None = None) -> Fuser:
-        """A fuser as it was before the first frame, with these settings or the session's own."""
-        return Fuser(self.calibration, settings or self.settings, self.intrinsics_a, self.intrinsics_b)
+    def fusers(self, settings: FuserSettings | None = None) -> Iterator[tuple[Fuser, slice]]:
+        """The fuser of each calibration as it was before its first frame, and which frames are its own.
+
+        Args:
+            settings: To fuse with; the session's own where None.
+        """
+        firsts = [number for number, _ in self.calibrations]
+        for (first, calibration), end in zip(self.calibrations, [*firsts[1:], len(self)], strict=True):
+            settings = settings or self.settings
+            yield Fuser(calibration, settings, self.intrinsics_a, self.intrinsics_b), slice(first, end)
 
     def pairs(self, depth: bool = False) -> Iterator[FramePair]:
         """The pairs as the sensors gave them: a session is a source like any other.
@@ -255,14 +274,24 @@ def _checked_properties(path: Path, found: Columns) -> dict[str, dict[str, list[
     return about
 
 
-def _calibration(about: dict[str, dict[str, list[Any]]]) -> tuple[Body, Calibration]:
-    name = about["session"]["body"][0]
-    if name not in BODIES:
-        raise RecordingError(f"Unknown body {name!r}. Known: {', '.join(BODIES)}.")
-    body, of = BODIES[name], about["calibration"]
-    a_from_b = RigidTransform.of(np.reshape(of["rotation"], (3, 3)), of["translation"])
-    lengths = np.array(of["bone_lengths"], dtype=np.float64)
-    return body, Calibration(body, a_from_b, lengths, str(of["how"][0]))
+def _calibrations(
+    path: Path, body: Body, found: Columns
+) -> tuple[list[tuple[int, Calibration]], list[float]]:
+    """Each with the frame it begins at, in order, and how far apart the views were (median)."""
+    at: dict[int, tuple[Calibration, float]] = {}
+    for frame, of in found.logged.get(layout.CALIBRATION, []):
+        check = of.pop("calibration_crc32", None)
+        if check != [properties_checksum({"calibration": {"frame": frame, **of}})]:
+            raise RecordingError(f"{path}: a calibration in it is damaged; it does not match its checksum.")
+        a_from_b = RigidTransform.of(np.reshape(of["rotation"], (3, 3)), of["translation"])
+        lengths = np.array(of["bone_lengths"], dtype=np.float64)
+        at[frame] = Calibration(body, a_from_b, lengths, str(of["how"][0])), float(of["residual_median"][0])
+    if 0 not in at:
+        raise RecordingError(
+            f"{path}: its calibration is missing" + (f"; {found.damage}." if found.damage else ".")
+        )
+    ordered = sorted(at.items())
+    return [(frame, calibration) for frame, (calibration, _) in ordered], [r for _, (_, r) in ordered]
 
 
 def _settings(of: dict[str, list[Any]]) -> FuserSettings:
@@ -314,6 +343,9 @@ def _frames(
             f"weights_{side}": ((layout.weights(side), "Scalars:scalars"), (J,), np.float64),
             f"clock_{side}": ((layout.clock(side), "captured_ns"), (1,), np.int64),
         }
+    truth = (layout.TRUTH_SKELETON, "Points3D:positions")
+    if truth in found.values:
+        stored["truth"] = (truth, (J, 3), np.float32)
     written = 0
     whole: int | None = None
     at: dict[str, NDArray[Any]] = {}
@@ -353,6 +385,7 @@ def _frames(
             stale_a=at["stale"][:, 0] != 0.0,
             stale_b=at["stale"][:, 1] != 0.0,
             fuse_ms=at["fuse_ms"][:, 0],
+            truth=at["truth"].astype(np.float64) if "truth" in at else None,
         )
     if n:
         fits = frame_checksums(rows) == at["checks"][:, 0]

@@ -57,7 +57,7 @@ def test_a_session_gives_back_what_the_sensors_said(body: Body, fused_run: Fused
 def test_fusing_a_session_again_gives_the_same_bits(settings: FuserSettings, fused_run: FusedRun) -> None:
     session = fused_run(full_of_faults(KINECT_V2), calibration_of(KINECT_V2), settings)
     assert session.settings == settings
-    fuser = session.fuser()
+    ((fuser, _),) = session.fusers()
     again = [fuser.update(pair.skeletons) for pair in session.pairs()]
     fused = np.array([frame.positions for frame in again])
     np.testing.assert_array_equal(fused_checksums(fused), session.fused_checksums)

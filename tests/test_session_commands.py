@@ -43,14 +43,13 @@ def test_real_recordings_replay_bit_for_bit(name: str, shared: Path, tmp_path: P
 def test_a_difference_is_exit_code_1_with_frame_and_joint(
     session: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    true_update = Session.fuser
+    true_fusers = Session.fusers
 
     def biased(self: Session, *arguments: object) -> object:
-        fuser = true_update(self, *arguments)  # type: ignore[arg-type]
-        fuser.calibration.bone_lengths[KINECT_V2.joint("WristLeft")] *= 1.001
-        return fuser
+        self.calibration.bone_lengths[KINECT_V2.joint("WristLeft")] *= 1.001
+        return true_fusers(self, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Session, "fuser", biased)
+    monkeypatch.setattr(Session, "fusers", biased)
     assert duplex("replay", session, "--verify") == 1
     said = " ".join(capsys.readouterr().out.split())
     assert "S* differs from the recorded one in 89 of 90 frames, first at frame 0, joint" in said

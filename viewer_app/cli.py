@@ -12,6 +12,7 @@ import tyro
 
 from viewer_app.options import (
     CompareOptions,
+    DemoOptions,
     ExportOptions,
     FuseOptions,
     InfoOptions,
@@ -21,6 +22,7 @@ from viewer_app.options import (
 )
 
 _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
+    "demo": (DemoOptions, "viewer_app.demo"),
     "fuse": (FuseOptions, "viewer_app.fuse"),
     "replay": (ReplayOptions, "viewer_app.replay"),
     "review": (ReviewOptions, "viewer_app.review"),

@@ -27,9 +27,9 @@ from recordings.recorder import Recorder
 from viewer_app.blueprint import inspect_blueprint
 from viewer_app.errors import UsageError
 from viewer_app.options import FuseOptions
-from viewer_app.outputs import check_writable, whole_file
+from viewer_app.outputs import check_outputs, whole_file
 from viewer_app.report import FusionResult, print_summary, report, report_to_json
-from viewer_app.run import fuse_offline, fuse_one
+from viewer_app.run import fuse_offline, fuse_one, warm_up
 from viewer_app.sinks import has_display, open_stream
 
 
@@ -41,8 +41,8 @@ def run(options: FuseOptions) -> None:
     """
     console = Console()
     window = _wants_window(options)
-    for path in filter(None, (options.save, options.report, options.save_calibration)):
-        check_writable(path, options.force)
+    outputs = (options.save, options.report, options.save_calibration)
+    check_outputs(outputs, (options.a, options.b), options.force)
     settings = FuserSettings(h=options.h, solver=options.solver, weights=options.weights)
     body, pairing = _read(options)
     skeletons = [pair.skeletons for pair in pairing.pairs]
@@ -50,6 +50,7 @@ def run(options: FuseOptions) -> None:
 
     with open_stream(options.save, window, inspect_blueprint(body, _whereabouts(skeletons))) as stream:
         fuser = Fuser(calibration, settings)
+        warm_up(fuser, console)
         recorder = Recorder(stream, fuser, (str(options.a), str(options.b)))
         recorder.event(f"calibrated: {calibration.how}")
         shown = track(

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recordings import layout
-from viewer_app.errors import UsageError
 
 _INK = "#010203"  # stands for the page's text colour until the SVG is written
 _MOST_POINTS = 1500  # a line has a pixel or so for each
@@ -95,12 +94,8 @@ def trust_map(time: NDArray[Any], names: Sequence[str], share: NDArray[Any]) -> 
 
 
 def _figure(width: float, height: float) -> tuple[Any, Any]:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise UsageError(
-            "--html needs the package matplotlib: pip install 'duplex-kinects[report]'."
-        ) from None
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.add_subplot()
     axes.patch.set_visible(False)

@@ -13,7 +13,7 @@ from rich.progress import track
 
 from devices.pairing import Pairing
 from recordings import layout
-from recordings.arrays import SessionArrays
+from recordings.arrays import RecordedFrame, SessionArrays
 from recordings.checksums import fused_checksums
 from recordings.recorder import Recorder
 from recordings.session import Session
@@ -50,15 +50,19 @@ def run(options: ReplayOptions) -> None:
             "Use `duplex compare` for two fusions with different ones."
         )
     print_damage(console, session)
-    fuser = session.fuser(settings)
+    fusers = list(session.fusers(settings))
     window = not options.no_viewer and not options.verify and has_display()
     with open_stream(options.save, window, inspect_blueprint(session.body, whereabouts(session))) as stream:
         about: dict[str, str | int] = {"first_frame": session.first_frame, "replay_of": session.path.name}
-        recorder = Recorder(stream, fuser, session.sources, about=about)
-        recorder.event(f"calibrated: {session.calibration.how}")
+        recorder = Recorder(stream, fusers[0][0], session.sources, about=about)
         pairs = list(session.pairs())
-        shown = track(pairs, "fusing", console=console, transient=True, disable=not console.is_terminal)
-        frames = fuse_offline(shown, fuser, recorder)
+        frames: list[RecordedFrame] = []
+        shown = track(fusers, "fusing", console=console, transient=True, disable=not console.is_terminal)
+        for fuser, own in shown:
+            if own.start > 0:
+                recorder.calibrate(fuser)
+            recorder.event(f"calibrated: {fuser.calibration.how}")
+            frames += fuse_offline(pairs[own], fuser, recorder)
         if options.save is not None:
             for side in layout.SIDES:
                 for frame, image in session.depth(side):

@@ -39,9 +39,6 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
     Args:
         session: The session.
         figures: Its report, :func:`viewer_app.report.report`.
-
-    Raises:
-        UsageError: The plotting library is not installed.
     """
     name = escape(session.path.name)
     body = "\n".join(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterable
+
+from rich.console import Console
 
 from devices.pairing import FramePair
 from fusion.fuser import Fuser
@@ -11,6 +14,17 @@ from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
 
 _BLOCK = 1024  # frames written at a time, so that a viewer shows the work going on
+
+
+def warm_up(fuser: Fuser, console: Console) -> None:
+    """Compiles the kernels before the first frame needs them, with a word where that takes its time."""
+    notice = threading.Timer(1.0, console.print, ["Compiling the kernels; only the first run does this …"])
+    notice.daemon = True
+    notice.start()
+    try:
+        fuser.warm_up()
+    finally:
+        notice.cancel()
 
 
 def fuse_one(fuser: Fuser, pair: FramePair) -> RecordedFrame:
