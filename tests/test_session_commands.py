@@ -154,3 +154,19 @@ def test_a_damaged_session_is_one_line(
     ):
         assert duplex(*command) == 2
         assert "bad.rrd" in one_line(capsys)
+
+
+def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved, part = tmp_path / "demo.rrd", tmp_path / "part.rrd"
+    assert duplex("demo", "--no-viewer", "--seconds", "5", "--depth", "off", "--save", saved) == 0
+    session = Session.open(saved)
+    assert session.damage is None
+    assert session.rows.truth is not None
+    assert len(session.calibrations) > 1
+    assert duplex("replay", saved, "--verify") == 0
+    assert "bit for bit" in " ".join(capsys.readouterr().out.split())
+    assert duplex("trim", saved, "--from", "2", "--save", part) == 0
+    assert Session.open(part).calibrations[0][1].how == session.calibrations[-2][1].how
+    assert duplex("replay", part, "--verify") == 0
