@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.paper_solver import solve_published
 from fusion.reliability import weigh_views
-from fusion.tree_solver import BLOCKS, solve_tree
+from fusion.tree_elimination import BLOCKS
+from fusion.tree_solver import solve_tree
 from fusion.viewing_plane import Intrinsics
 
 EXACT, PAPER = 0, 1

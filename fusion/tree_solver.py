@@ -7,38 +7,33 @@ lengths. One step costs O(J): see :mod:`fusion.tree_elimination`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fusion.errors import FusionError
+from fusion.solver import MAX_ITERATIONS, Solution
 from fusion.tree_elimination import (
     BEST,
+    BLOCKS,
     BONE,
     FORCE,
-    INFORMATION,
     POSITION,
     REDUCED,
     SADDLE,
     STEP,
-    TARGET,
     TRIAL,
     eliminate,
     measure_multipliers,
-    misfit,
     pull,
     retract,
     solve_root,
     substitute,
     update_multipliers,
 )
-from fusion.tree_elimination import (
-    BLOCKS as BLOCKS,
-)
+from fusion.tree_start import load, place
 
-MAX_ITERATIONS = 50
 _STATIONARY = 3e-11  # m: tangential force over the information it acts on
 _LAST_STEP = 1e-4  # of the bone's length: an undamped step below it leaves an error of its square
 _SMALL_STEP = 1e-7  # m: where the force is zero too, a shorter step tells nothing new
@@ -55,82 +50,6 @@ _MORE, _LESS, _NONE = 8.0, 0.03, 1e-9
 _PATIENCE = 8  # steps that may climb before the best point is taken up again
 _PATIENT_DAMPING, _PATIENT_MORE = 1e-8, 6.0
 _LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
-
-
-@njit(cache=True, error_model="numpy")
-def _load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
-    """Targets and information into the workspace; a joint without a finite target has no information."""
-    target, info, bone = work[TARGET], work[INFORMATION], work[BONE]
-    for i in range(targets.shape[0]):
-        if weights.ndim == 1:
-            xx = yy = zz = weights[i]
-            xy = xz = yz = 0.0
-        else:
-            xx, xy, xz = weights[i, 0, 0], weights[i, 0, 1], weights[i, 0, 2]
-            yy, yz, zz = weights[i, 1, 1], weights[i, 1, 2], weights[i, 2, 2]
-        x, y, z = targets[i, 0], targets[i, 1], targets[i, 2]
-        if not (math.isfinite(x + y + z) and xx + yy + zz > 0.0):
-            x = y = z = xx = xy = xz = yy = yz = zz = 0.0
-        target[i, 0], target[i, 1], target[i, 2] = x, y, z
-        info[i, 0], info[i, 1], info[i, 2] = xx, xy, xz
-        info[i, 3], info[i, 4], info[i, 5] = yy, yz, zz
-        bone[i, 3] = lengths[i]
-        bone[i, 4] = 0.0
-        if i != root and not (lengths[i] > 0.0 and math.isfinite(lengths[i])):
-            return False
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _place(parents, order, rest, start, from_targets, work, at):  # type: ignore[no-untyped-def]
-    """A feasible skeleton into ``at``: directions of bones from a source, then the best translation.
-
-    A bone takes its direction from the targets of its two ends (where asked, and where there are any),
-    else from ``start``, else from ``rest``. Where only the far end has a target, the bone points to it.
-
-    Returns:
-        The objective.
-    """
-    target, info, bone = work[TARGET], work[INFORMATION], work[BONE]
-    root = order[0]
-    for c in range(3):
-        at[root, c] = start[root, c] if math.isfinite(start[root, c]) else 0.0
-    if from_targets and info[root, 0] + info[root, 3] + info[root, 5] > 0.0:
-        for c in range(3):
-            at[root, c] = target[root, c]
-    for k in range(1, len(order)):
-        i = order[k]
-        p = parents[i]
-        length = bone[i, 3]
-        norm = 0.0
-        x = y = z = 0.0
-        if from_targets and info[i, 0] + info[i, 3] + info[i, 5] > 0.0:
-            source = target if info[p, 0] + info[p, 3] + info[p, 5] > 0.0 else at
-            x, y, z = target[i, 0] - source[p, 0], target[i, 1] - source[p, 1], target[i, 2] - source[p, 2]
-            norm = math.sqrt(x * x + y * y + z * z)
-        if not norm > 1e-9 * length:
-            x, y, z = start[i, 0] - start[p, 0], start[i, 1] - start[p, 1], start[i, 2] - start[p, 2]
-            norm = math.sqrt(x * x + y * y + z * z)
-        if not (norm > 1e-9 * length and math.isfinite(norm)):
-            x, y, z = rest[i, 0], rest[i, 1], rest[i, 2]
-            norm = math.sqrt(x * x + y * y + z * z)
-        scale = length / norm
-        at[i, 0], at[i, 1], at[i, 2] = at[p, 0] + x * scale, at[p, 1] + y * scale, at[p, 2] + z * scale
-    weight = x = y = z = 0.0
-    for i in range(len(order)):
-        w = info[i, 0] + info[i, 3] + info[i, 5]
-        weight += w
-        x += w * (target[i, 0] - at[i, 0])
-        y += w * (target[i, 1] - at[i, 1])
-        z += w * (target[i, 2] - at[i, 2])
-    objective = 0.0
-    for i in range(len(order)):
-        if weight > 0.0:
-            at[i, 0] += x / weight
-            at[i, 1] += y / weight
-            at[i, 2] += z / weight
-        objective += misfit(info, target, at, i)
-    return objective
 
 
 @njit(cache=True, error_model="numpy")
@@ -222,10 +141,10 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         (iterations, objective, converged): an iteration is one linear system, its step kept or not;
         (-1, NaN, False) where a bone length is not positive.
     """
-    if not _load(targets, weights, lengths, order[0], work):
+    if not load(targets, weights, lengths, order[0], work):
         return -1, math.nan, False
-    objective = _place(parents, order, rest, start, False, work, work[POSITION])
-    from_targets = _place(parents, order, rest, start, True, work, work[TRIAL])
+    objective = place(parents, order, rest, start, False, work, work[POSITION])
+    from_targets = place(parents, order, rest, start, True, work, work[TRIAL])
     if from_targets < objective:
         objective = from_targets
         _keep(TRIAL, POSITION, work)
@@ -308,23 +227,6 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         for c in range(3):
             positions[i, c] = work[POSITION, i, c]
     return iterations, objective, converged
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """S* of one frame.
-
-    Attributes:
-        positions: (J, 3) metres, in the frame of the targets.
-        iterations: Linear systems solved.
-        objective: Σ (x - m)ᵀ W (x - m) there, in m² times the unit of the weights.
-        converged: Whether the solver's own criterion was met before the iterations ran out.
-    """
-
-    positions: NDArray[np.float64]
-    iterations: int
-    objective: float
-    converged: bool
 
 
 class TreeSolver:

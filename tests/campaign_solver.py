@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from fusion.body import BODIES, Body
-from fusion.tree_solver import MAX_ITERATIONS, Solution, TreeSolver
+from fusion.solver import MAX_ITERATIONS, Solution
+from fusion.tree_solver import TreeSolver
 
 BONE_TOLERANCE = 1e-6  # m, the claim
 # m: force over the information it acts on, as if it were a joint's distance from its target. The solver's
