@@ -7,6 +7,7 @@ go unnoticed.
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -20,9 +21,8 @@ def drop_stale_kernels(package: Path) -> None:
     Args:
         package: The folder of the sources.
     """
-    newest = max(source.stat().st_mtime_ns for source in package.glob("*.py"))
     with suppress(OSError):
-        for kernel in (package / "__pycache__").glob("*.nb[ic]"):
-            with suppress(FileNotFoundError):  # another process may be doing the same
-                if kernel.stat().st_mtime_ns <= newest:
-                    kernel.unlink()
+        newest = max(entry.stat().st_mtime_ns for entry in os.scandir(package) if entry.name.endswith(".py"))
+        for entry in os.scandir(package / "__pycache__"):
+            if entry.name.endswith(".nbi") and entry.stat().st_mtime_ns <= newest:
+                Path(entry).unlink(missing_ok=True)  # the index; without it its kernels are made anew
