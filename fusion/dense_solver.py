@@ -61,11 +61,11 @@ class DenseSolver:
                     break
                 tau *= 0.5
             if f_trial > f:
-                return Solution(x, iteration, f, converged=bool(np.abs(d).max() < 1e-6))
+                return Solution(x, iteration, f, bool(np.abs(d).max() < 1e-6), iteration)
             x, f = trial, f_trial
             if np.abs(d).max() < _STEP_TOLERANCE:
-                return Solution(x, iteration, f, converged=True)
-        return Solution(x, MAX_ITERATIONS, f, converged=False)
+                return Solution(x, iteration, f, True, iteration)
+        return Solution(x, MAX_ITERATIONS, f, False, MAX_ITERATIONS)
 
     def _starts(
         self,

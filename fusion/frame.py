@@ -291,7 +291,7 @@ def _solve(model, memory, positions):  # type: ignore[no-untyped-def]
             memory.paper_work,
         )  # fmt: skip
         return iterations
-    iterations, _, _ = solve_tree(
+    iterations, _, _, _ = solve_tree(
         model.parents, model.order, model.rest, memory.targets, memory.weights, model.bone_lengths,
         memory.before, memory.tree_work, positions,
     )  # fmt: skip

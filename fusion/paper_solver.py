@@ -170,4 +170,4 @@ class PaperSolver:
         iterations, objective, converged = solve_published(
             self.parents, m, w, lengths, self.line_search, at, self._work
         )
-        return Solution(at, iterations, objective, converged)
+        return Solution(at, iterations, objective, converged, iterations)

@@ -25,15 +25,17 @@ class Solution:
 
     Attributes:
         positions: (J, 3) metres, in the frame of the targets.
-        iterations: Linear systems solved.
+        iterations: Steps to a better point.
         objective: Σ (x - m)ᵀ W (x - m) there, in m² times the unit of the weights.
         converged: Whether the solver's own criterion was met before the iterations ran out.
+        systems: Linear systems solved: the work, line searches included.
     """
 
     positions: NDArray[np.float64]
     iterations: int
     objective: float
     converged: bool
+    systems: int
 
 
 class Solver(Protocol):
