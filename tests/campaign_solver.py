@@ -212,8 +212,8 @@ def main() -> None:
         compared, lower, higher = run_slsqp(options.slsqp, options.first, body)
         low, high = interval(lower, compared)
         print(
-            f"{compared} problems of <= 50 mm noise: SLSQP lower in {lower} ({lower / compared:.2%}, 95 % interval "
-            f"{low:.2%} to {high:.2%}), higher or infeasible in {higher}"
+            f"{compared} problems of <= 50 mm noise: SLSQP lower in {lower} ({lower / compared:.2%}, 95 % "
+            f"interval {low:.2%} to {high:.2%}), higher or infeasible in {higher}"
         )
 
 

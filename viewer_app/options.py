@@ -46,3 +46,15 @@ class FuseOptions:
     """Keep the sensors' placement and the bone lengths in a file."""
     force: bool = False
     """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
+class BenchSpeedOptions:
+    """What a frame costs on this machine: solvers side by side, the update by stages, batch and writing."""
+
+    json: Path | None = None
+    """Write all figures as JSON."""
+    recording: tuple[Path, Path] | None = None
+    """Recordings A and B to measure warm starts and the update on; simulated sensors where not given."""
+    force: bool = False
+    """Overwrite files that exist."""
