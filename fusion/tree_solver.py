@@ -56,6 +56,8 @@ _FIRST_DAMPING = 1e-5
 _MORE, _LESS, _NONE = 8.0, 0.03, 1e-9
 _PATIENCE = 8  # steps that may climb before the best point is taken up again
 _PATIENT_DAMPING, _PATIENT_MORE = 1e-8, 6.0
+_CLIMBS = 4  # lost; a valley that bends so sharply is followed with less daring:
+_LITTLE_LESS, _SHORT_CLIMB = 0.3, 3
 _LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
 
 
@@ -109,7 +111,8 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         keep(TRIAL, POSITION, work)
     root = order[0]
     step = work[STEP]
-    iterations = systems = crawling = stationary_points = patience = 0
+    iterations = systems = crawling = stationary_points = patience = climbs_lost = 0
+    less, longest_climb, damping_before = _LESS, _PATIENCE, 0.0
     damping = 0.0
     kick = _KICK
     last_step = math.inf
@@ -165,10 +168,12 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             if ratio < 0.1:
                 damping = max(2.0 * damping, _FIRST_DAMPING)
             elif ratio > 0.25:
-                damping = damping * _LESS if damping > _NONE else 0.0
-        elif patience < _PATIENCE and max(best_step, relative) < _LONGEST:
+                damping = damping * less if damping > _NONE else 0.0
+        elif patience < longest_climb and max(best_step, relative) < _LONGEST:
             patience += 1
-            if patience > 1:
+            if patience == 1:
+                damping_before = damping
+            else:
                 damping = max(_PATIENT_MORE * damping, _PATIENT_DAMPING)
         else:
             keep(BEST, POSITION, work)
@@ -176,6 +181,10 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
                 work[BONE, i, 4] = work[BEST, i, 3]
             objective = best
             last_step = math.inf
+            if patience > 0:
+                climbs_lost += 1
+                if climbs_lost >= _CLIMBS:
+                    less, longest_climb, damping = _LITTLE_LESS, _SHORT_CLIMB, damping_before
             patience = 0
             damping = max(_MORE * damping, _FIRST_DAMPING)
             if stationary:
