@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.paper_solver import solve_published
 from fusion.reliability import weigh_views
-from fusion.tree_solver import BLOCKS, solve_tree
+from fusion.tree_elimination import BLOCKS
+from fusion.tree_solver import solve_tree
 from fusion.viewing_plane import Intrinsics
 
 EXACT, PAPER = 0, 1
@@ -151,21 +152,19 @@ def fuse_frames(model, memory, result, time_ns, a, states_a, b, states_b):  # ty
         result.counts[k, 2] = _repeats(b[k], states_b[k], memory.last_b, memory.last_states_b)
         if time_ns[k] - memory.before_ns[0] > FORGET_NS:
             memory.before_ns[1] = 0
-        _carry(model, memory, a[k], states_a[k], b[k], states_b[k])
+        carry(model, memory, a[k], states_a[k], b[k], states_b[k])
         result.translation[k] = memory.translation
         weights_a, weights_b = result.weights_a[k], result.weights_b[k]
-        _trust(
-            model, memory, a[k], states_a[k], b[k], states_b[k], weights_a, weights_b, result.misleading[k]
-        )
-        anyone = _blend(memory, a[k], weights_a, weights_b, result.predicted[k])
+        trust(model, memory, a[k], states_a[k], b[k], states_b[k], weights_a, weights_b, result.misleading[k])
+        anyone = blend(memory, a[k], weights_a, weights_b, result.predicted[k])
         positions = result.positions[k]
         result.counts[k, 0] = 0
         if not anyone:
             positions[:] = np.nan
             continue
         if memory.before_ns[1] == 0:
-            _first_guess(model, memory)
-        result.counts[k, 0] = _solve(model, memory, positions)
+            first_guess(model, memory)
+        result.counts[k, 0] = solve(model, memory, positions)
         memory.before[:] = positions
         memory.before_ns[0], memory.before_ns[1] = time_ns[k], 1
 
@@ -186,7 +185,7 @@ def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True, error_model="numpy")
-def _carry(model, memory, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+def carry(model, memory, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
     """t = c_p − R c_q over the torso joints both have (sec. 4), else unchanged; then q' = R q + t."""
     R, t = model.rotation, memory.translation
     count = 0
@@ -219,7 +218,7 @@ def _project(positions, focal, pixels):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
+def trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
     """w_A and w_B, eqs. (10), (11), or half each; all of a view where the other has no position."""
     if model.weights == EQUAL:
         for i in range(len(states_a)):
@@ -238,7 +237,7 @@ def _trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, mislea
 
 
 @njit(cache=True, error_model="numpy")
-def _blend(memory, a, weights_a, weights_b, predicted):  # type: ignore[no-untyped-def]
+def blend(memory, a, weights_a, weights_b, predicted):  # type: ignore[no-untyped-def]
     """m_i and w_i of eq. (1): the weighted mean of the views, NaN and 0 for a joint without data."""
     anyone = False
     for i in range(len(weights_a)):
@@ -257,7 +256,7 @@ def _blend(memory, a, weights_a, weights_b, predicted):  # type: ignore[no-untyp
 
 
 @njit(cache=True, error_model="numpy")
-def _first_guess(model, memory):  # type: ignore[no-untyped-def]
+def first_guess(model, memory):  # type: ignore[no-untyped-def]
     """The targets as if they were the frame before; joints without one hang on their parents as at rest."""
     before, targets = memory.before, memory.targets
     root = model.order[0]
@@ -277,7 +276,7 @@ def _first_guess(model, memory):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _solve(model, memory, positions):  # type: ignore[no-untyped-def]
+def solve(model, memory, positions):  # type: ignore[no-untyped-def]
     """S* by the model's solver, warm-started from the frame before.
 
     Returns:
@@ -290,7 +289,7 @@ def _solve(model, memory, positions):  # type: ignore[no-untyped-def]
             memory.paper_work,
         )  # fmt: skip
         return iterations
-    iterations, _, _ = solve_tree(
+    iterations, _, _, _ = solve_tree(
         model.parents, model.order, model.rest, memory.targets, memory.weights, model.bone_lengths,
         memory.before, memory.tree_work, positions,
     )  # fmt: skip

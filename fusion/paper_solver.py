@@ -13,9 +13,8 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from fusion.errors import FusionError
-from fusion.tree_solver import Solution
+from fusion.solver import MAX_ITERATIONS, Solution
 
-MAX_ITERATIONS = 50  # sec. 2
 _STEP_TOLERANCE = 1e-5  # m: the paper's ‖d‖ < 1e-5
 _SHORTEST = 2.0**-20  # of a full step: below it the line search gives up
 _NO_DATA = 1e-9  # of the mean weight: what keeps H of eq. (7) invertible for a joint without data
@@ -171,4 +170,4 @@ class PaperSolver:
         iterations, objective, converged = solve_published(
             self.parents, m, w, lengths, self.line_search, at, self._work
         )
-        return Solution(at, iterations, objective, converged)
+        return Solution(at, iterations, objective, converged, iterations)

@@ -7,45 +7,47 @@ lengths. One step costs O(J): see :mod:`fusion.tree_elimination`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fusion.errors import FusionError
+from fusion.solver import MAX_ITERATIONS, Solution
 from fusion.tree_elimination import (
     BEST,
+    BLOCKS,
     BONE,
     FORCE,
-    INFORMATION,
     POSITION,
     REDUCED,
     SADDLE,
     STEP,
-    TARGET,
     TRIAL,
     eliminate,
     measure_multipliers,
-    misfit,
     pull,
     retract,
     solve_root,
     substitute,
     update_multipliers,
 )
-from fusion.tree_elimination import (
-    BLOCKS as BLOCKS,
-)
+from fusion.tree_start import load, place
+from fusion.tree_steps import keep, leave_saddle, stretch
 
-MAX_ITERATIONS = 50
+MAX_SYSTEMS = 150
+"""What bounds the work: some 0.3 ms."""
 _STATIONARY = 3e-11  # m: tangential force over the information it acts on
 _LAST_STEP = 1e-4  # of the bone's length: an undamped step below it leaves an error of its square
 _SMALL_STEP = 1e-7  # m: where the force is zero too, a shorter step tells nothing new
 _ROUNDING = 1e-14  # relative: two objectives nearer than this are the same
 _NEAR_SADDLE = 0.01  # of the bone's length: a shorter step, with a negative pivot, crawls along a saddle
+_CRAWL, _CRAWLED = (
+    0.01,
+    5,
+)  # of the objective: so many smaller gains in a row, with a negative pivot, crawl too
+_FLAT_MINIMUM = 4  # stationary points met; more of them have curvature of no more than rounding
 _KICK = 0.5  # of the bone's length: how far a saddle is left at once
-_DOUBLINGS = 6
 _SHORTER_KICK = 0.2  # after patience ran out
 
 # Levenberg's damping, as a share of the subtree's information. The values were chosen on random problems
@@ -54,134 +56,9 @@ _FIRST_DAMPING = 1e-5
 _MORE, _LESS, _NONE = 8.0, 0.03, 1e-9
 _PATIENCE = 8  # steps that may climb before the best point is taken up again
 _PATIENT_DAMPING, _PATIENT_MORE = 1e-8, 6.0
+_CLIMBS = 4  # lost; a valley that bends so sharply is followed with less daring:
+_LITTLE_LESS, _SHORT_CLIMB = 0.3, 3
 _LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
-
-
-@njit(cache=True, error_model="numpy")
-def _load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
-    """Targets and information into the workspace; a joint without a finite target has no information."""
-    target, info, bone = work[TARGET], work[INFORMATION], work[BONE]
-    for i in range(targets.shape[0]):
-        if weights.ndim == 1:
-            xx = yy = zz = weights[i]
-            xy = xz = yz = 0.0
-        else:
-            xx, xy, xz = weights[i, 0, 0], weights[i, 0, 1], weights[i, 0, 2]
-            yy, yz, zz = weights[i, 1, 1], weights[i, 1, 2], weights[i, 2, 2]
-        x, y, z = targets[i, 0], targets[i, 1], targets[i, 2]
-        if not (math.isfinite(x + y + z) and xx + yy + zz > 0.0):
-            x = y = z = xx = xy = xz = yy = yz = zz = 0.0
-        target[i, 0], target[i, 1], target[i, 2] = x, y, z
-        info[i, 0], info[i, 1], info[i, 2] = xx, xy, xz
-        info[i, 3], info[i, 4], info[i, 5] = yy, yz, zz
-        bone[i, 3] = lengths[i]
-        bone[i, 4] = 0.0
-        if i != root and not (lengths[i] > 0.0 and math.isfinite(lengths[i])):
-            return False
-    return True
-
-
-@njit(cache=True, error_model="numpy")
-def _place(parents, order, rest, start, from_targets, work, at):  # type: ignore[no-untyped-def]
-    """A feasible skeleton into ``at``: directions of bones from a source, then the best translation.
-
-    A bone takes its direction from the targets of its two ends (where asked, and where there are any),
-    else from ``start``, else from ``rest``. Where only the far end has a target, the bone points to it.
-
-    Returns:
-        The objective.
-    """
-    target, info, bone = work[TARGET], work[INFORMATION], work[BONE]
-    root = order[0]
-    for c in range(3):
-        at[root, c] = start[root, c] if math.isfinite(start[root, c]) else 0.0
-    if from_targets and info[root, 0] + info[root, 3] + info[root, 5] > 0.0:
-        for c in range(3):
-            at[root, c] = target[root, c]
-    for k in range(1, len(order)):
-        i = order[k]
-        p = parents[i]
-        length = bone[i, 3]
-        norm = 0.0
-        x = y = z = 0.0
-        if from_targets and info[i, 0] + info[i, 3] + info[i, 5] > 0.0:
-            source = target if info[p, 0] + info[p, 3] + info[p, 5] > 0.0 else at
-            x, y, z = target[i, 0] - source[p, 0], target[i, 1] - source[p, 1], target[i, 2] - source[p, 2]
-            norm = math.sqrt(x * x + y * y + z * z)
-        if not norm > 1e-9 * length:
-            x, y, z = start[i, 0] - start[p, 0], start[i, 1] - start[p, 1], start[i, 2] - start[p, 2]
-            norm = math.sqrt(x * x + y * y + z * z)
-        if not (norm > 1e-9 * length and math.isfinite(norm)):
-            x, y, z = rest[i, 0], rest[i, 1], rest[i, 2]
-            norm = math.sqrt(x * x + y * y + z * z)
-        scale = length / norm
-        at[i, 0], at[i, 1], at[i, 2] = at[p, 0] + x * scale, at[p, 1] + y * scale, at[p, 2] + z * scale
-    weight = x = y = z = 0.0
-    for i in range(len(order)):
-        w = info[i, 0] + info[i, 3] + info[i, 5]
-        weight += w
-        x += w * (target[i, 0] - at[i, 0])
-        y += w * (target[i, 1] - at[i, 1])
-        z += w * (target[i, 2] - at[i, 2])
-    objective = 0.0
-    for i in range(len(order)):
-        if weight > 0.0:
-            at[i, 0] += x / weight
-            at[i, 1] += y / weight
-            at[i, 2] += z / weight
-        objective += misfit(info, target, at, i)
-    return objective
-
-
-@njit(cache=True, error_model="numpy")
-def _keep(source, target, work):  # type: ignore[no-untyped-def]
-    """Copies the joints of one block to another."""
-    for i in range(work.shape[1]):
-        for c in range(3):
-            work[target, i, c] = work[source, i, c]
-
-
-@njit(cache=True, error_model="numpy")
-def _leave_saddle(parents, order, saddle, s1, s2, length, work):  # type: ignore[no-untyped-def]
-    """A step along the direction of negative curvature that the joint ``saddle`` found, downhill if anything.
-
-    Its own step (s1, s2) has the pivot's negative eigenvalue; every joint below follows as the elimination
-    says, so that the curvature along the whole is just that eigenvalue. The root's is in its row already.
-    """
-    step = work[STEP]
-    if saddle != order[0]:
-        step[order[0], 2] = step[order[0], 3] = step[order[0], 4] = 0.0
-        step[saddle, 0], step[saddle, 1] = s1, s2
-    slope, relative, _ = substitute(parents, order, work, saddle)
-    scale = length / max(relative, 1e-3)
-    if slope > 0.0:
-        scale = -scale
-    _scale(step, scale)
-    return slope * scale
-
-
-@njit(cache=True, error_model="numpy")
-def _stretch(parents, order, trial, work):  # type: ignore[no-untyped-def]
-    """Doubles a downhill step while the objective falls: a Gauss–Newton step is too short where curvature is
-    negative. Returns the objective at the trial point."""
-    step = work[STEP]
-    factor = 2.0
-    for _ in range(_DOUBLINGS):
-        _scale(step, factor)
-        longer = retract(parents, order, work)
-        if not longer < trial:
-            _scale(step, 1.0 / factor)
-            return retract(parents, order, work)
-        trial = longer
-    return trial
-
-
-@njit(cache=True, error_model="numpy")
-def _scale(step, factor):  # type: ignore[no-untyped-def]
-    """The step of every joint, times a factor."""
-    for i in range(len(step)):
-        for c in range(5):
-            step[i, c] *= factor
 
 
 @njit(cache=True, error_model="numpy")
@@ -203,7 +80,10 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     Globalisation: where the objective does not fall as predicted, up to ``_PATIENCE`` steps with growing
     damping may still bring it below the last good point, around the bend of a narrow valley; else that point
     is taken up again with more damping. A stationary point with a negative pivot is a saddle or a maximum
-    and is left along the curvature.
+    and is left along the curvature; so is a place where Gauss–Newton steps gain next to nothing.
+
+    An iteration ends at a better point. The steps on the way there, each with a linear system of its own, are
+    its line search: those that more damping replaced, and those that were climbing. At most ``MAX_SYSTEMS``.
 
     It starts from the better of ``start`` and the directions between targets, both with the bones' lengths.
 
@@ -219,20 +99,20 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         positions: (J, 3) out: the solution.
 
     Returns:
-        (iterations, objective, converged): an iteration is one linear system, its step kept or not;
-        (-1, NaN, False) where a bone length is not positive.
+        (iterations, systems, objective, converged), as in :class:`fusion.solver.Solution`; iterations are -1
+        where a bone length is not positive.
     """
-    if not _load(targets, weights, lengths, order[0], work):
-        return -1, math.nan, False
-    objective = _place(parents, order, rest, start, False, work, work[POSITION])
-    from_targets = _place(parents, order, rest, start, True, work, work[TRIAL])
+    if not load(targets, weights, lengths, order[0], work):
+        return -1, 0, math.nan, False
+    objective = place(parents, order, rest, start, False, work, work[POSITION])
+    from_targets = place(parents, order, rest, start, True, work, work[TRIAL])
     if from_targets < objective:
         objective = from_targets
-        _keep(TRIAL, POSITION, work)
+        keep(TRIAL, POSITION, work)
     root = order[0]
     step = work[STEP]
-    iterations = 0
-    patience = 0
+    iterations = systems = crawling = stationary_points = patience = climbs_lost = 0
+    less, longest_climb, damping_before = _LESS, _PATIENCE, 0.0
     damping = 0.0
     kick = _KICK
     last_step = math.inf
@@ -244,6 +124,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             converged = True
             break
         if stationary:
+            stationary_points += 1
             measure_multipliers(order, work)
         scale = step[root, 5]
         saddle, s1, s2 = eliminate(parents, order, work, damping, False)
@@ -255,76 +136,71 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             x, y, z, _, _, _, _ = solve_root(work[REDUCED, root], work[FORCE, root], scale)
         step[root, 2], step[root, 3], step[root, 4] = x, y, z
         slope, relative, longest = substitute(parents, order, work, -1)
-        if saddle < 0 and stationary and (longest < _SMALL_STEP or -slope <= _ROUNDING * objective):
+        settled = (
+            longest < _SMALL_STEP or -slope <= _ROUNDING * objective or stationary_points > _FLAT_MINIMUM
+        )
+        if saddle < 0 and stationary and settled:
             converged = True
             break
-        if iterations == MAX_ITERATIONS:
+        if iterations == MAX_ITERATIONS or systems == MAX_SYSTEMS:
             break
-        iterations += 1
-        if saddle >= 0 and relative < _NEAR_SADDLE:
+        systems += 1
+        if saddle >= 0 and (relative < _NEAR_SADDLE or crawling == _CRAWLED):
+            crawling = 0
             eliminate(parents, order, work, damping, False)
             step[root, 2], step[root, 3], step[root, 4] = vx, vy, vz
-            slope = _leave_saddle(parents, order, saddle, s1, s2, kick, work)
+            slope = leave_saddle(parents, order, saddle, s1, s2, kick, work)
             relative = kick
         trial = retract(parents, order, work)
         if saddle >= 0 and trial < objective:
-            trial = _stretch(parents, order, trial, work)
+            trial = stretch(parents, order, trial, work)
         if patience == 0:
             best, best_step, predicted = objective, relative, -0.5 * slope
-            _keep(POSITION, BEST, work)
+            keep(POSITION, BEST, work)
             for i in range(len(order)):
                 work[BEST, i, 3] = work[BONE, i, 4]
         slack = _ROUNDING * best
         ratio = (best - trial + slack) / (predicted + slack)
         if ratio >= 0.01:
+            iterations += 1
             patience = 0
+            crawling = crawling + 1 if saddle >= 0 and objective - trial < _CRAWL * objective else 0
             if ratio < 0.1:
                 damping = max(2.0 * damping, _FIRST_DAMPING)
             elif ratio > 0.25:
-                damping = damping * _LESS if damping > _NONE else 0.0
-        elif patience < _PATIENCE and max(best_step, relative) < _LONGEST:
+                damping = damping * less if damping > _NONE else 0.0
+        elif patience < longest_climb and max(best_step, relative) < _LONGEST:
             patience += 1
-            if patience > 1:
+            if patience == 1:
+                damping_before = damping
+            else:
                 damping = max(_PATIENT_MORE * damping, _PATIENT_DAMPING)
         else:
-            _keep(BEST, POSITION, work)
+            keep(BEST, POSITION, work)
             for i in range(len(order)):
                 work[BONE, i, 4] = work[BEST, i, 3]
             objective = best
             last_step = math.inf
+            if patience > 0:
+                climbs_lost += 1
+                if climbs_lost >= _CLIMBS:
+                    less, longest_climb, damping = _LITTLE_LESS, _SHORT_CLIMB, damping_before
             patience = 0
             damping = max(_MORE * damping, _FIRST_DAMPING)
             if stationary:
                 kick *= _SHORTER_KICK
             continue
         update_multipliers(order, work)
-        _keep(TRIAL, POSITION, work)
+        keep(TRIAL, POSITION, work)
         objective = trial
         last_step = relative if saddle < 0 and damping == 0.0 else math.inf
     if patience > 0 and best < objective and not converged:
-        _keep(BEST, POSITION, work)
+        keep(BEST, POSITION, work)
         objective = best
     for i in range(len(order)):
         for c in range(3):
             positions[i, c] = work[POSITION, i, c]
-    return iterations, objective, converged
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """S* of one frame.
-
-    Attributes:
-        positions: (J, 3) metres, in the frame of the targets.
-        iterations: Linear systems solved.
-        objective: Σ (x - m)ᵀ W (x - m) there, in m² times the unit of the weights.
-        converged: Whether the solver's own criterion was met before the iterations ran out.
-    """
-
-    positions: NDArray[np.float64]
-    iterations: int
-    objective: float
-    converged: bool
+    return iterations, systems, objective, converged
 
 
 class TreeSolver:
@@ -397,9 +273,9 @@ class TreeSolver:
                 f"{lengths.shape}, start {near.shape}."
             )
         positions = np.empty((joints, 3))
-        iterations, objective, converged = solve_tree(
+        iterations, systems, objective, converged = solve_tree(
             self.parents, self.order, self.rest, m, W, lengths, near, self._work, positions
         )
         if iterations < 0:
             raise FusionError(f"Every bone needs a length > 0 m; got {lengths[self.order[1:]].min()}.")
-        return Solution(positions, iterations, objective, converged)
+        return Solution(positions, iterations, objective, converged, systems)

@@ -7,7 +7,8 @@ import pytest
 
 from fusion.body import KINECT_V1
 from fusion.errors import FusionError
-from fusion.paper_solver import MAX_ITERATIONS, PaperSolver
+from fusion.paper_solver import PaperSolver
+from fusion.solver import MAX_ITERATIONS
 from fusion.tree_solver import TreeSolver
 
 PARENTS = KINECT_V1.parent_indices

@@ -6,32 +6,27 @@ import importlib
 import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 
-from viewer_app.options import (
-    CompareOptions,
-    DemoOptions,
-    ExportOptions,
-    FuseOptions,
-    InfoOptions,
-    ReplayOptions,
-    ReviewOptions,
-    TrimOptions,
-)
+from viewer_app import options as of
 
 _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
-    "demo": (DemoOptions, "viewer_app.demo"),
-    "fuse": (FuseOptions, "viewer_app.fuse"),
-    "replay": (ReplayOptions, "viewer_app.replay"),
-    "review": (ReviewOptions, "viewer_app.review"),
-    "compare": (CompareOptions, "viewer_app.compare"),
-    "export": (ExportOptions, "viewer_app.export"),
-    "trim": (TrimOptions, "viewer_app.trim"),
-    "info": (InfoOptions, "viewer_app.info"),
+    "demo": (of.DemoOptions, "viewer_app.demo"),
+    "fuse": (of.FuseOptions, "viewer_app.fuse"),
+    "replay": (of.ReplayOptions, "viewer_app.replay"),
+    "review": (of.ReviewOptions, "viewer_app.review"),
+    "compare": (of.CompareOptions, "viewer_app.compare"),
+    "export": (of.ExportOptions, "viewer_app.export"),
+    "trim": (of.TrimOptions, "viewer_app.trim"),
+    "info": (of.InfoOptions, "viewer_app.info"),
+    "bench accuracy": (of.BenchAccuracyOptions, "viewer_app.bench_accuracy"),
+    "bench speed": (of.BenchSpeedOptions, "viewer_app.bench_speed"),
 }
-"""By name: the options, and the module whose ``run`` carries the command out."""
+"""By name, ``group command`` or ``command``: the options, and the module whose ``run`` carries it out."""
+
+_GROUPS = {"bench": "Measure the method on this machine."}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -41,8 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: What follows the program's name; those of the process where None.
     """
     os.environ.setdefault("RERUN_ANALYTICS", "0")
-    options = tyro.extras.subcommand_cli_from_dict(
-        {name: options for name, (options, _) in _COMMANDS.items()},
+    options = tyro.cli(
+        _command_line(),
         args=arguments,
         prog="duplex",
         description="One skeleton from two Kinects.",
@@ -59,6 +54,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise
         print(f"duplex: {error}", file=sys.stderr)
         sys.exit(2)
+
+
+def _command_line() -> Any:
+    """The table as a union of subcommands, a group being a union within it."""
+    nothing = Annotated[None, tyro.conf.Suppress]  # no one can choose it; a union needs two
+    commands: Any = nothing
+    groups: dict[str, Any] = dict.fromkeys(_GROUPS, nothing)
+    for name, (options, _) in _COMMANDS.items():
+        group, _, command = name.rpartition(" ")
+        subcommand = Annotated[Any, tyro.conf.subcommand(command, constructor=options)]
+        if group:
+            groups[group] |= subcommand
+        else:
+            commands |= subcommand
+    for name, union in groups.items():
+        commands |= Annotated[Any, tyro.conf.subcommand(name, constructor=union, description=_GROUPS[name])]
+    return commands
 
 
 def _mistakes() -> tuple[type[Exception], ...]:

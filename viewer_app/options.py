@@ -198,3 +198,15 @@ class ExportOptions:
     """Of a .csv: a row a joint and skeleton, or a row a frame with S* alone."""
     force: bool = False
     """Overwrite a file that exists."""
+
+
+@dataclass(frozen=True)
+class BenchSpeedOptions:
+    """What a frame costs on this machine: solvers side by side, the update by stages, batch and writing."""
+
+    json: Path | None = None
+    """Write all figures as JSON."""
+    recording: tuple[Path, Path] | None = None
+    """Recordings A and B to measure warm starts and the update on; simulated sensors where not given."""
+    force: bool = False
+    """Overwrite files that exist."""

@@ -15,7 +15,7 @@ from rich.table import Table
 from devices.pairing import Pairing
 from fusion.calibration import Calibration
 from fusion.fuser import FuserSettings
-from fusion.tree_solver import MAX_ITERATIONS
+from fusion.solver import MAX_ITERATIONS
 from recordings.arrays import SessionArrays
 
 Figures = dict[str, Any]

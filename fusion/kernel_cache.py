@@ -1,0 +1,28 @@
+"""Compiled kernels on disk, and when they no longer fit their sources.
+
+numba keeps a compiled kernel until the file that the kernel itself stands in changes. But a kernel holds the
+code of the kernels that it calls, and the values of the constants it imports: an edit of *those* files would
+go unnoticed.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+
+def drop_stale_kernels(package: Path) -> None:
+    """Deletes the compiled kernels of a package that are older than its newest source.
+
+    Only an edit in place can leave a stale kernel behind, and it makes a newest source. Where the folder is
+    read-only nobody edits either.
+
+    Args:
+        package: The folder of the sources.
+    """
+    with suppress(OSError):
+        newest = max(entry.stat().st_mtime_ns for entry in os.scandir(package) if entry.name.endswith(".py"))
+        for entry in os.scandir(package / "__pycache__"):
+            if entry.name.endswith(".nbi") and entry.stat().st_mtime_ns <= newest:
+                Path(entry).unlink(missing_ok=True)  # the index; without it its kernels are made anew

@@ -1,0 +1,100 @@
+"""Claims about ``duplex bench speed``: it compares like with like, and asks nothing of the start."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion.body import KINECT_V1, KINECT_V2
+from fusion.calibration import Calibration
+from fusion.fuser import Fuser
+from tests.conftest import A_FROM_B, FRAME_NS, moving, pair_of
+from viewer_app import bench_speed, bench_update, cli
+from viewer_app.bench_solvers import random_frames, time_solvers
+from viewer_app.options import BenchSpeedOptions
+
+
+def test_every_solver_solves_the_same_problem() -> None:
+    by_name = {timing.name: timing for timing in time_solvers(random_frames(4))}
+    exact, published = by_name["exact"], by_name["paper's scheme (numba)"]
+    assert exact.bone_error_mm < 1e-9
+    assert published.bone_error_mm > 1e4 * exact.bone_error_mm
+    assert published.excess < 0.0  # wrong bones buy a lower objective
+    for name in ("SLSQP, all derivatives", "SLSQP, none given"):
+        assert by_name[name].off_mm < 0.01  # the claim: the same optimum
+        assert by_name[name].iterations > exact.iterations
+
+
+def test_ceres_comes_to_the_same_joints() -> None:
+    pytest.importorskip("pyceres")
+    ceres = time_solvers(random_frames(4))[-1]
+    assert ceres.name.startswith("Ceres")
+    assert ceres.off_mm < 0.01
+
+
+def test_warm_frames_are_the_problems_that_the_fuser_solves() -> None:
+    pairs = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 60))]
+    calibration = Calibration(KINECT_V2, A_FROM_B, KINECT_V2.nominal_lengths * 1.02, "too long, on purpose")
+    fuser = Fuser(calibration)
+    for pair, problem in zip(pairs, bench_update.warm_frames(pairs, calibration), strict=True):
+        fused = fuser.update(pair)
+        found = bench_update.TreeSolver(KINECT_V2.parent_indices, KINECT_V2.order, KINECT_V2.rest).solve(
+            problem.targets, problem.weights, problem.lengths, problem.start
+        )
+        np.testing.assert_allclose(found.positions, fused.positions, rtol=0, atol=1e-8)
+
+
+def test_every_stage_is_timed() -> None:
+    pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 60))]
+    calibration = Calibration(KINECT_V1, A_FROM_B, KINECT_V1.nominal_lengths * 1.05, "too long, on purpose")
+    stages = bench_update.time_stages(pairs, calibration)
+    assert list(stages) == list(bench_update.STAGES)
+    assert np.isfinite(list(stages.values())).all()
+
+
+def test_a_repeated_recording_has_no_jumps_and_rising_times() -> None:
+    pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 5))]
+    many = bench_update.repeated(pairs, 3)
+    assert [many.index(pair) for pair in many] == list(range(15))
+    assert [pair.a for pair in many] == [pair.a for pair in pairs + pairs[::-1] + pairs]
+    assert {b.time_ns - a.time_ns for a, b in pairwise(many)} == {FRAME_NS}
+
+
+def test_bench_speed_is_a_command_of_a_group(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[BenchSpeedOptions] = []
+    monkeypatch.setattr(bench_speed, "run", given.append)
+    cli.main(["bench", "speed", "--json", "speed.json", "--recording", "a.csv", "b.csv"])
+    assert given == [BenchSpeedOptions(Path("speed.json"), (Path("a.csv"), Path("b.csv")))]
+
+
+def test_figures_are_written_as_json(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name, value in (("_COLD_FRAMES", 4), ("_SECONDS", 5.0), ("_SHORT", 150), ("_LONG", 300)):
+        monkeypatch.setattr(bench_speed, name, value)
+    monkeypatch.setattr(bench_speed, "BODIES", {"kinect_v2": KINECT_V2})
+    bench_speed.run(BenchSpeedOptions(tmp_path / "speed.json"))
+    figures = json.loads((tmp_path / "speed.json").read_text())
+    assert [timing["name"] for timing in figures["updates"]] == ["25 joints, simulated"]
+    assert figures["solvers"][-1]["frames"] > 100
+    assert figures["writing"]["pairs_per_s"] > 0
+    assert (
+        figures["writing"]["bytes_a_minute"] > 1e6
+    )  # 1800 frames of three skeletons of 25 points of 12 bytes
+    assert list(figures["linear_system_us"]) == ["20", "32", "160"]
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys\n"
+        "from viewer_app.cli import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "print('heavy:', *(n for n in ('numpy', 'scipy', 'numba', 'rerun', 'cv2', 'av') if n in sys.modules))"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "bench" in answer
+    assert answer.strip().endswith("heavy:")

@@ -1,0 +1,236 @@
+"""``duplex bench speed``: what a frame costs here, solvers side by side and the program as a whole."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+from devices.pairing import pair_recordings
+from devices.people import choose_person
+from devices.sensor import DeviceError
+from devices.skeleton_files import SkeletonRecording
+from fusion.body import BODIES, KINECT_V2, Body
+from fusion.skeleton import Skeleton, SkeletonPair
+from viewer_app.bench_solvers import Timing, exact, random_frames, time_solver, time_solvers
+from viewer_app.bench_update import (
+    STAGES,
+    UpdateTiming,
+    repeated,
+    simulated_pairs,
+    start_up,
+    time_growth,
+    time_update,
+    warm_frames,
+)
+from viewer_app.options import BenchSpeedOptions
+from viewer_app.outputs import check_writable, whole_file
+
+_COLD_FRAMES = 1000
+_SECONDS = 20.0
+_SHORT, _LONG = 600, 6600  # pairs of the two recordings that tell writing from start-up
+_PAIRS_A_MINUTE = 1800  # at 30 fps
+
+
+@dataclass(frozen=True)
+class Writing:
+    """``duplex fuse --save --no-viewer`` end to end, reading and summary included.
+
+    Attributes:
+        pairs_per_s: After start-up.
+        start_up_s: What is left for no pairs at all.
+        bytes_a_minute: Of the session, at 30 fps.
+    """
+
+    pairs_per_s: float
+    start_up_s: float
+    bytes_a_minute: float
+
+
+def run(options: BenchSpeedOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        DeviceError, FusionError, UsageError: With one line for the person who asked.
+    """
+    console = Console()
+    if options.json is not None:
+        check_writable(options.json, options.force)
+
+    with console.status("cold frames, one solver after the other"):
+        solvers = time_solvers(random_frames(_COLD_FRAMES))
+    updates = []
+    recorded: tuple[Body, list[SkeletonPair]] | None = None
+    for name, body, pairs in _recordings(options, console):
+        calibration = start_up(pairs, body)
+        frames = warm_frames(pairs, calibration)
+        solve = exact(body)
+        best = [solve(problem)[0] for problem in frames]
+        solvers.append(time_solver(f"exact, warm, {name}", solve, frames, best))
+        updates.append(time_update(name, pairs, calibration))
+        if body is KINECT_V2 or recorded is None:
+            recorded = body, pairs
+    assert recorded is not None
+    growth = time_growth((20, 32, 160))
+    with console.status("duplex fuse, end to end"):
+        writing = time_writing(*recorded)
+        help_s = time_help()
+
+    if options.json is not None:
+        figures = {
+            "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+            "solvers": [asdict(timing) for timing in solvers],
+            "updates": [asdict(timing) for timing in updates],
+            "linear_system_us": {str(joints): of for joints, of in growth.items()},
+            "writing": asdict(writing),
+            "help_s": help_s,
+        }
+        with whole_file(options.json) as partial:
+            partial.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    for table in (_solver_table(solvers), _update_table(updates), _program_table(growth, writing, help_s)):
+        console.print(table)
+
+
+def _recordings(
+    options: BenchSpeedOptions, console: Console
+) -> Iterator[tuple[str, Body, list[SkeletonPair]]]:
+    if options.recording is not None:
+        with SkeletonRecording(options.recording[0]) as a, SkeletonRecording(options.recording[1]) as b:
+            if a.body is not b.body:
+                raise DeviceError(f"{a.name} is of {a.body.name}, {b.name} of {b.body.name}.")
+            frames_a, frames_b = list(a.frames()), list(b.frames())
+            people = [
+                choose_person(frames, None, name, f"--person-{side}")
+                for frames, name, side in ((frames_a, a.name, "a"), (frames_b, b.name, "b"))
+            ]
+            pairs = pair_recordings(frames_a, frames_b, people[0], people[1]).pairs
+            yield f"{len(a.body)} joints, recorded", a.body, [pair.skeletons for pair in pairs]
+    for body in BODIES.values():
+        with console.status(f"a simulated walk of {len(body)} joints"):
+            pairs = simulated_pairs(body, _SECONDS)
+        yield f"{len(body)} joints, simulated", body, [pair.skeletons for pair in pairs]
+
+
+def time_writing(body: Body, pairs: Sequence[SkeletonPair]) -> Writing:
+    """Fuses a short and a long recording, each in a process of its own, and takes the difference."""
+    many = repeated(pairs, _LONG // len(pairs) + 1)
+    seconds, sizes = [], []
+    with tempfile.TemporaryDirectory(prefix="duplex-bench-") as folder:
+        session = Path(folder) / "session.rrd"
+        for count in (10, _SHORT, _LONG):  # the first warms the kernels' and the system's caches
+            files = [_write_csv(Path(folder) / f"{side}.csv", body, many[:count], side) for side in "ab"]
+            command = ["fuse", *files, "--save", str(session), "--no-viewer", "--force", "--calibrate"]
+            seconds.append(_seconds_of([*command, "seconds:3"]))
+            sizes.append(session.stat().st_size)
+    each = (seconds[2] - seconds[1]) / (_LONG - _SHORT)
+    return Writing(
+        pairs_per_s=1.0 / each,
+        start_up_s=seconds[1] - _SHORT * each,
+        bytes_a_minute=(sizes[2] - sizes[1]) / (_LONG - _SHORT) * _PAIRS_A_MINUTE,
+    )
+
+
+def _write_csv(path: Path, body: Body, pairs: Sequence[SkeletonPair], side: str) -> str:
+    rows = ["time_us,body,joint,x,y,z,state"]
+    for pair in pairs:
+        skeleton: Skeleton | None = pair.a if side == "a" else pair.b
+        if skeleton is not None:
+            for name, at, state in zip(body.joints, skeleton.positions, skeleton.states, strict=True):
+                if state:
+                    rows.append(
+                        f"{pair.time_ns // 1000},0,{name},{at[0]:.5f},{at[1]:.5f},{at[2]:.5f},{state}"
+                    )
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return str(path)
+
+
+def time_help() -> float:
+    """Seconds until ``duplex --help`` has answered: the best of five, as a cold disk is not the program."""
+    return min(_seconds_of(["--help"]) for _ in range(5))
+
+
+def _seconds_of(arguments: Sequence[str]) -> float:
+    before = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "viewer_app.cli", *arguments], check=True, capture_output=True)
+    return time.perf_counter() - before
+
+
+def _solver_table(solvers: Sequence[Timing]) -> Table:
+    table = _table(
+        "Eq. (1), a frame; cold: 20 joints, 10 mm noise",
+        ("solver", "median", "p99", "max", "steps", "bones off", "joints off"),
+        f"Off: at worst, from their lengths, and from the optimum. {_ratios(solvers)}",
+    )
+    for t in solvers:
+        table.add_row(
+            t.name, *map(_time, (t.median_us, t.p99_us, t.max_us)), f"{t.iterations:.0f}",
+            f"{t.bone_error_mm:.1g} mm", f"{t.off_mm:.1g} mm",
+        )  # fmt: skip
+    return table
+
+
+def _ratios(solvers: Sequence[Timing]) -> str:
+    """The median of every other cold solver over that of the exact one."""
+    exact_us = solvers[0].median_us
+    others = [timing for timing in solvers[1:] if not timing.name.startswith("exact")]
+    return "Exact is faster than " + "; ".join(f"{t.name}: {t.median_us / exact_us:,.0f}×" for t in others)
+
+
+def _update_table(updates: Sequence[UpdateTiming]) -> Table:
+    table = _table(
+        "Fuser.update a pair, and its compiled stages, µs",
+        ("pairs", "median", "p99", "p99.9", "max", *STAGES, "batch, pairs/s"),
+    )
+    for t in updates:
+        whole = (t.median_us, t.p99_us, t.p999_us, t.max_us)
+        stages = (t.stages_us[stage] for stage in STAGES)
+        table.add_row(
+            t.name, *(f"{us:.0f}" for us in whole), *(f"{us:.1f}" for us in stages), f"{t.batch_per_s:,.0f}"
+        )
+    return table
+
+
+def _program_table(growth: dict[int, float], writing: Writing, help_s: float) -> Table:
+    table = Table(title="The program", title_justify="left", show_header=False, box=SIMPLE, pad_edge=False)
+    sizes = " → ".join(map(str, growth))
+    table.add_row(
+        f"a linear system, {sizes} joints", " → ".join(f"{us:.1f}" for us in growth.values()) + " µs"
+    )
+    table.add_row("the same a joint", " → ".join(f"{us / j * 1e3:.0f}" for j, us in growth.items()) + " ns")
+    table.add_row("duplex fuse --save --no-viewer", f"{writing.pairs_per_s:,.0f} pairs/s after start-up")
+    table.add_row("its start-up", f"{writing.start_up_s:.1f} s")
+    table.add_row("session file", f"{writing.bytes_a_minute / 1e6:.1f} MB a minute at 30 fps")
+    table.add_row("duplex --help", f"{help_s:.2f} s")
+    return table
+
+
+def _table(title: str, columns: Sequence[str], caption: str | None = None) -> Table:
+    table = Table(
+        title=title,
+        caption=caption,
+        title_justify="left",
+        caption_justify="left",
+        box=SIMPLE,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
+    )
+    for k, column in enumerate(columns):
+        table.add_column(column, justify="right" if k else "left", no_wrap=True)
+    return table
+
+
+def _time(microseconds: float) -> str:
+    if microseconds < 1e3:
+        return f"{microseconds:.1f} µs"
+    return f"{microseconds * 1e-3:.1f} ms" if microseconds < 1e6 else f"{microseconds * 1e-6:.2f} s"
