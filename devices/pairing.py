@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from devices.sensor import DeviceError, SensorFrame
 from fusion.skeleton import Skeleton, SkeletonPair
 
+_GAP = 1.5
+"""Frame intervals: a frame whose nearest in the other recording is farther has fallen into a gap of it."""
+
 
 @dataclass(frozen=True, eq=False)
 class FramePair:
@@ -41,9 +44,10 @@ class Pairing:
     """All pairs of two recordings, and what was left over.
 
     Attributes:
-        pairs: In time order.
+        pairs: In time order; with one side None where the other recording has a gap.
         frames_a, frames_b: How many frames each recording has.
-        dropped_a, dropped_b: Frames without a partner within the tolerance.
+        alone_a, alone_b: Frames that fall into a gap of the other recording.
+        dropped_a, dropped_b: Frames left out: without a partner, though the other recording has no gap.
     """
 
     pairs: list[FramePair] = field(repr=False)
@@ -51,6 +55,8 @@ class Pairing:
     frames_b: int
     dropped_a: int
     dropped_b: int
+    alone_a: int = 0
+    alone_b: int = 0
 
 
 def pair_recordings(
@@ -62,8 +68,10 @@ def pair_recordings(
 ) -> Pairing:
     """Pairs each frame of A with the nearest of B in time, each frame once.
 
-    Two frames are a pair when each is the other's nearest and they lie within the tolerance. Assumes that
-    both sensors' clocks agree, as recordings of synchronised sensors' do.
+    Two frames are a pair when each is the other's nearest and they lie within the tolerance. A frame that
+    falls into a gap of the other recording (it saw no one, or lost frames there) is given alone; one that
+    merely finds no partner, as where one sensor is faster, is left out. Assumes that both sensors' clocks
+    agree, as recordings of synchronised sensors' do.
 
     Args:
         frames_a, frames_b: Frames of each recording in time order.
@@ -92,7 +100,28 @@ def pair_recordings(
         FramePair(frames_a[i], frames_b[j], person_a, person_b, int(time_a[i]), int(skew[i]))
         for i, j in zip(chosen.tolist(), nearest_b[chosen].tolist(), strict=True)
     ]
-    return Pairing(pairs, len(time_a), len(time_b), len(time_a) - len(pairs), len(time_b) - len(pairs))
+    alone_a = _in_gaps(time_a, time_b)
+    alone_b = _in_gaps(time_b, time_a)
+    pairs += [FramePair(frames_a[i], None, person_a, person_b, int(time_a[i])) for i in alone_a]
+    pairs += [FramePair(None, frames_b[j], person_a, person_b, int(time_b[j])) for j in alone_b]
+    pairs.sort(key=lambda pair: pair.time_ns)
+    return Pairing(
+        pairs,
+        len(time_a),
+        len(time_b),
+        len(time_a) - len(chosen) - len(alone_a),
+        len(time_b) - len(chosen) - len(alone_b),
+        len(alone_a),
+        len(alone_b),
+    )
+
+
+def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64]) -> list[int]:
+    """The frames, by index, that lie in a gap of the other recording, and not before or after all of it."""
+    gap = _GAP * _median_interval(others)
+    apart = np.abs(others[_nearest(times, others)] - times)
+    within = (times > others[0]) & (times < others[-1])
+    return np.flatnonzero(within & (apart > gap)).tolist()
 
 
 def _person(frame: SensorFrame | None, person: str) -> Skeleton | None:

@@ -18,6 +18,9 @@ from fusion.skeleton import Skeleton, TrackingState
 
 COLUMNS = ("time_us", "body", "joint", "x", "y", "z")
 
+LATEST_US = 9 * 10**15
+"""So that times in nanoseconds fit 64 bits."""
+
 _STATES = {
     **{state.name.lower(): state for state in TrackingState},
     **{str(state.value): state for state in TrackingState},
@@ -41,6 +44,8 @@ def read_csv(path: Path) -> tuple[Body, list[SensorFrame]]:
     time_us = _numbers(table, "time_us", pa.int64(), path)
     xyz = np.stack([_numbers(table, axis, pa.float64(), path) for axis in "xyz"], axis=1)
     states = _states(table, path)
+    if np.abs(time_us).max() > LATEST_US:
+        raise DeviceError(f"{path}: time_us goes beyond {LATEST_US}; times are microseconds.")
     people, person = _codes(table, "body")
     names, name = _codes(table, "joint")
     try:
@@ -55,7 +60,8 @@ def read_csv(path: Path) -> tuple[Body, list[SensorFrame]]:
     _refuse_cut_off(raw, frame, path)
     positions = np.full((len(times), len(people), len(body), 3), np.nan, dtype=np.float32)
     state = np.zeros((len(times), len(people), len(body)), dtype=np.uint8)
-    positions.reshape(-1, 3)[slot] = xyz
+    with np.errstate(over="ignore"):
+        positions.reshape(-1, 3)[slot] = xyz
     state.reshape(-1)[slot] = states
     present = np.zeros((len(times), len(people)), dtype=bool)
     present[frame, person] = True

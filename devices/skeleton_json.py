@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from devices.sensor import DeviceError, SensorFrame
+from devices.skeleton_csv import LATEST_US
 from fusion.body import Body, body_of
 from fusion.errors import FusionError
 from fusion.skeleton import Skeleton
@@ -47,7 +48,10 @@ def read_json(path: Path) -> tuple[Body, list[SensorFrame]]:
 
 
 def _frame(frame: dict[str, Any], body: Body, joint: np.ndarray[Any, np.dtype[np.int64]]) -> SensorFrame:
-    time_ns = int(frame["timestamp_usec"]) * 1000
+    time_us = int(frame["timestamp_usec"])
+    if abs(time_us) > LATEST_US:
+        raise ValueError(f"timestamp_usec {time_us} is beyond {LATEST_US}")
+    time_ns = time_us * 1000
     people = {}
     for person in frame["bodies"]:
         given = np.array(person["joint_positions"], dtype=np.float64)

@@ -12,6 +12,9 @@ from fusion.errors import CalibrationError
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
+SHORTEST = 0.01
+"""Metres: a bone measured shorter is two joints in one place, and counts as unseen."""
+
 
 def measure_bone_lengths(
     body: Body, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform
@@ -67,4 +70,5 @@ def _mean_where_seen(body: Body, lengths: list[NDArray[np.float64]]) -> NDArray[
     seen = np.isfinite(stacked)
     total = np.where(seen, stacked, 0.0).sum(axis=0)
     count = seen.sum(axis=0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return np.where(mean >= SHORTEST, mean, np.nan)

@@ -224,9 +224,11 @@ def _calmest(body: Body, pairs: Sequence[SkeletonPair], seconds: float = 2.0) ->
     share = (tracked[0] & tracked[1]).mean(axis=1)
     time = np.array([pairs[k].time_ns for k, _, _ in seen])
     ends = np.searchsorted(time, time + int(seconds * 1e9))
-    whole = (ends < len(time)) | (time[-1] - time >= 0.5 * seconds * 1e9)
-    whole[0] = True
-    starts = np.flatnonzero(whole)
+    count = ends - np.arange(len(ends))
+    spans = time[ends - 1] - time >= 0.75 * seconds * 1e9
+    starts = np.flatnonzero(spans & (count >= _FEWEST_PAIRS))
+    if len(starts) == 0:  # too short or too sparse for a choice
+        return [pairs[k] for k, _, _ in seen]
     missing = 1.0 - _window_sums(share, starts, ends[starts]) / (ends - np.arange(len(ends)))[starts]
     tremble = np.maximum(*(_window_tremble(view, starts, ends[starts]) for view in views))
     best = int(np.lexsort((tremble, missing.round(1)))[0])  # the best seen, and of these the calmest

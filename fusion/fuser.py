@@ -88,6 +88,9 @@ class Fuser:
         intrinsics_b: Intrinsics | None = None,
     ) -> None:
         body = calibration.body
+        bones = calibration.bone_lengths[body.bone_joints]
+        if not (np.isfinite(bones).all() and (bones > 0.0).all()):
+            raise FusionError(f"Every bone needs a length of more than 0 m; the shortest is {bones.min()} m.")
         self.calibration = calibration
         self.settings = settings or FuserSettings()
         self.intrinsics_a = intrinsics_a or NOMINAL_INTRINSICS[body.name]

@@ -23,6 +23,10 @@ class TrackingState(IntEnum):
     """The joint is seen. It can be in the wrong place all the same (sec. 3)."""
 
 
+FARTHEST = 20.0
+"""Metres: no sensor of this kind sees farther; a coordinate beyond is no position."""
+
+
 @dataclass(frozen=True, eq=False)
 class Skeleton:
     """One person in one frame of one sensor: S_A or S_B.
@@ -43,8 +47,9 @@ class Skeleton:
     def of(body: Body, positions: ArrayLike, states: ArrayLike | None = None, time_ns: int = 0) -> Skeleton:
         """A skeleton from what a tracker reported, checked once: here.
 
-        A joint with a coordinate that is NaN or infinite is not tracked, whatever its state says; a
-        joint that is not tracked has no position, whatever its coordinates say.
+        A joint with a coordinate that is NaN, infinite or farther than any sensor sees, or that lies behind
+        the sensor (z ≤ 0), is not tracked, whatever its state says; a joint that is not tracked has no
+        position, whatever its coordinates say.
 
         Args:
             body: Which joints these are.
@@ -55,7 +60,8 @@ class Skeleton:
         Raises:
             FusionError: A shape does not fit the body, or a state is none of 0, 1, 2.
         """
-        at = np.array(positions, dtype=np.float32)
+        with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is no position
+            at = np.array(positions, dtype=np.float32)
         if at.shape != (len(body), 3):
             raise FusionError(f"{body.name} has {len(body)} joints; positions have shape {at.shape}.")
         if states is None:
@@ -67,7 +73,7 @@ class Skeleton:
                     f"Tracking states must be {len(body)} values of 0, 1 or 2; got shape {given.shape}."
                 )
             state = given.astype(np.uint8)
-        state[~np.isfinite(at).all(axis=1)] = TrackingState.NOT_TRACKED
+        state[~((np.abs(at) < FARTHEST).all(axis=1) & (at[:, 2] > 0.0))] = TrackingState.NOT_TRACKED
         at[state == TrackingState.NOT_TRACKED] = np.nan
         at.flags.writeable = state.flags.writeable = False
         return Skeleton(body, at, state, int(time_ns))

@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from fusion.body import BODIES, Body
+from fusion.body import Body
+from fusion.bone_lengths import SHORTEST
 from fusion.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.rigid import RigidTransform
 from recordings.errors import RecordingError
+
+_LONGEST = 1.5  # metres; no one has a longer bone
 
 
 def calibration_to_json(calibration: Calibration) -> str:
@@ -38,15 +41,16 @@ def read_calibration(path: Path, body: Body) -> Calibration:
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        if document["body"] in BODIES and document["body"] != body.name:
+        if document["body"] != body.name:
             raise RecordingError(
                 f"{path} is a calibration of {document['body']}; these recordings are of {body.name}."
             )
         lengths = np.zeros(len(body))
         for joint in body.bone_joints:
             lengths[joint] = float(document["bone_lengths_m"][body.bones[joint]])
-        if not (np.isfinite(lengths).all() and (lengths[body.bone_joints] > 0.0).all()):
-            raise ValueError("bone lengths must be positive numbers")
+        bones = lengths[body.bone_joints]
+        if not ((bones >= SHORTEST) & (bones <= _LONGEST)).all():
+            raise ValueError(f"bone lengths must lie between {SHORTEST} and {_LONGEST} m")
         transform = document["a_from_b"]
         return Calibration(
             body,
@@ -56,7 +60,7 @@ def read_calibration(path: Path, body: Body) -> Calibration:
         )
     except OSError as error:
         raise RecordingError(f"The calibration {path} cannot be read: {error.strerror}.") from None
-    except (FusionError, KeyError, TypeError, ValueError) as error:
+    except (FusionError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise RecordingError(
             f"{path} is no calibration ({what}). Make one with --save-calibration."

@@ -25,6 +25,24 @@ def test_frames_pair_with_the_nearest_within_half_a_frame() -> None:
     assert {pair.skew_ns for pair in pairing.pairs} == {5_000_000}
 
 
+def test_frames_in_a_gap_of_the_other_recording_are_given_alone() -> None:
+    a = frames_at([t * FRAME_NS for t in range(100)])
+    b = frames_at([t * FRAME_NS for t in range(10, 90) if not 40 <= t < 60])
+    pairing = pair_recordings(a, b, "0", "0")
+    alone = [pair.time_ns // FRAME_NS for pair in pairing.pairs if pair.b is None]
+    assert alone == list(range(41, 59))  # the gap's edges are within 1.5 frames of a frame of B
+    assert (pairing.alone_a, pairing.dropped_a) == (18, 22)
+    assert [pair.skeletons.b for pair in pairing.pairs if pair.b is None] == [None] * 18
+
+
+def test_a_slower_sensor_has_no_gaps() -> None:
+    a = frames_at([t * FRAME_NS for t in range(300)])
+    b = frames_at([t * FRAME_NS * 6 // 5 for t in range(250)])  # 25 fps
+    pairing = pair_recordings(a, b, "0", "0")
+    assert (pairing.alone_a, pairing.alone_b) == (0, 0)
+    assert pairing.dropped_a >= 49
+
+
 @given(
     st.lists(st.integers(0, 2000), min_size=1, max_size=60, unique=True),
     st.lists(st.integers(0, 2000), min_size=1, max_size=60, unique=True),
@@ -41,13 +59,15 @@ def test_no_frame_pairs_twice_or_beyond_the_tolerance(
         return
     used_b = [pair.b.time_ns for pair in pairing.pairs if pair.b is not None]
     assert len(set(used_b)) == len(used_b)
-    assert used_b == sorted(used_b)
+    assert [pair.time_ns for pair in pairing.pairs] == sorted(pair.time_ns for pair in pairing.pairs)
     assert all(abs(pair.skew_ns) <= tolerance for pair in pairing.pairs)
-    assert len(pairing.pairs) + pairing.dropped_a == len(times_a)
-    assert len(pairing.pairs) + pairing.dropped_b == len(times_b)
+    paired = [pair for pair in pairing.pairs if pair.a is not None and pair.b is not None]
+    assert len(paired) + pairing.alone_a + pairing.dropped_a == len(times_a)
+    assert len(paired) + pairing.alone_b + pairing.dropped_b == len(times_b)
+    assert len(pairing.pairs) == len(paired) + pairing.alone_a + pairing.alone_b
     # the closest two frames of all always find each other
     closest = min(abs(x - y) for x in times_a for y in times_b)
-    assert min(abs(pair.skew_ns) for pair in pairing.pairs) == closest
+    assert min(abs(pair.skew_ns) for pair in paired) == closest
 
 
 def test_recordings_that_never_overlap_are_refused_with_their_times() -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import importlib
+import io
 import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
-
-import tyro
 
 from viewer_app import options as of
 
@@ -36,6 +35,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: What follows the program's name; those of the process where None.
     """
     os.environ.setdefault("RERUN_ANALYTICS", "0")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that lacks a sign shows another
+    try:
+        _run(arguments)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        print("duplex: stopped", file=sys.stderr)
+        sys.exit(130)
+    except BrokenPipeError:
+        # whoever read the output has gone: nothing is left to say, not even at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except Exception as error:
+        if not isinstance(error, _mistakes()):
+            raise
+        print(f"duplex: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _run(arguments: Sequence[str] | None) -> None:
+    import tyro
+
     options = tyro.cli(
         _command_line(),
         args=arguments,
@@ -44,20 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.FlagCreatePairsOff),
     )
     module = next(module for kind, module in _COMMANDS.values() if kind is type(options))
-    try:
-        importlib.import_module(module).run(options)
-    except KeyboardInterrupt:
-        print("duplex: stopped", file=sys.stderr)
-        sys.exit(130)
-    except Exception as error:
-        if not isinstance(error, _mistakes()):
-            raise
-        print(f"duplex: {error}", file=sys.stderr)
-        sys.exit(2)
+    importlib.import_module(module).run(options)
 
 
 def _command_line() -> Any:
     """The table as a union of subcommands, a group being a union within it."""
+    import tyro
+
     nothing = Annotated[None, tyro.conf.Suppress]  # no one can choose it; a union needs two
     commands: Any = nothing
     groups: dict[str, Any] = dict.fromkeys(_GROUPS, nothing)

@@ -52,7 +52,7 @@ def run(options: CompareOptions) -> None:
             highlight=False,
         )
     if options.save is not None:
-        console.print(f"Saved {options.save}.", highlight=False)
+        console.print(f"Saved {options.save}.", highlight=False, markup=False)
 
 
 def _joint_table(comparison: Comparison) -> Table:

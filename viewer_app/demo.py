@@ -24,7 +24,7 @@ from viewer_app.errors import UsageError
 from viewer_app.live import run_live
 from viewer_app.options import DemoOptions
 from viewer_app.outputs import check_writable
-from viewer_app.report import calibration_in_words
+from viewer_app.report import calibration_in_words, say_saved
 from viewer_app.run import warm_up
 from viewer_app.sinks import has_display, open_stream
 
@@ -82,7 +82,7 @@ def run(options: DemoOptions) -> None:
     if frames:
         _print_summary(console, fuser, frames, truth, dropped)
     if save is not None:
-        console.print(f"Saved {save}. Look at it with: rerun {save}", highlight=False)
+        say_saved(console, save)
 
 
 def _print_summary(

@@ -28,7 +28,7 @@ from viewer_app.blueprint import inspect_blueprint
 from viewer_app.errors import UsageError
 from viewer_app.options import FuseOptions
 from viewer_app.outputs import check_outputs, whole_file
-from viewer_app.report import FusionResult, print_summary, report, report_to_json
+from viewer_app.report import FusionResult, print_summary, report, report_to_json, say_saved
 from viewer_app.run import fuse_offline, fuse_one, warm_up
 from viewer_app.sinks import has_display, open_stream
 
@@ -42,7 +42,7 @@ def run(options: FuseOptions) -> None:
     console = Console()
     window = _wants_window(options)
     outputs = (options.save, options.report, options.save_calibration)
-    check_outputs(outputs, (options.a, options.b), options.force)
+    check_outputs(outputs, (options.a, options.b, Path(options.calibrate)), options.force)
     settings = FuserSettings(h=options.h, solver=options.solver, weights=options.weights)
     body, pairing = _read(options)
     skeletons = [pair.skeletons for pair in pairing.pairs]
@@ -72,7 +72,7 @@ def run(options: FuseOptions) -> None:
     _write(options.save_calibration, calibration_to_json(calibration))
     print_summary(console, result, figures)
     if options.save is not None:
-        console.print(f"Saved {options.save}. Look at it with: rerun {options.save}", highlight=False)
+        say_saved(console, options.save)
 
 
 def _wants_window(options: FuseOptions) -> bool:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from zlib import crc32
 
 from viewer_app.errors import UsageError
 
@@ -16,9 +17,15 @@ def check_writable(path: Path, force: bool) -> None:
     Raises:
         UsageError: The file exists and `force` is not set, or its folder is missing or read-only.
     """
+    try:
+        there = path.exists()
+    except OSError as error:
+        raise UsageError(f"{path} is no name for a file: {error.strerror or error}.") from None
     if path.is_dir():
         raise UsageError(f"{path} is a folder; name a file.")
-    if path.exists() and not force:
+    if there and not path.is_file():
+        raise UsageError(f"{path} is no plain file; name another.")
+    if there and not force:
         raise UsageError(f"{path} exists already. Choose another name, or overwrite it with --force.")
     if not path.parent.is_dir():
         raise UsageError(f"No folder {path.parent} to write {path.name} into.")
@@ -32,18 +39,24 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path], force:
     Raises:
         UsageError: As there; or two outputs are one file, or an output is an input.
     """
-    taken = {path.resolve(): f"is also read, as {path}" for path in inputs}
+    taken = {_real(path): f"is also read, as {path}" for path in inputs}
     for path in filter(None, outputs):
-        if path.resolve() in taken:
-            raise UsageError(f"{path} cannot be written: it {taken[path.resolve()]}. Choose another name.")
-        taken[path.resolve()] = "is to be written twice"
+        if _real(path) in taken:
+            raise UsageError(f"{path} cannot be written: it {taken[_real(path)]}. Choose another name.")
+        taken[_real(path)] = "is to be written twice"
         check_writable(path, force)
+
+
+def _real(path: Path) -> Path:
+    """Where the path leads; a loop of links leads to itself, where ``Path.resolve`` raises."""
+    return Path(os.path.realpath(path))
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Gives a temporary name beside `path`, renamed to it when all went well and removed when not."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    path = _real(path)
+    partial = path.with_name(f".{crc32(path.name.encode()):08x}.{os.getpid()}.partial")
     try:
         yield partial
         partial.replace(path)

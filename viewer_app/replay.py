@@ -77,7 +77,7 @@ def run(options: ReplayOptions) -> None:
             partial.write_text(report_to_json(figures), encoding="utf-8")
     print_summary(console, result, figures)
     if options.save is not None:
-        console.print(f"Saved {options.save}.", highlight=False)
+        console.print(f"Saved {options.save}.", highlight=False, markup=False)
     if options.verify and not verify(console, session, rows.fused):
         sys.exit(1)
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from devices.pairing import Pairing
@@ -56,7 +59,8 @@ def report(result: FusionResult) -> Figures:
     error = (lengths - target)[:, :, rows.body.bone_joints] * 1e3
     figures: Figures = {
         "frames": {"a": pairing.frames_a, "b": pairing.frames_b},
-        "paired": len(pairing.pairs),
+        "paired": len(pairing.pairs) - pairing.alone_a - pairing.alone_b,
+        "alone": {"a": pairing.alone_a, "b": pairing.alone_b},
         "dropped": {"a": pairing.dropped_a, "b": pairing.dropped_b},
         "stale": {"a": int(rows.stale_a.sum()), "b": int(rows.stale_b.sum())},
         "without_person": {
@@ -134,10 +138,19 @@ def print_summary(console: Console, result: FusionResult, figures: Figures) -> N
         console.print(_comparison_table(figures["compared_with_exact"]))
 
 
+def say_saved(console: Console, path: Path) -> None:
+    """Where the session is, and the command that opens it, as this program was called."""
+    program = sys.argv[0] if Path(sys.argv[0]).name.startswith("duplex") else "duplex"
+    console.print(f"Saved {path}. Look at it with: {program} review {path}", highlight=False, markup=False)
+
+
+_FEWEST_FRAMES = 15  # half a second
+
+
 def calibration_in_words(calibration: Calibration) -> list[str]:
     """The verdict on a calibration, a line each."""
     registration = calibration.registration
-    lines = [f"[bold]Calibration[/]: {calibration.how}."]
+    lines = [f"[bold]Calibration[/]: {escape(calibration.how)}."]
     angle = math.degrees(calibration.axes_angle)
     advice = (
         "" if 60.0 <= angle <= 120.0 else " (about 90° lets each sensor see most of what the other cannot)"
@@ -146,6 +159,8 @@ def calibration_in_words(calibration: Calibration) -> list[str]:
         return [*lines, f"  The sensors' axes are {angle:.0f}° apart{advice}."]
     median, rms = registration.residual_median * 1e3, registration.residual_rms * 1e3
     verdict = "good" if median < 40.0 else "usable" if median < 80.0 else "poor"
+    if registration.frames < _FEWEST_FRAMES:
+        verdict = f"too few frames to trust ({_FEWEST_FRAMES} at least)"
     worst = ", ".join(f"{name} {distance * 1e3:.0f} mm" for name, distance in registration.worst_joints())
     uncertain = math.degrees(registration.rotation_sd)
     lines.append(

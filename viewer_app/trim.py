@@ -34,4 +34,6 @@ def run(options: TrimOptions) -> None:
         )
     with whole_file(options.save) as partial:
         rewrite(session, partial, inspect_blueprint(session.body, whereabouts(session)), int(first), int(end))
-    console.print(f"Saved {options.save}: {end - first} of {len(session)} frames.", highlight=False)
+    console.print(
+        f"Saved {options.save}: {end - first} of {len(session)} frames.", highlight=False, markup=False
+    )
