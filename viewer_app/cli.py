@@ -28,6 +28,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: What follows the program's name; those of the process where None.
     """
     os.environ.setdefault("RERUN_ANALYTICS", "0")
+    os.environ.setdefault(
+        "OPENBLAS_NUM_THREADS", "1"
+    )  # all matrices are small: more threads wait on each other
     options = tyro.cli(
         _command_line(),
         args=arguments,
