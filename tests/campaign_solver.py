@@ -3,7 +3,7 @@
 What a failure is: bones off by more than a micrometre, a point that is not stationary, a NaN, more than 50
 iterations (steps to a better point; the linear systems on the way are counted beside them). With ``--slsqp
 N``, scipy's SLSQP solves N problems of at most 50 mm noise too, from the same start, and those where it ends
-clearly lower are counted.
+clearly lower are counted. (Set OPENBLAS_NUM_THREADS=1: on small matrices threads wait on each other.)
 """
 
 from __future__ import annotations

@@ -35,6 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: What follows the program's name; those of the process where None.
     """
     os.environ.setdefault("RERUN_ANALYTICS", "0")
+    # all matrices are small: more threads wait on each other
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that lacks a sign shows another
