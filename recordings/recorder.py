@@ -5,7 +5,6 @@ Both ways give the same layout, because both come from the same list of what a f
 
 from __future__ import annotations
 
-import colorsys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -15,10 +14,10 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from fusion.body import Body
 from fusion.fuser import Fuser
-from recordings import layout
+from recordings import appearance, layout
 from recordings.arrays import RecordedFrame, SessionArrays
+from recordings.explained_trust import StateLanes, TrustMatrix, details, trust_colors
 
 
 class Recorder:
@@ -28,50 +27,100 @@ class Recorder:
         stream: Where to log to; its sinks decide whether that is a viewer, a file or both.
         fuser: Whose settings, calibration and intrinsics the session keeps.
         sources: What the sensors are called, K_A first.
+        start_ns: When the session began; with the first frame recorded here where None.
     """
 
-    def __init__(self, stream: rr.RecordingStream, fuser: Fuser, sources: tuple[str, str]) -> None:
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        fuser: Fuser,
+        sources: tuple[str, str],
+        start_ns: int | None = None,
+    ) -> None:
         self._stream = stream
         self._calibration = fuser.calibration
         self._frames = 0
-        self._start_ns: int | None = None
+        self._start_ns = start_ns
+        self._now = (0, 0)  # frame, nanoseconds
+        self._matrix = TrustMatrix(fuser.calibration.body)
+        self._lanes = StateLanes()
         self._log_static(fuser, sources)
 
-    def record(self, frame: RecordedFrame) -> None:
+    def record(self, frame: RecordedFrame, number: int | None = None) -> None:
         """Logs one frame at once, for live use."""
-        rows = self._stack([frame])
-        self._stream.set_time(layout.FRAME, sequence=int(rows.frame[0]))
-        self._stream.set_time(layout.TIME, duration=np.timedelta64(int(rows.time_ns[0]), "ns"))
+        rows = self._stack([frame], None if number is None else [number])
+        self._set_time(*self._now)
         for stream in _streams(rows):
             self._stream.log(stream.entity, stream.archetype(**stream.of_frame(0)))
+        self._explain(rows)
 
-    def record_all(self, frames: Sequence[RecordedFrame]) -> SessionArrays:
-        """Logs many frames by columns, for offline use; may be called again with the frames that follow.
+    def record_all(
+        self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None = None
+    ) -> SessionArrays:
+        """Logs many frames by columns; may be called again with the frames that follow.
+
+        Args:
+            frames: In time order, at least one.
+            numbers: Of the frames, where some were left out; else they are counted.
 
         Returns:
             What was logged.
         """
-        rows = self._stack(frames)
+        rows = self._stack(frames, numbers)
         times = [
             rr.TimeColumn(layout.FRAME, sequence=rows.frame),
             rr.TimeColumn(layout.TIME, duration=rows.time_ns.astype("timedelta64[ns]")),
         ]
         for stream in _streams(rows):
             self._stream.send_columns(stream.entity, times, stream.columns())
+        self._explain(rows)
         return rows
 
     def event(self, text: str, level: str = "INFO") -> None:
         """Logs what happened, at the time of the last frame."""
+        self._set_time(*self._now)
         self._stream.log(layout.EVENTS, rr.TextLog(text, level=level))
 
-    def _stack(self, frames: Sequence[RecordedFrame]) -> SessionArrays:
+    def coach(self, markdown: str) -> None:
+        """Logs what to do next, at the time of the last frame."""
+        self._set_time(*self._now)
+        self._stream.log(layout.COACH, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
+
+    def _set_time(self, frame: int, time_ns: int) -> None:
+        self._stream.set_time(layout.FRAME, sequence=frame)
+        self._stream.set_time(layout.TIME, duration=np.timedelta64(time_ns, "ns"))
+
+    def _stack(self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None) -> SessionArrays:
         if self._start_ns is None:
             self._start_ns = frames[0].pair.time_ns
+        if numbers is None:
+            numbers = range(self._frames, self._frames + len(frames))
+        calibration = self._calibration
         rows = SessionArrays.stack(
-            self._calibration.body, self._calibration.bone_lengths, frames, self._frames, self._start_ns
+            calibration.body, calibration.bone_lengths, frames, numbers, self._start_ns
         )
-        self._frames += len(frames)
+        self._frames = numbers[-1] + 1
+        self._now = (int(rows.frame[-1]), int(rows.time_ns[-1]))
         return rows
+
+    def _explain(self, rows: SessionArrays) -> None:
+        """What is not logged every frame: the trust matrix, and tracking states where they change."""
+        for t, png in self._matrix.add(rows):
+            self._set_time(int(rows.frame[t]), int(rows.time_ns[t]))
+            self._stream.log(layout.TRUST_MATRIX, rr.EncodedImage(contents=png, media_type="image/png"))
+        for side, joint, changes in self._lanes.add(rows):
+            lane = layout.state_lane(side, rows.body.joints[joint])
+            at = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
+            self._stream.send_columns(
+                lane,
+                [
+                    rr.TimeColumn(layout.FRAME, sequence=[frame for frame, _ in at]),
+                    rr.TimeColumn(layout.TIME, duration=np.array([ns for _, ns in at], "timedelta64[ns]")),
+                ],
+                rr.StateChange.columns(state=[layout.STATE_NAMES[state] for _, state in changes]),
+            )
+            if changes[0][0] is None:
+                self._stream.log(lane, appearance.STATE_LANES, static=True)
 
     def _log_static(self, fuser: Fuser, sources: tuple[str, str]) -> None:
         body = self._calibration.body
@@ -80,28 +129,17 @@ class Recorder:
         def once(entity: str, *what: Any) -> None:
             stream.log(entity, *what, static=True)
 
-        once(layout.ROOT, rr.ViewCoordinates.RDF, _annotations(body))
+        once(layout.ROOT, rr.ViewCoordinates.RDF, appearance.annotation_context(body))
         once(layout.kinect("a"), rr.Transform3D.from_fields(translation=(0.0, 0.0, 0.0)))
         for side, intrinsics in (("a", fuser.intrinsics_a), ("b", fuser.intrinsics_b)):
-            once(layout.skeleton(side), _joint_look(body, side))
-            once(
-                layout.depth(side),
-                rr.Pinhole(
-                    focal_length=(intrinsics.fx, intrinsics.fy),
-                    principal_point=(intrinsics.cx, intrinsics.cy),
-                    width=intrinsics.width,
-                    height=intrinsics.height,
-                    camera_xyz=rr.ViewCoordinates.RDF,
-                    image_plane_distance=0.25,
-                    color=layout.SKELETON_COLORS[side],
-                ),
-            )
-            once(layout.weights(side), _weight_lines(body))
-        once(layout.FUSED_SKELETON, _joint_look(body, "fused"))
+            once(layout.skeleton(side), appearance.joint_look(body, side))
+            once(layout.depth(side), appearance.camera(intrinsics, side))
+            once(layout.weights(side), appearance.weight_lines(body))
+        once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))
         for joint in body.bone_joints:
-            once(layout.bone(body.bones[joint]), _BONE_LINES)
+            once(layout.bone(body.bones[joint]), appearance.BONE_LINES)
         for name in layout.QUALITY_NAMES:
-            once(layout.quality(name), _QUALITY_LINES[name])
+            once(layout.quality(name), appearance.QUALITY_LINES[name])
         for name, values in self._properties(fuser, sources).items():
             stream.send_property(name, rr.AnyValues(**values))
 
@@ -178,7 +216,13 @@ def _streams(rows: SessionArrays) -> Iterator[_Stream]:
     yield _Stream(
         layout.kinect("b"), rr.Transform3D, {"mat3x3": rows.rotation, "translation": rows.translation}
     )
-    yield _Stream(layout.FUSED_SKELETON, rr.Points3D, {"positions": rows.fused.astype(np.float32)}, joints)
+    yield _Stream(
+        layout.FUSED_SKELETON,
+        rr.Points3D,
+        {"positions": rows.fused.astype(np.float32), "colors": trust_colors(rows)},
+        joints,
+    )
+    yield _Stream(layout.FUSED_SKELETON, rr.AnyValues, details(rows), joints)
     yield _Stream(
         layout.FUSED_TRUST, rr.AnyValues, {"misleading": rows.misleading, "predicted": rows.predicted}, joints
     )
@@ -208,66 +252,3 @@ def _quality(rows: SessionArrays) -> dict[str, NDArray[Any]]:
         "predicted_joints": rows.predicted.sum(axis=1)[:, None],
         "stale": np.stack([rows.stale_a, rows.stale_b], axis=1),
     }
-
-
-def _annotations(body: Body) -> rr.AnnotationContext:
-    joints = [rr.AnnotationInfo(id=j, label=name) for j, name in enumerate(body.joints)]
-    bones = [(int(body.parents[joint]), int(joint)) for joint in body.bone_joints]
-    return rr.AnnotationContext(
-        [
-            rr.ClassDescription(
-                info=rr.AnnotationInfo(
-                    id=layout.CLASS_IDS[key],
-                    label=layout.SKELETON_NAMES[key],
-                    color=layout.SKELETON_COLORS[key],
-                ),
-                keypoint_annotations=joints,
-                keypoint_connections=bones,
-            )
-            for key in layout.CLASS_IDS
-        ]
-    )
-
-
-def _joint_look(body: Body, key: str) -> rr.Points3D:
-    return rr.Points3D.from_fields(
-        class_ids=layout.CLASS_IDS[key],
-        keypoint_ids=range(len(body)),
-        colors=layout.SKELETON_COLORS[key],
-        radii=layout.JOINT_RADII[key],
-        show_labels=False,
-    )
-
-
-def _weight_lines(body: Body) -> rr.SeriesLines:
-    """Hues around the wheel; a joint and its mirror image share one, the right side is paler."""
-    prominent = [body.joint(name) for name in layout.PROMINENT_JOINTS]
-    hue = {joint: k // 2 / (len(prominent) // 2) for k, joint in enumerate(prominent)}
-    colors = []
-    for joint, mirror in enumerate(body.mirror):
-        first = min(joint, int(mirror))
-        rgb = colorsys.hsv_to_rgb(
-            0.1 + hue.get(joint, first / len(body)), 0.85 if joint == first else 0.45, 0.9
-        )
-        colors.append((int(255 * rgb[0]), int(255 * rgb[1]), int(255 * rgb[2])))
-    return rr.SeriesLines(
-        names=body.joints, colors=colors, visible_series=[j in hue for j in range(len(body))]
-    )
-
-
-_BONE_LINES = rr.SeriesLines(
-    names=[*(layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")), "target"],
-    colors=[*(layout.SKELETON_COLORS[key] for key in ("a", "b", "fused")), layout.TARGET_COLOR],
-    widths=[1.0, 1.0, 2.5, 1.0],
-)
-
-_QUALITY_LINES = {
-    "stale": rr.SeriesLines(
-        names=["stale A", "stale B"], colors=[layout.SKELETON_COLORS["a"], layout.SKELETON_COLORS["b"]]
-    ),
-    **{
-        name: rr.SeriesLines(names=name.replace("_mm", " (mm)").replace("_ms", " (ms)").replace("_", " "))
-        for name in layout.QUALITY_NAMES
-        if name != "stale"
-    },
-}
