@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +27,17 @@ class SensorFrame:
         people: The skeletons seen, by the tracker's person id; empty when no one is seen.
         depth: (height, width) uint16 millimetres, 0 where there is no reading; None without a depth image.
         color: (height, width, 3) uint8 RGB; None without a colour image.
+        ir: (height, width) uint16 active infrared, of the depth camera; None without one.
+        host_ns: When the images reached this machine, on ``time.perf_counter_ns``, before any body
+            tracking: what relates two sensors' clocks. None for a recording.
     """
 
     time_ns: int
     people: dict[str, Skeleton] = field(default_factory=dict)
     depth: NDArray[np.uint16] | None = None
     color: NDArray[np.uint8] | None = None
+    ir: NDArray[np.uint16] | None = None
+    host_ns: int | None = None
 
 
 class Sensor(Protocol):
@@ -66,4 +71,13 @@ class Sensor(Protocol):
         Raises:
             DeviceError: The source failed; frames before the failure were given.
         """
+        ...
+
+
+@runtime_checkable
+class Interruptible(Protocol):
+    """A sensor that may wait long between frames, and can be asked to stop waiting."""
+
+    def interrupt(self) -> None:
+        """Makes ``frames`` end soon, within a second. Called from another thread; opening undoes it."""
         ...

@@ -1,24 +1,21 @@
-"""The method, one line a step: S_A and S_B in, S* out."""
+"""The method, pair by pair or a whole recording at once: S_A and S_B in, S* out."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion import frame
 from fusion.calibration import Calibration
 from fusion.errors import FusionError
-from fusion.paper_solver import PaperSolver
-from fusion.reliability import PAPER_H, equal_weights, reliability_weights
+from fusion.reliability import PAPER_H
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
-from fusion.solver import Solver
-from fusion.tree_solver import TreeSolver
 from fusion.viewing_plane import NOMINAL_INTRINSICS, Intrinsics
-
-_FORGET_NS = 1_000_000_000  # after so long without a person the next one starts afresh
 
 
 @dataclass(frozen=True)
@@ -75,6 +72,8 @@ class FusedFrame:
 class Fuser:
     """Makes one skeleton of two, pair by pair; it remembers only the frame before.
 
+    A frame goes through the steps of METHOD.md, compiled in :mod:`fusion.frame`: t again, trust, solve.
+
     Args:
         calibration: R, t and the bone lengths.
         settings: The method's choices.
@@ -88,24 +87,26 @@ class Fuser:
         intrinsics_a: Intrinsics | None = None,
         intrinsics_b: Intrinsics | None = None,
     ) -> None:
+        body = calibration.body
         self.calibration = calibration
         self.settings = settings or FuserSettings()
-        body = calibration.body
         self.intrinsics_a = intrinsics_a or NOMINAL_INTRINSICS[body.name]
         self.intrinsics_b = intrinsics_b or NOMINAL_INTRINSICS[body.name]
-        self._body = body
         self._nobody = Skeleton.of(body, np.full((len(body), 3), np.nan))
-        self._torso = np.array(body.torso, dtype=np.int64)
-        self._solver: Solver = (
-            PaperSolver(body.parents)
-            if self.settings.solver == "paper"
-            else TreeSolver(body.parents, body.order, body.rest)
+        self._model = frame.new_model(
+            body,
+            calibration.bone_lengths,
+            calibration.a_from_b.rotation,
+            (self.intrinsics_a, self.intrinsics_b),
+            self.settings.h,
+            frame.PAPER if self.settings.solver == "paper" else frame.EXACT,
+            frame.EQUAL if self.settings.weights == "equal" else frame.TRUST,
         )
-        self._a_from_b = calibration.a_from_b
-        self._before: NDArray[np.float64] | None = None
-        self._before_ns = 0
-        self._last_a: Skeleton | None = None
-        self._last_b: Skeleton | None = None
+        self._memory = frame.new_memory(len(body), calibration.a_from_b.translation)
+
+    def warm_up(self) -> None:
+        """Compiles everything that :meth:`update` runs, without touching what this fuser remembers."""
+        Fuser(self.calibration, self.settings).update(SkeletonPair(None, None, 0))
 
     def update(self, pair: SkeletonPair) -> FusedFrame:
         """Fuses the next pair.
@@ -115,68 +116,49 @@ class Fuser:
                 no one gives None, and S* comes from the other alone; with neither there is no S*.
         """
         a, b = pair.a or self._nobody, pair.b or self._nobody
-        stale_a, stale_b = self._notice_stale(pair)
-        if pair.time_ns - self._before_ns > _FORGET_NS:
-            self._before = None
-
-        # t again from the torso's centres (sec. 4), and S_B in K_A's frame
-        self._a_from_b = self._carry(a, b)
-        p, q = a.positions.astype(np.float64), self._a_from_b.apply(b.positions)
-
-        # how far to trust each view of each joint (eqs. (10), (11))
-        weights_a, weights_b, misleading = self._trust(a, b)
-        weights = weights_a + weights_b
-        predicted = weights == 0.0
-
-        # the closest joints with exactly these bones (eq. (1))
-        iterations = 0
-        fused = np.full((len(self._body), 3), np.nan)
-        if not predicted.all():
-            targets = np.where(weights_a[:, None] > 0.0, weights_a[:, None] * p, 0.0)
-            targets += np.where(weights_b[:, None] > 0.0, weights_b[:, None] * q, 0.0)
-            targets /= np.where(predicted, 1.0, weights)[:, None]
-            start = self._first_guess(targets, predicted) if self._before is None else self._before
-            solution = self._solver.solve(targets, weights, self.calibration.bone_lengths, start)
-            fused, iterations = solution.positions, solution.iterations
-            self._before, self._before_ns = fused, pair.time_ns
-        return FusedFrame(
-            fused, predicted, weights_a, weights_b, misleading, self._a_from_b, iterations,
-            stale_a, stale_b, pair.time_ns,
-        )  # fmt: skip
-
-    def _notice_stale(self, pair: SkeletonPair) -> tuple[bool, bool]:
-        stale_a = pair.a is not None and pair.a.repeats(self._last_a)
-        stale_b = pair.b is not None and pair.b.repeats(self._last_b)
-        self._last_a, self._last_b = pair.a, pair.b
-        return stale_a, stale_b
-
-    def _carry(self, a: Skeleton, b: Skeleton) -> RigidTransform:
-        """R with the t that lays the torso's centre of S_B on that of S_A; unchanged where none is shared."""
-        shared = self._torso[(a.has_position & b.has_position)[self._torso]]
-        if len(shared) == 0:
-            return self._a_from_b
-        R = self._a_from_b.rotation
-        centre_a = a.positions[shared].astype(np.float64).mean(axis=0)
-        centre_b = b.positions[shared].astype(np.float64).mean(axis=0)
-        return RigidTransform(R, centre_a - R @ centre_b)
-
-    def _trust(
-        self, a: Skeleton, b: Skeleton
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-        pixels_a = self.intrinsics_a.project(a.positions)
-        pixels_b = self.intrinsics_b.project(b.positions)
-        if self.settings.weights == "equal":
-            return *equal_weights(pixels_a, pixels_b), np.full(len(self._body), -1, dtype=np.int64)
-        return reliability_weights(pixels_a, pixels_b, a.states, b.states, self._body.linked, self.settings.h)
-
-    def _first_guess(self, targets: NDArray[np.float64], predicted: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """(J, 3) the targets, with joints that have none hung on their parents as in a person at rest."""
-        guess = np.where(predicted[:, None], np.nan, targets)
-        guess[self._body.root] = np.where(
-            predicted[self._body.root], np.nanmean(guess, axis=0), guess[self._body.root]
+        result = self._run(
+            np.array([pair.time_ns], dtype=np.int64),
+            a.positions[None],
+            a.states[None],
+            b.positions[None],
+            b.states[None],
         )
-        for joint in self._body.order[1:]:
-            if predicted[joint]:
-                bone = self.calibration.bone_lengths[joint] * self._body.rest[joint]
-                guess[joint] = guess[self._body.parents[joint]] + bone
-        return guess
+        return self._fused(result, 0, pair.time_ns)
+
+    def fuse_sequence(self, pairs: Sequence[SkeletonPair]) -> list[FusedFrame]:
+        """Fuses the next pairs in one compiled loop; bit for bit what :meth:`update` gives one by one."""
+        if not pairs:
+            return []
+        result = self._run(
+            np.array([pair.time_ns for pair in pairs], dtype=np.int64),
+            *self._stacked([pair.a or self._nobody for pair in pairs]),
+            *self._stacked([pair.b or self._nobody for pair in pairs]),
+        )
+        return [self._fused(result, k, pair.time_ns) for k, pair in enumerate(pairs)]
+
+    @staticmethod
+    def _stacked(skeletons: Sequence[Skeleton]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        positions = np.array([skeleton.positions for skeleton in skeletons])
+        states = np.array([skeleton.states for skeleton in skeletons])
+        positions.flags.writeable = states.flags.writeable = False  # the type update() calls with
+        return positions, states
+
+    def _run(self, time_ns: NDArray[np.int64], *views: NDArray[Any]) -> frame.Result:
+        result = frame.new_result(len(time_ns), len(self._nobody.states))
+        frame.fuse_frames(self._model, self._memory, result, time_ns, *views)
+        return result
+
+    def _fused(self, result: frame.Result, k: int, time_ns: int) -> FusedFrame:
+        iterations, stale_a, stale_b = result.counts[k].tolist()
+        return FusedFrame(
+            positions=result.positions[k],
+            predicted=result.predicted[k],
+            weights_a=result.weights_a[k],
+            weights_b=result.weights_b[k],
+            misleading=result.misleading[k],
+            a_from_b=RigidTransform(self.calibration.a_from_b.rotation, result.translation[k]),
+            iterations=iterations,
+            stale_a=bool(stale_a),
+            stale_b=bool(stale_b),
+            time_ns=time_ns,
+        )

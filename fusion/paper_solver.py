@@ -122,7 +122,7 @@ def solve_published(parents, targets, weights, lengths, line_search, at, work): 
 
 
 class PaperSolver:
-    """The published scheme with the interface of :class:`fusion.tree_solver.TreeSolver`; bones are not exact."""
+    """The published scheme, used like :class:`fusion.tree_solver.TreeSolver`; bones are not exact."""
 
     def __init__(self, parents: ArrayLike, line_search: bool = True) -> None:
         """Prepares for a tree of joints.
@@ -165,8 +165,8 @@ class PaperSolver:
             )
         if not np.isfinite(at).all():
             raise FusionError(
-                f"The published scheme starts from every joint; {np.flatnonzero(~np.isfinite(at).all(axis=1))} "
-                "have no position. Give a start that has them."
+                f"The published scheme needs a start for every joint; {np.isnan(at).any(axis=1).sum()} have "
+                "none. Give the joints of the frame before."
             )
         iterations, objective, converged = solve_published(
             self.parents, m, w, lengths, self.line_search, at, self._work

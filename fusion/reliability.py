@@ -21,7 +21,7 @@ _TRACKED = 2  # fusion.skeleton.TrackingState.TRACKED
 
 @njit(cache=True, error_model="numpy")
 def _nearest(i, pixels, usable, linked):  # type: ignore[no-untyped-def]
-    """The usable joint without a bone to i that is nearest to it in a viewing plane: (squared distance, joint)."""
+    """The nearest usable joint without a bone to i in a viewing plane: (squared distance, joint)."""
     least, nearest = math.inf, -1
     for j in range(len(pixels)):
         if usable[j] and not linked[i, j]:
@@ -72,14 +72,15 @@ def reliability_weights(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
     """The weights w_A, w_B of eq. (11) and the mis-leading joint of every joint, sec. 3.
 
-    For joint i, j is the nearest joint in A's viewing plane that is neither i nor linked to it by a bone, k the
-    same in B's. m = j where d_ij in A is below d_ik in B, else k. With d_A, d_B the distance of i and m in each
-    plane, w̄_A = d_A / (d_A + d_B), eq. (10); times h where tracked and 1 - h where inferred, if the states
+    For joint i, j is the nearest joint in A's viewing plane that is neither i nor linked to it by a bone,
+    k the same in B's. m = j where d_ij in A is below d_ik in B, else k. With d_A, d_B the distance of i and
+    m in each plane, w̄_A = d_A / (d_A + d_B), eq. (10); times h where tracked and 1 - h where inferred, if
+    the states
     differ; to the fourth power and normalised to w_A + w_B = 1, eq. (11).
 
-    Only joints that both planes have can mislead: d needs both. A joint in one plane only gets weight 1 there
-    and 0 in the other; in neither, 0 and 0. Without a mis-leading joint, or with it on top of i in both planes,
-    w̄_A = w̄_B = ½.
+    Only joints that both planes have can mislead: d needs both. A joint in one plane only gets weight 1
+    there and 0 in the other; in neither, 0 and 0. Without a mis-leading joint, or with it on top of i in
+    both planes, w̄_A = w̄_B = ½.
 
     Args:
         pixels_a, pixels_b: (J, 2) where the joints fall in each sensor's own image; NaN where they do not.

@@ -275,6 +275,16 @@ def retract(parents, order, work):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
+def measure_multipliers(order, work):  # type: ignore[no-untyped-def]
+    """λ_i = -e_i·F_i / l_i²: exact at a stationary point, where its curvature is to be judged."""
+    force, bone = work[FORCE], work[BONE]
+    for k in range(1, len(order)):
+        i = order[k]
+        along = bone[i, 0] * force[i, 0] + bone[i, 1] * force[i, 1] + bone[i, 2] * force[i, 2]
+        bone[i, 4] = -along / (bone[i, 3] * bone[i, 3])
+
+
+@njit(cache=True, error_model="numpy")
 def update_multipliers(order, work):  # type: ignore[no-untyped-def]
     """λ_i = -e_i·(b_i + A_i d_i) / l_i²: from the force in the bone that the model predicts."""
     total, force, bone, step = work[REDUCED], work[FORCE], work[BONE], work[STEP]

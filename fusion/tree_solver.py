@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from fusion.errors import FusionError
 from fusion.tree_elimination import (
     BEST,
-    BLOCKS,
     BONE,
     FORCE,
     INFORMATION,
@@ -27,12 +26,16 @@ from fusion.tree_elimination import (
     TARGET,
     TRIAL,
     eliminate,
+    measure_multipliers,
     misfit,
     pull,
     retract,
     solve_root,
     substitute,
     update_multipliers,
+)
+from fusion.tree_elimination import (
+    BLOCKS as BLOCKS,
 )
 
 MAX_ITERATIONS = 50
@@ -42,14 +45,15 @@ _SMALL_STEP = 1e-7  # m: where the force is zero too, a shorter step tells nothi
 _ROUNDING = 1e-14  # relative: two objectives nearer than this are the same
 _NEAR_SADDLE = 0.01  # of the bone's length: a shorter step, with a negative pivot, crawls along a saddle
 _KICK = 0.5  # of the bone's length: how far a saddle is left at once
-_SHORTER_KICK = 0.2  # after one that led uphill on the other side
+_DOUBLINGS = 6
+_SHORTER_KICK = 0.2  # after patience ran out
 
 # Levenberg's damping, as a share of the subtree's information. The values were chosen on random problems
 # whose weights span six orders of magnitude; ordinary frames never need any.
 _FIRST_DAMPING = 1e-5
 _MORE, _LESS, _NONE = 8.0, 0.03, 1e-9
 _PATIENCE = 8  # steps that may climb before the best point is taken up again
-_PATIENT_DAMPING, _PATIENT_MORE = 1e-7, 3.0
+_PATIENT_DAMPING, _PATIENT_MORE = 1e-8, 6.0
 _LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
 
 
@@ -152,10 +156,32 @@ def _leave_saddle(parents, order, saddle, s1, s2, length, work):  # type: ignore
     scale = length / max(relative, 1e-3)
     if slope > 0.0:
         scale = -scale
-    for i in range(len(order)):
-        for c in range(5):
-            step[i, c] *= scale
+    _scale(step, scale)
     return slope * scale
+
+
+@njit(cache=True, error_model="numpy")
+def _stretch(parents, order, trial, work):  # type: ignore[no-untyped-def]
+    """Doubles a downhill step while the objective falls: a Gauss–Newton step is too short where curvature is
+    negative. Returns the objective at the trial point."""
+    step = work[STEP]
+    factor = 2.0
+    for _ in range(_DOUBLINGS):
+        _scale(step, factor)
+        longer = retract(parents, order, work)
+        if not longer < trial:
+            _scale(step, 1.0 / factor)
+            return retract(parents, order, work)
+        trial = longer
+    return trial
+
+
+@njit(cache=True, error_model="numpy")
+def _scale(step, factor):  # type: ignore[no-untyped-def]
+    """The step of every joint, times a factor."""
+    for i in range(len(step)):
+        for c in range(5):
+            step[i, c] *= factor
 
 
 @njit(cache=True, error_model="numpy")
@@ -217,6 +243,8 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         if not step[root, 5] > 0.0 or (stationary and last_step < _LAST_STEP):
             converged = True
             break
+        if stationary:
+            measure_multipliers(order, work)
         scale = step[root, 5]
         saddle, s1, s2 = eliminate(parents, order, work, damping, False)
         x, y, z, lowest, vx, vy, vz = solve_root(work[REDUCED, root], work[FORCE, root], scale)
@@ -233,14 +261,14 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         if iterations == MAX_ITERATIONS:
             break
         iterations += 1
-        kicked = False
         if saddle >= 0 and relative < _NEAR_SADDLE:
             eliminate(parents, order, work, damping, False)
             step[root, 2], step[root, 3], step[root, 4] = vx, vy, vz
             slope = _leave_saddle(parents, order, saddle, s1, s2, kick, work)
             relative = kick
-            kicked = True
         trial = retract(parents, order, work)
+        if saddle >= 0 and trial < objective:
+            trial = _stretch(parents, order, trial, work)
         if patience == 0:
             best, best_step, predicted = objective, relative, -0.5 * slope
             _keep(POSITION, BEST, work)
@@ -254,7 +282,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
                 damping = max(2.0 * damping, _FIRST_DAMPING)
             elif ratio > 0.25:
                 damping = damping * _LESS if damping > _NONE else 0.0
-        elif not kicked and patience < _PATIENCE and max(best_step, relative) < _LONGEST:
+        elif patience < _PATIENCE and max(best_step, relative) < _LONGEST:
             patience += 1
             if patience > 1:
                 damping = max(_PATIENT_MORE * damping, _PATIENT_DAMPING)
@@ -265,10 +293,9 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             objective = best
             last_step = math.inf
             patience = 0
-            if kicked:
+            damping = max(_MORE * damping, _FIRST_DAMPING)
+            if stationary:
                 kick *= _SHORTER_KICK
-            else:
-                damping = max(_MORE * damping, _FIRST_DAMPING)
             continue
         update_multipliers(order, work)
         _keep(TRIAL, POSITION, work)

@@ -84,15 +84,19 @@ BONE_LINES = rr.SeriesLines(
 )
 
 QUALITY_LINES = {
-    "stale": rr.SeriesLines(
-        names=["stale A", "stale B"], colors=[layout.SKELETON_COLORS["a"], layout.SKELETON_COLORS["b"]]
-    ),
+    **{
+        name: rr.SeriesLines(
+            names=[f"{title} A", f"{title} B"],
+            colors=[layout.SKELETON_COLORS["a"], layout.SKELETON_COLORS["b"]],
+        )
+        for name, title in (("stale", "stale"), ("tracked_joints", "tracked by"))
+    },
     **{
         name: rr.SeriesLines(
             names=name.replace("_mm", " (mm)").replace("_ms", " (ms)").replace("_", " "),
             colors=layout.SKELETON_COLORS["fused"],
         )
         for name in layout.QUALITY_NAMES
-        if name != "stale"
+        if name not in ("stale", "tracked_joints")
     },
 }

@@ -22,6 +22,8 @@ class RecordedFrame:
     pair: FramePair
     fused: FusedFrame
     fuse_ns: int
+    truth: NDArray[np.float64] | None = None
+    """(J, 3) where the joints really are, in K_A's frame; simulations only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,7 @@ class SessionArrays:
         iterations: (T,) of the solver.
         stale_a, stale_b: (T,) whether the sensor repeated its last skeleton.
         fuse_ms: (T,) what the fusion took.
+        truth: (T, J, 3) where the joints really are, in K_A's frame; None where no one knows.
     """
 
     body: Body
@@ -66,6 +69,7 @@ class SessionArrays:
     stale_a: NDArray[np.bool_]
     stale_b: NDArray[np.bool_]
     fuse_ms: NDArray[np.float64]
+    truth: NDArray[np.float64] | None = None
 
     @staticmethod
     def stack(
@@ -118,6 +122,9 @@ class SessionArrays:
             stale_a=np.array([f.stale_a for f in fused]),
             stale_b=np.array([f.stale_b for f in fused]),
             fuse_ms=np.array([f.fuse_ns for f in frames]) * 1e-6,
+            truth=None
+            if frames[0].truth is None
+            else np.array([nowhere if f.truth is None else f.truth for f in frames]),
         )
 
     def __len__(self) -> int:

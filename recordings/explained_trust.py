@@ -6,6 +6,7 @@ by the data that :func:`details` lays beside the joint.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -20,9 +21,9 @@ from recordings.arrays import SessionArrays
 _BINS = 300
 _BIN_NS = 100_000_000
 _PICTURE_EVERY_NS = 1_000_000_000
-_BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _AXIS_HEIGHT = 3, 18, 150, 44  # pixels of the picture
+_BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _AXIS_HEIGHT = 3, 22, 170, 56  # pixels of the picture
 _BACKGROUND, _INK = (27, 27, 31), (214, 214, 220)
-_FONT, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.42
+_FONT, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.55
 
 
 def trust_colors(rows: SessionArrays) -> NDArray[np.uint8]:
@@ -86,23 +87,23 @@ class TrustMatrix:
         picture = np.full((height + _AXIS_HEIGHT, _NAMES_WIDTH + width + 30, 3), _BACKGROUND, dtype=np.uint8)
         picture[:height, _NAMES_WIDTH : _NAMES_WIDTH + width] = cells
         for joint, name in enumerate(self._body.joints):
-            _text(picture, name.replace("_", " ").lower(), 4, (joint + 1) * _ROW_HEIGHT - 5)
+            _text(picture, _in_words(name), 4, (joint + 1) * _ROW_HEIGHT - 6)
         seconds = _BINS * _BIN_NS * 1e-9
         for ago in np.arange(0.0, seconds + 1.0, 5.0):
             x = _NAMES_WIDTH + round(width * (1.0 - ago / seconds))
             cv2.line(picture, (x, height), (x, height + 5), _INK, 1)
             label = "now" if ago == 0.0 else f"-{ago:.0f} s"
-            _text(picture, label, x - 12, height + 19)
+            _text(picture, label, x - 18, height + 21)
         left = _NAMES_WIDTH
         for words, color in (
             ("from A", layout.SKELETON_COLORS["a"]),
             ("from B", layout.SKELETON_COLORS["b"]),
             ("predicted", layout.PREDICTED_COLOR),
         ):
-            picture[height + 27 : height + 39, left : left + 22] = color
-            _text(picture, words, left + 28, height + 38)
-            left += 130
-        _text(picture, f"until {now_ns * 1e-9:.1f} s", left + 200, height + 38)
+            picture[height + 33 : height + 48, left : left + 22] = color
+            _text(picture, words, left + 28, height + 47)
+            left += 150
+        _text(picture, f"until {now_ns * 1e-9:.1f} s", left + 220, height + 47)
         _, png = cv2.imencode(".png", picture[..., ::-1], (cv2.IMWRITE_PNG_COMPRESSION, 3))
         return png.tobytes()
 
@@ -133,6 +134,11 @@ class StateLanes:
                     changes.insert(0, (None, int(lane[0])))
                 yield side, int(joint), changes
             self._before[side] = states[-1]
+
+
+def _in_words(joint: str) -> str:
+    """ELBOW_LEFT and ElbowLeft as ``elbow left``."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])|_", " ", joint).lower()
 
 
 def _text(picture: NDArray[np.uint8], words: str, x: int, y: int) -> None:

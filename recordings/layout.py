@@ -16,11 +16,16 @@ TIME = "time"
 
 ROOT = "/"
 FUSED_SKELETON = "/fused/skeleton"
+TRUTH_SKELETON = "/truth/skeleton"
+"""Where the joints really are, in K_A's frame; simulations only."""
+CALIBRATION = "/calibration"
+"""R, t and bone lengths in full precision, whenever a calibration takes effect."""
 FUSED_TRUST = "/fused/trust"
 QUALITY = "/quality"
 EVENTS = "/events"
 TRUST_MATRIX = "/trust_matrix"
 """Picture, joint × time: whose view made each joint of S* over the last seconds."""
+STATE_LANES = "/lanes"
 COACH = "/coach"
 """Text: what to do next while setting up."""
 
@@ -45,7 +50,7 @@ def states(side: str) -> str:
 
 def state_lane(side: str, joint: str) -> str:
     """A joint's tracking state where it changes, for the joints that ever change."""
-    return f"/lanes/{joint.lower()}/{side}"
+    return f"{STATE_LANES}/{joint.lower()}/{side}"
 
 
 def weights(side: str) -> str:
@@ -80,6 +85,7 @@ QUALITY_NAMES = (
     "disagreement_mm",
     "iterations",
     "predicted_joints",
+    "tracked_joints",
     "stale",
 )
 """What is logged under ``/quality``."""

@@ -15,6 +15,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from fusion.fuser import Fuser
+from fusion.skeleton import TrackingState
 from recordings import appearance, layout
 from recordings.arrays import RecordedFrame, SessionArrays
 from recordings.explained_trust import StateLanes, TrustMatrix, details, trust_colors
@@ -44,7 +45,25 @@ class Recorder:
         self._now = (0, 0)  # frame, nanoseconds
         self._matrix = TrustMatrix(fuser.calibration.body)
         self._lanes = StateLanes()
-        self._log_static(fuser, sources)
+        self._sources = sources
+        self._log_static(fuser)
+        self.calibrate(fuser)
+
+    def calibrate(self, fuser: Fuser) -> None:
+        """Keeps the calibration and settings with which the frames that follow are fused."""
+        calibration = self._calibration = fuser.calibration
+        self._set_time(self._frames, self._now[1])
+        self._stream.log(
+            layout.CALIBRATION,
+            rr.AnyValues(
+                how=calibration.how,
+                rotation=calibration.a_from_b.rotation.ravel(),
+                translation=calibration.a_from_b.translation,
+                bone_lengths=calibration.bone_lengths,
+            ),
+        )
+        for name, values in self._properties(fuser).items():
+            self._stream.send_property(name, rr.AnyValues(**values))
 
     def record(self, frame: RecordedFrame, number: int | None = None) -> None:
         """Logs one frame at once, for live use."""
@@ -122,7 +141,7 @@ class Recorder:
             if changes[0][0] is None:
                 self._stream.log(lane, appearance.STATE_LANES, static=True)
 
-    def _log_static(self, fuser: Fuser, sources: tuple[str, str]) -> None:
+    def _log_static(self, fuser: Fuser) -> None:
         body = self._calibration.body
         stream = self._stream
 
@@ -136,14 +155,13 @@ class Recorder:
             once(layout.depth(side), appearance.camera(intrinsics, side))
             once(layout.weights(side), appearance.weight_lines(body))
         once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))
+        once(layout.TRUTH_SKELETON, appearance.joint_look(body, "truth"))
         for joint in body.bone_joints:
             once(layout.bone(body.bones[joint]), appearance.BONE_LINES)
         for name in layout.QUALITY_NAMES:
             once(layout.quality(name), appearance.QUALITY_LINES[name])
-        for name, values in self._properties(fuser, sources).items():
-            stream.send_property(name, rr.AnyValues(**values))
 
-    def _properties(self, fuser: Fuser, sources: tuple[str, str]) -> dict[str, dict[str, Any]]:
+    def _properties(self, fuser: Fuser) -> dict[str, dict[str, Any]]:
         """What a replay needs, and what a person asks of a file."""
         calibration = self._calibration
         registration = calibration.registration
@@ -157,8 +175,8 @@ class Recorder:
                 "layout_version": layout.VERSION,
                 "written_by": f"duplex-kinects {version('duplex-kinects')}",
                 "body": calibration.body.name,
-                "source_a": sources[0],
-                "source_b": sources[1],
+                "source_a": self._sources[0],
+                "source_b": self._sources[1],
             },
             "settings": {
                 "h": fuser.settings.h,
@@ -226,6 +244,10 @@ def _streams(rows: SessionArrays) -> Iterator[_Stream]:
     yield _Stream(
         layout.FUSED_TRUST, rr.AnyValues, {"misleading": rows.misleading, "predicted": rows.predicted}, joints
     )
+    if rows.truth is not None:
+        yield _Stream(
+            layout.TRUTH_SKELETON, rr.Points3D, {"positions": rows.truth.astype(np.float32)}, joints
+        )
     lengths = rows.bone_length_of_each  # (3, T, J)
     for joint in rows.body.bone_joints:
         target = np.full(len(rows), rows.bone_lengths[joint])
@@ -250,5 +272,9 @@ def _quality(rows: SessionArrays) -> dict[str, NDArray[Any]]:
         "disagreement_mm": rows.disagreement[:, None] * 1e3,
         "iterations": rows.iterations[:, None],
         "predicted_joints": rows.predicted.sum(axis=1)[:, None],
+        "tracked_joints": np.stack(
+            [(states == TrackingState.TRACKED).sum(axis=1) for states in (rows.states_a, rows.states_b)],
+            axis=1,
+        ),
         "stale": np.stack([rows.stale_a, rows.stale_b], axis=1),
     }

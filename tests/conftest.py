@@ -14,6 +14,8 @@ from fusion.body import Body
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
 
+pytest_plugins = ("standin", "standin_pyk4a")
+
 FRAME_NS = 33_333_333
 
 A_FROM_B = RigidTransform.of(
@@ -72,7 +74,7 @@ def moving(body: Body, frames: int, seed: int = 0) -> NDArray[np.float64]:
     return out
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of reference recordings beside the project."""
     root = Path(__file__).resolve().parent.parent

@@ -180,3 +180,33 @@ def test_the_same_pairs_give_the_same_skeleton_bit_for_bit() -> None:
 def test_h_outside_its_range_is_refused(h: float) -> None:
     with pytest.raises(FusionError, match=r"between 0\.5 and 1"):
         FuserSettings(h=h)
+
+
+def test_a_sequence_is_bit_for_bit_the_pairs_one_by_one() -> None:
+    body = KINECT_V2
+    rng = np.random.default_rng(9)
+    pairs = [noisy(pair_of(body, at, t * FRAME_NS), rng, 0.05) for t, at in enumerate(moving(body, 60))]
+    pairs[20] = SkeletonPair(None, pairs[20].b, pairs[20].time_ns)
+    pairs[21] = SkeletonPair(None, None, pairs[21].time_ns)
+    pairs[22] = SkeletonPair(
+        with_states(pairs[22].a, {"HandLeft": TrackingState.NOT_TRACKED}), None, 22 * FRAME_NS
+    )
+    one_by_one, at_once = (Fuser(flawless_calibration(body)) for _ in range(2))
+    for single, of_sequence in zip(
+        [one_by_one.update(pair) for pair in pairs], at_once.fuse_sequence(pairs), strict=True
+    ):
+        assert single.positions.tobytes() == of_sequence.positions.tobytes()
+        assert single.weights_a.tobytes() == of_sequence.weights_a.tobytes()
+        assert single.a_from_b.translation.tobytes() == of_sequence.a_from_b.translation.tobytes()
+        assert (single.iterations, single.stale_a, single.stale_b) == (
+            of_sequence.iterations, of_sequence.stale_a, of_sequence.stale_b,
+        )  # fmt: skip
+
+
+def test_warming_up_leaves_no_trace() -> None:
+    body = KINECT_V1
+    pairs = [pair_of(body, at, t * FRAME_NS) for t, at in enumerate(moving(body, 5))]
+    cold, warm = (Fuser(flawless_calibration(body)) for _ in range(2))
+    warm.warm_up()
+    for pair in pairs:
+        assert cold.update(pair).positions.tobytes() == warm.update(pair).positions.tobytes()

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterable
+
+from rich.console import Console
 
 from devices.pairing import FramePair
 from fusion.fuser import Fuser
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
+from viewer_app.live_session import LiveSession
 
 _BLOCK = 256  # frames written at a time, so that a viewer shows the work going on
+
+
+def warm_up(fuser: Fuser, console: Console) -> None:
+    """Compiles the kernels before the first frame needs them, with a word where that takes its time."""
+    notice = threading.Timer(1.0, console.print, ["Compiling the kernels; only the first run does this …"])
+    notice.daemon = True
+    notice.start()
+    try:
+        fuser.warm_up()
+    finally:
+        notice.cancel()
 
 
 def fuse_one(fuser: Fuser, pair: FramePair) -> RecordedFrame:
@@ -21,7 +36,9 @@ def fuse_one(fuser: Fuser, pair: FramePair) -> RecordedFrame:
     return RecordedFrame(pair, fused, time.perf_counter_ns() - before)
 
 
-def fuse_offline(pairs: Iterable[FramePair], fuser: Fuser, recorder: Recorder) -> list[RecordedFrame]:
+def fuse_offline(
+    pairs: Iterable[FramePair], fuser: Fuser, recorder: Recorder | LiveSession
+) -> list[RecordedFrame]:
     """Fuses pairs as fast as it goes, writing by columns, a block at a time."""
     frames: list[RecordedFrame] = []
     written = 0

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import rerun as rr
 
+from fusion.fuser import Fuser
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
 from viewer_app.errors import UsageError
@@ -44,7 +45,8 @@ class Note:
 
 
 Numbered = tuple[int, RecordedFrame]
-Item = Numbered | Note
+Item = Numbered | Note | Fuser
+"""A frame, something said, or the fuser with whose calibration the frames that follow are made."""
 Opening = Callable[[rr.RecordingStream], Recorder]
 """Writes what is static, and gives the recorder to go on with."""
 
@@ -62,6 +64,9 @@ def write_items(recorder: Recorder, items: Sequence[Item]) -> None:
         if isinstance(item, Note):
             write_run()
             item.write(recorder)
+        elif isinstance(item, Fuser):
+            write_run()
+            recorder.calibrate(item)
         else:
             run.append(item)
     write_run()
@@ -142,9 +147,9 @@ class ViewerFeed:
             self.process.stdin.close()
 
     def _drop_oldest_frame(self) -> None:
-        """Notes stay: they are few and short."""
+        """What is said stays: it is rare and short."""
         for index, item in enumerate(self._queue):
-            if not isinstance(item, Note):
+            if isinstance(item, tuple):
                 del self._queue[index]
                 self.dropped += 1
                 return
@@ -168,7 +173,7 @@ class ViewerFeed:
     def _feed(self, process: subprocess.Popen[bytes]) -> None:
         """Until the process is gone, stands still, or we stop."""
         stream = self._open_stream()
-        encoded = stream.binary_stream()
+        encoded = rr.binary_stream(stream)
         recorder = self._begin(stream)
         try:
             while not self._stopping:

@@ -1,0 +1,174 @@
+"""What of live capture works on this machine, as data."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from devices.body_tracking import INSTALL, TrackerSettings
+from devices.kinect_access import ConnectedKinect, connected_kinects, load_sdk
+from devices.native_library import load_library
+from devices.sensor import DeviceError
+from devices.usb import UDEV_ADVICE, usb_kinects
+
+_MODELS = ("dnn_model_2_0_op11.onnx", "dnn_model_2_0_lite_op11.onnx", "dnn_model_2_0.onnx")
+_USB3_MEGABITS = 5000
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was looked at.
+
+    Attributes:
+        name: What it is.
+        ok: Whether it works.
+        detail: What was found.
+        advice: What to do where it fails; empty where it works.
+        needed: Whether live capture cannot start without it.
+    """
+
+    name: str
+    ok: bool
+    detail: str
+    advice: str = ""
+    needed: bool = True
+
+
+def device_checks(tracker: TrackerSettings | None = None, root: Path = Path("/")) -> list[Check]:
+    """All that live capture needs of devices and their libraries, in the order to put it right.
+
+    Args:
+        tracker: How the tracker would run: its library and network are looked for.
+        root: Where the file system starts; tests put their own there.
+    """
+    tracker = tracker or TrackerSettings()
+    return [
+        _sdk(),
+        _tracker_library(tracker),
+        _tracker_network(tracker, root),
+        _usb_permission(root),
+        _usb_speed(root),
+        *_kinects(),
+        _gpu(tracker, root),
+        Check(
+            "proven on hardware",
+            False,
+            "live capture and body tracking have met stand-ins only, never a real sensor; recordings have",
+            "Report what happens with yours.",
+            needed=False,
+        ),
+    ]
+
+
+def _sdk() -> Check:
+    try:
+        sdk = load_sdk()
+    except DeviceError as fault:
+        return _failed("pyk4a and the Sensor SDK", fault)
+    return Check("pyk4a and the Sensor SDK", True, getattr(sdk, "__file__", None) or "installed")
+
+
+def _tracker_library(tracker: TrackerSettings) -> Check:
+    try:
+        library = load_library("k4abt", tracker.library, INSTALL)
+    except DeviceError as fault:
+        return _failed("body tracker", fault)
+    if not hasattr(library, "k4abt_tracker_create"):
+        return Check("body tracker", False, f"{library._name} is another library.", INSTALL)
+    return Check("body tracker", True, str(library._name))
+
+
+def _tracker_network(tracker: TrackerSettings, root: Path) -> Check:
+    name = "body tracker's network"
+    if tracker.model is not None:
+        advice = "" if tracker.model.is_file() else "Check the path, or leave it out."
+        return Check(name, tracker.model.is_file(), str(tracker.model), advice)
+    folders = [root / "usr/bin", root / "usr/lib/x86_64-linux-gnu", Path.cwd()]
+    if tracker.library is not None:
+        folders.insert(0, tracker.library.parent)
+    if sys.platform == "win32":
+        folders.append(Path("C:/Program Files/Azure Kinect Body Tracking SDK/tools"))
+    for folder in folders:
+        for model in _MODELS:
+            if (folder / model).is_file():
+                return Check(name, True, str(folder / model))
+    return Check(name, False, f"none of {', '.join(_MODELS)} where libk4abt looks", INSTALL)
+
+
+def _usb_permission(root: Path) -> Check:
+    name = "USB permission"
+    if not sys.platform.startswith("linux"):
+        return Check(name, True, f"not restricted on {sys.platform}")
+    there = usb_kinects(root)
+    forbidden = [device for device in there if not device.allowed]
+    if forbidden:
+        return Check(name, False, f"this user may not open {forbidden[0].node}", UDEV_ADVICE)
+    if there:
+        return Check(name, True, f"{len(there)} Kinect(s) on the bus may be opened")
+    rules = [
+        rule for folder in ("etc", "lib") for rule in (root / folder / "udev/rules.d").glob("*k4a*.rules")
+    ]
+    if rules or os.geteuid() == 0:
+        return Check(name, True, f"udev rule {rules[0].name}" if rules else "running as root")
+    return Check(name, False, "no udev rule for the Kinect", UDEV_ADVICE)
+
+
+def _usb_speed(root: Path) -> Check:
+    there = usb_kinects(root)
+    slow = [device for device in there if 0 < device.megabits < _USB3_MEGABITS]
+    if slow:
+        detail = f"{slow[0].serial or slow[0].node} runs at {slow[0].megabits} Mbit/s"
+        return Check("USB speed", False, detail, "Plug it into a USB 3 port, with its own cable.")
+    return Check("USB speed", True, f"{len(there)} Kinect(s) at USB 3" if there else "no Kinect on the bus")
+
+
+def _kinects() -> list[Check]:
+    try:
+        there = connected_kinects()
+    except DeviceError as fault:
+        return [_failed("two Kinects", fault)]
+    usable = sum(kinect.serial is not None for kinect in there)
+    advice = "" if usable >= 2 else "Plug in two: USB 3 and a power supply each, on two USB controllers."
+    counted = Check("two Kinects", usable >= 2, f"{len(there)} connected, {usable} usable", advice)
+    return [counted, *(_kinect(kinect) for kinect in there)]
+
+
+def _kinect(kinect: ConnectedKinect) -> Check:
+    if kinect.serial is None:
+        what, _, advice = kinect.fault.partition(". ")
+        return Check(f"Kinect at place {kinect.index}", False, what, advice, needed=False)
+    plugs = f"sync in {_plug(kinect.sync_in)}, sync out {_plug(kinect.sync_out)}"
+    return Check(f"Kinect {kinect.serial}", True, plugs, needed=False)
+
+
+def _plug(connected: bool | None) -> str:
+    return "connected" if connected else "empty"
+
+
+def _gpu(tracker: TrackerSettings, root: Path) -> Check:
+    if (root / "proc/driver/nvidia/version").is_file() or shutil.which("nvidia-smi"):
+        return Check("GPU", True, "NVIDIA driver found", needed=False)
+    if sys.platform == "win32":
+        try:
+            ctypes.CDLL("DirectML.dll")
+        except OSError:
+            pass
+        else:
+            return Check("GPU", True, "DirectML found", needed=False)
+    return Check(
+        "GPU",
+        False,
+        f"no NVIDIA driver found; the tracker is set to {tracker.processing}",
+        "On a CPU the tracker gives about one frame a second: record now, track later.",
+        needed=False,
+    )
+
+
+def _failed(name: str, fault: DeviceError) -> Check:
+    """A check from an error: what happened, up to the end of its first sentence; the rest is the way out."""
+    what, _, advice = str(fault).partition(". ")
+    return Check(name, False, what, advice)

@@ -1,0 +1,95 @@
+"""How a sensor's clock stands to this machine's, from when its frames arrive."""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import Enum
+
+import numpy as np
+
+_BLOCK_NS = 1_000_000_000
+_WINDOW_BLOCKS = 10
+_DRIFT_BLOCKS = 60
+_LATE_NS = 500_000_000
+_SAME_CLOCK_NS = 250_000_000
+
+
+class Arrival(Enum):
+    """What a frame's times say."""
+
+    IN_TIME = "in time"
+    LATE = "late"
+    """Far later than frames of this sensor take: held up on its way, or the first after a reset."""
+    RESET = "reset"
+    """The sensor's clock starts anew: plugged in again, or its firmware restarted."""
+
+
+class HostClock:
+    """The offset host − sensor of one sensor's clock, kept up to date.
+
+    A frame arrives after its capture by the least delay there is plus some jitter, never earlier. So the
+    offset is the least arrival − capture of the last ten seconds: jitter only adds and does not disturb it,
+    and a clock that drifts by 50 ppm moves 0.5 ms in that time. A jump by more than half a second, confirmed
+    by a second frame where it looks like lateness, is a reset.
+    """
+
+    def __init__(self) -> None:
+        self._minima: deque[tuple[int, int]] = deque(maxlen=_DRIFT_BLOCKS)  # (block of host time, offset)
+        self._suspect: tuple[int, int] | None = None
+        self._offset_ns: int | None = None
+        self._rate: tuple[int, float] = (0, 0.0)
+
+    @property
+    def offset_ns(self) -> int | None:
+        """Host time minus sensor time, least delay included; None before the first frame."""
+        return self._offset_ns
+
+    def observe(self, sensor_ns: int, host_ns: int) -> Arrival:
+        """Takes note of a frame: captured at ``sensor_ns``, arrived at ``host_ns``."""
+        offset_ns = host_ns - sensor_ns
+        if self._offset_ns is None:
+            self._note(offset_ns, host_ns)
+            return Arrival.IN_TIME
+        excess_ns = offset_ns - self._offset_ns
+        if -_LATE_NS <= excess_ns <= _LATE_NS:
+            self._suspect = None
+            self._note(offset_ns, host_ns)
+            return Arrival.IN_TIME
+        # Nothing arrives before it was captured; lateness must be told from a reset by the next frame.
+        suspect, self._suspect = self._suspect, (sensor_ns, offset_ns)
+        follows = suspect is not None and sensor_ns > suspect[0]
+        if excess_ns < 0 or (follows and suspect and abs(offset_ns - suspect[1]) < _SAME_CLOCK_NS):
+            self.restart()
+            self._note(offset_ns, host_ns)
+            return Arrival.RESET
+        return Arrival.LATE
+
+    def restart(self) -> None:
+        """Forgets the offset: the next frame starts it anew."""
+        self._minima.clear()
+        self._offset_ns, self._suspect = None, None
+
+    @property
+    def drift_ppm(self) -> float:
+        """By how many millionths the sensor's clock runs faster than the host's; 0 before ten seconds.
+
+        The median of the slopes between all pairs of the last minute's one-second minima (Theil-Sen), so a
+        second in which every frame was late does not count.
+        """
+        newest = self._minima[-1][0] if self._minima else 0
+        if len(self._minima) >= _WINDOW_BLOCKS and self._rate[0] != newest:
+            at, offset = np.array(self._minima, dtype=np.float64).T
+            i, j = np.triu_indices(len(at), 1)
+            slope = np.median((offset[j] - offset[i]) / ((at[j] - at[i]) * _BLOCK_NS))
+            self._rate = newest, float(-1e6 * slope)
+        return self._rate[1]
+
+    def _note(self, offset_ns: int, host_ns: int) -> None:
+        block = host_ns // _BLOCK_NS
+        if self._minima and self._minima[-1][0] >= block:
+            at, least = self._minima[-1]
+            self._minima[-1] = at, min(least, offset_ns)
+        else:
+            self._minima.append((block, offset_ns))
+        recent = [least for at, least in self._minima if at > block - _WINDOW_BLOCKS]
+        self._offset_ns = min(recent)

@@ -1,0 +1,69 @@
+"""The packets of a recording's cameras, gathered into what was captured together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(eq=False)
+class Capture:
+    """What was captured together, as recorded; times in ns from the file's start."""
+
+    at_ns: int
+    depth: bytes
+    ir: bytes | None = None
+    color: bytes | None = None
+    color_off_ns: int = 0
+
+
+class Captures:
+    """Gathers packets into captures: streams are interleaved, and colour may be some ms off depth."""
+
+    def __init__(self, reach_ns: int) -> None:
+        self._reach_ns = reach_ns
+        self._open: list[Capture] = []
+        self._early: list[tuple[str, int, bytes]] = []
+
+    def add(self, title: str, at_ns: int, data: bytes) -> None:
+        if title == "DEPTH":
+            self._open.append(Capture(at_ns, data))
+            early, self._early = self._early, []
+            for packet in early:
+                self.add(*packet)
+            return
+        nearest = min(self._open, key=lambda capture: abs(capture.at_ns - at_ns), default=None)
+        off_ns = abs(nearest.at_ns - at_ns) if nearest is not None else self._reach_ns + 1
+        if nearest is None or off_ns > self._reach_ns:
+            self._early = [*self._early[-3:], (title, at_ns, data)]
+        elif title == "IR":
+            nearest.ir = data
+        elif nearest.color is None or off_ns < nearest.color_off_ns:
+            nearest.color, nearest.color_off_ns = data, off_ns
+
+    def complete(self, newest_ns: float) -> list[Capture]:
+        """The captures that no packet can join any more, once one of ``newest_ns`` was read."""
+        done = [capture for capture in self._open if capture.at_ns < newest_ns - 2 * self._reach_ns]
+        self._open = [capture for capture in self._open if capture not in done]
+        return sorted(done, key=lambda capture: capture.at_ns)
+
+    def gather(self, packets: Iterator[tuple[str, int, bytes]]) -> Iterator[Capture]:
+        """The captures of a file in capture order, from its packets."""
+        newest = 0
+        for title, at_ns, data in packets:
+            self.add(title, at_ns, data)
+            newest = max(newest, at_ns)
+            yield from self.complete(newest)
+        yield from self.complete(math.inf)
+
+
+def decode_jpeg(data: bytes | NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """(height, width, 3) uint8 RGB from a JPEG; None where it is damaged."""
+    encoded = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else data
+    image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
+    return None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)

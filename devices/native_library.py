@@ -1,0 +1,52 @@
+"""Finding a vendor's C library."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import sys
+from pathlib import Path
+
+from devices.sensor import DeviceError
+
+_WINDOWS_FOLDERS = {
+    "k4abt": ("Azure Kinect Body Tracking SDK/tools",),
+    "k4a": (
+        "Azure Kinect Body Tracking SDK/tools",
+        "Azure Kinect SDK v1.4.1/sdk/windows-desktop/amd64/release/bin",
+    ),
+}
+_LINUX_NAMES = {
+    "k4abt": ("libk4abt.so.1.1", "libk4abt.so.1", "libk4abt.so"),
+    "k4a": ("libk4a.so.1.4", "libk4a.so"),
+}
+
+
+def load_library(name: str, path: Path | None, advice: str) -> ctypes.CDLL:
+    """Loads a library from the path given, or by the system's own rules.
+
+    Args:
+        name: ``k4abt`` or ``k4a``.
+        path: The file; None for the system's search (on Windows also the SDKs' own folders).
+        advice: The way out, for the message.
+
+    Raises:
+        DeviceError: There is none, or it cannot be loaded: a library it needs is missing, for instance.
+    """
+    if path is not None and not path.is_file():
+        raise DeviceError(f"No library at {path}. {advice}")
+    faults = []
+    for candidate in [str(path)] if path is not None else _candidates(name):
+        try:
+            return ctypes.CDLL(candidate)
+        except OSError as fault:
+            faults.append(str(fault))
+    raise DeviceError(f"The library {path or name} cannot be loaded ({faults[-1]}). {advice}")
+
+
+def _candidates(name: str) -> list[str]:
+    if sys.platform == "win32":
+        folders = [Path("C:/Program Files") / folder for folder in _WINDOWS_FOLDERS[name]]
+        return [*(str(folder / f"{name}.dll") for folder in folders if folder.is_dir()), f"{name}.dll"]
+    found = ctypes.util.find_library(name)
+    return [*([found] if found else []), *_LINUX_NAMES[name]]

@@ -1,0 +1,79 @@
+"""Which of the people in view is the one that is fused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.skeleton import Skeleton
+
+_REACH_M = 0.4  # how far a body's centre may be off from frame to frame: tracker noise and a step
+_SPEED_M_S = 4.0  # a person who runs
+_HOLD_S = 2.0  # how long a person who is out of sight is waited for
+
+
+class PersonChoice:
+    """Follows one person of one sensor.
+
+    At the start, the one nearest to the centre of the view. Then the same one, by the tracker's id as long as
+    it stays with the body, and by where the body was when it does not: trackers give a person a new id after
+    an occlusion, and swap the ids of two people who pass each other. A person out of sight is waited for;
+    after two seconds the choice starts anew.
+    """
+
+    def __init__(self) -> None:
+        self._identity: str | None = None
+        self._at: NDArray[np.float64] | None = None
+        self._time_ns = 0
+
+    @property
+    def identity(self) -> str | None:
+        """The tracker's id of the person followed; None before the first."""
+        return self._identity
+
+    def choose(self, people: Mapping[str, Skeleton], time_ns: int) -> Skeleton | None:
+        """The followed person's skeleton in this frame; None while they are out of sight.
+
+        Args:
+            people: Skeletons by the tracker's id, in one sensor's frame.
+            time_ns: The frame's time, on the sensor's clock.
+        """
+        centres = {name: at for name, person in people.items() if (at := _centre(person)) is not None}
+        chosen = self._follow(centres, time_ns)
+        if chosen is None:
+            return None
+        self._identity, self._at, self._time_ns = chosen, centres[chosen], time_ns
+        return people[chosen]
+
+    def _follow(self, centres: Mapping[str, NDArray[np.float64]], time_ns: int) -> str | None:
+        elapsed_s = (time_ns - self._time_ns) / 1e9
+        if self._at is None or elapsed_s < 0 or elapsed_s > _HOLD_S:
+            # The bearing from the optical axis: what is central in the image, near or far.
+            return min(centres, key=lambda name: _bearing(centres[name]), default=None)
+        last, reach = self._at, _REACH_M + _SPEED_M_S * elapsed_s
+        distance = {name: float(np.linalg.norm(at - last)) for name, at in centres.items()}
+        near = [name for name in distance if distance[name] <= reach]
+        if not near:
+            return None
+        nearest = min(near, key=distance.__getitem__)
+        own = self._identity
+        # The id decides while its body is where a person can have gone, unless another body stands where they
+        # stood and its own has jumped: then the ids were swapped.
+        if own in near and (distance[own] <= _REACH_M or distance[nearest] > _REACH_M / 2):
+            return own
+        return nearest
+
+
+def _centre(person: Skeleton) -> NDArray[np.float64] | None:
+    """(3,) where the body is: the mean of its torso's joints; of all if none of those is tracked."""
+    torso = person.positions[list(person.body.torso)].astype(np.float64)
+    seen = torso[np.isfinite(torso).all(axis=1)]
+    if len(seen) == 0:
+        seen = person.positions[person.has_position].astype(np.float64)
+    return None if len(seen) == 0 else seen.mean(axis=0)
+
+
+def _bearing(at: NDArray[np.float64]) -> float:
+    return abs(float(np.arctan2(at[0], at[2])))

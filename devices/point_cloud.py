@@ -1,0 +1,63 @@
+"""Depth images as points in the sensor's frame."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.sensor import DeviceError
+from fusion.viewing_plane import Intrinsics
+
+_MAX_REPROJECTION = 0.05  # pixels: a ray that misses its own pixel by more is outside the lens's model
+
+
+def ray_table(intrinsics: Intrinsics) -> NDArray[np.float32]:
+    """The ray through every pixel of a depth camera: where it is one metre in front of the sensor.
+
+    Made once (a fraction of a second), because undoing the lens's distortion has no closed form.
+
+    Args:
+        intrinsics: Of the depth camera, with its distortion.
+
+    Returns:
+        (height, width, 3) x, y, 1 in the sensor's frame; NaN where the lens's model holds no more: the
+        corners of a wide image.
+    """
+    camera = np.array([[intrinsics.fx, 0.0, intrinsics.cx], [0.0, intrinsics.fy, intrinsics.cy], [0, 0, 1]])
+    lens = np.array(intrinsics.distortion if intrinsics.distortion else (0.0,) * 4)
+    rows, columns = np.mgrid[0 : intrinsics.height, 0 : intrinsics.width]
+    pixels = np.stack((columns, rows), axis=-1).reshape(-1, 1, 2).astype(np.float64)
+    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+    # OpenCV 4 has the criteria in a function of its own, OpenCV 5 in undistortPoints itself.
+    undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+    ideal = undistort(pixels, camera, lens, R=np.eye(3), P=np.eye(3), criteria=until).reshape(-1, 2)
+    rays = np.concatenate((ideal, np.ones((len(ideal), 1))), axis=1)
+    projected, _ = cv2.projectPoints(rays.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), camera, lens)
+    miss = np.linalg.norm(projected.reshape(-1, 2) - pixels.reshape(-1, 2), axis=1)
+    rays[~(miss <= _MAX_REPROJECTION)] = np.nan
+    return rays.reshape(intrinsics.height, intrinsics.width, 3).astype(np.float32)
+
+
+def depth_to_points(depth: NDArray[np.uint16], rays: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The points that a depth image shows.
+
+    Args:
+        depth: (height, width) uint16 millimetres along z, 0 where there is no reading.
+        rays: (height, width, 3) of the same camera, from :func:`ray_table`.
+
+    Returns:
+        (N, 3) metres in the sensor's frame, row by row; pixels without a reading or a ray are left out.
+
+    Raises:
+        DeviceError: The image has another size than the table.
+    """
+    if depth.shape != rays.shape[:2]:
+        raise DeviceError(
+            f"The depth image is {depth.shape}, the ray table {rays.shape[:2]}: make the table from the "
+            f"intrinsics of this image's depth mode."
+        )
+    metres = depth.astype(np.float32)[..., np.newaxis] * np.float32(0.001)
+    seen = (depth > 0) & np.isfinite(rays[..., 0])
+    points: NDArray[np.float32] = rays[seen] * metres[seen]
+    return points

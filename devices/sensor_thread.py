@@ -1,0 +1,300 @@
+"""Any sensor on a thread of its own: newest frame wins, lost sensors come back, closing never hangs."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from devices.sensor import DeviceError, Interruptible, Sensor, SensorFrame
+
+_EVENTS_KEPT = 100
+
+
+class SensorState(Enum):
+    """What a sensor is doing."""
+
+    CLOSED = "closed"
+    OPENING = "opening"
+    RUNNING = "running"
+    STALLED = "stalled"
+    """Open, but without a frame for too long."""
+    LOST = "lost"
+    """Failed; it is opened again and again until it comes back."""
+    ENDED = "ended"
+    """A source that ends, at its end."""
+
+
+@dataclass(frozen=True)
+class SensorEvent:
+    """Something to tell the person at the screen.
+
+    Attributes:
+        sensor: The sensor's name.
+        message: What happened, and the way out.
+        at_s: When, on the thread's clock.
+    """
+
+    sensor: str
+    message: str
+    at_s: float
+
+
+class SensorThread:
+    """Runs a sensor on a thread of its own and keeps its newest frames for a reader.
+
+    Bounded memory: at most ``keep`` frames wait; then the oldest goes, and is counted. A sensor that fails
+    after it ran is reopened every ``retry_s``; one that fails at its first opening is reported by ``open``.
+    All methods are for one reader's thread.
+
+    Attributes:
+        sensor: The sensor; its ``intrinsics`` and ``body`` may be read once ``open`` returned.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        *,
+        keep: int = 2,
+        stall_s: float = 2.0,
+        retry_s: float = 1.0,
+        arrival: threading.Event | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+        wait: Callable[[threading.Event, float], bool] = threading.Event.wait,
+    ) -> None:
+        """Prepares; opens nothing.
+
+        Args:
+            sensor: What to run.
+            keep: Most frames that wait for the reader.
+            stall_s: After how long without a frame the sensor counts as stalled.
+            retry_s: How often a lost sensor is tried again.
+            arrival: Set at every frame and change of state; two sensors may share one, to wait for either.
+            clock: Seconds, for stalls and ``host_ns``; tests put their own.
+            wait: Waits for an event at most so many seconds; how retries pass time.
+        """
+        self.sensor = sensor
+        self.arrival = arrival or threading.Event()
+        self._keep, self._stall_s, self._retry_s = keep, stall_s, retry_s
+        self._clock, self._wait = clock, wait
+        self._lock = threading.Lock()
+        self._frames: deque[SensorFrame] = deque()
+        self._events: deque[SensorEvent] = deque(maxlen=_EVENTS_KEPT)
+        self._state = SensorState.CLOSED
+        self._received = self._dropped = self._returns = 0
+        self._last_s = 0.0
+        self._told, self._stall_told, self._left_behind = "", False, False
+        self._fault: BaseException | None = None
+        self._stopping, self._settled = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def received(self) -> int:
+        """How many frames the sensor has given."""
+        return self._received
+
+    @property
+    def dropped(self) -> int:
+        """How many frames the reader was too slow for."""
+        return self._dropped
+
+    @property
+    def returns(self) -> int:
+        """How often a lost sensor came back."""
+        return self._returns
+
+    @property
+    def state(self) -> SensorState:
+        """What the sensor is doing now."""
+        with self._lock:
+            silent = self._clock() - self._last_s > self._stall_s
+            return SensorState.STALLED if self._state is SensorState.RUNNING and silent else self._state
+
+    @property
+    def gone(self) -> bool:
+        """Whether no frame is to be expected soon: stalled, lost, ended or closed."""
+        return self.state not in (SensorState.RUNNING, SensorState.OPENING)
+
+    def open(self, within_s: float = 60.0) -> SensorThread:
+        """Starts the thread and waits until the sensor is open.
+
+        Args:
+            within_s: How long opening may take: a body tracker loads its network.
+
+        Raises:
+            DeviceError: It cannot be opened, or not in that time.
+        """
+        self.close()
+        if self._left_behind:
+            raise DeviceError(
+                f"{self.sensor.name} hung and was left behind. Unplug it and start the program anew."
+            )
+        self._stopping, self._settled = threading.Event(), threading.Event()
+        self._fault, self._state = None, SensorState.OPENING
+        # A daemon: a driver that hangs forever must not keep the program from ending.
+        self._thread = threading.Thread(
+            target=self._run,
+            args=(self._stopping, self._settled),
+            name=f"sensor {self.sensor.name}",
+            daemon=True,
+        )
+        self._thread.start()
+        try:
+            opened = self._settled.wait(within_s)
+        except BaseException:  # Ctrl-C while it opens: nobody will leave a with block that was never entered
+            self.close()
+            raise
+        if not opened:
+            self.close(0.0)
+            raise DeviceError(
+                f"{self.sensor.name} did not open within {within_s:g} s. Unplug it, plug it in, and retry."
+            )
+        self._raise_fault()
+        return self
+
+    def close(self, within_s: float = 3.0) -> bool:
+        """Ends the thread and closes the sensor; closing twice is harmless.
+
+        Args:
+            within_s: How long to wait for it. A driver that hangs is left behind and the program goes on.
+
+        Returns:
+            Whether the sensor was closed in that time.
+        """
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return True
+        self._stopping.set()
+        if isinstance(self.sensor, Interruptible):
+            self.sensor.interrupt()
+        try:
+            thread.join(within_s)
+        finally:  # Ctrl-C may end the wait; the thread closes the sensor all the same
+            with self._lock:
+                self._frames.clear()
+                self._state = SensorState.CLOSED
+        if thread.is_alive():
+            self._left_behind = True
+            self._tell(
+                f"{self.sensor.name} does not close; it is left behind. Unplug it before using it again."
+            )
+            return False
+        return True
+
+    def __enter__(self) -> SensorThread:
+        return self.open()
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def take(self) -> list[SensorFrame]:
+        """The frames that came since the last call, oldest first, ``keep`` at most; does not wait.
+
+        Raises:
+            Exception: What a sensor raised that is no ``DeviceError``: a fault of the program, not of the
+                sensor.
+        """
+        with self._lock:
+            frames = list(self._frames)
+            self._frames.clear()
+        if self._fault is not None and not isinstance(self._fault, DeviceError):
+            raise self._fault
+        return frames
+
+    def events(self) -> list[SensorEvent]:
+        """What happened since the last call: lost, back, stalled, running again."""
+        stalled = self.state is SensorState.STALLED
+        if stalled and not self._stall_told:
+            self._tell(
+                f"{self.sensor.name} stalls: no frame for {self._stall_s:g} s. Check its cable and power."
+            )
+        elif self._stall_told and self.state is SensorState.RUNNING:
+            self._tell(f"{self.sensor.name} gives frames again.")
+        self._stall_told = stalled
+        with self._lock:
+            told = list(self._events)
+            self._events.clear()
+        return told
+
+    def _raise_fault(self) -> None:
+        if self._fault is not None:
+            self.close()
+            raise self._fault
+
+    def _run(self, stopping: threading.Event, settled: threading.Event) -> None:
+        ran = False
+        while not stopping.is_set():
+            try:
+                with self.sensor:
+                    if stopping.is_set():
+                        break
+                    self._started(came_back=ran)
+                    ran = True
+                    settled.set()
+                    self._pump(stopping)
+                break
+            except DeviceError as fault:
+                if not ran:
+                    self._fault = fault
+                    break
+                self._failed(str(fault))
+                self._wait(stopping, self._retry_s)
+            except BaseException as fault:
+                self._fault = fault
+                break
+        with self._lock:
+            if not stopping.is_set():
+                self._state = SensorState.ENDED
+        settled.set()
+        self.arrival.set()
+
+    def _pump(self, stopping: threading.Event) -> None:
+        """Hands on frames until the source ends or the reader closes."""
+        frames = self.sensor.frames()
+        try:
+            for frame in frames:
+                if stopping.is_set():
+                    return
+                self._deliver(frame)
+        finally:
+            # A generator may hold files or handles: let it go now, on this thread.
+            if isinstance(frames, Generator):
+                frames.close()
+
+    def _started(self, came_back: bool) -> None:
+        with self._lock:
+            self._state, self._last_s, self._told = SensorState.RUNNING, self._clock(), ""
+            self._returns += came_back
+        if came_back:
+            self._tell(f"{self.sensor.name} is back.")
+        self.arrival.set()
+
+    def _deliver(self, frame: SensorFrame) -> None:
+        now_s = self._clock()
+        if frame.host_ns is None:
+            frame = replace(frame, host_ns=round(now_s * 1e9))
+        with self._lock:
+            self._last_s = now_s
+            self._received += 1
+            self._frames.append(frame)
+            if len(self._frames) > self._keep:
+                self._frames.popleft()
+                self._dropped += 1
+        self.arrival.set()
+
+    def _failed(self, message: str) -> None:
+        with self._lock:
+            self._state = SensorState.LOST
+        # Retries fail in the same words each time: once is enough.
+        if message != self._told:
+            self._told = message
+            self._tell(f"{message} Going on without it; it is taken back when it returns.")
+        self.arrival.set()
+
+    def _tell(self, message: str) -> None:
+        event = SensorEvent(self.sensor.name, message, self._clock())
+        with self._lock:
+            self._events.append(event)

@@ -1,0 +1,203 @@
+"""One person's rigid segments and landmarks, from which every Kinect body is taken.
+
+World frame: x to the person's left when the heading is zero, y down, z backwards; the floor is y = 0.
+A sensor that looks along +z at a person of heading zero has the same axes. At rest every segment's
+rotation is the identity: standing upright, arms hanging, palms inwards.
+
+Segments turn only about joints that all three bodies share, so that every bone of every body has
+exactly one length: the upper trunk, from the navel to the shoulders and the neck, is one segment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+
+Array = NDArray[np.float64]
+
+REFERENCE_HEIGHT = 1.75
+"""The stature, in metres, that the tables of this package are written for; a person scales them."""
+
+# segment: (parent segment, landmark it turns about)
+_SEGMENTS: dict[str, tuple[str, str]] = {
+    "pelvis": ("", "PELVIS"),
+    "trunk": ("pelvis", "SPINE_NAVEL"),
+    "head": ("trunk", "NECK"),
+}
+for _side in ("LEFT", "RIGHT"):
+    _SEGMENTS |= {
+        f"upper_arm_{_side}": ("trunk", f"SHOULDER_{_side}"),
+        f"forearm_{_side}": (f"upper_arm_{_side}", f"ELBOW_{_side}"),
+        f"hand_{_side}": (f"forearm_{_side}", f"WRIST_{_side}"),
+        f"thigh_{_side}": ("pelvis", f"HIP_{_side}"),
+        f"shin_{_side}": (f"thigh_{_side}", f"KNEE_{_side}"),
+        f"foot_{_side}": (f"shin_{_side}", f"ANKLE_{_side}"),
+    }
+SEGMENTS = tuple(_SEGMENTS)
+
+# landmark: (segment that carries it, landmark it is measured from, offset at rest in metres); _LEFT only,
+# the right is its mirror image. Proportions after Drillis and Contini (1966), joints as Azure's tracker
+# places them.
+_MIDDLE: dict[str, tuple[str, str, tuple[float, float, float]]] = {
+    "SPINE_NAVEL": ("pelvis", "PELVIS", (0.0, -0.175, 0.0)),
+    "SPINE_CHEST": ("trunk", "SPINE_NAVEL", (0.0, -0.140, 0.005)),
+    "SPINE_SHOULDER": ("trunk", "SPINE_NAVEL", (0.0, -0.290, 0.010)),
+    "NECK": ("trunk", "SPINE_NAVEL", (0.0, -0.350, 0.0)),
+    "HEAD": ("head", "NECK", (0.0, -0.115, -0.020)),
+    "HEAD_TOP": ("head", "HEAD", (0.0, -0.165, 0.0)),
+    "NOSE": ("head", "HEAD", (0.0, -0.030, -0.112)),
+}
+_SIDED: dict[str, tuple[str, str, tuple[float, float, float]]] = {
+    "CLAVICLE": ("trunk", "SPINE_NAVEL", (0.035, -0.305, 0.0)),
+    "SHOULDER": ("trunk", "SPINE_NAVEL", (0.185, -0.300, 0.0)),
+    "ELBOW": ("upper_arm", "SHOULDER", (0.0, 0.295, 0.0)),
+    "WRIST": ("forearm", "ELBOW", (0.0, 0.255, 0.0)),
+    "HAND": ("hand", "WRIST", (0.0, 0.085, 0.0)),
+    "HANDTIP": ("hand", "WRIST", (0.0, 0.180, 0.0)),
+    "THUMB": ("hand", "WRIST", (0.0, 0.085, -0.060)),
+    "HIP": ("pelvis", "PELVIS", (0.092, 0.020, 0.0)),
+    "KNEE": ("thigh", "HIP", (0.0, 0.425, 0.0)),
+    "ANKLE": ("shin", "KNEE", (0.0, 0.420, 0.0)),
+    "FOOT": ("foot", "ANKLE", (0.0, 0.055, -0.150)),
+    "HEEL": ("foot", "ANKLE", (0.0, 0.045, 0.050)),
+    "EYE": ("head", "HEAD", (0.032, -0.065, -0.090)),
+    "EAR": ("head", "HEAD", (0.076, -0.040, 0.0)),
+}
+
+
+def _landmark_table() -> dict[str, tuple[str, str, tuple[float, float, float]]]:
+    table: dict[str, tuple[str, str, tuple[float, float, float]]] = {
+        "PELVIS": ("pelvis", "", (0.0, 0.0, 0.0))
+    }
+    table |= _MIDDLE
+    for side, sign in (("LEFT", 1.0), ("RIGHT", -1.0)):
+        for name, (segment, origin, (x, y, z)) in _SIDED.items():
+            sided_segment = segment if segment in _SEGMENTS else f"{segment}_{side}"
+            sided_origin = f"{origin}_{side}" if origin in _SIDED else origin
+            table[f"{name}_{side}"] = (sided_segment, sided_origin, (sign * x, y, z))
+    return table
+
+
+_LANDMARKS = _landmark_table()
+LANDMARKS = tuple(_LANDMARKS)
+INDEX = {name: i for i, name in enumerate(LANDMARKS)}
+FOOT_HEIGHT = 0.020
+"""How high the FOOT landmark stands over the floor when the foot is flat, metres at reference height."""
+
+# Only the joints that are not spelled as Azure spells them, case and underscores aside.
+_SYNONYMS = {
+    "hipcenter": "PELVIS",
+    "spine": "SPINE_NAVEL",
+    "shouldercenter": "NECK",
+    "spinebase": "PELVIS",
+    "spinemid": "SPINE_NAVEL",
+    "spineshoulder": "SPINE_SHOULDER",
+}
+
+
+@cache
+def landmarks_of(body: Body) -> NDArray[np.int64]:
+    """(J,) which landmark each joint of the body is."""
+    plain = {name.replace("_", "").lower(): i for name, i in INDEX.items()}
+    plain |= {synonym: INDEX[name] for synonym, name in _SYNONYMS.items()}
+    return np.array([plain[joint.replace("_", "").lower()] for joint in body.joints], dtype=np.int64)
+
+
+def offset(name: str) -> Array:
+    """(3,) a landmark's offset at rest from the landmark it is measured from, metres."""
+    return np.array(_LANDMARKS[name][2])
+
+
+def length(name: str) -> float:
+    """The distance of a landmark from the landmark it is measured from, metres."""
+    return float(np.linalg.norm(offset(name)))
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """T poses of one person at reference height.
+
+    Attributes:
+        pelvis: (T, 3) the pelvis in the world.
+        rotations: Per segment (T, 3, 3) ``world_from_segment``.
+    """
+
+    pelvis: Array
+    rotations: dict[str, Array]
+
+    def landmarks(self, names: tuple[str, ...] = LANDMARKS) -> Array:
+        """(T, N, 3) the landmarks in the world, metres, each carried by its segment."""
+        at: dict[str, Array] = {"PELVIS": self.pelvis}
+        for name, (segment, origin, rest) in _LANDMARKS.items():
+            if name != "PELVIS" and origin in at and segment in self.rotations:
+                at[name] = at[origin] + self.rotations[segment] @ np.array(rest)
+        return np.stack([at[name] for name in names], axis=1)
+
+
+# --- rotations: (T,) angles to (T, 3, 3), in the frame of the module's first lines ---
+
+
+def turn(left: Array) -> Array:
+    """Turned to the person's left by an angle."""
+    c, s, o, i = np.cos(left), np.sin(left), np.zeros_like(left), np.ones_like(left)
+    return _matrix((c, o, -s), (o, i, o), (s, o, c))
+
+
+def bow(forward: Array) -> Array:
+    """The upper end leaning forwards by an angle (of a foot: toes down)."""
+    c, s, o, i = np.cos(forward), np.sin(forward), np.zeros_like(forward), np.ones_like(forward)
+    return _matrix((i, o, o), (o, c, -s), (o, s, c))
+
+
+def lean(left: Array) -> Array:
+    """The upper end leaning to the person's left by an angle."""
+    c, s, o, i = np.cos(left), np.sin(left), np.zeros_like(left), np.ones_like(left)
+    return _matrix((c, -s, o), (s, c, o), (o, o, i))
+
+
+def _matrix(*rows: tuple[Array, Array, Array]) -> Array:
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def unit(vectors: Array) -> Array:
+    """(…, 3) vectors of length one."""
+    norms: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.maximum(norms, 1e-12)
+
+
+def along(down: Array, back: Array) -> Array:
+    """(T, 3, 3) rotation of a segment with its long axis (y) along ``down`` and z nearest to ``back``."""
+    y = unit(down)
+    z = unit(back - y * np.sum(back * y, axis=-1, keepdims=True))
+    return np.stack((np.cross(y, z), y, z), axis=-1)
+
+
+def two_bones(target: Array, pole: Array, first: float, second: float) -> tuple[Array, Array, Array]:
+    """Two bones from the origin towards a target, bent towards the pole (law of cosines).
+
+    The reach saturates smoothly below the stretched limb: at full stretch the bend would change
+    infinitely fast with the distance.
+
+    Args:
+        target, pole: (T, 3) end of the second bone, and the side on which the middle joint lies.
+        first, second: The bones' lengths.
+
+    Returns:
+        (T, 3) the middle joint, (T, 3) the end, and (T, 3) the unit axis that the middle joint bends about.
+    """
+    reach = first + second
+    soft, hard = 0.97 * reach, 0.998 * reach
+    wanted = np.linalg.norm(target, axis=-1, keepdims=True)
+    over = np.maximum(wanted - soft, 0.0)
+    d = np.where(wanted <= soft, wanted, soft + (hard - soft) * -np.expm1(-over / (hard - soft)))
+    d = np.maximum(d, abs(first - second) + 0.05 * reach)
+    ahead = unit(target)
+    aside = unit(pole - ahead * np.sum(pole * ahead, axis=-1, keepdims=True))
+    x = (d**2 + first**2 - second**2) / (2.0 * d)
+    middle = ahead * x + aside * np.sqrt(np.maximum(first**2 - x**2, 0.0))
+    return middle, ahead * d, np.cross(ahead, aside)

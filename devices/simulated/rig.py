@@ -1,0 +1,78 @@
+"""Where the two simulated sensors stand and how their clocks run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from devices.sensor import DeviceError
+from fusion.rigid import RigidTransform
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Two sensors on a circle about the world's origin, both looking at the person.
+
+    Sensor A stands to the right of a person of heading zero, B to the left, and the person faces the
+    middle between them.
+
+    Attributes:
+        angle_deg: Between the two lines of sight, seen from above, 0 to 180.
+        distance: From the origin, along the floor, metres.
+        height: Of the sensors over the floor, metres.
+        tilt_deg: How far they look down.
+        frame_seconds: Between two frames of one sensor.
+        skew_seconds: How much later B captures than A.
+        clock_offset_seconds: What B's clock shows more than A's.
+        drift_ppm: How much faster B's clock runs, in millionths.
+        dropped: Share of frames that never arrive, each sensor by itself.
+    """
+
+    angle_deg: float = 90.0
+    distance: float = 2.6
+    height: float = 1.1
+    tilt_deg: float = 4.0
+    frame_seconds: float = 1.0 / 30.0
+    skew_seconds: float = 0.00096
+    clock_offset_seconds: float = 0.0
+    drift_ppm: float = 0.0
+    dropped: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.angle_deg <= 180.0:
+            raise DeviceError(f"A rig's angle is between 0 and 180 degrees; got {self.angle_deg}.")
+        if not (self.distance > 0.5 and self.frame_seconds > 0.0 and 0.0 <= self.dropped < 1.0):
+            raise DeviceError(
+                f"A rig needs distance > 0.5 m, frame_seconds > 0 and 0 <= dropped < 1; got "
+                f"{self.distance}, {self.frame_seconds}, {self.dropped}."
+            )
+
+    def world_from_sensor(self, which: int) -> RigidTransform:
+        """The pose of sensor A (0) or B (1). World axes: x left of the person, y down, z backwards."""
+        # Sensor A is turned to its left, so it stands on its right of the middle: at negative x.
+        yaw = np.radians(self.angle_deg) * (0.5 if which == 0 else -0.5)
+        tilt = np.radians(self.tilt_deg)
+        turned = np.array(
+            [[np.cos(yaw), 0.0, np.sin(yaw)], [0.0, 1.0, 0.0], [-np.sin(yaw), 0.0, np.cos(yaw)]]
+        )
+        down = np.array(
+            [[1.0, 0.0, 0.0], [0.0, np.cos(tilt), np.sin(tilt)], [0.0, -np.sin(tilt), np.cos(tilt)]]
+        )
+        ahead = turned @ (0.0, 0.0, 1.0)
+        return RigidTransform.of(turned @ down, -self.distance * ahead - (0.0, self.height, 0.0))
+
+    @property
+    def a_from_b(self) -> RigidTransform:
+        """Where K_B stands in K_A's frame: the truth that registration looks for."""
+        return self.world_from_sensor(0).inverse() @ self.world_from_sensor(1)
+
+    def captured_at(self, which: int, frame: int) -> float:
+        """When frame number ``frame`` is captured, in true seconds."""
+        return frame * self.frame_seconds + (self.skew_seconds if which == 1 else 0.0)
+
+    def clock(self, which: int, seconds: float) -> int:
+        """What the sensor's clock shows at a true time, integer nanoseconds."""
+        if which == 1:
+            seconds = seconds * (1.0 + 1e-6 * self.drift_ppm) + self.clock_offset_seconds
+        return round(seconds * 1e9)

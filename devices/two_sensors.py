@@ -1,0 +1,128 @@
+"""Two live sensors as one stream of pairs, whatever happens to either of them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+from devices.live_pairing import LivePair, LivePairing, PairingFigures, Side
+from devices.sensor import Sensor
+from devices.sensor_thread import SensorEvent, SensorState, SensorThread
+
+_POLL_S = 0.01  # pairs that wait for nobody any more come out this much late at most
+
+
+class TwoSensors:
+    """K_A and K_B, each on its own thread, paired.
+
+    Use it as a context manager, from one thread. Frames are those that
+    :class:`~devices.live_pairing.LivePairing` gives; a sensor that fails is gone until it comes back.
+
+    Attributes:
+        a, b: The sensors' threads, for their counts of frames and drops.
+    """
+
+    def __init__(
+        self,
+        a: Sensor,
+        b: Sensor,
+        *,
+        pairing: LivePairing | None = None,
+        first: Side = "b",
+        stall_s: float = 2.0,
+        retry_s: float = 1.0,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        """Prepares; opens nothing.
+
+        Args:
+            a, b: The principal and the secondary sensor.
+            pairing: How to pair them; the default pairing at 30 fps where None.
+            first: Which one to start first: the subordinate, if there is a sync cable.
+            stall_s: After how long without a frame a sensor counts as stalled.
+            retry_s: How often a lost sensor is tried again.
+            clock: Seconds; tests put their own.
+        """
+        self._arrival = threading.Event()
+        self.a, self.b = (
+            SensorThread(sensor, stall_s=stall_s, retry_s=retry_s, arrival=self._arrival, clock=clock)
+            for sensor in (a, b)
+        )
+        self._pairing = pairing or LivePairing()
+        self._first: Side = first
+        self._clock = clock
+        self._returns: dict[Side, int] = {"a": 0, "b": 0}
+        self._events: list[SensorEvent] = []
+
+    @property
+    def figures(self) -> PairingFigures:
+        """How pairing goes so far."""
+        return self._pairing.figures
+
+    def __enter__(self) -> TwoSensors:
+        """Opens both.
+
+        Raises:
+            DeviceError: One cannot be opened; the other is closed again.
+        """
+        try:
+            for thread in (self.b, self.a) if self._first == "b" else (self.a, self.b):
+                thread.open()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Closes both, in bounded time and on every path."""
+        try:
+            self.a.close()
+        finally:
+            self.b.close()
+
+    def pairs(self) -> Iterator[LivePair]:
+        """Pairs as they come, until both sources have ended; waits as long as both are gone.
+
+        Raises:
+            Exception: A fault of the program inside a sensor.
+        """
+        while True:
+            ended = all(thread.state is SensorState.ENDED for thread in (self.a, self.b))
+            yield from self.poll(0.0 if ended else _POLL_S)
+            if ended:
+                yield from self._pairing.poll(_ns(self._clock()) + 10**12)
+                return
+
+    def poll(self, wait_s: float = _POLL_S) -> list[LivePair]:
+        """The pairs that are complete now, after waiting for a frame at most ``wait_s``.
+
+        Raises:
+            Exception: A fault of the program inside a sensor.
+        """
+        self._arrival.wait(wait_s)
+        self._arrival.clear()
+        now_ns, pairs = _ns(self._clock()), []
+        for side, thread in self._sides():
+            came_back, frames = thread.returns, thread.take()
+            if came_back != self._returns[side]:
+                self._returns[side] = came_back
+                pairs += self._pairing.restart(side)
+            if thread.gone:
+                self._pairing.set_gone(side, True)
+            for frame in frames:
+                pairs += self._pairing.add(side, frame, now_ns)
+            self._events += thread.events()
+        return pairs + self._pairing.poll(now_ns)
+
+    def events(self) -> list[SensorEvent]:
+        """What happened since the last call, oldest first."""
+        events, self._events = sorted(self._events, key=lambda event: event.at_s), []
+        return events
+
+    def _sides(self) -> tuple[tuple[Side, SensorThread], ...]:
+        return ("a", self.a), ("b", self.b)
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * 1e9)

@@ -1,0 +1,66 @@
+"""Kinects on the USB bus, as the system sees them: whether this user may open them.
+
+The SDK does not say why a device cannot be opened, so this asks Linux. Elsewhere nothing is known.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+# The depth camera of each: Azure Kinect DK; Orbbec Femto Mega, Femto Bolt.
+_DEPTH_CAMERAS = {("045e", "097c"), ("2bc5", "0669"), ("2bc5", "066b")}
+
+UDEV_ADVICE = (
+    "Copy 99-k4a.rules of the Azure Kinect Sensor SDK (scripts/) to /etc/udev/rules.d, then unplug the "
+    "sensor and plug it in again."
+)
+
+
+@dataclass(frozen=True)
+class UsbKinect:
+    """The depth camera of a Kinect on the bus.
+
+    Attributes:
+        serial: As the camera tells USB; empty if it does not.
+        node: The device file.
+        allowed: Whether this user may open it.
+        megabits: Speed of its connection, Mbit/s; 0 if unknown. USB 3 has 5000.
+    """
+
+    serial: str
+    node: Path
+    allowed: bool
+    megabits: int
+
+
+def usb_kinects(root: Path = Path("/")) -> list[UsbKinect]:
+    """The Kinects plugged in, by Linux's own list; empty on other systems.
+
+    Args:
+        root: Where the file system starts; tests put their own there.
+    """
+    found = []
+    for device in sorted((root / "sys/bus/usb/devices").glob("*")):
+        if (_read(device / "idVendor"), _read(device / "idProduct")) not in _DEPTH_CAMERAS:
+            continue
+        bus, number = _read(device / "busnum"), _read(device / "devnum")
+        node = root / "dev/bus/usb" / bus.zfill(3) / number.zfill(3)
+        speed = _read(device / "speed")
+        found.append(
+            UsbKinect(
+                serial=_read(device / "serial"),
+                node=node,
+                allowed=os.access(node, os.R_OK | os.W_OK),
+                megabits=int(speed) if speed.isdigit() else 0,
+            )
+        )
+    return found
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""

@@ -1,0 +1,69 @@
+"""The stand-in for libk4a and libk4abt, compiled once a session and set from the tests."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+_SOURCE = Path(__file__).with_name("standin_k4abt.c")
+_SETTINGS = {
+    "create_status": ctypes.c_int,
+    "enqueue_status": ctypes.c_int,
+    "pop_status": ctypes.c_int,
+    "calibration_status": ctypes.c_int,
+    "bodies": ctypes.c_uint32,
+    "first_id": ctypes.c_uint32,
+    "alive": ctypes.c_int,
+    "misuses": ctypes.c_int,
+    "orientation": ctypes.c_int,
+    "processing": ctypes.c_int,
+    "gpu": ctypes.c_int,
+    "wait_ms": ctypes.c_int32,
+    "smoothing": ctypes.c_float,
+}
+_AT_START = {"bodies": 1, "first_id": 7, "smoothing": -1.0}
+
+
+class Standin:
+    """The compiled library; its settings are attributes."""
+
+    def __init__(self, path: Path) -> None:
+        self.__dict__["path"] = path
+        self.__dict__["library"] = ctypes.CDLL(str(path))
+
+    def __getattr__(self, name: str) -> object:
+        if name == "model":
+            return (ctypes.c_char * 512).in_dll(self.library, "standin_model").value.decode()
+        return _SETTINGS[name].in_dll(self.library, f"standin_{name}").value
+
+    def __setattr__(self, name: str, value: float) -> None:
+        _SETTINGS[name].in_dll(self.library, f"standin_{name}").value = value
+
+    def reset(self) -> None:
+        for name in _SETTINGS:
+            setattr(self, name, _AT_START.get(name, 0))
+
+
+@pytest.fixture(scope="session")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    compiler = shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("needs gcc to compile the stand-in for libk4abt")
+    path = tmp_path_factory.mktemp("standin") / "libk4abt.so"
+    command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Werror", "-o", str(path), str(_SOURCE)]
+    subprocess.run(command, check=True)
+    return path
+
+
+@pytest.fixture
+def standin(compiled: Path):
+    """The stand-in as a test finds it, and checked after: nothing left alive, no handle misused."""
+    library = Standin(compiled)
+    library.reset()
+    yield library
+    assert library.misuses == 0
+    assert library.alive == 0

@@ -1,0 +1,320 @@
+"""Each fault that can befall live sensors, from the bus up to the pairs that fusion gets."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import islice, pairwise
+from pathlib import Path
+
+import pytest
+from scripted_sensor import PATIENCE_S, ScriptedSensor, frame_at, unplugged
+from standin import Standin
+from standin_pyk4a import Bus, Device
+from test_doctor import plug_in
+from two_clocks import INTERVAL_NS, SECOND_NS, run, shots
+
+from devices import kinect, kinect_access
+from devices.body_tracking import TrackerSettings
+from devices.kinect import KinectSensor, KinectSettings
+from devices.kinect_access import connected_kinects
+from devices.kinect_choice import choose_two
+from devices.live_pairing import LivePair, LivePairing
+from devices.sensor import DeviceError, SensorFrame
+from devices.sensor_thread import SensorState
+from devices.two_sensors import TwoSensors
+from devices.usb import usb_kinects
+
+
+def _kinect(serial: str = "000123", **settings: object) -> KinectSensor:
+    return KinectSensor(serial, KinectSettings(**settings), track=False)  # type: ignore[arg-type]
+
+
+def test_no_device(bus: Bus) -> None:
+    assert bus.devices == []
+    with pytest.raises(DeviceError, match=r"No Kinect is connected\. Plug in two"):
+        choose_two(connected_kinects())
+    with pytest.raises(DeviceError, match=r"No Kinect with serial 000123, and no other\. Plug it in"):
+        _kinect().__enter__()
+
+
+def test_one_device(bus: Bus) -> None:
+    bus.devices = [Device("000456")]
+    with pytest.raises(DeviceError, match="Only one Kinect is connected, 000456; fusion needs two"):
+        choose_two(connected_kinects())
+    with pytest.raises(DeviceError, match=r"No Kinect with serial 000123\. Connected: 000456"):
+        _kinect().__enter__()
+
+
+def test_device_busy(bus: Bus) -> None:
+    bus.devices = [Device("000123", busy=True), Device("000456")]
+    with pytest.raises(DeviceError, match=r"000123 cannot be opened: it is busy.*k4aviewer.*Open: 000456"):
+        _kinect().__enter__()
+    with pytest.raises(DeviceError, match=r"cannot be opened.*busy"):
+        choose_two(connected_kinects())
+    assert bus.open_serials == []
+
+
+def test_no_permission(bus: Bus, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    bus.devices = [Device("000123", busy=True)]  # the SDK fails without a word in both cases
+    plug_in(tmp_path)
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(kinect_access, "usb_kinects", lambda: usb_kinects(tmp_path))
+    with pytest.raises(DeviceError, match=r"no permission for .*007.*99-k4a\.rules"):
+        _kinect().__enter__()
+
+
+def test_unplugged_at_open(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+    device = Device("000123")
+    bus.devices = [device]
+    check_jack = KinectSensor._check_jack
+
+    def pull_the_plug(self: KinectSensor) -> None:
+        device.plugged = False
+        check_jack(self)
+
+    monkeypatch.setattr(KinectSensor, "_check_jack", pull_the_plug)
+    with pytest.raises(DeviceError, match="Kinect 000123"):
+        _kinect().__enter__()
+    assert device.opened_by is None
+
+
+def test_unplugged_mid_stream(bus: Bus) -> None:
+    device = Device("000123")
+    bus.devices = [device]
+    with _kinect() as sensor:
+        frames = sensor.frames()
+        next(frames)
+        device.plugged = False
+        with pytest.raises(DeviceError, match="Kinect 000123 was unplugged or lost its power. Plug it in"):  # noqa: RUF043
+            next(frames)
+    assert device.opened_by is None
+
+
+def test_unplugged_mid_stream_beside_another(
+    bus: Bus, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    device = Device("000123")
+    bus.devices = [device, Device("000456")]
+    plug_in(tmp_path, "000456")
+    monkeypatch.setattr(kinect, "usb_kinects", lambda: usb_kinects(tmp_path))
+    with _kinect() as sensor:
+        frames = sensor.frames()
+        next(frames)
+        device.plugged = False
+        with pytest.raises(DeviceError, match="unplugged"):
+            next(frames)
+
+
+def test_unplugged_at_close(bus: Bus) -> None:
+    device = Device("000123")
+    bus.devices = [device]
+    sensor = _kinect().__enter__()
+    device.plugged = False
+    sensor.__exit__()
+    assert device.opened_by is None
+    assert ["did not close cleanly" in warning for warning in sensor.warnings] == [True]
+    device.plugged = True
+    with sensor:  # the same sensor can be opened again
+        next(sensor.frames())
+
+
+@pytest.mark.parametrize("fault", ["silent", "blind"])
+def test_stream_stalls(bus: Bus, fault: str) -> None:
+    device = Device("000123")
+    bus.devices = [device]
+    with _kinect(stall_s=5.0) as sensor:
+        frames = sensor.frames()
+        next(frames)
+        setattr(device, fault, True)
+        with pytest.raises(DeviceError, match=r"stalls: no depth for 5 s.*USB 3"):
+            next(frames)
+
+
+def test_stream_of_a_subordinate_stalls(bus: Bus) -> None:
+    bus.devices = [Device("000123", jacks=(True, False), silent=True)]
+    with _kinect(sync="subordinate") as sensor, pytest.raises(DeviceError, match="check the master"):
+        next(sensor.frames())
+
+
+@pytest.mark.parametrize(
+    ("status", "message"), [(2, "body tracker stalls"), (1, r"body tracker failed \(status 1\)")]
+)
+def test_tracker_stalls_or_crashes_to_an_error_code(
+    bus: Bus, standin: Standin, status: int, message: str
+) -> None:
+    bus.native, bus.devices = standin.library, [Device("000123")]
+    with KinectSensor("000123", tracker=TrackerSettings(library=standin.path)) as sensor:
+        frames = sensor.frames()
+        assert len(list(islice(frames, 2))) == 2
+        standin.pop_status = status
+        with pytest.raises(DeviceError, match=message):
+            list(islice(frames, 5))
+        frames.close()  # type: ignore[attr-defined]
+
+
+def test_clock_reset() -> None:
+    a, b = shots("a", 4), shots("b", 4, clock_ns=900 * SECOND_NS)
+    reset_ns = b[60].frame.time_ns
+    for index in range(60, len(b)):
+        frame = b[index].frame
+        b[index] = replace(b[index], frame=replace(frame, time_ns=frame.time_ns - reset_ns))
+    pairing = LivePairing(INTERVAL_NS)
+    pairs = run(pairing, a, b)
+    assert pairing.figures.resets == 1
+    assert [pair.a for pair in pairs if pair.a is not None] == [shot.frame for shot in a]
+    assert all(pair.b is not None for pair in pairs[65:])
+
+
+def test_one_sensor_5_fps_slower() -> None:
+    a, b = shots("a", 10), shots("b", 10, fps=25)
+    pairing = LivePairing(INTERVAL_NS)
+    pairs = run(pairing, a, b)
+    assert len(pairs) == len(a)
+    # Never two frames in a row without B: the slower sensor leaves one of six alone.
+    alone = [pair.b is None for pair in pairs]
+    assert not any(first and second for first, second in pairwise(alone))
+
+
+class _Bench:
+    """Two scripted sensors that run; ``both`` puts a frame on each."""
+
+    def __init__(self, **settings: object) -> None:
+        self.a, self.b = ScriptedSensor("000123"), ScriptedSensor("000456")
+        self.two = TwoSensors(self.a, self.b, retry_s=0.001, **settings)  # type: ignore[arg-type]
+        self.start = time.perf_counter_ns()
+        self.index = 0
+
+    def put(self, *sensors: ScriptedSensor) -> None:
+        self.index += 1
+        host_ns = self.start + self.index * INTERVAL_NS
+        for sensor in sensors:
+            sensor.put(frame_at(self.index * INTERVAL_NS, host_ns))
+
+    def next_pair(self) -> LivePair:
+        return self.until(lambda pairs: len(pairs) > 0)[-1]
+
+    def until(self, done: Callable[[list[LivePair]], bool]) -> list[LivePair]:
+        pairs: list[LivePair] = []
+        end = time.monotonic() + PATIENCE_S
+        while not done(pairs):
+            assert time.monotonic() < end, "nothing came"
+            pairs += self.two.poll()
+        return pairs
+
+
+def test_fusion_goes_on_with_the_sensor_that_is_left_and_takes_the_other_back() -> None:
+    bench = _Bench()
+    with bench.two as two:
+        for _ in range(3):
+            bench.put(bench.a, bench.b)
+            assert bench.next_pair().b is not None
+        bench.b.open_faults = [DeviceError("No Kinect with serial 000456.")] * 3
+        bench.b.put(unplugged("000456"))
+        bench.until(lambda _: two.b.state is SensorState.LOST or two.b.returns > 0)
+        bench.put(bench.a)
+        assert bench.next_pair().b is None
+        bench.until(lambda _: two.b.returns == 1)
+        bench.put(bench.a, bench.b)
+        bench.until(lambda _: two.b.received == 4)
+        bench.put(bench.a, bench.b)
+        pairs = bench.until(lambda pairs: any(pair.b is not None for pair in pairs))
+        assert pairs[-1].a is not None
+        told = " ".join(event.message for event in two.events())
+    assert "unplugged" in told
+    assert "Going on without it" in told
+    assert "000456 is back" in told
+
+
+def test_a_sensor_that_does_not_open_closes_the_other() -> None:
+    bench = _Bench()
+    bench.a.open_faults = [DeviceError("No Kinect with serial 000123.")]
+    with pytest.raises(DeviceError, match="No Kinect with serial 000123"):
+        bench.two.__enter__()
+    assert (bench.b.opened, bench.b.closed) == (1, 1)
+    assert threading.active_count() == 1
+
+
+def test_the_subordinate_starts_first() -> None:
+    order: list[str] = []
+
+    class Noting(ScriptedSensor):
+        def __enter__(self) -> ScriptedSensor:
+            order.append(self.name)
+            return super().__enter__()
+
+    for first in ("a", "b"):
+        with TwoSensors(Noting("a"), Noting("b"), first=first):  # type: ignore[arg-type]
+            pass
+    assert order == ["a", "b", "b", "a"]
+
+
+def test_both_sources_ended_end_the_pairs() -> None:
+    bench = _Bench()
+    with bench.two as two:
+        bench.put(bench.a, bench.b)
+        bench.put(bench.a)
+        bench.a.put(None)
+        bench.b.put(None)
+        pairs = list(two.pairs())
+    assert [(pair.a is not None, pair.b is not None) for pair in pairs] == [(True, True), (True, False)]
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
+@pytest.mark.parametrize("moment", ["opening a", "opening b", "between frames", "in a pair", "closing"])
+def test_ctrl_c_at_any_moment(moment: str) -> None:
+    class Interrupted(ScriptedSensor):
+        def __enter__(self) -> ScriptedSensor:
+            if moment == f"opening {self.name}":
+                _press_ctrl_c()
+            return super().__enter__()
+
+        def __exit__(self, *exc_info: object) -> None:
+            super().__exit__()
+            if moment == "closing" and self.name == "a":
+                _press_ctrl_c()
+
+    a, b = Interrupted("a"), Interrupted("b")
+    two = TwoSensors(a, b)
+    with pytest.raises(KeyboardInterrupt):
+        _session(two, a, b, moment)
+    assert (two.a.state, two.b.state) == (SensorState.CLOSED, SensorState.CLOSED)
+    # A wait that Ctrl-C cut short leaves the thread to finish by itself, which it does.
+    for thread in set(threading.enumerate()) - {threading.main_thread()}:
+        thread.join(PATIENCE_S)
+        assert not thread.is_alive()
+    for sensor in (a, b):
+        assert sensor.opened == sensor.closed
+
+
+def _session(two: TwoSensors, a: ScriptedSensor, b: ScriptedSensor, moment: str) -> None:
+    if moment == "between frames":
+        b.put(_press_ctrl_c)
+    if moment in ("in a pair", "closing"):
+        a.put(frame_at(1))
+        b.put(frame_at(1))
+    with two:
+        for _ in two.pairs():
+            if moment == "in a pair":
+                _press_ctrl_c()
+            if moment == "closing":
+                return
+
+
+def _press_ctrl_c() -> None:
+    signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+
+def test_frames_of_a_slow_reader_are_dropped_and_counted() -> None:
+    bench = _Bench()
+    with bench.two as two:
+        for _ in range(50):
+            bench.put(bench.a, bench.b)
+        bench.until(lambda _: two.a.received == two.b.received == 50)
+        assert two.a.received - two.a.dropped <= 50
+        frames: list[SensorFrame] = two.a.take()
+        assert len(frames) <= 2

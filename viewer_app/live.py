@@ -1,0 +1,172 @@
+"""The loop for sensors that run: pair, calibrate when there is something to calibrate on, fuse, record."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.live_pairing import LivePair
+from devices.pairing import FramePair
+from devices.person_choice import PersonChoice
+from devices.sensor import SensorFrame
+from devices.two_sensors import TwoSensors
+from fusion.body import Body
+from fusion.calibration import Calibration, StartUpPose, calibrate
+from fusion.errors import CalibrationError
+from fusion.fuser import Fuser, FuserSettings
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton, SkeletonPair
+from fusion.viewing_plane import Intrinsics
+from recordings.arrays import RecordedFrame
+from recordings.recorder import Recorder
+from viewer_app.run import fuse_one
+
+_KEPT_FRAMES = 9_000
+"""Five minutes at 30 fps: what the summary at the end speaks of."""
+_PROVISIONAL_PAIRS = 30
+
+
+class Calibrator:
+    """Finds a calibration while pairs come in: a provisional one at once, the real one on the start-up pose.
+
+    Args:
+        body: The sensors' body.
+        calibration: One from before, which is then kept.
+    """
+
+    def __init__(self, body: Body, calibration: Calibration | None = None) -> None:
+        self._body = body
+        self._pose = StartUpPose(body)
+        self._seen: list[SkeletonPair] = []
+        self._settled = calibration is not None
+        self.calibration = calibration or Calibration(
+            body, RigidTransform.identity(), body.nominal_lengths, "none yet: an adult's proportions"
+        )
+
+    @property
+    def settled(self) -> bool:
+        """Whether the calibration is the real one."""
+        return self._settled
+
+    @property
+    def held(self) -> float:
+        """Seconds for which the start-up pose has been held."""
+        return self._pose.held
+
+    def watch(self, pair: SkeletonPair) -> Calibration | None:
+        """Takes the next pair.
+
+        Returns:
+            The new calibration where this pair completes one, else None.
+        """
+        if self._settled or pair.a is None or pair.b is None:
+            return None
+        held = self._pose.watch(pair)
+        if held is not None:
+            found = self._try(held, f"start-up pose, {len(held)} frames")
+            self._settled = found is not None
+            return found
+        if len(self._seen) < _PROVISIONAL_PAIRS:
+            self._seen.append(pair)
+            if len(self._seen) in (1, _PROVISIONAL_PAIRS):
+                return self._try(self._seen, f"provisional, {len(self._seen)} frames of any pose")
+        return None
+
+    def _try(self, pairs: list[SkeletonPair], how: str) -> Calibration | None:
+        try:
+            self.calibration = calibrate(self._body, pairs, how)
+        except CalibrationError:
+            return None
+        return self.calibration
+
+
+@dataclass(frozen=True)
+class Status:
+    """What the loop tells whoever watches it, after each frame."""
+
+    frame: RecordedFrame
+    calibrator: Calibrator
+    sensors: TwoSensors
+    events: tuple[str, ...]
+
+
+def run_live(
+    sensors: TwoSensors,
+    *,
+    body: Body,
+    settings: FuserSettings,
+    intrinsics: tuple[Intrinsics | None, Intrinsics | None],
+    calibration: Calibration | None,
+    recorder_for: Callable[[Fuser], Recorder],
+    truth_at: Callable[[int], NDArray[np.float64]] | None = None,
+    go_on: Callable[[Status], bool] = lambda _: True,
+) -> tuple[Fuser, list[RecordedFrame]]:
+    """Fuses and records what two open sensors give until they end or ``go_on`` says no.
+
+    Args:
+        sensors: Open.
+        body: Of both sensors.
+        settings: The method's choices.
+        intrinsics: Of the two depth cameras.
+        calibration: One to keep; None to find it while running.
+        recorder_for: Makes the recorder, once.
+        truth_at: (J, 3) the true joints at a pair's time, where they are known.
+        go_on: Asked after each frame; shows the status in passing.
+
+    Returns:
+        The fuser of the last calibration, and the last frames, without their images.
+    """
+    calibrator = Calibrator(body, calibration)
+    fuser = Fuser(calibrator.calibration, settings, *intrinsics)
+    recorder = recorder_for(fuser)
+    people = PersonChoice(), PersonChoice()
+    kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
+    for live in sensors.pairs():
+        pair = _with_people(live, people)
+        found = calibrator.watch(pair.skeletons)
+        if found is not None:
+            fuser = Fuser(found, settings, *intrinsics)
+            recorder.calibrate(fuser)
+        frame = fuse_one(fuser, pair)
+        if truth_at is not None:
+            frame = replace(frame, truth=truth_at(pair.time_ns))
+        events = tuple(event.message for event in sensors.events())
+        recorder.record(frame)
+        if found is not None:
+            recorder.event(f"calibrated: {found.how}")
+        for event in events:
+            recorder.event(event, "WARN")
+        kept.append(replace(frame, pair=_without_images(pair)))
+        if not go_on(Status(frame, calibrator, sensors, events)):
+            break
+    return fuser, list(kept)
+
+
+def _with_people(live: LivePair, people: tuple[PersonChoice, PersonChoice]) -> FramePair:
+    """The pair with the one person that is followed in each view."""
+
+    def followed(frame: SensorFrame | None, choice: PersonChoice) -> str:
+        if frame is None:
+            return ""
+        chosen: Skeleton | None = choice.choose(frame.people, frame.time_ns)
+        return "" if chosen is None else choice.identity or ""
+
+    return FramePair(
+        live.a,
+        live.b,
+        followed(live.a, people[0]),
+        followed(live.b, people[1]),
+        live.time_ns,
+        live.skew_ns or 0,
+    )
+
+
+def _without_images(pair: FramePair) -> FramePair:
+    def bare(frame: SensorFrame | None) -> SensorFrame | None:
+        return None if frame is None else SensorFrame(frame.time_ns, frame.people)
+
+    return replace(pair, a=bare(pair.a), b=bare(pair.b))
