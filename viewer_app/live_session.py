@@ -89,6 +89,11 @@ class LiveSession:
         hub = self._viewing.hub
         if hub is not None:
             self._feed = self._feed_into(hub.start)
+            try:
+                hub.wait_until_listening(self._feed.process)
+            except UsageError:
+                self._feed.close(end_process=True)
+                raise
             if self._viewing.window:
                 self._window = _Window(lambda: start_window(hub, self._viewing.headless))
         elif self._viewing.window:

@@ -71,15 +71,11 @@ class Hub:
         return f"http://{self.reached_at}:{self.web_port}/?url={quote(self.url, safe='')}"
 
     def start(self) -> subprocess.Popen[bytes]:
-        """Starts it; it takes a session from its standard input.
-
-        Raises:
-            UsageError: It does not start.
-        """
+        """Starts it; it takes a session from its standard input, and listens when something came there."""
         web = ["--serve-grpc"]
         if self.web_port is not None:
             web = ["--serve-web", "--web-viewer-port", str(self.web_port)]
-        hub = _start(
+        return _start(
             [
                 *web,
                 *("--bind", self.address, "--port", str(self.port)),
@@ -87,8 +83,16 @@ class Hub:
             ],
             stdin=subprocess.PIPE,
         )
-        _wait_for(hub, self.reached_at.strip("[]"), self.port, "Rerun's server")
-        return hub
+
+    def wait_until_listening(self, process: subprocess.Popen[bytes]) -> None:
+        """Waits for a hub that was started and gets its session.
+
+        Raises:
+            UsageError: It does not start.
+        """
+        for port in (self.port, self.web_port):
+            if port is not None:
+                _wait_for(process, self.reached_at.strip("[]"), port, "Rerun's server")
 
 
 def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
@@ -97,34 +101,28 @@ def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
     Raises:
         UsageError: It does not start.
     """
-    port = free_port()
-    window = _start(
-        [
-            *("--connect", hub.url, "--bind", LOOPBACK, "--port", str(port)),
-            *("--memory-limit", _VIEWER_MEMORY, "--hide-welcome-screen"),
-            *(["--headless"] if headless else []),
-        ]
-    )
-    _wait_for(window, LOOPBACK, port, "Rerun's viewer")
-    return window
+    arguments = ["--connect", hub.url, "--hide-welcome-screen", *(["--headless"] if headless else [])]
+    return start_viewer(arguments)[0]
 
 
 def start_window_on_pipe() -> subprocess.Popen[bytes]:
-    """Starts a viewer of its own that takes a session from its standard input, and outlives us.
+    """Starts a viewer of its own that takes a session from its standard input, and outlives us."""
+    return _start([*_own(free_port()), "--expect-data-soon", "-"], stdin=subprocess.PIPE)
+
+
+def start_viewer(arguments: Sequence[str]) -> tuple[subprocess.Popen[bytes], int]:
+    """Starts a viewer that listens on a free port of the loopback address, and has a bounded memory.
+
+    Returns:
+        The process and its port.
 
     Raises:
         UsageError: It does not start.
     """
     port = free_port()
-    window = _start(
-        [
-            *("--bind", LOOPBACK, "--port", str(port)),
-            *("--memory-limit", _VIEWER_MEMORY, "--expect-data-soon", "-"),
-        ],
-        stdin=subprocess.PIPE,
-    )
-    _wait_for(window, LOOPBACK, port, "Rerun's viewer")
-    return window
+    viewer = _start([*_own(port), *arguments])
+    _wait_for(viewer, LOOPBACK, port, "Rerun's viewer")
+    return viewer, port
 
 
 def stop(process: subprocess.Popen[bytes]) -> None:
@@ -167,6 +165,10 @@ def _start(arguments: Sequence[str], stdin: int = subprocess.DEVNULL) -> subproc
         start_new_session=True,  # Ctrl-C is for us: we end it when everything is saved
         bufsize=0,
     )
+
+
+def _own(port: int) -> tuple[str, ...]:
+    return "--bind", LOOPBACK, "--port", str(port), "--memory-limit", _VIEWER_MEMORY
 
 
 def _program() -> list[str]:
