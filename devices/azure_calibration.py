@@ -9,6 +9,7 @@ Sensor SDK (its ``transformation`` source); NFOV_UNBINNED and 720p are checked a
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -113,6 +114,8 @@ def read_calibration(text: str | bytes, depth: str, color: str | None = None) ->
 
 def _intrinsics(camera: dict[str, Any], mode: CameraMode) -> Intrinsics:
     parameters = [float(value) for value in camera["Intrinsics"]["ModelParameters"]]
+    if not all(math.isfinite(value) for value in parameters) or min(parameters[2:4]) <= 0:
+        raise ValueError("a model parameter is out of range")
     cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = parameters[:14]
     # A calibration measured on a 16:9 image covers the middle 2304 of the chip's 3072 rows.
     if camera["SensorWidth"] * 9 == camera["SensorHeight"] * 16:

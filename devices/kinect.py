@@ -46,6 +46,7 @@ class KinectSettings:
         delay_us: How much later than the master a subordinate captures.
         timeout_ms: How long one wait for a frame may take.
         stall_s: After how long without depth the stream counts as stalled.
+        start_s: The same for a subordinate's first frame, which waits until its master runs.
     """
 
     depth_mode: str = "NFOV_UNBINNED"
@@ -56,6 +57,7 @@ class KinectSettings:
     delay_us: int = LASER_GAP_US
     timeout_ms: int = 1000
     stall_s: float = 5.0
+    start_s: float = 120.0
 
 
 class KinectSensor:
@@ -143,6 +145,7 @@ class KinectSensor:
         wait_s = 0.75 / self.settings.fps
         queue = None if self._tracker is None else TrackerQueue(self._tracker, wait_s)
         silent_s = 0.0
+        patience_s = self.settings.start_s if self.settings.sync == "subordinate" else self.settings.stall_s
         while not self._interrupted.is_set():
             try:
                 capture = self._device.get_capture(timeout=self.settings.timeout_ms)
@@ -155,10 +158,10 @@ class KinectSensor:
                 waited_s = 1 / self.settings.fps
             if frame is None:
                 silent_s += waited_s
-                if silent_s >= self.settings.stall_s:
+                if silent_s >= patience_s:
                     raise self._stalled(silent_s)
                 continue
-            silent_s = 0.0
+            silent_s, patience_s = 0.0, self.settings.stall_s
             if queue is None:
                 yield frame
                 continue

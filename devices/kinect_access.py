@@ -162,5 +162,10 @@ def capsule_pointer(capsule: object, name: bytes) -> int:
     """The address in a capsule; the name guards against handing the library a pointer to something else."""
     get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
     get_pointer.restype, get_pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
-    pointer: int = get_pointer(capsule, name)
+    try:
+        pointer: int = get_pointer(capsule, name)
+    except ValueError as fault:
+        raise DeviceError(
+            f"This pyk4a keeps no {name.decode()!r} ({fault}): it is another version. Install pyk4a 1.5."
+        ) from fault
     return pointer

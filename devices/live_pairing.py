@@ -179,7 +179,7 @@ class LivePairing:
             frame, _ = a[0]
             skews = [self._skew_ns(frame, other) for other, _ in b]
             nearest = min(range(len(b)), key=lambda index: abs(skews[index]))
-            if abs(skews[nearest]) <= self._tolerance_ns and not self._next_is_nearer(skews[nearest]):
+            if abs(skews[nearest]) <= self._tolerance_ns:
                 self._count(unmatched_b=nearest)
                 return [self._pair(b[nearest][0], skews[nearest], nearest)]
             if skews[-1] > -self._tolerance_ns:
@@ -199,11 +199,6 @@ class LivePairing:
             self._use(self._b, 1)
             return []
         return None
-
-    def _next_is_nearer(self, skew_ns: int) -> bool:
-        """Whether the frame of A after the oldest lies nearer to that one's partner, ``skew_ns`` from it."""
-        a = self._a.waiting
-        return len(a) > 1 and abs(skew_ns - (a[1][0].time_ns - a[0][0].time_ns)) < abs(skew_ns)
 
     def _skew_ns(self, a: SensorFrame, b: SensorFrame) -> int:
         """How far B's frame is from where A's partner should be, by A's clock."""

@@ -177,10 +177,12 @@ class MkvRecording:
         depth = tags["K4A_DEPTH_MODE"]
         mode = depth_mode(depth)
         stream = streams["DEPTH"]
-        if (stream.width, stream.height) != (mode.width, mode.height):
+        # A stream whose head is damaged has no size at all.
+        width, height = getattr(stream, "width", 0), getattr(stream, "height", 0)
+        if (width, height) != (mode.width, mode.height):
             raise DeviceError(
                 f"{self.name} says depth mode {depth}, {mode.width} x {mode.height}, but its images are "
-                f"{stream.width} x {stream.height}. The file is damaged; record it again."
+                f"{width} x {height}. The file is damaged; record it again."
             )
         calibration = self._attachment(container)
         color = tags.get("K4A_COLOR_MODE", "").removeprefix("MJPG_")

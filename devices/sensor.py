@@ -41,17 +41,22 @@ class SensorFrame:
 
 
 class Sensor(Protocol):
-    """One source of frames. Building one opens nothing; use it as a context manager.
+    """One source of frames. Building one opens nothing; use it as a context manager."""
 
-    Attributes:
-        name: What to call it in messages: a serial number, a file name.
-        body: The body its tracker reports.
-        intrinsics: Of its depth camera; None where the source does not say.
-    """
+    @property
+    def name(self) -> str:
+        """What to call it in messages: a serial number, a file name."""
+        ...
 
-    name: str
-    body: Body
-    intrinsics: Intrinsics | None
+    @property
+    def body(self) -> Body:
+        """The body its tracker reports; known once it is open."""
+        ...
+
+    @property
+    def intrinsics(self) -> Intrinsics | None:
+        """Of its depth camera; None where the source does not say."""
+        ...
 
     def __enter__(self) -> Sensor:
         """Opens the source.

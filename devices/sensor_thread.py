@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -58,7 +59,7 @@ class SensorThread:
         self,
         sensor: Sensor,
         *,
-        keep: int = 2,
+        keep: int = 4,
         stall_s: float = 2.0,
         retry_s: float = 1.0,
         arrival: threading.Event | None = None,
@@ -118,7 +119,7 @@ class SensorThread:
         """Whether no frame is to be expected soon: stalled, lost, ended or closed."""
         return self.state not in (SensorState.RUNNING, SensorState.OPENING)
 
-    def open(self, within_s: float = 60.0) -> SensorThread:
+    def open(self, within_s: float = 120.0) -> SensorThread:
         """Starts the thread and waits until the sensor is open.
 
         Args:
@@ -129,9 +130,7 @@ class SensorThread:
         """
         self.close()
         if self._left_behind:
-            raise DeviceError(
-                f"{self.sensor.name} hung and was left behind. Unplug it and start the program anew."
-            )
+            raise DeviceError(f"{self.sensor.name} hung and was left behind. Unplug it, then start anew.")
         self._stopping, self._settled = threading.Event(), threading.Event()
         self._fault, self._state = None, SensorState.OPENING
         # A daemon: a driver that hangs forever must not keep the program from ending.
@@ -141,17 +140,15 @@ class SensorThread:
             name=f"sensor {self.sensor.name}",
             daemon=True,
         )
-        self._thread.start()
         try:
+            self._thread.start()
             opened = self._settled.wait(within_s)
         except BaseException:  # Ctrl-C while it opens: nobody will leave a with block that was never entered
             self.close()
             raise
         if not opened:
             self.close(0.0)
-            raise DeviceError(
-                f"{self.sensor.name} did not open within {within_s:g} s. Unplug it, plug it in, and retry."
-            )
+            raise DeviceError(f"{self.sensor.name} did not open in {within_s:g} s. Plug it in anew, retry.")
         self._raise_fault()
         return self
 
@@ -171,7 +168,8 @@ class SensorThread:
         if isinstance(self.sensor, Interruptible):
             self.sensor.interrupt()
         try:
-            thread.join(within_s)
+            with suppress(RuntimeError):  # Ctrl-C came before it could start
+                thread.join(within_s)
         finally:  # Ctrl-C may end the wait; the thread closes the sensor all the same
             with self._lock:
                 self._frames.clear()

@@ -32,6 +32,7 @@ class TwoSensors:
         first: Side = "b",
         stall_s: float = 2.0,
         retry_s: float = 1.0,
+        open_s: float = 120.0,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         """Prepares; opens nothing.
@@ -42,6 +43,7 @@ class TwoSensors:
             first: Which one to start first: the subordinate, if there is a sync cable.
             stall_s: After how long without a frame a sensor counts as stalled.
             retry_s: How often a lost sensor is tried again.
+            open_s: How long opening one may take: its body tracker loads a network.
             clock: Seconds; tests put their own.
         """
         self._arrival = threading.Event()
@@ -51,7 +53,7 @@ class TwoSensors:
         )
         self._pairing = pairing or LivePairing()
         self._first: Side = first
-        self._clock = clock
+        self._clock, self._open_s = clock, open_s
         self._returns: dict[Side, int] = {"a": 0, "b": 0}
         self._events: list[SensorEvent] = []
 
@@ -68,7 +70,7 @@ class TwoSensors:
         """
         try:
             for thread in (self.b, self.a) if self._first == "b" else (self.a, self.b):
-                thread.open()
+                thread.open(self._open_s)
         except BaseException:
             self.__exit__()
             raise

@@ -7,7 +7,7 @@ few seconds. Here that pose is recognised rather than announced.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from fusion.bone_lengths import measure_bone_lengths
 from fusion.errors import CalibrationError
 from fusion.registration import Registration, register
 from fusion.rigid import RigidTransform
-from fusion.skeleton import Skeleton, SkeletonPair
+from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 
 _SHORTEST_NS = 1_000_000_000
 _LONGEST_NS = 3_000_000_000
@@ -59,6 +59,13 @@ class Calibration:
     def axes_angle(self) -> float:
         """Radians between the two optical axes."""
         return float(np.arccos(np.clip(self.a_from_b.rotation[2, 2], -1.0, 1.0)))
+
+
+def nominal_calibration(body: Body) -> Calibration:
+    """What to begin with before anything was seen: K_B where K_A is, an adult's proportions."""
+    return Calibration(
+        body, RigidTransform.identity(), body.nominal_lengths, "none yet: an adult's proportions"
+    )
 
 
 def calibrate(body: Body, pairs: Sequence[SkeletonPair], how: str) -> Calibration:
@@ -144,18 +151,39 @@ def find_start_up_pose(body: Body, pairs: Sequence[SkeletonPair]) -> tuple[list[
         CalibrationError: No frame shows a person to both sensors.
     """
     pose = StartUpPose(body)
-    for pair in pairs:
-        held = pose.watch(pair)
+    for pair in _worth_watching(body, pairs):
+        held = pose.end() if pair is None else pose.watch(pair)
         if held is not None:
             return held, f"start-up pose at {_seconds(pairs, held[0]):.1f} s, {len(held)} frames"
-    held = pose.end()
-    if held is not None:
-        return held, f"start-up pose at {_seconds(pairs, held[0]):.1f} s, {len(held)} frames"
     calm = _calmest(body, pairs)
     return calm, (
         f"no start-up pose found; calmest window instead, at {_seconds(pairs, calm[0]):.1f} s, "
         f"{len(calm)} frames"
     )
+
+
+def _worth_watching(body: Body, pairs: Sequence[SkeletonPair]) -> Iterator[SkeletonPair | None]:
+    """The pairs in runs long enough to be a start-up pose, each run ended by None.
+
+    An hour of frames goes through here at once, so that only the few candidates are looked at singly.
+    """
+    seen = [(k, pair.a, pair.b) for k, pair in enumerate(pairs) if pair.a is not None and pair.b is not None]
+    holds = np.zeros(len(pairs) + 1, dtype=bool)  # ends with one that does not
+    if seen:
+        main = main_joints(body)
+        tracked = [np.array([s.states for s in side]) == TrackingState.TRACKED for side in _sides(seen)]
+        apart = [_limbs_apart(body, np.array([s.positions for s in side])) for side in _sides(seen)]
+        both = tracked[0][:, main].all(axis=1) & tracked[1][:, main].all(axis=1)
+        holds[[k for k, _, _ in seen]] = both & (apart[0] | apart[1])
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], holds)).astype(np.int8)))
+    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if end - first >= _FEWEST_PAIRS:
+            yield from pairs[first:end]
+            yield None
+
+
+def _sides(seen: list[tuple[int, Skeleton, Skeleton]]) -> tuple[list[Skeleton], list[Skeleton]]:
+    return [a for _, a, _ in seen], [b for _, _, b in seen]
 
 
 def main_joints(body: Body) -> NDArray[np.int64]:
@@ -165,45 +193,72 @@ def main_joints(body: Body) -> NDArray[np.int64]:
 
 def limbs_apart(skeleton: Skeleton) -> bool:
     """Whether both arms are held away from the trunk and the legs stand apart."""
-    body, at = skeleton.body, skeleton.positions.astype(np.float64)
+    return bool(_limbs_apart(skeleton.body, skeleton.positions))
+
+
+def _limbs_apart(body: Body, positions: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(…) of (…, J, 3) positions; false where one that is needed is missing."""
+    at = positions.astype(np.float64)
 
     def joint(name: str) -> NDArray[np.float64]:
-        return np.asarray(at[body.joint(name)])
+        return np.asarray(at[..., body.joint(name), :])
 
     hips = 0.5 * (joint("HIP_LEFT") + joint("HIP_RIGHT"))
     shoulders = 0.5 * (joint("SHOULDER_LEFT") + joint("SHOULDER_RIGHT"))
     down = hips - shoulders
-    arms = [_angle(joint(f"WRIST_{s}") - joint(f"SHOULDER_{s}"), down) for s in ("LEFT", "RIGHT")]
+    left, right = (_angle(joint(f"WRIST_{s}") - joint(f"SHOULDER_{s}"), down) for s in ("LEFT", "RIGHT"))
     legs = _angle(joint("ANKLE_LEFT") - hips, joint("ANKLE_RIGHT") - hips)
-    return bool(min(arms) > _ARM_ANGLE and legs > _LEG_ANGLE)
+    return np.asarray((left > _ARM_ANGLE) & (right > _ARM_ANGLE) & (legs > _LEG_ANGLE))
 
 
 def _calmest(body: Body, pairs: Sequence[SkeletonPair], seconds: float = 2.0) -> list[SkeletonPair]:
-    seen = [pair for pair in pairs if pair.a is not None and pair.b is not None]
+    seen = [(k, pair.a, pair.b) for k, pair in enumerate(pairs) if pair.a is not None and pair.b is not None]
     if not seen:
         raise CalibrationError(
             "No frame shows a person to both sensors. Check that the two recordings overlap and that the "
             "person stands in both views."
         )
     main = main_joints(body)
-    a = np.array([p.a.positions[main] for p in seen if p.a is not None])  # (T, M, 3)
-    b = np.array([p.b.positions[main] for p in seen if p.b is not None])
-    both: NDArray[np.bool_] = np.array(
-        [(p.a.tracked & p.b.tracked).tolist() for p in seen if p.a is not None and p.b is not None]
-    )
-    share = both[:, main].mean(axis=1)
-    time = np.array([p.time_ns for p in seen])
+    views = [np.array([s.positions[main] for s in side]) for side in _sides(seen)]  # (T, M, 3) each
+    tracked = [np.array([s.states for s in side])[:, main] == TrackingState.TRACKED for side in _sides(seen)]
+    share = (tracked[0] & tracked[1]).mean(axis=1)
+    time = np.array([pairs[k].time_ns for k, _, _ in seen])
     ends = np.searchsorted(time, time + int(seconds * 1e9))
-    best, best_score = (0, len(seen)), (np.inf, np.inf)
-    for first, end in enumerate(ends):
-        if end == len(seen) and first > 0 and time[-1] - time[first] < 0.5 * seconds * 1e9:
-            break
-        window = slice(first, end)
-        missing = round(1.0 - float(share[window].mean()), 1)
-        score = (missing, max(_tremble(a[window]), _tremble(b[window])))
-        if score < best_score:
-            best, best_score = (first, int(end)), score
-    return seen[best[0] : best[1]]
+    whole = (ends < len(time)) | (time[-1] - time >= 0.5 * seconds * 1e9)
+    whole[0] = True
+    starts = np.flatnonzero(whole)
+    missing = 1.0 - _window_sums(share, starts, ends[starts]) / (ends - np.arange(len(ends)))[starts]
+    tremble = np.maximum(*(_window_tremble(view, starts, ends[starts]) for view in views))
+    best = int(np.lexsort((tremble, missing.round(1)))[0])  # the best seen, and of these the calmest
+    return [pairs[k] for k, _, _ in seen[starts[best] : ends[starts][best]]]
+
+
+def _window_sums(
+    values: NDArray[np.float64], starts: NDArray[np.int64], ends: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """(W, …) sums of (T, …) values over [start, end)."""
+    total = np.concatenate((np.zeros_like(values[:1]), np.cumsum(values, axis=0)))
+    return np.asarray(total[ends] - total[starts])
+
+
+def _window_tremble(
+    positions: NDArray[np.float32], starts: NDArray[np.int64], ends: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """(W,) :func:`_tremble` of every window [start, end)."""
+    seen = np.asarray(np.isfinite(positions).all(axis=2), dtype=bool)
+    at = positions.astype(np.float64) - np.nanmean(positions, axis=(0, 1), dtype=np.float64)
+    at[~seen] = 0.0
+    count = _window_sums(seen.astype(np.float64), starts, ends)  # (W, M)
+    total = _window_sums(at, starts, ends)
+    square = _window_sums(np.sum(at * at, axis=2), starts, ends)
+    about_mean = np.maximum(square - np.sum(total * total, axis=2) / np.maximum(count, 1.0), 0.0)
+    return np.asarray(
+        np.where(
+            count.sum(axis=1) > 0.0,
+            np.sqrt(about_mean.sum(axis=1) / np.maximum(count.sum(axis=1), 1.0)),
+            np.inf,
+        )
+    )
 
 
 def _tremble(positions: NDArray[np.float32]) -> float:
@@ -217,9 +272,10 @@ def _tremble(positions: NDArray[np.float32]) -> float:
     return float(np.sqrt(square.mean()))
 
 
-def _angle(u: NDArray[np.float64], v: NDArray[np.float64]) -> float:
-    cosine = float(u @ v) / max(float(np.linalg.norm(u) * np.linalg.norm(v)), 1e-9)
-    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+def _angle(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    length = np.linalg.norm(u, axis=-1) * np.linalg.norm(v, axis=-1)
+    cosine = np.sum(u * v, axis=-1) / np.maximum(length, 1e-9)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _seconds(pairs: Sequence[SkeletonPair], at: SkeletonPair) -> float:

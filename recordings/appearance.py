@@ -10,6 +10,7 @@ from fusion.body import Body
 from fusion.viewing_plane import Intrinsics
 from recordings import layout
 
+_CLOUD_RADIUS = 0.006  # metres
 _FRUSTUM_DEPTH = 0.25  # metres
 
 
@@ -42,6 +43,11 @@ def joint_look(body: Body, key: str) -> rr.Points3D:
         radii=layout.JOINT_RADII[key],
         show_labels=False,
     )
+
+
+def cloud_look(side: str) -> rr.Points3D:
+    """Of a sensor's point cloud: its skeleton's colour, as in the paper's fig. 2."""
+    return rr.Points3D.from_fields(colors=layout.SKELETON_COLORS[side], radii=_CLOUD_RADIUS)
 
 
 def camera(intrinsics: Intrinsics, side: str) -> rr.Pinhole:

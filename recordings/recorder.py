@@ -18,7 +18,9 @@ from fusion.fuser import Fuser
 from fusion.skeleton import TrackingState
 from recordings import appearance, layout
 from recordings.arrays import RecordedFrame, SessionArrays
+from recordings.depth_points import thin_points
 from recordings.explained_trust import StateLanes, TrustMatrix, details, trust_colors
+from recordings.rvl import MEDIA_TYPE, encode_depth
 
 
 class Recorder:
@@ -29,6 +31,8 @@ class Recorder:
         fuser: Whose settings, calibration and intrinsics the session keeps.
         sources: What the sensors are called, K_A first.
         start_ns: When the session began; with the first frame recorded here where None.
+        depth_every: Keep the depth images of every so many pairs; 0 for none.
+        points: Whether a depth image is shown as a point cloud too.
     """
 
     def __init__(
@@ -37,8 +41,12 @@ class Recorder:
         fuser: Fuser,
         sources: tuple[str, str],
         start_ns: int | None = None,
+        depth_every: int = 0,
+        points: bool = False,
     ) -> None:
         self._stream = stream
+        self._depth_every, self._points = depth_every, points
+        self._cameras = (fuser.intrinsics_a, fuser.intrinsics_b)
         self._calibration = fuser.calibration
         self._frames = 0
         self._start_ns = start_ns
@@ -71,6 +79,7 @@ class Recorder:
         self._set_time(*self._now)
         for stream in _streams(rows):
             self._stream.log(stream.entity, stream.archetype(**stream.of_frame(0)))
+        self._log_depth([frame], rows)
         self._explain(rows)
 
     def record_all(
@@ -92,6 +101,7 @@ class Recorder:
         ]
         for stream in _streams(rows):
             self._stream.send_columns(stream.entity, times, stream.columns())
+        self._log_depth(frames, rows)
         self._explain(rows)
         return rows
 
@@ -121,6 +131,26 @@ class Recorder:
         self._frames = numbers[-1] + 1
         self._now = (int(rows.frame[-1]), int(rows.time_ns[-1]))
         return rows
+
+    def _log_depth(self, frames: Sequence[RecordedFrame], rows: SessionArrays) -> None:
+        for frame, number, time_ns in zip(frames, rows.frame.tolist(), rows.time_ns.tolist(), strict=True):
+            if self._depth_every == 0 or number % self._depth_every:
+                continue
+            for side, camera, seen in zip(
+                layout.SIDES, self._cameras, (frame.pair.a, frame.pair.b), strict=True
+            ):
+                if seen is None or seen.depth is None:
+                    continue
+                self._set_time(number, time_ns)
+                self._stream.log(
+                    layout.depth(side),
+                    rr.EncodedDepthImage(encode_depth(seen.depth), media_type=MEDIA_TYPE, meter=1000.0),
+                )
+                if self._points:
+                    self._stream.log(
+                        layout.points(side),
+                        rr.Points3D.from_fields(positions=thin_points(seen.depth, camera)),
+                    )
 
     def _explain(self, rows: SessionArrays) -> None:
         """What is not logged every frame: the trust matrix, and tracking states where they change."""
@@ -153,6 +183,7 @@ class Recorder:
         for side, intrinsics in (("a", fuser.intrinsics_a), ("b", fuser.intrinsics_b)):
             once(layout.skeleton(side), appearance.joint_look(body, side))
             once(layout.depth(side), appearance.camera(intrinsics, side))
+            once(layout.points(side), appearance.cloud_look(side))
             once(layout.weights(side), appearance.weight_lines(body))
         once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))
         once(layout.TRUTH_SKELETON, appearance.joint_look(body, "truth"))

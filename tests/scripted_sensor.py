@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import threading
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -61,6 +62,14 @@ class ScriptedSensor:
                 yield step
             else:
                 step()
+
+
+def all_threads_end() -> bool:
+    """Whether every thread but the caller's ends; one whose reader stopped waiting may take a moment."""
+    others = set(threading.enumerate()) - {threading.current_thread()}
+    for thread in others:
+        thread.join(PATIENCE_S)
+    return not any(thread.is_alive() for thread in others)
 
 
 def unplugged(name: str = "000123") -> DeviceError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import threading
@@ -12,7 +13,7 @@ from itertools import islice, pairwise
 from pathlib import Path
 
 import pytest
-from scripted_sensor import PATIENCE_S, ScriptedSensor, frame_at, unplugged
+from scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 from standin import Standin
 from standin_pyk4a import Bus, Device
 from test_doctor import plug_in
@@ -24,7 +25,7 @@ from devices.kinect import KinectSensor, KinectSettings
 from devices.kinect_access import connected_kinects
 from devices.kinect_choice import choose_two
 from devices.live_pairing import LivePair, LivePairing
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import DeviceError
 from devices.sensor_thread import SensorState
 from devices.two_sensors import TwoSensors
 from devices.usb import usb_kinects
@@ -110,6 +111,7 @@ def test_unplugged_mid_stream_beside_another(
             next(frames)
 
 
+@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
 def test_unplugged_at_close(bus: Bus) -> None:
     device = Device("000123")
     bus.devices = [device]
@@ -117,6 +119,7 @@ def test_unplugged_at_close(bus: Bus) -> None:
     device.plugged = False
     sensor.__exit__()
     assert device.opened_by is None
+    gc.collect()  # pyk4a's own destructor must find nothing left to stop: it would raise
     assert ["did not close cleanly" in warning for warning in sensor.warnings] == [True]
     device.plugged = True
     with sensor:  # the same sensor can be opened again
@@ -136,9 +139,17 @@ def test_stream_stalls(bus: Bus, fault: str) -> None:
 
 
 def test_stream_of_a_subordinate_stalls(bus: Bus) -> None:
-    bus.devices = [Device("000123", jacks=(True, False), silent=True)]
-    with _kinect(sync="subordinate") as sensor, pytest.raises(DeviceError, match="check the master"):
-        next(sensor.frames())
+    device = Device("000123", jacks=(True, False), silent=True)
+    bus.devices = [device]
+    with _kinect(sync="subordinate", start_s=30.0, stall_s=5.0) as sensor:
+        with pytest.raises(DeviceError, match=r"no depth for 30 s.*check the master"):
+            next(sensor.frames())
+        device.silent = False
+        frames = sensor.frames()
+        next(frames)
+        device.silent = True
+        with pytest.raises(DeviceError, match="no depth for 5 s"):
+            next(frames)
 
 
 @pytest.mark.parametrize(
@@ -185,15 +196,17 @@ class _Bench:
 
     def __init__(self, **settings: object) -> None:
         self.a, self.b = ScriptedSensor("000123"), ScriptedSensor("000456")
-        self.two = TwoSensors(self.a, self.b, retry_s=0.001, **settings)  # type: ignore[arg-type]
+        self.two = TwoSensors(self.a, self.b, retry_s=0.05, **settings)  # type: ignore[arg-type]
         self.start = time.perf_counter_ns()
         self.index = 0
+        self.b_clock_ns = 0
 
     def put(self, *sensors: ScriptedSensor) -> None:
         self.index += 1
         host_ns = self.start + self.index * INTERVAL_NS
         for sensor in sensors:
-            sensor.put(frame_at(self.index * INTERVAL_NS, host_ns))
+            clock_ns = self.b_clock_ns if sensor is self.b else 0
+            sensor.put(frame_at(self.index * INTERVAL_NS + clock_ns, host_ns))
 
     def next_pair(self) -> LivePair:
         return self.until(lambda pairs: len(pairs) > 0)[-1]
@@ -208,22 +221,30 @@ class _Bench:
 
 
 def test_fusion_goes_on_with_the_sensor_that_is_left_and_takes_the_other_back() -> None:
-    bench = _Bench()
+    # Pairing that by itself would wait forever: what goes on does so because the sensor is known to be gone.
+    bench = _Bench(pairing=LivePairing(max_wait_ns=10**18, gone_after_ns=10**18))
     with bench.two as two:
         for _ in range(3):
             bench.put(bench.a, bench.b)
             assert bench.next_pair().b is not None
-        bench.b.open_faults = [DeviceError("No Kinect with serial 000456.")] * 3
+        bench.b.open_faults = [DeviceError("No Kinect with serial 000456.")] * 10_000
         bench.b.put(unplugged("000456"))
-        bench.until(lambda _: two.b.state is SensorState.LOST or two.b.returns > 0)
+        bench.until(lambda _: two.b.state is SensorState.LOST)
         bench.put(bench.a)
         assert bench.next_pair().b is None
+        assert two.b.returns == 0
+        bench.b.open_faults.clear()
         bench.until(lambda _: two.b.returns == 1)
-        bench.put(bench.a, bench.b)
-        bench.until(lambda _: two.b.received == 4)
-        bench.put(bench.a, bench.b)
-        pairs = bench.until(lambda pairs: any(pair.b is not None for pair in pairs))
-        assert pairs[-1].a is not None
+        # Its clock starts anew when it is plugged in, here a little behind where it was.
+        bench.b_clock_ns = -200_000_000
+
+        def paired_again(pairs: list[LivePair]) -> bool:
+            # A's frames go out alone until B's first one is here, so both go on.
+            bench.put(bench.a, bench.b)
+            return any(pair.a is not None and pair.b is not None for pair in pairs)
+
+        bench.until(paired_again)
+        assert two.figures.offset_ns == -200_000_000
         told = " ".join(event.message for event in two.events())
     assert "unplugged" in told
     assert "Going on without it" in told
@@ -236,7 +257,7 @@ def test_a_sensor_that_does_not_open_closes_the_other() -> None:
     with pytest.raises(DeviceError, match="No Kinect with serial 000123"):
         bench.two.__enter__()
     assert (bench.b.opened, bench.b.closed) == (1, 1)
-    assert threading.active_count() == 1
+    assert all_threads_end()
 
 
 def test_the_subordinate_starts_first() -> None:
@@ -284,9 +305,7 @@ def test_ctrl_c_at_any_moment(moment: str) -> None:
         _session(two, a, b, moment)
     assert (two.a.state, two.b.state) == (SensorState.CLOSED, SensorState.CLOSED)
     # A wait that Ctrl-C cut short leaves the thread to finish by itself, which it does.
-    for thread in set(threading.enumerate()) - {threading.main_thread()}:
-        thread.join(PATIENCE_S)
-        assert not thread.is_alive()
+    assert all_threads_end()
     for sensor in (a, b):
         assert sensor.opened == sensor.closed
 
@@ -307,14 +326,3 @@ def _session(two: TwoSensors, a: ScriptedSensor, b: ScriptedSensor, moment: str)
 
 def _press_ctrl_c() -> None:
     signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-
-
-def test_frames_of_a_slow_reader_are_dropped_and_counted() -> None:
-    bench = _Bench()
-    with bench.two as two:
-        for _ in range(50):
-            bench.put(bench.a, bench.b)
-        bench.until(lambda _: two.a.received == two.b.received == 50)
-        assert two.a.received - two.a.dropped <= 50
-        frames: list[SensorFrame] = two.a.take()
-        assert len(frames) <= 2

@@ -253,6 +253,18 @@ def test_nothing_that_exists_is_overwritten_without_force(
     assert session.stat().st_size > 10_000
 
 
+def test_a_recording_is_never_overwritten_by_its_own_fusion(
+    recordings: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = recordings[0].read_bytes()
+    assert duplex("fuse", *recordings, "--no-viewer", "--report", recordings[0], "--force") == 2
+    assert "it is also read" in one_line(capsys)
+    assert recordings[0].read_bytes() == before
+    twice = tmp_path / "x"
+    assert duplex("fuse", *recordings, "--no-viewer", "--report", twice, "--save", twice) == 2
+    assert "written twice" in one_line(capsys)
+
+
 def test_without_a_display_and_without_save_it_says_what_to_do(
     recordings: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

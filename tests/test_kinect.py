@@ -14,7 +14,7 @@ from standin_pyk4a import Bus, Device
 
 from devices.body_tracking import TrackerSettings
 from devices.kinect import KinectSensor, KinectSettings
-from devices.kinect_access import ConnectedKinect, connected_kinects
+from devices.kinect_access import ConnectedKinect, capsule_pointer, connected_kinects
 from devices.kinect_choice import NeedsChoiceError, choose_two, sync_master
 from devices.sensor import DeviceError, Interruptible
 
@@ -119,6 +119,14 @@ def test_people_come_with_the_frame_they_are_in(bus: Bus, standin: Standin) -> N
         # The stand-in tracker puts joints at the depth of the first pixel of the capture it was given.
         assert skeleton.positions[1, 2] == np.float32(frame.depth[0, 0] / 1000)
     gc.collect()
+
+
+def test_a_handle_of_another_pyk4a_is_refused(two: Bus) -> None:
+    with _sensor() as sensor:
+        calibration = sensor._device.calibration
+        with pytest.raises(DeviceError, match=r"no 'pyk4a capture handle'.*another version"):
+            capsule_pointer(calibration._calibration_handle, b"pyk4a capture handle")
+    assert two.open_serials == []
 
 
 def test_interrupting_ends_the_wait_of_a_silent_sensor(two: Bus) -> None:

@@ -15,6 +15,12 @@ from devices.mkv import MkvRecording
 from devices.sensor import DeviceError
 
 FRAMES = 12
+_EXAMPLES = settings(
+    max_examples=60,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +56,19 @@ def test_real_calibration_is_that_of_its_modes(shared: Path) -> None:
     assert depth.fx == pytest.approx(0.4927808940410614 * 1024)
     assert depth.cx == pytest.approx(0.51296979188919067 * 1024 - 192.5)
     assert depth.cy == pytest.approx(0.51692354679107666 * 1024 - 180.5)
+    # The file orders k1..k6, codx, cody, p2, p1; OpenCV k1, k2, p1, p2, k3..k6.
+    assert depth.distortion[:5] == pytest.approx(
+        (
+            0.54793977737426758,
+            -0.020971370860934258,
+            2.0557534298859537e-05,
+            -7.2104157879948616e-05,
+            -0.00265223,
+        )
+    )
+    assert depth.distortion[5:] == pytest.approx(
+        (0.88967907428741455, 0.086130209267139435, -0.013910384848714)
+    )
     assert color.fy == pytest.approx(0.63742393255233765 * 960)
     assert color.cy == pytest.approx(0.50661760568618774 * 960 - 120.5)
     # The colour camera stands 32 mm beside the depth camera and looks 5 degrees (0.0863 rad) further up.
@@ -100,12 +119,7 @@ def _frames_of(path: Path) -> tuple[int, list[str]]:
         return len(list(source.frames())), source.warnings
 
 
-@settings(
-    max_examples=40,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-    derandomize=True,
-)
+@_EXAMPLES
 @given(share=st.floats(0.0, 1.0))
 def test_a_recording_cut_anywhere_gives_its_frames_or_says_why(
     recording: Path, tmp_path: Path, share: float
@@ -131,6 +145,23 @@ def _depth_images_within(path: Path, length: int) -> int:
     with av.open(str(path)) as container:
         depth = next(stream for stream in container.streams if stream.metadata.get("title") == "DEPTH")
         return sum(packet.pos + packet.size <= length for packet in container.demux(depth) if packet.size)
+
+
+@_EXAMPLES
+@given(flips=st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), min_size=1, max_size=12))
+def test_a_damaged_head_gives_frames_or_a_device_error(
+    recording: Path, tmp_path: Path, flips: list[tuple[int, int]]
+) -> None:
+    content = bytearray(recording.read_bytes())
+    for at, value in flips:
+        content[at] = value
+    damaged = tmp_path / "damaged.mkv"
+    damaged.write_bytes(content)
+    try:
+        count, _ = _frames_of(damaged)
+    except DeviceError:
+        count = 0
+    assert 0 <= count <= FRAMES
 
 
 def test_a_cut_through_the_last_image_is_told(recording: Path, tmp_path: Path) -> None:

@@ -46,6 +46,19 @@ def test_swapped_ids_do_not_swap_the_person() -> None:
     assert _ids(PersonChoice(), before, before, after, after) == ["1", "1", "2", "2"]
 
 
+def test_ids_swapped_between_two_who_stand_close_do_not_swap_the_person() -> None:
+    # 0.5 m in one frame is what a runner could do, but somebody else stands exactly where the person stood.
+    before = {"1": _person(0.0), "2": _person(0.5)}
+    after = {"2": _person(0.02), "1": _person(0.48)}
+    assert _ids(PersonChoice(), before, before, after, after) == ["1", "1", "2", "2"]
+
+
+def test_an_id_that_stays_with_its_body_outweighs_a_nearer_stranger() -> None:
+    before = {"1": _person(0.0), "2": _person(0.15)}
+    after = {"1": _person(0.15), "2": _person(0.02)}
+    assert _ids(PersonChoice(), before, after) == ["1", "1"]
+
+
 def test_two_who_pass_close_by_keep_their_ids() -> None:
     # 1 m/s each, through each other's place: at 0.1 m distance proximity alone would be a guess.
     frames = [{"1": _person(0.033 * i - 1, 2.0), "2": _person(1.1 - 0.033 * i, 2.1)} for i in range(60)]

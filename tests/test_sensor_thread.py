@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import threading
 import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from scripted_sensor import PATIENCE_S, ScriptedSensor, frame_at, unplugged
+from scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 
 from devices.sensor import DeviceError, SensorFrame
 from devices.sensor_thread import SensorState, SensorThread
@@ -79,7 +80,7 @@ def test_a_sensor_that_does_not_open_raises_in_the_reader() -> None:
     sensor = ScriptedSensor(open_faults=[DeviceError("No Kinect with serial 000123.")])
     with pytest.raises(DeviceError, match="No Kinect"):
         SensorThread(sensor).open()
-    assert threading.active_count() == 1
+    assert all_threads_end()
 
 
 def test_opening_waits_only_so_long() -> None:
@@ -90,9 +91,31 @@ def test_opening_waits_only_so_long() -> None:
             assert release.wait(PATIENCE_S)
             return sensor
 
-    with pytest.raises(DeviceError, match=r"did not open within 0\.01 s"):
+    with pytest.raises(DeviceError, match=r"did not open in 0\.01 s"):
         SensorThread(Slow()).open(within_s=0.01)
     release.set()
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
+def test_ctrl_c_while_a_sensor_opens_closes_it() -> None:
+    pressed = threading.Event()
+
+    class Interrupted(ScriptedSensor):
+        def __enter__(self) -> ScriptedSensor:
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            assert pressed.wait(PATIENCE_S)
+            return super().__enter__()
+
+        def interrupt(self) -> None:
+            pressed.set()
+
+    sensor = Interrupted()
+    thread = SensorThread(sensor)
+    with pytest.raises(KeyboardInterrupt):
+        thread.open()
+    assert thread.state is SensorState.CLOSED
+    assert all_threads_end()
+    assert sensor.opened == sensor.closed
 
 
 def test_a_lost_sensor_is_reopened_until_it_is_back(sensor: ScriptedSensor) -> None:

@@ -12,7 +12,7 @@ from devices.sensor import DeviceError
 from devices.simulated.anatomy import INDEX
 from devices.simulated.bvh import read_bvh
 from devices.simulated.sensor import simulated_pair
-from devices.simulated.tracker import TrackerErrors
+from devices.simulated.tracker_errors import TrackerErrors
 from fusion.body import BODIES
 
 pytest.importorskip("bvhio", reason="reading BVH needs the extra 'mocap'")

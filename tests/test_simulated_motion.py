@@ -144,3 +144,13 @@ def test_two_bones_have_their_lengths_wherever_they_reach(target: list[float], p
     distance = np.linalg.norm(goal)
     if 0.08 < distance < 0.97 * 0.55:
         np.testing.assert_allclose(end, goal, atol=1e-12)
+
+
+def test_knees_bend_forwards_elbows_backwards_and_thumbs_point_ahead() -> None:
+    at = MOTIONS["still"].landmarks(3.0)[0]
+    for side in ("LEFT", "RIGHT"):
+        hip, knee, ankle = (at[INDEX[f"{n}_{side}"]] for n in ("HIP", "KNEE", "ANKLE"))
+        shoulder, elbow, wrist = (at[INDEX[f"{n}_{side}"]] for n in ("SHOULDER", "ELBOW", "WRIST"))
+        assert knee[2] < (0.5 * (hip + ankle))[2] - 0.01  # −z is ahead
+        assert elbow[2] > (0.5 * (shoulder + wrist))[2] + 0.01
+        assert at[INDEX[f"THUMB_{side}"], 2] < at[INDEX[f"HAND_{side}"], 2] - 0.03

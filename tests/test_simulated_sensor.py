@@ -13,7 +13,7 @@ from devices.simulated.movements import MOTIONS
 from devices.simulated.rendering import DepthErrors
 from devices.simulated.rig import Rig
 from devices.simulated.sensor import PERSON, SimulatedKinect, simulated_pair
-from devices.simulated.tracker import TrackerErrors
+from devices.simulated.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, BODIES, Body
 
 # A coordinate below 4 m is rounded to float32 by at most 2⁻²³ m.
@@ -38,14 +38,13 @@ def test_without_errors_both_views_are_the_truth(body: Body, angle_deg: float) -
         motion="walk", body=body, seconds=8.0, rig=rig, height=1.6, errors=TrackerErrors.none()
     )
     for which, sensor in enumerate((a, b)):
-        for k, frame in enumerate(sensor.frames()):
-            skeleton = frame.people[PERSON]
-            assert skeleton.tracked.all()
-            when = round(rig.captured_at(which, k) * 1e9)
-            true = truth.positions_at(when)
-            if which == 1:
-                true = truth.a_from_b.inverse().apply(true)
-            assert np.abs(skeleton.positions - true).max() < ROUNDED
+        skeletons = [frame.people[PERSON] for frame in sensor.frames()]
+        assert all(s.tracked.all() for s in skeletons)
+        when = [round(rig.captured_at(which, k) * 1e9) for k in range(len(skeletons))]
+        true = truth.positions_at(when)
+        if which == 1:
+            true = truth.a_from_b.inverse().apply(true)
+        assert np.abs(np.stack([s.positions for s in skeletons]) - true).max() < ROUNDED
 
 
 def test_the_person_faces_between_the_sensors_and_sees_b_on_the_left() -> None:

@@ -68,7 +68,10 @@ def _setup(fuser: Fuser, person_at: NDArray[np.float64]) -> rrb.Container:
         )
         for side, camera in zip(layout.SIDES, (fuser.intrinsics_a, fuser.intrinsics_b), strict=True)
     ]
-    places = np.array([np.zeros(3), fuser.calibration.a_from_b.translation, person_at])
+    b_at = fuser.calibration.a_from_b.translation
+    if not b_at.any():  # nobody knows yet: where it should be, 90° round the person
+        b_at = person_at + np.linalg.norm(person_at) * np.array([1.0, 0.0, 0.0])
+    places = np.array([np.zeros(3), b_at, person_at])
     middle = places.mean(axis=0)
     size = float(np.linalg.norm(places - middle, axis=1).max())
     advice = rrb.TextDocumentView(origin=layout.COACH, name="what to do next")

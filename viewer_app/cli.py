@@ -10,9 +10,10 @@ from typing import Any
 
 import tyro
 
-from viewer_app.options import FuseOptions
+from viewer_app.options import DemoOptions, FuseOptions
 
 _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
+    "demo": (DemoOptions, "viewer_app.demo"),
     "fuse": (FuseOptions, "viewer_app.fuse"),
 }
 """By name: the options, and the module whose ``run`` carries the command out."""

@@ -27,7 +27,7 @@ from viewer_app.blueprint import session_blueprint
 from viewer_app.errors import UsageError
 from viewer_app.live_session import LiveSession
 from viewer_app.options import FuseOptions
-from viewer_app.outputs import check_writable, whole_file
+from viewer_app.outputs import check_outputs, whole_file
 from viewer_app.report import FusionResult, print_summary, report, report_to_json
 from viewer_app.run import fuse_offline, fuse_one, warm_up
 from viewer_app.viewing import announce, choose_viewing, stay_for_visitors
@@ -43,8 +43,8 @@ def run(options: FuseOptions) -> None:
     viewing = choose_viewing(
         no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=options.save, live=False
     )
-    for path in filter(None, (options.save, options.report, options.save_calibration)):
-        check_writable(path, options.force)
+    outputs = (options.save, options.report, options.save_calibration)
+    check_outputs(outputs, (options.a, options.b), options.force)
     settings = FuserSettings(h=options.h, solver=options.solver, weights=options.weights)
     body, pairing = _read(options)
     skeletons = [pair.skeletons for pair in pairing.pairs]

@@ -15,14 +15,14 @@ from devices.person_choice import PersonChoice
 from devices.sensor import SensorFrame
 from devices.two_sensors import TwoSensors
 from fusion.body import Body
-from fusion.calibration import Calibration, StartUpPose, calibrate
+from fusion.calibration import Calibration, StartUpPose, calibrate, nominal_calibration
 from fusion.errors import CalibrationError
 from fusion.fuser import Fuser, FuserSettings
-from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
 from fusion.viewing_plane import Intrinsics
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
+from viewer_app.live_session import LiveSession
 from viewer_app.run import fuse_one
 
 _KEPT_FRAMES = 9_000
@@ -43,9 +43,7 @@ class Calibrator:
         self._pose = StartUpPose(body)
         self._seen: list[SkeletonPair] = []
         self._settled = calibration is not None
-        self.calibration = calibration or Calibration(
-            body, RigidTransform.identity(), body.nominal_lengths, "none yet: an adult's proportions"
-        )
+        self.calibration = calibration or nominal_calibration(body)
 
     @property
     def settled(self) -> bool:
@@ -101,11 +99,11 @@ def run_live(
     settings: FuserSettings,
     intrinsics: tuple[Intrinsics | None, Intrinsics | None],
     calibration: Calibration | None,
-    recorder_for: Callable[[Fuser], Recorder],
+    recorder_for: Callable[[Fuser], Recorder | LiveSession],
     truth_at: Callable[[int], NDArray[np.float64]] | None = None,
     go_on: Callable[[Status], bool] = lambda _: True,
 ) -> tuple[Fuser, list[RecordedFrame]]:
-    """Fuses and records what two open sensors give until they end or ``go_on`` says no.
+    """Fuses and records what two open sensors give until they end, ``go_on`` says no, or Ctrl-C.
 
     Args:
         sensors: Open.
@@ -125,24 +123,27 @@ def run_live(
     recorder = recorder_for(fuser)
     people = PersonChoice(), PersonChoice()
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
-    for live in sensors.pairs():
-        pair = _with_people(live, people)
-        found = calibrator.watch(pair.skeletons)
-        if found is not None:
-            fuser = Fuser(found, settings, *intrinsics)
-            recorder.calibrate(fuser)
-        frame = fuse_one(fuser, pair)
-        if truth_at is not None:
-            frame = replace(frame, truth=truth_at(pair.time_ns))
-        events = tuple(event.message for event in sensors.events())
-        recorder.record(frame)
-        if found is not None:
-            recorder.event(f"calibrated: {found.how}")
-        for event in events:
-            recorder.event(event, "WARN")
-        kept.append(replace(frame, pair=_without_images(pair)))
-        if not go_on(Status(frame, calibrator, sensors, events)):
-            break
+    try:
+        for live in sensors.pairs():
+            pair = _with_people(live, people)
+            found = calibrator.watch(pair.skeletons)
+            if found is not None:
+                fuser = Fuser(found, settings, *intrinsics)
+                recorder.calibrate(fuser)
+            frame = fuse_one(fuser, pair)
+            if truth_at is not None:
+                frame = replace(frame, truth=truth_at(pair.time_ns))
+            events = tuple(event.message for event in sensors.events())
+            recorder.record(frame)
+            if found is not None:
+                recorder.event(f"calibrated: {found.how}")
+            for event in events:
+                recorder.event(event, "WARN")
+            kept.append(replace(frame, pair=_without_images(pair)))
+            if not go_on(Status(frame, calibrator, sensors, events)):
+                break
+    except KeyboardInterrupt:
+        pass  # the usual way to end it
     return fuser, list(kept)
 
 

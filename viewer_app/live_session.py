@@ -101,7 +101,9 @@ class LiveSession:
         if file is not None:
             stream = self._stream()
             stream.set_sinks(rr.FileSink(str(file)), default_blueprint=blueprint)
-            self._file = SessionFile(stream, lambda of: Recorder(of, fuser, sources), bounded=not complete)
+            self._file = SessionFile(
+                stream, lambda of: Recorder(of, fuser, sources, depth_every=1), bounded=not complete
+            )
 
     def record(self, frame: RecordedFrame) -> None:
         """Takes a frame."""
@@ -140,6 +142,11 @@ class LiveSession:
     def lost(self) -> int:
         """Frames that the file lacks, because the disk stood still for a minute."""
         return 0 if self._file is None else self._file.lost
+
+    @property
+    def saves(self) -> bool:
+        """Whether there is a file."""
+        return self._path is not None
 
     @property
     def saved_bytes(self) -> int:
@@ -204,7 +211,7 @@ class LiveSession:
 
     def _begin(self, stream: rr.RecordingStream) -> Recorder:
         stream.send_blueprint(self._blueprint)
-        return Recorder(stream, self._fuser, self._sources, self._start_ns)
+        return Recorder(stream, self._fuser, self._sources, self._start_ns, depth_every=1, points=True)
 
 
 class _Window:

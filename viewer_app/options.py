@@ -11,6 +11,8 @@ from typing import Literal
 
 from tyro.conf import Positional
 
+_BENCH_MOTIONS = ("walk", "arms", "badminton", "basketball", "squat", "sit", "boxing", "still")
+
 
 @dataclass(frozen=True)
 class FuseOptions:
@@ -50,5 +52,68 @@ class FuseOptions:
     """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
     save_calibration: Path | None = None
     """Keep the sensors' placement and the bone lengths in a file."""
+    force: bool = False
+    """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """See the whole program at work without a sensor: two simulated Kinects watch one person.
+
+    The person's true joints are logged too, as a fourth skeleton (hidden at first).
+    """
+
+    motion: str = "badminton"
+    """A movement of the library (duplex demo --motion list names them), or a BVH file."""
+    seconds: float = 30.0
+    """How long."""
+    seed: int = 0
+    """Of the simulated sensors' errors; the same seed makes the same skeletons."""
+    angle: float = 90.0
+    """Degrees between the two sensors."""
+    body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
+    """Whose body tracker is simulated."""
+    depth: Literal["off", "half", "full"] = "half"
+    """Depth images, and at which part of the sensor's resolution."""
+    save: Path | None = None
+    """Keep the session as an .rrd file; without a display demo.rrd if not given."""
+    no_viewer: bool = False
+    """Do not open the viewer."""
+    web: bool = False
+    """Show it in a browser instead of a window."""
+    listen: str | None = None
+    """With --web: an address of this machine to be reached at, by others too. Else only from here."""
+    layout: Literal["setup", "inspect", "report"] = "inspect"
+    """Which of the viewer's tabs is open at first."""
+    quiet: bool = False
+    """No status line and no advice, only warnings."""
+    verbose: bool = False
+    """Keep every status line."""
+    force: bool = False
+    """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
+class BenchAccuracyOptions:
+    """Say in millimetres what S* is worth: methods side by side on simulated sensors, truth known."""
+
+    set: Literal["simulated", "real"] = "simulated"
+    """simulated: the methods against the truth. real: the simulator against figures of real sensors."""
+    motions: tuple[str, ...] = _BENCH_MOTIONS
+    """Movements of the library."""
+    angles: tuple[float, ...] = (45.0, 90.0, 135.0)
+    """Degrees between the sensors."""
+    seeds: int = 10
+    """How many recordings of each movement and angle: seeds 0, 1, …"""
+    seconds: float = 20.0
+    """How long each recording is."""
+    body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
+    """Whose body tracker is simulated."""
+    recordings: Path | None = None
+    """With --set real: a folder of real pairs NAME/a.csv, NAME/b.csv to compare with, too."""
+    json: Path | None = None
+    """Write all figures as JSON."""
+    picture: Path | None = None
+    """Draw the comparison as a PNG."""
     force: bool = False
     """Overwrite files that exist."""

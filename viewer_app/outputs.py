@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -24,6 +24,20 @@ def check_writable(path: Path, force: bool) -> None:
         raise UsageError(f"No folder {path.parent} to write {path.name} into.")
     if not os.access(path.parent, os.W_OK):
         raise UsageError(f"The folder {path.parent} is not writable.")
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path], force: bool) -> None:
+    """:func:`check_writable` for all files that a command will write.
+
+    Raises:
+        UsageError: As there; or two outputs are one file, or an output is an input.
+    """
+    taken = {path.resolve(): f"is also read, as {path}" for path in inputs}
+    for path in filter(None, outputs):
+        if path.resolve() in taken:
+            raise UsageError(f"{path} cannot be written: it {taken[path.resolve()]}. Choose another name.")
+        taken[path.resolve()] = "is to be written twice"
+        check_writable(path, force)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ _KEEP_WITH_IMAGES = 60
 """Frames that wait with their images, at most: 90 MB."""
 _KEEP = 1800
 """Frames that wait, at most: a minute in which the disk takes nothing."""
-_BLOCK_SECONDS = 0.25  # frames are written together: by columns that is cheaper
+_BLOCK_SECONDS = 1.0  # frames are written together: by columns that takes less time and space
 _FLUSH_WITHIN = 30.0
 
 

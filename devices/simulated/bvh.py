@@ -20,7 +20,8 @@ from scipy.spatial.transform import Rotation
 from devices.sensor import DeviceError
 from devices.simulated import anatomy
 from devices.simulated.anatomy import Array, Pose, along, length, offset, unit
-from devices.simulated.motion import STARTUP_SECONDS, smooth
+from devices.simulated.footsteps import smooth
+from devices.simulated.motion import STARTUP_SECONDS
 from devices.simulated.movements import MOTIONS
 from fusion.body import Body
 

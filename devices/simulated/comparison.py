@@ -9,7 +9,7 @@ import numpy as np
 
 from devices.simulated.realism import PairStatistics, statistics
 from devices.simulated.sensor import PERSON, simulated_pair
-from devices.simulated.tracker import TrackerErrors
+from devices.simulated.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.skeleton import Skeleton
 

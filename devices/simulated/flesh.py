@@ -5,12 +5,12 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from devices.simulated import anatomy
 from devices.simulated.anatomy import INDEX, REFERENCE_HEIGHT, Array
 from devices.simulated.movements import MOTIONS
+from devices.simulated.rays import capsule_depth, share_seen
 from fusion.body import Body
 from fusion.viewing_plane import Intrinsics
 
@@ -104,68 +104,9 @@ def visibility(joints: Array, shapes: Array, flesh: Array, intrinsics: Intrinsic
     Returns:
         (J,) share of the rays that see the joint, 0 to 1.
     """
-    seen = np.asarray(_seen(np.ascontiguousarray(joints), np.ascontiguousarray(shapes), flesh))
+    seen = np.asarray(share_seen(np.ascontiguousarray(joints), np.ascontiguousarray(shapes), flesh))
     pixels = intrinsics.project(joints)
     with np.errstate(invalid="ignore"):
         inside = (pixels >= 0.0).all(axis=1) & (pixels[:, 0] < intrinsics.width)
         inside &= pixels[:, 1] < intrinsics.height
     return np.where(inside, seen, 0.0)
-
-
-@njit(cache=True)
-def capsule_depth(dx, dy, dz, s):  # type: ignore[no-untyped-def]
-    """Where the ray t·d from the origin first meets capsule s, in t; infinity where it does not."""
-    bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
-    dd = dx * dx + dy * dy + dz * dz
-    bb = bx * bx + by * by + bz * bz
-    bd = bx * dx + by * dy + bz * dz
-    ba = -(bx * s[0] + by * s[1] + bz * s[2])
-    da = -(dx * s[0] + dy * s[1] + dz * s[2])
-    aa = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
-    a = bb * dd - bd * bd
-    y = -1.0 if ba + bd * (-da / dd) <= 0.0 else bb
-    if a > 1e-12:
-        b = bb * da - ba * bd
-        h = b * b - a * (bb * aa - ba * ba - s[6] * s[6] * bb)
-        if h < 0.0:
-            return np.inf
-        t = (-b - np.sqrt(h)) / a
-        y = ba + t * bd
-        if 0.0 < y < bb:
-            return t if t > 0.0 else np.inf
-    end = 0 if y <= 0.0 else 3
-    cx, cy, cz = s[end], s[end + 1], s[end + 2]
-    b = dx * cx + dy * cy + dz * cz
-    h = b * b - dd * (cx * cx + cy * cy + cz * cz - s[6] * s[6])
-    if h < 0.0:
-        return np.inf
-    t = (b - np.sqrt(h)) / dd
-    return t if t > 0.0 else np.inf
-
-
-@njit(cache=True)
-def _seen(joints, shapes, flesh):  # type: ignore[no-untyped-def]
-    rays = 9
-    seen = np.zeros(len(joints))
-    for j in range(len(joints)):
-        x, y, z = joints[j]
-        distance = np.sqrt(x * x + y * y + z * z)
-        if z <= 0.0:
-            continue
-        # Two directions across the ray.
-        ux, uz = z / np.sqrt(x * x + z * z), -x / np.sqrt(x * x + z * z)
-        vx, vy, vz = y * uz / distance, (z * ux - x * uz) / distance, -y * ux / distance
-        before = 1.0 - (1.4 * flesh[j] + 0.03) / distance
-        for k in range(rays):
-            out = 0.0 if k == 0 else 0.7 * flesh[j] * (0.5 if k % 2 else 1.0)
-            angle = k * 2.0 * np.pi / (rays - 1)
-            p, q = out * np.cos(angle), out * np.sin(angle)
-            dx, dy, dz = x + p * ux + q * vx, y + q * vy, z + p * uz + q * vz
-            free = True
-            for c in range(len(shapes)):
-                if capsule_depth(dx, dy, dz, shapes[c]) < before:
-                    free = False
-                    break
-            if free:
-                seen[j] += 1.0
-    return seen / rays

@@ -7,18 +7,8 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
 from devices.simulated.anatomy import Array
-from devices.simulated.motion import (
-    CHANNELS,
-    FEET_APART,
-    FEET_AT_EASE,
-    STANDING,
-    Footsteps,
-    Motion,
-    Stance,
-    Step,
-    channels,
-    smooth,
-)
+from devices.simulated.footsteps import FEET_APART, FEET_AT_EASE, Footsteps, Stance, Step, smooth
+from devices.simulated.motion import CHANNELS, STANDING, Motion, channels
 
 _STRIDE_SECONDS = 1.15  # two steps
 _SWING = 0.38  # share of a stride that a foot is off the floor

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,12 +17,12 @@ from scipy.interpolate import CubicSpline
 
 from devices.simulated import anatomy
 from devices.simulated.anatomy import Array, Pose, along, bow, lean, length, offset, turn, two_bones
+from devices.simulated.footsteps import ARRIVE_AT_EASE, Footsteps, smooth
 from fusion.body import Body
 
 STARTUP_SECONDS = 2.5
 """How long the start-up pose is held."""
 _BLEND_SECONDS = 1.2
-_FOOT_LENGTH = float(offset("HEEL_LEFT")[2] - offset("FOOT_LEFT")[2])
 
 # name: (first channel, number of channels)
 _WIDTHS = {
@@ -60,85 +61,20 @@ STARTUP: dict[str, ArrayLike] = STANDING | {
 """Arms and legs apart: every joint in the open (eq. 13 is measured here)."""
 
 
+Frame = dict[str, ArrayLike]
+
+
+def both_arms(hands: ArrayLike, elbows: ArrayLike = (0.35, 0.0, -1.0), **others: Any) -> Frame:
+    """Channels that are the same for either arm, and others."""
+    return {"left": hands, "right": hands, "left_elbow": elbows, "right_elbow": elbows, **others}
+
+
 def channels(values: Values) -> Array:
     """(C,) one row of channels from named values; all must be given."""
     row = np.empty(sum(_WIDTHS.values()))
     for name, where in CHANNELS.items():
         row[where] = values[name]
     return row
-
-
-def smooth(x: Array) -> Array:
-    """From 0 at x ≤ 0 to 1 at x ≥ 1 with no velocity or acceleration at either end (minimum jerk)."""
-    x = np.clip(x, 0.0, 1.0)
-    return x**3 * (10.0 + x * (6.0 * x - 15.0))
-
-
-def bump(x: Array) -> Array:
-    """From 0 to 1 at x = ½ and back, with no velocity or acceleration at either end."""
-    x = np.clip(x, 0.0, 1.0)
-    return (4.0 * x * (1.0 - x)) ** 3
-
-
-@dataclass(frozen=True)
-class Stance:
-    """A planted foot: its toes in the plane (to the left, to the back; metres) and its yaw to the left."""
-
-    x: float
-    z: float
-    yaw: float = 0.0
-
-
-@dataclass(frozen=True)
-class Step:
-    """One foot taken off the floor and planted elsewhere.
-
-    Attributes:
-        foot: 0 left, 1 right.
-        start, end: Seconds; the toes are off the floor in between.
-        to: Where it is planted.
-        lift: How high the toes are lifted, metres.
-        heel: How far the heel rises as the foot leaves, radians.
-    """
-
-    foot: int
-    start: float
-    end: float
-    to: Stance
-    lift: float = 0.05
-    heel: float = 0.35
-
-
-FEET_APART = (Stance(0.25, -0.13, 0.25), Stance(-0.25, -0.13, -0.25))
-FEET_AT_EASE = (Stance(0.12, -0.15, 0.15), Stance(-0.12, -0.15, -0.15))
-
-
-def walk_feet(
-    stances: tuple[Stance, Stance], steps: tuple[Step, ...], t: Array
-) -> tuple[Array, Array, Array]:
-    """Both feet over time.
-
-    Returns:
-        (T, 2, 3) toes in the world, (T, 2) yaw to the left, (T, 2) pitch (toes down).
-    """
-    toes, yaw, pitch = np.zeros((len(t), 2, 3)), np.zeros((len(t), 2)), np.zeros((len(t), 2))
-    for foot in (0, 1):
-        at = stances[foot]
-        toes[:, foot] = (at.x, -anatomy.FOOT_HEIGHT, at.z)
-        yaw[:, foot] = at.yaw
-        for step in sorted((s for s in steps if s.foot == foot), key=lambda s: s.start):
-            span = step.end - step.start
-            done = smooth(((t - step.start) / span - 0.06) / 0.88)  # lifted first, then moved
-            toes[:, foot, 0] += done * (step.to.x - at.x)
-            toes[:, foot, 2] += done * (step.to.z - at.z)
-            toes[:, foot, 1] -= step.lift * bump((t - step.start) / span)
-            yaw[:, foot] += done * (step.to.yaw - at.yaw)
-            # The heel leaves before the toes; the toes land after the heel.
-            toes_up = 0.5 * step.heel * bump((t - step.start - 0.4 * span) / span)
-            pitch[:, foot] += step.heel * bump((t - step.start + 0.4 * span) / span) - toes_up
-            toes[:, foot, 1] -= _FOOT_LENGTH * np.sin(toes_up)
-            at = step.to
-    return toes, yaw, pitch
 
 
 def keyframes(period: float, *frames: tuple[float, Values]) -> Callable[[Array], Array]:
@@ -152,25 +88,6 @@ def keyframes(period: float, *frames: tuple[float, Values]) -> Callable[[Array],
     rows = [channels(STANDING | dict(values)) for _, values in frames]
     spline = CubicSpline([*times, period], [*rows, rows[0]], bc_type="periodic", axis=0)
     return lambda t: np.asarray(spline(np.mod(t, period)))
-
-
-@dataclass(frozen=True, eq=False)
-class Footsteps:
-    """Where the feet stand before a series of steps, and the steps."""
-
-    stances: tuple[Stance, Stance] = FEET_AT_EASE
-    steps: tuple[Step, ...] = ()
-
-    def at(self, t: Array) -> tuple[Array, Array, Array]:
-        """(T,) seconds → toes, yaw, pitch, as :func:`walk_feet`."""
-        return walk_feet(self.stances, self.steps, t)
-
-
-ARRIVE_AT_EASE = Footsteps(
-    FEET_APART,
-    (Step(1, 0.05, 0.55, FEET_AT_EASE[1], heel=0.2), Step(0, 0.6, 1.05, FEET_AT_EASE[0], heel=0.2)),
-)
-"""From the start-up stance to standing at ease, in seconds since the end of the start-up pose."""
 
 
 @dataclass(frozen=True, eq=False)

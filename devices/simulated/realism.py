@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
-from devices.simulated.tracker import JointGroups
+from devices.simulated.tracker_errors import JointGroups
 from fusion.body import Body
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, TrackingState

@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from devices.simulated.anatomy import Array
-from devices.simulated.flesh import capsule_depth
+from devices.simulated.rays import cast
 from fusion.rigid import RigidTransform
 from fusion.viewing_plane import Intrinsics
 
@@ -79,7 +79,7 @@ def surface(
     z, label = np.full(size, np.inf, dtype=np.float32), np.full(size, BACKGROUND, dtype=np.int8)
     cosine = np.zeros(size, dtype=np.float32)
     lens = (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
-    _cast(np.ascontiguousarray(shapes), planes, *lens, z, label, cosine)
+    cast(np.ascontiguousarray(shapes), planes, *lens, z, label, cosine)
     return z, label, cosine
 
 
@@ -95,60 +95,6 @@ def depth_image(
         errors.nearest, errors.farthest, image,
     )  # fmt: skip
     return image
-
-
-@njit(cache=True)
-def _span(x, z, r, f, c, size):  # type: ignore[no-untyped-def]
-    """Pixels that a sphere can touch along one axis of the image."""
-    if z - r <= 0.05:
-        return 0, size - 1
-    low, high = x - r, x + r
-    first = f * low / (z - r if low < 0.0 else z + r) + c
-    last = f * high / (z - r if high > 0.0 else z + r) + c
-    return max(0, int(np.floor(first))), min(size - 1, int(np.ceil(last)))
-
-
-@njit(cache=True)
-def _cast(shapes, planes, fx, fy, cx, cy, z, label, cosine):  # type: ignore[no-untyped-def]
-    height, width = z.shape
-    for k in range(len(shapes)):
-        s = shapes[k]
-        if max(s[2], s[5]) + s[6] <= 0.0:
-            continue
-        u0, u1 = _span(s[0], s[2], s[6], fx, cx, width)
-        u2, u3 = _span(s[3], s[5], s[6], fx, cx, width)
-        v0, v1 = _span(s[1], s[2], s[6], fy, cy, height)
-        v2, v3 = _span(s[4], s[5], s[6], fy, cy, height)
-        for v in range(min(v0, v2), max(v1, v3) + 1):
-            dy = (v - cy) / fy
-            for u in range(min(u0, u2), max(u1, u3) + 1):
-                t = capsule_depth((u - cx) / fx, dy, 1.0, s)
-                if t < z[v, u]:
-                    z[v, u] = t
-                    label[v, u] = k
-    for v in range(height):
-        dy = (v - cy) / fy
-        for u in range(width):
-            dx = (u - cx) / fx
-            norm = np.sqrt(dx * dx + dy * dy + 1.0)
-            if label[v, u] >= 0:
-                s = shapes[label[v, u]]
-                t = z[v, u]
-                px, py, pz = t * dx - s[0], t * dy - s[1], t - s[2]
-                bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
-                share = (px * bx + py * by + pz * bz) / max(bx * bx + by * by + bz * bz, 1e-12)
-                share = min(max(share, 0.0), 1.0)
-                nx, ny, nz = px - share * bx, py - share * by, pz - share * bz
-                cosine[v, u] = abs(nx * dx + ny * dy + nz) / (s[6] * norm)
-                continue
-            for p in range(len(planes)):
-                facing = planes[p, 0] * dx + planes[p, 1] * dy + planes[p, 2]
-                if facing == 0.0:
-                    continue
-                t = planes[p, 3] / facing
-                if 0.0 < t < z[v, u]:
-                    z[v, u] = t
-                    cosine[v, u] = abs(facing) / norm
 
 
 @njit(cache=True)

@@ -18,7 +18,8 @@ from devices.simulated.flesh import capsules, flesh_over, visibility
 from devices.simulated.movements import MOTIONS
 from devices.simulated.rendering import DepthErrors, depth_image, halved, surface
 from devices.simulated.rig import Rig
-from devices.simulated.tracker import Tracker, TrackerErrors
+from devices.simulated.tracker import Tracker
+from devices.simulated.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, Body
 from fusion.rigid import RigidTransform
 from fusion.viewing_plane import NOMINAL_INTRINSICS, Intrinsics
@@ -95,11 +96,16 @@ class Truth:
         """Where K_B stands in K_A's frame."""
         return self.rig.a_from_b
 
-    def positions_at(self, time_ns: int) -> NDArray[np.float64]:
-        """(J, 3) the joints at a time of A's clock, in K_A's frame, metres."""
-        marks = self.scene.motion.landmarks(time_ns * 1e-9, self.scene.height)[0]
-        joints = marks[anatomy.landmarks_of(self.scene.body)]
-        return self.rig.world_from_sensor(0).inverse().apply(joints)
+    def positions_at(self, time_ns: ArrayLike) -> NDArray[np.float64]:
+        """(J, 3) the joints at a time of A's clock, in K_A's frame, metres; (T, J, 3) for (T,) times.
+
+        Many times at once cost little more than one.
+        """
+        times = np.asarray(time_ns)
+        marks = self.scene.motion.landmarks(np.atleast_1d(times) * 1e-9, self.scene.height)
+        joints = marks[:, anatomy.landmarks_of(self.scene.body)]
+        at = self.rig.world_from_sensor(0).inverse().apply(joints)
+        return at if times.ndim else at[0]
 
 
 class SimulatedKinect:

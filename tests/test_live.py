@@ -1,0 +1,136 @@
+"""The live loop on simulated sensors that run as fast as they can."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from devices.pairing import FramePair
+from devices.sensor import SensorFrame
+from devices.simulated.paced import PacedSensor
+from devices.simulated.sensor import simulated_pair
+from devices.simulated.tracker import TrackerErrors
+from fusion.body import KINECT_V1, KINECT_V2
+from fusion.calibration import calibrate
+from fusion.fuser import Fuser
+from recordings.arrays import SessionArrays
+from tests.conftest import FRAME_NS, moving, pair_of
+from viewer_app.cli import main
+from viewer_app.live import Calibrator
+from viewer_app.run import fuse_one
+
+
+class Clock:
+    """Time that passes only when someone waits."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        self.waits: list[float] = []
+
+    def __call__(self) -> float:
+        return self.now
+
+    def wait(self, stopping: object, seconds: float) -> bool:
+        self.waits.append(seconds)
+        self.now += seconds
+        return stopping.is_set()
+
+
+def test_a_paced_sensor_gives_each_frame_when_it_is_due() -> None:
+    clock = Clock()
+    a, _, _ = simulated_pair(motion="still", seconds=0.5, body=KINECT_V1, errors=TrackerErrors.none())
+    with PacedSensor(a, clock=clock, wait=clock.wait) as paced:
+        begun, frames = clock.now, []
+        for frame in paced.frames():
+            frames.append(frame)
+            assert clock.now - begun == pytest.approx((frame.time_ns - frames[0].time_ns) * 1e-9, abs=1e-9)
+            assert frame.host_ns == round(clock.now * 1e9)
+            clock.now += 0.001  # the reader's work does not add up
+    assert len(frames) == 15
+
+
+def test_a_paced_sensor_ends_when_it_is_interrupted() -> None:
+    clock = Clock()
+    a, _, _ = simulated_pair(motion="still", seconds=10.0, body=KINECT_V1)
+    with PacedSensor(a, clock=clock, wait=clock.wait) as paced:
+        frames = paced.frames()
+        next(frames)
+        paced.interrupt()
+        assert list(frames) == []
+
+
+def test_calibration_is_provisional_at_first_and_settles_on_the_start_up_pose() -> None:
+    calibrator = Calibrator(KINECT_V2)
+    found = []
+    for t, at in enumerate(moving(KINECT_V2, 120)):
+        calibration = calibrator.watch(pair_of(KINECT_V2, at, t * FRAME_NS))
+        if calibration is not None:
+            found.append((t, calibration.how))
+    assert [how.split(",")[0] for _, how in found] == ["provisional", "provisional", "start-up pose"]
+    assert found[0][0] == 0
+    assert calibrator.settled
+    np.testing.assert_allclose(calibrator.calibration.bone_lengths, KINECT_V2.nominal_lengths, atol=1e-5)
+
+
+def test_a_calibration_from_before_is_kept() -> None:
+    pairs = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 60))]
+    before = calibrate(KINECT_V2, pairs[:30], "before")
+    calibrator = Calibrator(KINECT_V2, before)
+    assert all(calibrator.watch(pair) is None for pair in pairs)
+    assert calibrator.calibration is before
+
+
+def test_stacking_keeps_what_the_loop_gave() -> None:
+    pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 20))]
+    fuser = Fuser(calibrate(KINECT_V1, pairs, "test"))
+    frames = [
+        fuse_one(
+            fuser,
+            FramePair(
+                SensorFrame(p.time_ns, {"1": p.a}),
+                SensorFrame(p.time_ns, {"1": p.b} if t else {}),
+                "1",
+                "1",
+                p.time_ns,
+            ),
+        )
+        for t, p in enumerate(pairs)
+    ]
+    rows = SessionArrays.stack(KINECT_V1, fuser.calibration.bone_lengths, frames)
+    assert len(rows) == 20
+    assert np.isnan(rows.positions_b[0]).all()
+    assert (rows.states_b[0] == 0).all()
+    assert (rows.fused[3] == frames[3].fused.positions).all()
+    assert rows.time_ns[-1] == 19 * FRAME_NS
+    # noiseless: what B says, laid into A's frame, is what A says, to float32
+    np.testing.assert_allclose(rows.b_in_a[1:], rows.positions_a[1:], atol=3e-6)
+    assert rows.disagreement[1:].max() < 3e-6
+    assert np.isnan(rows.disagreement[0])
+    assert rows.bone_error.max() < 1e-9
+
+
+def test_the_demo_leaves_a_session_and_says_how_far_from_the_truth_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved = tmp_path / "demo.rrd"
+    main(["demo", "--seconds", "2.5", "--depth", "off", "--no-viewer", "--save", str(saved)])
+    said = capsys.readouterr().out
+    assert "Distance from the true joints" in said
+    entities = set(rr.chunk.RrdReader(saved).store().schema().entity_paths())
+    assert {"/truth/skeleton", "/fused/skeleton", "/kinect_b/skeleton", "/calibration"} <= entities
+    assert [p.name for p in tmp_path.iterdir()] == ["demo.rrd"]
+
+
+def test_the_demo_refuses_what_it_does_not_know(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, words in (
+        (["--motion", "flying"], "No movement 'flying'"),
+        (["--seconds", "-1"], "--seconds must be a positive number"),
+        (["--motion", "nowhere.bvh"], "nowhere.bvh"),
+    ):
+        with pytest.raises(SystemExit) as stop:
+            main(["demo", "--no-viewer", *arguments])
+        assert stop.value.code == 2
+        said = capsys.readouterr().err
+        assert words in said
+        assert said.count("\n") == 1

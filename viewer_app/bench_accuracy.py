@@ -1,0 +1,266 @@
+"""``duplex bench accuracy``: what S* is worth in millimetres, and what the simulator is worth."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from devices.pairing import pair_recordings
+from devices.people import choose_person
+from devices.simulated.comparison import (
+    COUNTERPARTS,
+    Figure,
+    azure_figures,
+    figures,
+    simulated_statistics,
+)
+from devices.simulated.movements import MOTIONS
+from devices.simulated.realism import statistics
+from devices.skeleton_files import SkeletonRecording
+from fusion.body import BODIES
+from viewer_app.accuracy_trials import METHODS, Outcome, Trial, run_trials
+from viewer_app.errors import UsageError
+from viewer_app.options import BenchAccuracyOptions
+from viewer_app.outputs import check_writable, whole_file
+
+_COLUMNS: dict[str, tuple[str, float, int]] = {
+    "mpjpe": ("MPJPE mm", 1e3, 1),
+    "p95": ("95 % mm", 1e3, 0),
+    "hidden_one": ("hidden in one view mm", 1e3, 0),
+    "hidden_both": ("hidden in both mm", 1e3, 0),
+    "bone_error": ("largest bone error mm", 1e3, 0),
+    "bone_deviation": ("bone deviation mm", 1e3, 1),
+    "jitter": ("jitter, still mm", 1e3, 1),
+    "acceleration": ("acceler. error mm/frame²", 1e3, 1),
+    "swapped": ("L/R swapped %", 1e2, 1),
+    "lag": ("lag frames", 1.0, 2),
+    "fuse_us": ("µs a frame", 1.0, 0),
+}
+"""By figure: the column's title, the factor to its unit, digits."""
+
+
+def run(options: BenchAccuracyOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        DeviceError, FusionError, UsageError: With one line for the person who asked.
+    """
+    console = Console()
+    for path in filter(None, (options.json, options.picture)):
+        check_writable(path, options.force)
+    if options.set == "real":
+        document = _compare_with_real(console, options)
+    else:
+        document = _compare_methods(console, options)
+    if options.json is not None:
+        with whole_file(options.json) as partial:
+            partial.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[str, Any]:
+    unknown = [motion for motion in options.motions if motion not in MOTIONS]
+    if unknown or not options.motions or not options.angles or options.seeds < 1:
+        raise UsageError(
+            f"Movements must be among {', '.join(MOTIONS)}, with at least one angle and one seed"
+            + (f"; got {', '.join(unknown)}." if unknown else ".")
+        )
+    trials = [
+        Trial(motion, angle, seed)
+        for motion in options.motions
+        for angle in options.angles
+        for seed in range(options.seeds)
+    ]
+    outcomes: list[Outcome] = []
+    runs = run_trials(trials, BODIES[options.body], options.seconds)
+    for of_trial in track(
+        runs, "measuring", total=len(trials), console=console, transient=True, disable=not console.is_terminal
+    ):
+        outcomes += of_trial
+    console.print(
+        f"{options.body}: {len(options.motions)} movements × {len(options.angles)} angles × "
+        f"{options.seeds} seeds, {options.seconds:g} s each, measured after the start-up pose.",
+        highlight=False,
+    )
+    console.print(_table_of_methods(outcomes))
+    console.print(_wins(outcomes), highlight=False)
+    for title, of in (
+        ("movement", lambda trial: trial.motion),
+        ("angle °", lambda trial: f"{trial.angle:g}"),
+    ):
+        console.print(_table_by(title, of, outcomes))
+    if options.picture is not None:
+        _draw(outcomes, options.picture)
+    return {
+        "body": options.body,
+        "seconds": options.seconds,
+        "trials": [
+            {
+                "motion": o.trial.motion,
+                "angle_deg": o.trial.angle,
+                "seed": o.trial.seed,
+                "method": o.method,
+                **{name: value if np.isfinite(value) else None for name, value in o.figures.items()},
+            }
+            for o in outcomes
+        ],
+    }
+
+
+def _over_seeds(outcomes: Iterable[Outcome], name: str) -> list[float]:
+    """A figure for each seed, averaged over movements and angles."""
+    by_seed: dict[int, list[float]] = {}
+    for outcome in outcomes:
+        value = outcome.figures[name]
+        if np.isfinite(value):
+            by_seed.setdefault(outcome.trial.seed, []).append(value)
+    return [float(np.mean(values)) for values in by_seed.values()]
+
+
+def _table_of_methods(outcomes: list[Outcome]) -> Table:
+    table = Table(
+        title="Methods on identical input: mean over movements and angles ± deviation over seeds",
+        title_justify="left",
+    )
+    table.add_column("method")
+    for title, _, _ in _COLUMNS.values():
+        table.add_column(title, justify="right")
+    best = {name: _best(outcomes, name) for name in _COLUMNS}
+    for method in METHODS:
+        of_method = [o for o in outcomes if o.method == method]
+        cells = []
+        for name, (_, scale, digits) in _COLUMNS.items():
+            values = np.array(_over_seeds(of_method, name)) * scale
+            if values.size == 0:
+                cells.append("–")
+                continue
+            text = f"{values.mean():.{digits}f}"
+            if values.size > 1 and name != "fuse_us":
+                text += f"±{values.std(ddof=1):.{digits}f}"
+            cells.append(f"[bold]{text}[/]" if best[name] == method else text)
+        table.add_row(method, *cells)
+    return table
+
+
+def _best(outcomes: list[Outcome], name: str) -> str:
+    def mean(method: str) -> float:
+        values = _over_seeds((o for o in outcomes if o.method == method), name)
+        return abs(float(np.mean(values))) if values else np.inf
+
+    return min(METHODS, key=mean)
+
+
+def _wins(outcomes: list[Outcome]) -> str:
+    """Paired by recording: how often ours is nearer to the truth than each other method."""
+    ours = {o.trial: o.figures["mpjpe"] for o in outcomes if o.method == "ours"}
+    shares = []
+    for method in METHODS[:-1]:
+        others = [o for o in outcomes if o.method == method]
+        share = np.mean([ours[o.trial] < o.figures["mpjpe"] for o in others])
+        shares.append(f"{method} {share:.0%}")
+    return f"Ours has the smaller MPJPE in so many of the same recordings: {', '.join(shares)}."
+
+
+def _table_by(title: str, of: Callable[[Trial], str], outcomes: list[Outcome]) -> Table:
+    table = Table(title=f"MPJPE in mm by {title.split()[0]}", title_justify="left")
+    table.add_column(title)
+    for method in METHODS:
+        table.add_column(method, justify="right")
+    for group in dict.fromkeys(of(o.trial) for o in outcomes):
+        means = [
+            float(np.mean([o.figures["mpjpe"] for o in outcomes if o.method == m and of(o.trial) == group]))
+            for m in METHODS
+        ]
+        table.add_row(
+            group,
+            *(f"[bold]{v * 1e3:.1f}[/]" if v == min(means) else f"{v * 1e3:.1f}" for v in means),
+        )
+    return table
+
+
+def _draw(outcomes: list[Outcome], path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    motions = list(dict.fromkeys(o.trial.motion for o in outcomes))
+    colors = dict(
+        zip(
+            METHODS,
+            ("#b87333", "#3a86ff", "#9aa0a6", "#6c757d", "#e0a800", "#7fb069", "#b24ee8"),
+            strict=True,
+        )
+    )
+    figure, axes = pyplot.subplots(figsize=(10.0, 4.2), dpi=110, layout="constrained")
+    width = 0.8 / len(METHODS)
+    for k, method in enumerate(METHODS):
+        by_motion = [
+            1e3
+            * np.array([o.figures["mpjpe"] for o in outcomes if o.method == method and o.trial.motion == m])
+            for m in motions
+        ]
+        axes.bar(
+            np.arange(len(motions)) + (k - (len(METHODS) - 1) / 2) * width,
+            [values.mean() for values in by_motion],
+            width,
+            yerr=[values.std() for values in by_motion],
+            error_kw={"elinewidth": 0.7, "ecolor": "#555555"},
+            color=colors[method],
+            label=method,
+        )
+    axes.set_xticks(np.arange(len(motions)), motions)
+    axes.set_ylabel("MPJPE (mm)")
+    axes.set_title("Distance from the true joints, by movement (bars: deviation over angles and seeds)")
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(ncols=len(METHODS), frameon=False, fontsize=9, loc="outside lower center")
+    with whole_file(path) as partial:
+        figure.savefig(partial, format="png")
+    pyplot.close(figure)
+
+
+def _compare_with_real(console: Console, options: BenchAccuracyOptions) -> dict[str, Any]:
+    seeds = range(options.seeds)
+    compared: dict[str, list[Figure]] = {}
+    for name, setting in COUNTERPARTS.items():
+        with console.status(f"simulating {name}"):
+            if name == "azure_squat":
+                compared[name] = azure_figures(simulated_statistics(setting, seeds))
+            elif options.recordings is not None:
+                folder = options.recordings / name
+                real = statistics(*_views(folder / "a.csv", folder / "b.csv"))
+                compared[name] = figures(
+                    real, simulated_statistics(setting, seeds), standing=setting.motion == "still"
+                )
+    for name, found in compared.items():
+        table = Table(title=name.replace("_", " "), title_justify="left")
+        for column in ("figure", "real", "simulated", "ratio", "within 1.5"):
+            table.add_column(column, justify="left" if column == "figure" else "right")
+        for figure in found:
+            table.add_row(*figure.printed(), "yes" if figure.within(1.5) else "[bold]no[/]")
+        console.print(table)
+    if options.recordings is None:
+        console.print("With --recordings FOLDER, real pairs FOLDER/NAME/a.csv and b.csv are compared too.")
+    return {
+        name: [
+            {"figure": f.name, "real": [f.low, f.high], "simulated": f.simulated, "ratio": f.ratio}
+            for f in found
+        ]
+        for name, found in compared.items()
+    }
+
+
+def _views(path_a: Path, path_b: Path) -> tuple[list[Any], list[Any]]:
+    """Both views' skeletons of a recorded pair, paired in time."""
+    with SkeletonRecording(path_a) as a, SkeletonRecording(path_b) as b:
+        frames_a, frames_b = list(a.frames()), list(b.frames())
+    person_a = choose_person(frames_a, None, a.name, "")
+    person_b = choose_person(frames_b, None, b.name, "")
+    pairs = [pair.skeletons for pair in pair_recordings(frames_a, frames_b, person_a, person_b).pairs]
+    return [pair.a for pair in pairs], [pair.b for pair in pairs]

@@ -1,0 +1,135 @@
+"""``duplex demo``: two simulated Kinects, live pace, through the loop that real sensors go through."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from devices.simulated.movements import MOTIONS
+from devices.simulated.paced import PacedSensor
+from devices.simulated.sensor import Truth, simulated_pair
+from devices.two_sensors import TwoSensors
+from fusion.body import BODIES
+from fusion.calibration import nominal_calibration
+from fusion.fuser import Fuser, FuserSettings
+from recordings.arrays import RecordedFrame, SessionArrays
+from viewer_app.blueprint import session_blueprint
+from viewer_app.coach import Coach
+from viewer_app.errors import UsageError
+from viewer_app.live import run_live
+from viewer_app.live_display import LiveDisplay
+from viewer_app.live_session import LiveSession
+from viewer_app.options import DemoOptions
+from viewer_app.outputs import check_writable, whole_file
+from viewer_app.report import calibration_in_words
+from viewer_app.run import warm_up
+from viewer_app.viewing import announce, choose_viewing, has_display
+
+_SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
+
+
+def run(options: DemoOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        DeviceError, UsageError: With one line for the person who asked.
+    """
+    console = Console()
+    if options.motion == "list":
+        console.print("\n".join(MOTIONS))
+        return
+    if not 0.0 < options.seconds < float("inf"):
+        raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
+    save = options.save
+    if save is None and not (options.no_viewer or options.web or has_display()):
+        save = _SAVED_WITHOUT_DISPLAY
+    viewing = choose_viewing(
+        no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=save, live=True
+    )
+    if save is not None:
+        check_writable(save, options.force or save == _SAVED_WITHOUT_DISPLAY)
+    body = BODIES[options.body]
+    a, b, truth = simulated_pair(
+        motion=options.motion,
+        seed=options.seed,
+        body=body,
+        angle_deg=options.angle,
+        seconds=options.seconds,
+        depth=options.depth,
+    )
+    start = truth.positions_at(0)
+    nominal = Fuser(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
+    blueprint = session_blueprint(nominal, np.asarray(start.mean(axis=0)), options.layout)
+    warm_up(nominal, console)
+    console.print(
+        f"A simulated person ({options.motion}) before two Kinects {options.angle:.0f}° apart, "
+        f"{options.seconds:g} s. Ctrl-C ends it."
+    )
+    announce(viewing, console)
+    with ExitStack() as stack:
+        file = None if save is None else stack.enter_context(whole_file(save))
+        session = stack.enter_context(
+            LiveSession(nominal, (a.name, b.name), blueprint, file=file, viewing=viewing)
+        )
+        sensors = stack.enter_context(TwoSensors(PacedSensor(a), PacedSensor(b)))
+        coach = Coach(body, (nominal.intrinsics_a, nominal.intrinsics_b))
+        show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))
+        fuser, frames = run_live(
+            sensors,
+            body=body,
+            settings=FuserSettings(),
+            intrinsics=(a.intrinsics, b.intrinsics),
+            calibration=None,
+            recorder_for=lambda _: session,
+            truth_at=truth.positions_at,
+            go_on=show,
+        )
+        dropped = sensors.a.dropped, sensors.b.dropped
+    if frames:
+        _print_summary(console, fuser, frames, truth, dropped)
+    if save is not None:
+        console.print(f"Saved {save}. Look at it with: rerun {save}", highlight=False)
+
+
+def _print_summary(
+    console: Console, fuser: Fuser, frames: list[RecordedFrame], truth: Truth, dropped: tuple[int, int]
+) -> None:
+    rows = SessionArrays.stack(fuser.calibration.body, fuser.calibration.bone_lengths, frames)
+    assert rows.truth is not None
+    console.print(
+        f"[bold]{len(frames)} frames[/], {_rate(rows):.1f} a second; the sensors were too fast for us "
+        f"{dropped[0]} and {dropped[1]} times."
+    )
+    for line in calibration_in_words(fuser.calibration):
+        console.print(line, highlight=False)
+    angle = math.degrees(fuser.calibration.a_from_b.angle_to(truth.a_from_b))
+    console.print(f"  The sensors' true rotation lies {angle:.1f}° from it.")
+    calibrated = rows.frame >= len(rows) // 4  # by then the start-up pose is over
+    skeletons: dict[str, NDArray[np.float64]] = {
+        "S_A": rows.positions_a.astype(np.float64),
+        "S_B": rows.b_in_a,
+        "S*": rows.fused,
+    }
+    table = Table(min_width=44, title="Distance from the true joints, after the start", title_justify="left")
+    for column in ("skeleton", "mean", "95 %"):
+        table.add_column(column, justify="left" if column == "skeleton" else "right")
+    for name, positions in skeletons.items():
+        off = np.linalg.norm(positions - rows.truth, axis=2)[calibrated] * 1e3
+        off = off[np.isfinite(off)]
+        if off.size:
+            table.add_row(name, f"{off.mean():.0f} mm", f"{np.percentile(off, 95):.0f} mm")
+    console.print(table)
+    console.print(
+        f"[bold]Fusion[/]: {np.median(rows.fuse_ms):.3f} ms a frame (median), "
+        f"99 % {np.percentile(rows.fuse_ms, 99):.3f} ms"
+    )
+
+
+def _rate(rows: SessionArrays) -> float:
+    return float((len(rows) - 1) / max(rows.time_ns[-1] * 1e-9, 1e-9))
