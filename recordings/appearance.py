@@ -79,6 +79,9 @@ def weight_lines(body: Body) -> rr.SeriesLines:
     )
 
 
+DEPTH = rr.EncodedDepthImage.from_fields(colormap=rr.components.Colormap.Grayscale)
+"""Grey, so that a skeleton's colour stands out over it."""
+
 STATE_LANES = rr.StateConfiguration(
     values=layout.STATE_NAMES, labels=layout.STATE_NAMES, colors=layout.STATE_COLORS
 )

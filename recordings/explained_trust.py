@@ -133,7 +133,7 @@ class StateLanes:
                     self._open.add((side, int(joint)))
                     changes.insert(0, (None, int(lane[0])))
                 yield side, int(joint), changes
-            self._before[side] = states[-1]
+            self._before[side] = states[-1].copy()  # a view would keep the whole block
 
 
 def _in_words(joint: str) -> str:

@@ -183,6 +183,7 @@ class Recorder:
         for side, intrinsics in (("a", fuser.intrinsics_a), ("b", fuser.intrinsics_b)):
             once(layout.skeleton(side), appearance.joint_look(body, side))
             once(layout.depth(side), appearance.camera(intrinsics, side))
+            once(layout.depth(side), appearance.DEPTH)
             once(layout.points(side), appearance.cloud_look(side))
             once(layout.weights(side), appearance.weight_lines(body))
         once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))

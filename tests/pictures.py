@@ -22,7 +22,7 @@ from viewer_app.rerun_process import LOOPBACK, start_viewer, stop
 def headless_viewer(*arguments: str) -> Iterator[ViewerClient]:
     """A viewer that draws without a screen; the test is skipped where there is none."""
     try:
-        process, port = start_viewer(["--headless", *arguments])
+        process, port = start_viewer(["--headless", "--window-size", "1200x800", *arguments])
     except UsageError:
         pytest.skip("no headless viewer here; it needs a Vulkan driver (Debian: mesa-vulkan-drivers)")
     try:
