@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.pairing import FramePair
+from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.bone_lengths import bone_lengths_of
 from fusion.fuser import FusedFrame
 from fusion.skeleton import Skeleton
+from recordings import layout
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class SessionArrays:
         frame: (T,) number of the pair.
         time_ns: (T,) since the first pair.
         skew_ns: (T,) capture time of B less that of A.
+        clock_a, clock_b: (T,) each sensor's own time, ns; layout.NO_FRAME where it gave no frame.
         positions_a, positions_b: (T, J, 3) float32, each in its sensor's frame.
         states_a, states_b: (T, J) uint8 tracking states.
         weights_a, weights_b: (T, J) float32, eq. (11).
@@ -54,6 +57,8 @@ class SessionArrays:
     frame: NDArray[np.int64]
     time_ns: NDArray[np.int64]
     skew_ns: NDArray[np.int64]
+    clock_a: NDArray[np.int64]
+    clock_b: NDArray[np.int64]
     positions_a: NDArray[np.float32]
     positions_b: NDArray[np.float32]
     states_a: NDArray[np.uint8]
@@ -107,6 +112,8 @@ class SessionArrays:
             frame=np.array(range(len(frames)) if numbers is None else numbers, dtype=np.int64),
             time_ns=np.array([f.pair.time_ns for f in frames], dtype=np.int64) - start,
             skew_ns=np.array([f.pair.skew_ns for f in frames], dtype=np.int64),
+            clock_a=np.array([_clock(f.pair.a) for f in frames], dtype=np.int64),
+            clock_b=np.array([_clock(f.pair.b) for f in frames], dtype=np.int64),
             positions_a=positions(a),
             positions_b=positions(b),
             states_a=states(a),
@@ -130,6 +137,14 @@ class SessionArrays:
     def __len__(self) -> int:
         """The number of frames T."""
         return len(self.frame)
+
+    def __getitem__(self, frames: slice | NDArray[np.int64]) -> SessionArrays:
+        """Some of the frames, with their numbers and times as they are."""
+        kept = {f.name: getattr(self, f.name) for f in fields(self)}
+        per_frame = {
+            n: v[frames] for n, v in kept.items() if n not in ("body", "bone_lengths") and v is not None
+        }
+        return replace(self, **per_frame)
 
     @property
     def b_in_a(self) -> NDArray[np.float64]:
@@ -164,3 +179,7 @@ class SessionArrays:
         none = np.isnan(distance).all(axis=1)
         distance[none] = 0.0
         return np.where(none, np.nan, np.nanmedian(distance, axis=1))
+
+
+def _clock(frame: SensorFrame | None) -> int:
+    return layout.NO_FRAME if frame is None else frame.time_ns

@@ -6,7 +6,7 @@ The layout is the same live and in a file. Positions are metres; the world is K_
 from __future__ import annotations
 
 APPLICATION_ID = "duplex_kinects"
-VERSION = 1
+VERSION = 2
 """Of this layout; goes up when a reader of the old one would misread the new one."""
 
 FRAME = "frame"
@@ -28,6 +28,11 @@ TRUST_MATRIX = "/trust_matrix"
 STATE_LANES = "/lanes"
 COACH = "/coach"
 """Text: what to do next while setting up."""
+PLACEMENT = "/kinect_b/placement"
+"""R and t again, as float64 data: the viewer's transform has float32."""
+CHECKS = "/checks"
+"""Checksums of each frame: a damaged file must not pass for a whole one."""
+NO_FRAME = -(2**63)
 
 SIDES = ("a", "b")
 """The principal sensor K_A and the secondary K_B."""
@@ -51,6 +56,11 @@ def states(side: str) -> str:
 def state_lane(side: str, joint: str) -> str:
     """A joint's tracking state where it changes, for the joints that ever change."""
     return f"{STATE_LANES}/{joint.lower()}/{side}"
+
+
+def clock(side: str) -> str:
+    """The sensor's own time of each frame, as data; :data:`NO_FRAME` where it gave none for the pair."""
+    return f"/kinect_{side}/clock"
 
 
 def weights(side: str) -> str:

@@ -5,8 +5,8 @@ Both ways give the same layout, because both come from the same list of what a f
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any
 
@@ -18,6 +18,13 @@ from fusion.fuser import Fuser
 from fusion.skeleton import TrackingState
 from recordings import appearance, layout
 from recordings.arrays import RecordedFrame, SessionArrays
+from recordings.checksums import (
+    frame_checksums,
+    fused_checksums,
+    image_checksum,
+    properties_checksum,
+    text_checksum,
+)
 from recordings.depth_points import thin_points
 from recordings.explained_trust import StateLanes, TrustMatrix, details, trust_colors
 from recordings.rvl import MEDIA_TYPE, encode_depth
@@ -30,8 +37,9 @@ class Recorder:
         stream: Where to log to; its sinks decide whether that is a viewer, a file or both.
         fuser: Whose settings, calibration and intrinsics the session keeps.
         sources: What the sensors are called, K_A first.
-        start_ns: When the session began; with the first frame recorded here where None.
         depth_every: Keep the depth images of every so many pairs; 0 for none.
+        about: More to say of the session's origin, kept among its properties.
+        start_ns: When the session began; with the first frame recorded here where None.
         points: Whether a depth image is shown as a point cloud too.
     """
 
@@ -40,47 +48,55 @@ class Recorder:
         stream: rr.RecordingStream,
         fuser: Fuser,
         sources: tuple[str, str],
-        start_ns: int | None = None,
         depth_every: int = 0,
+        about: Mapping[str, str | int] | None = None,
+        *,
+        start_ns: int | None = None,
         points: bool = False,
     ) -> None:
         self._stream = stream
-        self._depth_every, self._points = depth_every, points
-        self._cameras = (fuser.intrinsics_a, fuser.intrinsics_b)
         self._calibration = fuser.calibration
         self._frames = 0
         self._start_ns = start_ns
-        self._now = (0, 0)  # frame, nanoseconds
+        self._last: tuple[int, int] | None = None
+        self._depth_every, self._points = depth_every, points
+        self._cameras = {"a": fuser.intrinsics_a, "b": fuser.intrinsics_b}
         self._matrix = TrustMatrix(fuser.calibration.body)
         self._lanes = StateLanes()
-        self._sources = sources
         self._log_static(fuser)
+        properties = self._properties(fuser, sources, about or {})
+        for name, values in properties.items():
+            stream.send_property(name, rr.AnyValues(**values))
+        stream.send_property("check", rr.AnyValues(crc32=properties_checksum(properties)))
         self.calibrate(fuser)
+        # what a reader needs first must stand first in the file; columns would overtake it
+        stream.flush(timeout_sec=0.0)
 
     def calibrate(self, fuser: Fuser) -> None:
-        """Keeps the calibration and settings with which the frames that follow are fused."""
+        """Keeps the calibration with which the frames that follow are fused, by a new fuser."""
         calibration = self._calibration = fuser.calibration
-        self._set_time(self._frames, self._now[1])
-        self._stream.log(
-            layout.CALIBRATION,
-            rr.AnyValues(
-                how=calibration.how,
-                rotation=calibration.a_from_b.rotation.ravel(),
-                translation=calibration.a_from_b.translation,
-                bone_lengths=calibration.bone_lengths,
-            ),
-        )
-        for name, values in self._properties(fuser).items():
-            self._stream.send_property(name, rr.AnyValues(**values))
+        registration = calibration.registration
+        values: dict[str, Any] = {
+            "how": calibration.how,
+            "rotation": calibration.a_from_b.rotation.ravel(),
+            "translation": calibration.a_from_b.translation,
+            "bone_lengths": calibration.bone_lengths,
+            "residual_median": np.nan if registration is None else registration.residual_median,
+            "residual_rms": np.nan if registration is None else registration.residual_rms,
+        }
+        self._set_time(self._frames, self._last[1] if self._last else 0)
+        check = properties_checksum({"calibration": {"frame": self._frames, **values}})
+        self._stream.log(layout.CALIBRATION, rr.AnyValues(**values, calibration_crc32=check))
 
-    def record(self, frame: RecordedFrame, number: int | None = None) -> None:
+    def record(self, frame: RecordedFrame) -> None:
         """Logs one frame at once, for live use."""
-        rows = self._stack([frame], None if number is None else [number])
-        self._set_time(*self._now)
+        rows = self._stack([frame], None)
+        self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
         for stream in _streams(rows):
             self._stream.log(stream.entity, stream.archetype(**stream.of_frame(0)))
         self._log_depth([frame], rows)
         self._explain(rows)
+        self._last = (int(rows.frame[0]), int(rows.time_ns[0]))
 
     def record_all(
         self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None = None
@@ -95,25 +111,71 @@ class Recorder:
             What was logged.
         """
         rows = self._stack(frames, numbers)
+        self.record_rows(rows)
+        self._log_depth(frames, rows)
+        return rows
+
+    def record_rows(self, rows: SessionArrays, fused_crc: NDArray[np.uint32] | None = None) -> None:
+        """Logs frames that are arrays already, under the numbers and times they have.
+
+        Args:
+            rows: The frames.
+            fused_crc: (T,) checksums of S* in float64, where `rows` have it from a file, in float32.
+        """
         times = [
             rr.TimeColumn(layout.FRAME, sequence=rows.frame),
             rr.TimeColumn(layout.TIME, duration=rows.time_ns.astype("timedelta64[ns]")),
         ]
-        for stream in _streams(rows):
+        for stream in _streams(rows, fused_crc):
             self._stream.send_columns(stream.entity, times, stream.columns())
-        self._log_depth(frames, rows)
         self._explain(rows)
-        return rows
+        self._frames = max(self._frames, int(rows.frame[-1]) + 1)
+        self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
 
-    def event(self, text: str, level: str = "INFO") -> None:
-        """Logs what happened, at the time of the last frame."""
-        self._set_time(*self._now)
-        self._stream.log(layout.EVENTS, rr.TextLog(text, level=level))
+    def record_depth(self, side: str, frame: int, time_ns: int, depth: NDArray[np.uint16]) -> None:
+        """Logs a depth image: (height, width) millimetres, without loss."""
+        blob = encode_depth(depth)
+        self._set_time(frame, time_ns)
+        self._stream.log(
+            layout.depth(side),
+            rr.EncodedDepthImage(blob, media_type=MEDIA_TYPE, meter=1000.0),
+            rr.AnyValues(crc32=image_checksum(frame, blob)),
+        )
+        if self._points:
+            cloud = thin_points(depth, self._cameras[side])
+            self._stream.log(layout.points(side), rr.Points3D.from_fields(positions=cloud))
+
+    def event(self, text: str, level: str = "INFO", at: tuple[int, int] | None = None) -> None:
+        """Logs what happened, at the time of the last frame.
+
+        Args:
+            text: What.
+            level: How bad: INFO, WARN or ERROR.
+            at: Number and time (ns since the first pair) of the frame meant, where it is not the last.
+        """
+        at = at or self._last
+        if at is not None:
+            self._set_time(*at)
+        self._stream.log(
+            layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=text_checksum(text, level))
+        )
 
     def coach(self, markdown: str) -> None:
         """Logs what to do next, at the time of the last frame."""
-        self._set_time(*self._now)
+        self._set_time(*(self._last or (0, 0)))
         self._stream.log(layout.COACH, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
+
+    def finish(self) -> None:
+        """Says that the session is whole; a reader takes one without this for cut off."""
+        self._stream.send_property("end", rr.AnyValues(frames=self._frames))
+
+    def _log_depth(self, frames: Sequence[RecordedFrame], rows: SessionArrays) -> None:
+        for frame, number, time_ns in zip(frames, rows.frame.tolist(), rows.time_ns.tolist(), strict=True):
+            if self._depth_every == 0 or number % self._depth_every:
+                continue
+            for side, seen in (("a", frame.pair.a), ("b", frame.pair.b)):
+                if seen is not None and seen.depth is not None:
+                    self.record_depth(side, number, time_ns, seen.depth)
 
     def _set_time(self, frame: int, time_ns: int) -> None:
         self._stream.set_time(layout.FRAME, sequence=frame)
@@ -129,28 +191,7 @@ class Recorder:
             calibration.body, calibration.bone_lengths, frames, numbers, self._start_ns
         )
         self._frames = numbers[-1] + 1
-        self._now = (int(rows.frame[-1]), int(rows.time_ns[-1]))
         return rows
-
-    def _log_depth(self, frames: Sequence[RecordedFrame], rows: SessionArrays) -> None:
-        for frame, number, time_ns in zip(frames, rows.frame.tolist(), rows.time_ns.tolist(), strict=True):
-            if self._depth_every == 0 or number % self._depth_every:
-                continue
-            for side, camera, seen in zip(
-                layout.SIDES, self._cameras, (frame.pair.a, frame.pair.b), strict=True
-            ):
-                if seen is None or seen.depth is None:
-                    continue
-                self._set_time(number, time_ns)
-                self._stream.log(
-                    layout.depth(side),
-                    rr.EncodedDepthImage(encode_depth(seen.depth), media_type=MEDIA_TYPE, meter=1000.0),
-                )
-                if self._points:
-                    self._stream.log(
-                        layout.points(side),
-                        rr.Points3D.from_fields(positions=thin_points(seen.depth, camera)),
-                    )
 
     def _explain(self, rows: SessionArrays) -> None:
         """What is not logged every frame: the trust matrix, and tracking states where they change."""
@@ -193,10 +234,10 @@ class Recorder:
         for name in layout.QUALITY_NAMES:
             once(layout.quality(name), appearance.QUALITY_LINES[name])
 
-    def _properties(self, fuser: Fuser) -> dict[str, dict[str, Any]]:
+    def _properties(
+        self, fuser: Fuser, sources: tuple[str, str], about: Mapping[str, str | int]
+    ) -> dict[str, dict[str, Any]]:
         """What a replay needs, and what a person asks of a file."""
-        calibration = self._calibration
-        registration = calibration.registration
 
         def camera(intrinsics: Any) -> list[float]:
             i = intrinsics
@@ -206,24 +247,13 @@ class Recorder:
             "session": {
                 "layout_version": layout.VERSION,
                 "written_by": f"duplex-kinects {version('duplex-kinects')}",
-                "body": calibration.body.name,
-                "source_a": self._sources[0],
-                "source_b": self._sources[1],
+                "body": self._calibration.body.name,
+                "bone_names": [name or "root" for name in self._calibration.body.bones],
+                "source_a": sources[0],
+                "source_b": sources[1],
+                **about,
             },
-            "settings": {
-                "h": fuser.settings.h,
-                "solver": fuser.settings.solver,
-                "weights": fuser.settings.weights,
-            },
-            "calibration": {
-                "how": calibration.how,
-                "rotation": calibration.a_from_b.rotation.ravel(),
-                "translation": calibration.a_from_b.translation,
-                "bone_names": [name or "root" for name in calibration.body.bones],
-                "bone_lengths": calibration.bone_lengths,
-                "residual_median": np.nan if registration is None else registration.residual_median,
-                "residual_rms": np.nan if registration is None else registration.residual_rms,
-            },
+            "settings": asdict(fuser.settings),
             "intrinsics": {"a": camera(fuser.intrinsics_a), "b": camera(fuser.intrinsics_b)},
         }
 
@@ -253,19 +283,27 @@ class _Stream:
         return columns.partition([self.per_frame] * frames)
 
 
-def _streams(rows: SessionArrays) -> Iterator[_Stream]:
+def _streams(rows: SessionArrays, fused_crc: NDArray[np.uint32] | None = None) -> Iterator[_Stream]:
     """Everything that is logged a frame."""
     joints = len(rows.body)
-    for side, positions, states, weights in (
-        ("a", rows.positions_a, rows.states_a, rows.weights_a),
-        ("b", rows.positions_b, rows.states_b, rows.weights_b),
+    for side, positions, states, weights, clock in (
+        ("a", rows.positions_a, rows.states_a, rows.weights_a, rows.clock_a),
+        ("b", rows.positions_b, rows.states_b, rows.weights_b, rows.clock_b),
     ):
         yield _Stream(layout.skeleton(side), rr.Points3D, {"positions": positions}, joints)
         yield _Stream(layout.states(side), rr.AnyValues, {"state": states}, joints)
         yield _Stream(layout.weights(side), rr.Scalars, {"scalars": weights.astype(np.float64)}, joints)
+        yield _Stream(layout.clock(side), rr.AnyValues, {"captured_ns": clock[:, None]}, 1)
     yield _Stream(
         layout.kinect("b"), rr.Transform3D, {"mat3x3": rows.rotation, "translation": rows.translation}
     )
+    # R row by row, then t
+    placement = np.concatenate([rows.rotation.reshape(-1, 9), rows.translation], axis=1)
+    yield _Stream(layout.PLACEMENT, rr.AnyValues, {"rotation_translation": placement}, 12)
+    if fused_crc is None:
+        fused_crc = fused_checksums(rows.fused)
+    checks = np.stack([frame_checksums(rows), fused_crc], axis=1)
+    yield _Stream(layout.CHECKS, rr.AnyValues, {"frame_crc32": checks}, 2)
     yield _Stream(
         layout.FUSED_SKELETON,
         rr.Points3D,
@@ -286,7 +324,7 @@ def _streams(rows: SessionArrays) -> Iterator[_Stream]:
         yield _Stream(
             layout.bone(rows.body.bones[joint]),
             rr.Scalars,
-            {"scalars": np.stack([*lengths[:, :, joint], target], axis=1)},
+            {"scalars": np.round(np.stack([*lengths[:, :, joint], target], axis=1) / _FINEST) * _FINEST},
             4,
         )
     for name, values in _quality(rows).items():
@@ -305,8 +343,11 @@ def _quality(rows: SessionArrays) -> dict[str, NDArray[Any]]:
         "iterations": rows.iterations[:, None],
         "predicted_joints": rows.predicted.sum(axis=1)[:, None],
         "tracked_joints": np.stack(
-            [(states == TrackingState.TRACKED).sum(axis=1) for states in (rows.states_a, rows.states_b)],
-            axis=1,
+            [(of == TrackingState.TRACKED).sum(axis=1) for of in (rows.states_a, rows.states_b)], axis=1
         ),
         "stale": np.stack([rows.stale_a, rows.stale_b], axis=1),
     }
+
+
+_FINEST = 2.0**-14
+"""Metres to which plotted bone lengths are rounded, 0.06 mm: round numbers compress. S* is not rounded."""

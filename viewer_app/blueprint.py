@@ -14,6 +14,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from recordings import layout
 
@@ -56,6 +57,11 @@ def session_blueprint(fuser: Fuser, person_at: NDArray[np.float64], active: Layo
         rrb.TimePanel(state="collapsed", timeline=layout.TIME),
         auto_views=False,
     )
+
+
+def inspect_blueprint(body: Body, person_at: NDArray[np.float64]) -> rrb.Blueprint:
+    """All layouts for a session whose sensors' placement is in its frames, with *inspect* open."""
+    return session_blueprint(Fuser(nominal_calibration(body)), person_at, "inspect")
 
 
 def _setup(fuser: Fuser, person_at: NDArray[np.float64]) -> rrb.Container:

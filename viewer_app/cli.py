@@ -10,11 +10,26 @@ from typing import Any
 
 import tyro
 
-from viewer_app.options import DemoOptions, FuseOptions
+from viewer_app.options import (
+    CompareOptions,
+    DemoOptions,
+    ExportOptions,
+    FuseOptions,
+    InfoOptions,
+    ReplayOptions,
+    ReviewOptions,
+    TrimOptions,
+)
 
 _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "demo": (DemoOptions, "viewer_app.demo"),
     "fuse": (FuseOptions, "viewer_app.fuse"),
+    "replay": (ReplayOptions, "viewer_app.replay"),
+    "review": (ReviewOptions, "viewer_app.review"),
+    "compare": (CompareOptions, "viewer_app.compare"),
+    "export": (ExportOptions, "viewer_app.export"),
+    "trim": (TrimOptions, "viewer_app.trim"),
+    "info": (InfoOptions, "viewer_app.info"),
 }
 """By name: the options, and the module whose ``run`` carries the command out."""
 

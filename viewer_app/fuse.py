@@ -71,6 +71,7 @@ def run(options: FuseOptions) -> None:
                 pairing.pairs, "fusing", console=console, transient=True, disable=not console.is_terminal
             )
             frames = fuse_offline(shown, fuser, session)
+            session.finish()
             session.save()
         _summarise(console, options, FusionResult(pairing, calibration, settings, *_rows(frames, fuser)))
         stay_for_visitors(viewing, console)

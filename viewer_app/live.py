@@ -144,6 +144,7 @@ def run_live(
                 break
     except KeyboardInterrupt:
         pass  # the usual way to end it
+    recorder.finish()
     return fuser, list(kept)
 
 

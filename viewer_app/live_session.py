@@ -16,6 +16,7 @@ from fusion.fuser import Fuser
 from recordings import layout
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
+from recordings.rewriting import check_whole
 from viewer_app.errors import UsageError
 from viewer_app.rerun_process import Hub, start_window, start_window_on_pipe, stop
 from viewer_app.session_file import SessionFile, has_images, without_images
@@ -79,6 +80,7 @@ class LiveSession:
         self._id = uuid4()
         self._complete = complete
         self._count = 0
+        self._whole = False
         self._start_ns: int | None = None
         self._path = file
         self._viewing = viewing or Viewing()
@@ -161,11 +163,21 @@ class LiveSession:
         """Whether a person closed the window; it does not come back by itself."""
         return self._window is not None and self._window.closed
 
+    def finish(self) -> None:
+        """Says that the session is whole, as :meth:`Recorder.finish` does."""
+        self._whole = True
+
     def save(self) -> None:
-        """Writes what waits for the file, and closes it; what comes later only the viewer gets."""
+        """Writes what waits for the file, and closes it; what comes later only the viewer gets.
+
+        Raises:
+            OSError: Not everything has reached the file.
+        """
         if self._file is not None:
             file, self._file = self._file, None
-            file.close()
+            file.close(self._whole)
+            if self._whole and self._path is not None:
+                check_whole(self._path)
 
     def __enter__(self) -> LiveSession:
         """Is open already."""
@@ -211,7 +223,9 @@ class LiveSession:
 
     def _begin(self, stream: rr.RecordingStream) -> Recorder:
         stream.send_blueprint(self._blueprint)
-        return Recorder(stream, self._fuser, self._sources, self._start_ns, depth_every=1, points=True)
+        return Recorder(
+            stream, self._fuser, self._sources, depth_every=1, start_ns=self._start_ns, points=True
+        )
 
 
 class _Window:

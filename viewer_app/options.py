@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 _BENCH_MOTIONS = ("walk", "arms", "badminton", "basketball", "squat", "sit", "boxing", "still")
 
@@ -117,3 +117,100 @@ class BenchAccuracyOptions:
     """Draw the comparison as a PNG."""
     force: bool = False
     """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """Fuse a session's two skeletons again, with its own settings or with others.
+
+    With the session's own settings S* comes out bit for bit; --verify checks that.
+    """
+
+    session: Positional[Path]
+    """The .rrd to replay."""
+    h: float | None = None
+    """How much more a tracked joint counts than an inferred one; as recorded if not given."""
+    solver: Literal["exact", "paper"] | None = None
+    """exact: one constraint a bone. paper: eqs. (3)-(9) as published. As recorded if not given."""
+    weights: Literal["paper", "equal"] | None = None
+    """paper: trust a joint, eqs. (10), (11). equal: both views alike. As recorded if not given."""
+    verify: bool = False
+    """Compare S* with the recorded one; exit code 1 and the first difference where a bit differs."""
+    save: Path | None = None
+    """Keep the new session, its depth images included, as an .rrd file."""
+    report: Path | None = None
+    """Write all figures of the summary as JSON."""
+    no_viewer: bool = False
+    """Do not open the viewer."""
+    force: bool = False
+    """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
+class InfoOptions:
+    """What a session holds: body, frames, length, settings, calibration, size, and whether it is whole."""
+
+    session: Positional[Path]
+    """The .rrd to look into."""
+
+
+@dataclass(frozen=True)
+class TrimOptions:
+    """Cut a stretch out of a session. Frames stay as they are; nothing is fused again."""
+
+    session: Positional[Path]
+    """The .rrd to cut."""
+    save: Path
+    """The .rrd to write."""
+    start: Annotated[float, arg(name="from")] = 0.0
+    """First moment to keep, in seconds since the first pair."""
+    end: Annotated[float | None, arg(name="to")] = None
+    """Last moment to keep; the end if not given."""
+    force: bool = False
+    """Overwrite a file that exists."""
+
+
+@dataclass(frozen=True)
+class CompareOptions:
+    """Two fusions of the same capture side by side, joint by joint and bone by bone."""
+
+    first: Positional[Path]
+    """A session."""
+    second: Positional[Path]
+    """Another of the same capture: a replay with other settings, say."""
+    save: Path | None = None
+    """Keep both S* and their difference as an .rrd file."""
+    worst: int = 5
+    """How many of the moments in which they differ most to list."""
+    no_viewer: bool = False
+    """Do not open the viewer."""
+    force: bool = False
+    """Overwrite a file that exists."""
+
+
+@dataclass(frozen=True)
+class ReviewOptions:
+    """Look at a session again: the viewer, the summary, and a page to send on."""
+
+    session: Positional[Path]
+    """The .rrd to look at."""
+    html: Path | None = None
+    """Write a page that stands alone: bone lengths, jitter, trust, disagreement, calibration, timing."""
+    no_viewer: bool = False
+    """Do not open the viewer."""
+    force: bool = False
+    """Overwrite a file that exists."""
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Write S* for another program: .bvh, .c3d, .csv, .npz, .parquet or .trc, by the file's ending."""
+
+    session: Positional[Path]
+    """The .rrd to export."""
+    to: Path
+    """The file to write."""
+    table: Literal["long", "wide"] = "long"
+    """Of a .csv: a row a joint and skeleton, or a row a frame with S* alone."""
+    force: bool = False
+    """Overwrite a file that exists."""

@@ -14,7 +14,7 @@ from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
 from viewer_app.live_session import LiveSession
 
-_BLOCK = 256  # frames written at a time, so that a viewer shows the work going on
+_BLOCK = 1024  # frames written at a time, so that a viewer shows the work going on
 
 
 def warm_up(fuser: Fuser, console: Console) -> None:

@@ -35,7 +35,7 @@ class SessionFile:
         self._stream, self._begin, self._bounded = stream, begin, bounded
         self._queue: deque[Item] = deque()
         self._more = threading.Condition()
-        self._ending = False
+        self._ending = self._whole = False
         self._error: BaseException | None = None
         self.lost = 0
         """Frames left out."""
@@ -58,14 +58,17 @@ class SessionFile:
                     item = number, replace(frame, pair=without_images(frame.pair))
             self._queue.append(item)
 
-    def close(self) -> None:
+    def close(self, whole: bool) -> None:
         """Writes what waits, and closes the file.
+
+        Args:
+            whole: Whether the session ended as it should, which is then written too.
 
         Raises:
             Exception: What went wrong while writing.
         """
         with self._more:
-            self._ending = True
+            self._ending, self._whole = True, whole
             self._more.notify()
         self._thread.join()
         self._stream.flush(timeout_sec=_FLUSH_WITHIN)
@@ -84,6 +87,8 @@ class SessionFile:
                     items = list(self._queue)
                     self._queue.clear()
                 write_items(recorder, items)
+            if self._whole:
+                recorder.finish()
         except Exception as error:
             self._error = error
 

@@ -11,11 +11,13 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from uuid import uuid4
 
 import rerun as rr
 import rerun.blueprint as rrb
 
 from recordings import layout
+from recordings.rewriting import check_whole
 from viewer_app.errors import UsageError
 from viewer_app.outputs import whole_file
 
@@ -43,11 +45,12 @@ def open_stream(save: Path | None, window: bool, blueprint: rrb.Blueprint) -> It
     """
     with ExitStack() as stack:
         sinks: list[rr.FileSink | rr.GrpcSink] = []
-        if save is not None:
-            sinks.append(rr.FileSink(str(stack.enter_context(whole_file(save)))))
+        partial = None if save is None else stack.enter_context(whole_file(save))
+        if partial is not None:
+            sinks.append(rr.FileSink(str(partial)))
         if window:
             sinks.append(rr.GrpcSink(_start_window()))
-        stream = rr.RecordingStream(layout.APPLICATION_ID)
+        stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
         if sinks:
             stream.set_sinks(*sinks, default_blueprint=blueprint)
         try:
@@ -55,16 +58,27 @@ def open_stream(save: Path | None, window: bool, blueprint: rrb.Blueprint) -> It
             stream.flush(timeout_sec=_FLUSH_WITHIN)
         finally:
             stream.disconnect()
+        if partial is not None:
+            check_whole(partial)
 
 
-def _start_window() -> str:
+def open_file(path: Path) -> None:
+    """Opens a session in a new viewer window, which stays when this process ends.
+
+    Raises:
+        UsageError: The viewer does not start.
+    """
+    _start_window(str(path))
+
+
+def _start_window(*files: str) -> str:
     """Starts a viewer of our own and returns the address to log to."""
     port = free_port()
     viewer = subprocess.Popen(
         [
             *(sys.executable, "-m", "rerun"),
             *("--bind", _LOOPBACK, "--port", str(port)),
-            *("--memory-limit", "2GiB", "--expect-data-soon"),
+            *("--memory-limit", "2GiB", *(files or ("--expect-data-soon",))),
         ],
         env={**os.environ, "RERUN_ANALYTICS": "0"},
         stdin=subprocess.DEVNULL,

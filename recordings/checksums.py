@@ -1,0 +1,87 @@
+"""Checksums of frames and properties: Rerun's file format notices few flipped bits, so these do.
+
+A frame's checksum covers every number that a :class:`recordings.session.Session` reads back of it, in the
+precision it is stored in.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.arrays import SessionArrays
+
+_STORED: tuple[tuple[str, Any], ...] = (
+    ("frame", np.int64),
+    ("time_ns", np.int64),
+    ("skew_ns", np.int64),
+    ("clock_a", np.int64),
+    ("clock_b", np.int64),
+    ("positions_a", np.float32),
+    ("positions_b", np.float32),
+    ("states_a", np.uint8),
+    ("states_b", np.uint8),
+    ("weights_a", np.float32),
+    ("weights_b", np.float32),
+    ("misleading", np.int32),
+    ("rotation", np.float64),
+    ("translation", np.float64),
+    ("fused", np.float32),
+    ("predicted", np.uint8),
+    ("iterations", np.int64),
+    ("stale_a", np.uint8),
+    ("stale_b", np.uint8),
+    ("fuse_ms", np.float64),
+)
+
+
+def frame_checksums(rows: SessionArrays) -> NDArray[np.uint32]:
+    """(T,) CRC-32 of everything a frame stores; a NaN is a NaN, whatever its payload."""
+    columns = [getattr(rows, name).astype(kind) for name, kind in _STORED]
+    if rows.truth is not None:
+        columns.append(rows.truth.astype(np.float32))
+    return _checksums(*columns)
+
+
+def fused_checksums(fused: NDArray[np.float64]) -> NDArray[np.uint32]:
+    """(T,) CRC-32 of (T, J, 3) S* in float64, of which the file keeps float32 only."""
+    return _checksums(fused)
+
+
+def properties_checksum(properties: Mapping[str, Mapping[str, Any]]) -> int:
+    """CRC-32 of names and values; an array and a list of its values are the same."""
+
+    def plain(value: Any) -> Any:
+        values = np.atleast_1d(np.asarray(value)).ravel().tolist()
+        return [f"{v:.17g}" if isinstance(v, (int, float)) else str(v) for v in values]
+
+    text = json.dumps(
+        {name: {k: plain(v) for k, v in of.items()} for name, of in properties.items()}, sort_keys=True
+    )
+    return crc32(text.encode())
+
+
+def image_checksum(frame: int, blob: bytes) -> int:
+    """CRC-32 of an encoded image and the number of its frame."""
+    return crc32(blob, crc32(frame.to_bytes(8, "little", signed=True)))
+
+
+def text_checksum(*texts: str) -> int:
+    """CRC-32 of some texts."""
+    return crc32("\0".join(texts).encode())
+
+
+def _checksums(*columns: NDArray[Any]) -> NDArray[np.uint32]:
+    frames = len(columns[0])
+    bytes_of = []
+    for column in columns:
+        flat = np.ascontiguousarray(column).reshape(frames, -1)
+        if flat.dtype.kind == "f":
+            flat = np.where(np.isnan(flat), flat.dtype.type(np.nan), flat)
+        bytes_of.append(flat.view(np.uint8).reshape(frames, -1))
+    return np.array([crc32(row) for row in np.concatenate(bytes_of, axis=1)], dtype=np.uint32)

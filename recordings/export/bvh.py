@@ -1,0 +1,157 @@
+"""BVH, animation's skeleton file: the bones' rest pose, and a rotation a joint and frame.
+
+S* has bones of constant length, so BVH keeps it exactly. Where several bones leave a joint their angles vary,
+and one rotation cannot turn them all: there the joint takes the rotation that fits best, as an animator
+expects of a pelvis, and each bone gets a joint of its own in the same place for the rest. Centimetres, y up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fusion.body import Body
+from recordings.errors import RecordingError
+from recordings.export.even_frames import at_even_frames, even_frames, y_up
+from recordings.session import Session
+
+_CM = 100.0
+_STUB = 0.2  # of the last bone: how far the end site stands beyond the last joint, for programs that draw it
+
+
+@dataclass(frozen=True)
+class _Node:
+    """One joint of the file: where it hangs, and which bones it turns."""
+
+    name: str
+    depth: int
+    offset: NDArray[np.float64]  # (3,) metres, from the node above, at rest
+    turns: tuple[int, ...]  # far joints of the bones that leave here
+    above: int  # index of the node above; -1 for the root
+    end: NDArray[np.float64] | None  # (3,) metres, the end site of a last joint
+
+
+def write_bvh(session: Session, path: Path) -> None:
+    """S* as a moving hierarchy. BVH knows no gaps: there the last pose is held.
+
+    Raises:
+        RecordingError: S* exists in no frame.
+    """
+    even = even_frames(session.rows)
+    at = y_up(at_even_frames(session.rows.fused, even))  # (N, J, 3)
+    present = np.isfinite(at).all(axis=(1, 2))
+    if not present.any():
+        raise RecordingError(f"{session.path} has no frame with an S*; there is nothing to export.")
+    held = np.maximum.accumulate(np.where(present, np.arange(len(at)), -1))
+    held[held < 0] = int(np.argmax(present))
+    at = at[held]
+    body = session.body
+    rest = _rest(body, session.calibration.bone_lengths)
+    nodes = list(_nodes(body, rest))
+    rotations = _rotations(body, nodes, at, rest)
+    motion = np.concatenate([at[:, body.root] * _CM, *(_degrees(r) for r in rotations)], axis=1)
+    lines = [*_hierarchy(nodes), "MOTION", f"Frames: {len(at)}", f"Frame Time: {1.0 / even.rate:.9f}"]
+    lines += [" ".join(f"{v:.6f}" for v in row) for row in motion]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _rest(body: Body, lengths: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(J, 3) metres, each bone at rest: standing, facing +z, y up."""
+    return y_up(body.rest) * lengths[:, None]
+
+
+def _nodes(body: Body, rest: NDArray[np.float64]) -> Iterator[_Node]:
+    children = [[c for c in range(len(body)) if body.parents[c] == j] for j in range(len(body))]
+    count = 0
+
+    def visit(joint: int, depth: int, above: int) -> Iterator[_Node]:
+        nonlocal count
+        bones, offset = tuple(children[joint]), np.zeros(3) if above < 0 else rest[joint]
+        end = None if bones else _STUB * rest[joint]
+        here, count = count, count + 1
+        yield _Node(body.joints[joint], depth, offset, bones, above, end)
+        for bone in bones:
+            if len(bones) == 1:
+                yield from visit(bone, depth + 1, here)
+                continue
+            carrier, count = count, count + 1
+            name = f"{body.joints[joint]}_to_{body.joints[bone]}"
+            yield _Node(name, depth + 1, np.zeros(3), (bone,), here, None)
+            yield from visit(bone, depth + 2, carrier)
+
+    yield from visit(body.root, 0, -1)
+
+
+def _rotations(
+    body: Body, nodes: list[_Node], at: NDArray[np.float64], rest: NDArray[np.float64]
+) -> list[Rotation]:
+    """A rotation (N,) a node, relative to the node above."""
+    world: list[Rotation] = []
+    local: list[Rotation] = []
+    for node in nodes:
+        above = Rotation.identity(len(at)) if node.above < 0 else world[node.above]
+        if not node.turns:
+            local.append(Rotation.identity(len(at)))
+            world.append(above)
+            continue
+        bones = np.stack([at[:, c] - at[:, body.parents[c]] for c in node.turns], axis=1)  # (N, K, 3)
+        seen = np.stack([above.inv().apply(bones[:, k]) for k in range(len(node.turns))], axis=1)
+        turn = _turn(seen, rest[list(node.turns)])
+        local.append(turn)
+        world.append(above * turn)
+    return local
+
+
+def _turn(bones: NDArray[np.float64], rest: NDArray[np.float64]) -> Rotation:
+    """The rotations that turn (K, 3) bones at rest into (N, K, 3); the shortest ones where K is 1."""
+    if bones.shape[1] == 1:
+        u = rest[0] / np.linalg.norm(rest[0])
+        v = bones[:, 0] / np.linalg.norm(bones[:, 0], axis=1, keepdims=True)
+        return _shortest(u, v)
+    # orthogonal Procrustes, all frames at once
+    U, _, Vt = np.linalg.svd(np.einsum("nki,kj->nij", bones, rest))
+    U[:, :, 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]
+    return Rotation.from_matrix(U @ Vt)
+
+
+def _shortest(u: NDArray[np.float64], v: NDArray[np.float64]) -> Rotation:
+    """The shortest rotations from a unit vector (3,) to unit vectors (N, 3)."""
+    axis = np.cross(np.broadcast_to(u, v.shape), v)
+    cosine = v @ u
+    quaternion = np.concatenate([axis, 1.0 + cosine[:, None]], axis=1)
+    opposite = cosine < -1.0 + 1e-12  # half a turn, about any axis across u
+    across = np.cross(u, np.eye(3)[np.argmin(np.abs(u))])
+    quaternion[opposite] = np.append(across / np.linalg.norm(across), 0.0)
+    return Rotation.from_quat(quaternion)
+
+
+def _degrees(rotation: Rotation) -> NDArray[np.float64]:
+    """(N, 3) angles about z, then x, then y, each in the turned frame."""
+    return np.asarray(rotation.as_euler("ZXY", degrees=True, suppress_warnings=True))
+
+
+def _hierarchy(nodes: list[_Node]) -> Iterator[str]:
+    def offset(metres: NDArray[np.float64]) -> str:
+        return "OFFSET " + " ".join(f"{v:.6f}" for v in metres * _CM)
+
+    yield "HIERARCHY"
+    open_at: list[int] = []
+    for node in nodes:
+        while open_at and open_at[-1] >= node.depth:
+            yield "  " * open_at.pop() + "}"
+        pad = "  " * node.depth
+        yield f"{pad}{'JOINT' if node.depth else 'ROOT'} {node.name}"
+        yield pad + "{"
+        yield f"{pad}  {offset(node.offset)}"
+        position = "" if node.depth else "Xposition Yposition Zposition "
+        yield f"{pad}  CHANNELS {3 if node.depth else 6} {position}Zrotation Xrotation Yrotation"
+        if node.end is not None:
+            yield from (f"{pad}  End Site", pad + "  {", f"{pad}    {offset(node.end)}", pad + "  }")
+        open_at.append(node.depth)
+    while open_at:
+        yield "  " * open_at.pop() + "}"

@@ -1,0 +1,43 @@
+"""C3D, biomechanics' marker file: millimetres, z up, an even rate; a gap is a point with residual -1."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from recordings.errors import RecordingError
+from recordings.export.even_frames import at_even_frames, even_frames
+from recordings.session import Session
+
+
+def write_c3d(session: Session, path: Path) -> None:
+    """S* as points labelled after the joints: x right, y forward, z up, as seen from K_A.
+
+    Raises:
+        RecordingError: ``ezc3d`` is not installed.
+    """
+    try:
+        import ezc3d
+    except ImportError:
+        raise RecordingError(
+            "Writing .c3d needs the package ezc3d: pip install 'duplex-kinects[export]'."
+        ) from None
+    even = even_frames(session.rows)
+    at = at_even_frames(session.rows.fused, even) * 1e3  # (N, J, 3)
+    N, J = at.shape[:2]
+    points = np.full((4, J, N), np.nan)
+    points[:3] = (at[..., [0, 2, 1]] * [1.0, 1.0, -1.0]).transpose(2, 1, 0)
+    gap = np.isnan(points[0])
+    points[3] = 1.0
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    file["parameters"]["POINT"]["RATE"]["value"] = [even.rate]
+    file["parameters"]["POINT"]["LABELS"]["value"] = list(session.body.joints)
+    file.add_parameter("POINT", "X_SCREEN", ["+X"])
+    file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
+    file["data"]["points"] = points
+    file["data"]["meta_points"]["residuals"] = np.where(gap, -1.0, 0.0)[None]
+    file["data"]["meta_points"]["camera_masks"] = np.zeros((7, J, N), dtype=bool)
+    file["data"]["analogs"] = np.zeros((1, 0, N))
+    file.write(str(path))

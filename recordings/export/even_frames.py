@@ -1,0 +1,61 @@
+"""Frames at an even rate, for formats that know a rate and no times; and the axes such formats want."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.arrays import SessionArrays
+
+_STANDARD_RATES = (5.0, 15.0, 30.0, 60.0)
+_STANDARD_WITHIN = 0.05
+_LONG_PAUSE = 3.0  # median intervals
+
+
+@dataclass(frozen=True, eq=False)
+class EvenFrames:
+    """Which recorded frame stands for which moment of an even rate.
+
+    No frame is made up: sensors' intervals vary by some milliseconds, and interpolating would bend bones.
+
+    Attributes:
+        rate: Frames a second.
+        index: (N,) the recorded frame nearest to each moment; -1 where none is near.
+    """
+
+    rate: float
+    index: NDArray[np.int64]
+
+
+def even_frames(rows: SessionArrays) -> EvenFrames:
+    """The nearest recorded frame to each moment k / rate since the first frame.
+
+    The rate is that of the recording without its pauses: 5, 15, 30 or 60 where it is within 5 % of that.
+    """
+    time = rows.time_ns * 1e-9
+    if len(time) < 2:
+        return EvenFrames(30.0, np.zeros(len(time), dtype=np.int64))
+    steps = np.diff(time)
+    rate = float(1.0 / steps[steps <= _LONG_PAUSE * np.median(steps)].mean())
+    nearest = min(_STANDARD_RATES, key=lambda standard: abs(standard - rate))
+    if abs(nearest - rate) <= _STANDARD_WITHIN * nearest:
+        rate = nearest
+    moments = np.arange(round((time[-1] - time[0]) * rate) + 1) / rate + time[0]
+    after = np.clip(np.searchsorted(time, moments), 1, len(time) - 1)
+    index = np.where(moments - time[after - 1] <= time[after] - moments, after - 1, after)
+    index[np.abs(time[index] - moments) > 1.0 / rate] = -1
+    return EvenFrames(rate, index.astype(np.int64))
+
+
+def at_even_frames(values: NDArray[np.float64], even: EvenFrames) -> NDArray[np.float64]:
+    """(N, …) values at the even moments, NaN where there is no frame."""
+    taken = values[even.index].copy()
+    taken[even.index < 0] = np.nan
+    return taken
+
+
+def y_up(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(…, 3) from K_A's frame (x right, y down, z forward) to x right, y up, z towards the sensor."""
+    return np.asarray(positions * np.array([1.0, -1.0, -1.0]))

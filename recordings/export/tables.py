@@ -1,0 +1,93 @@
+"""Sessions as tables: CSV, Parquet and NumPy's .npz. Metres and seconds, K_A's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+from numpy.typing import NDArray
+
+from recordings.arrays import SessionArrays
+from recordings.session import Session
+
+_STATES = np.array(["not_tracked", "inferred", "tracked"])
+_FUSED_STATES = np.array(["fused", "predicted"])
+
+
+def write_long_csv(session: Session, path: Path) -> None:
+    """A row a joint, skeleton and frame; empty cells where a joint has no position."""
+    pyarrow.csv.write_csv(long_table(session), path)
+
+
+def write_wide_csv(session: Session, path: Path) -> None:
+    """A row a frame with S* alone: ``frame, time_s, <joint>_x, <joint>_y, <joint>_z, …``."""
+    rows = session.rows
+    columns: dict[str, pa.Array] = {"frame": pa.array(rows.frame), "time_s": pa.array(rows.time_ns * 1e-9)}
+    for j, joint in enumerate(rows.body.joints):
+        for axis in range(3):
+            columns[f"{joint}_{'xyz'[axis]}"] = pa.array(rows.fused[:, j, axis], from_pandas=True)
+    pyarrow.csv.write_csv(pa.table(columns), path)
+
+
+def write_parquet(session: Session, path: Path) -> None:
+    """The rows of :func:`write_long_csv`; null where a joint has no position."""
+    table = long_table(session)
+    about = {
+        "units": "metres, seconds",
+        "frame": "K_A: x right, y down, z forward",
+        "body": session.body.name,
+        "frame_rate": f"{session.frame_rate:.6g}",
+    }
+    pyarrow.parquet.write_table(table.replace_schema_metadata(about), path)
+
+
+def write_npz(session: Session, path: Path) -> None:
+    """Every array of :class:`recordings.arrays.SessionArrays` under its name; joints and bones by name."""
+    rows = session.rows
+    arrays = {f.name: getattr(rows, f.name) for f in fields(SessionArrays) if f.name != "body"}
+    with path.open("wb") as file:
+        np.savez_compressed(
+            file,
+            **arrays,
+            body=np.array(rows.body.name),
+            joints=np.array(rows.body.joints),
+            bones=np.array(rows.body.bones),
+            parents=rows.body.parent_indices,
+        )
+
+
+def long_table(session: Session) -> pa.Table:
+    """``frame, time_s, skeleton (a, b, fused), joint, x, y, z, state, weight``; S_B laid into K_A's frame."""
+    rows = session.rows
+    T, J = rows.predicted.shape
+    parts = []
+    for name, positions, states, weights in _skeletons(rows):
+        at = positions.reshape(-1, 3)
+        parts.append(
+            pa.table(
+                {
+                    "frame": np.repeat(rows.frame, J),
+                    "time_s": np.repeat(rows.time_ns * 1e-9, J),
+                    "skeleton": pa.array([name]).take(pa.array(np.zeros(T * J, dtype=np.int64))),
+                    "joint": np.tile(np.array(rows.body.joints), T),
+                    **{axis: pa.array(at[:, k], from_pandas=True) for k, axis in enumerate("xyz")},
+                    "state": states.ravel(),
+                    "weight": pa.array(weights.astype(np.float64).ravel(), from_pandas=True),
+                }
+            )
+        )
+    return pa.concat_tables(parts)
+
+
+def _skeletons(
+    rows: SessionArrays,
+) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.str_], NDArray[np.float32]]]:
+    yield "a", rows.positions_a.astype(np.float64), _STATES[rows.states_a], rows.weights_a
+    yield "b", rows.b_in_a, _STATES[rows.states_b], rows.weights_b
+    nothing = np.full(rows.predicted.shape, np.nan, dtype=np.float32)
+    yield "fused", rows.fused, _FUSED_STATES[rows.predicted.astype(np.int64)], nothing

@@ -1,0 +1,87 @@
+"""A session written anew: trimmed, or in larger blocks. Frames stay as they are, nothing is fused again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import rerun as rr
+
+from recordings import layout
+from recordings.errors import RecordingError
+from recordings.recorder import Recorder
+from recordings.rrd_file import damage_of
+from recordings.session import Session
+
+_BLOCK = 2048
+_FLUSH_WITHIN = 60.0
+
+
+def rewrite(
+    session: Session, path: Path, blueprint: Any = None, first: int = 0, end: int | None = None
+) -> None:
+    """Writes frames `first` up to, without, `end` of a session into a new file.
+
+    The new session's frames count from 0 and its time starts with them; ``first_frame`` among its properties
+    keeps where they came from.
+
+    Raises:
+        RecordingError: There is no such frame.
+        OSError: The file is not whole afterwards.
+    """
+    end = len(session) if end is None else min(end, len(session))
+    if not 0 <= first < end:
+        raise RecordingError(f"{session.path} has {len(session)} frames; none from {first} to {end}.")
+    about: dict[str, str | int] = {"first_frame": session.first_frame + first}
+    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+    stream.set_sinks(rr.FileSink(str(path)), default_blueprint=blueprint)
+    try:
+        segments = [(fuser, own) for fuser, own in session.fusers() if own.stop > first and own.start < end]
+        recorder = Recorder(stream, segments[0][0], session.sources, about=about)
+        start_ns = int(session.rows.time_ns[first])
+        for event in session.events:
+            if event.frame is None:
+                recorder.event(event.text, event.level)
+        for fuser, own in segments:
+            if own.start > first:
+                recorder.calibrate(fuser)
+            stop = min(own.stop, end)
+            for begin in range(max(own.start, first), stop, _BLOCK):
+                block = slice(begin, min(begin + _BLOCK, stop))
+                rows = session.rows[block]
+                rows = replace(
+                    rows,
+                    frame=rows.frame - first,
+                    time_ns=rows.time_ns - start_ns,
+                    bone_lengths=fuser.calibration.bone_lengths,
+                )
+                recorder.record_rows(rows, session.fused_checksums[block])
+        for side in layout.SIDES:
+            for frame, image in session.depth(side):
+                if first <= frame < end:
+                    time_ns = int(session.rows.time_ns[frame]) - start_ns
+                    recorder.record_depth(side, frame - first, time_ns, image)
+        for event in session.events:
+            if event.frame is not None and event.time_ns is not None and first <= event.frame < end:
+                recorder.event(event.text, event.level, (event.frame - first, event.time_ns - start_ns))
+        recorder.finish()
+        stream.flush(timeout_sec=_FLUSH_WITHIN)
+    finally:
+        stream.disconnect()
+    check_whole(path)
+
+
+def check_whole(path: Path) -> None:
+    """Finds out whether everything that was logged has reached the file.
+
+    Raises:
+        OSError: It has not; the disk is full, as a rule.
+    """
+    try:
+        damage = damage_of(path)
+    except RecordingError as error:
+        raise OSError(str(error)) from None
+    if damage is not None:
+        raise OSError(f"{damage}; the disk may be full")

@@ -1,0 +1,312 @@
+"""An ``.rrd`` file as columns of numbers, whatever happened to it: cut off, damaged, or still growing.
+
+Rerun's own reader is not asked, because it ends the whole process where a byte is wrong. The file is a chain
+of messages, each with its kind and length before it; those of kind 2 hold one chunk of one entity as an
+Arrow stream packed with LZ4. A message that cannot be unpacked is left out, and the rest is read all the
+same.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from recordings import layout
+from recordings.errors import RecordingError
+
+PROPERTIES = "/__properties"
+
+_MAGIC = b"RRF2"
+_FILE_HEADER = 12
+_MESSAGE = struct.Struct("<QQ")  # kind, length of what follows
+_END, _CHUNK, _LAST_KIND = 0, 2, 3
+# fields of a chunk's message, and what some of their values mean
+_STORE, _PACKING, _SIZE, _PAYLOAD = 1, 2, 3, 5
+_RECORDING, _LZ4 = 1, 2
+END_OF_FILE = _MESSAGE.pack(_END, 0)
+"""Ends a file that has no table of contents."""
+_LZ4_RATIO = 255  # the most that LZ4 can pack: a message that claims more would only fill the memory
+_ENTITY = b"rerun:entity_path"
+# EncodedDepthImage, as far as it is sure to stand unpacked: "depth" has been in the entity's path before
+_IMAGE, _IMAGE_WITHIN = b"Encoded", 2048
+
+
+_DAMAGED = (pa.ArrowException, ValueError, TypeError, LookupError, AttributeError, OSError, MemoryError)
+"""What unpacking bytes that make no sense can raise."""
+
+
+@dataclass
+class Columns:
+    """What a file holds, but for images.
+
+    Attributes:
+        properties: Values by property and component name.
+        values: By (entity, component): frame numbers (N,) and a value each, (N, …), as stored.
+        texts: Of the text log: (frame or None, time or None, {component: value}).
+        logged: By entity, of those logged now and then: (frame, {component: values}).
+        damage: What is wrong with the file; None where it is whole.
+    """
+
+    properties: dict[str, dict[str, list[Any]]] = field(default_factory=dict)
+    values: dict[tuple[str, str], tuple[NDArray[np.int64], NDArray[Any]]] = field(default_factory=dict)
+    texts: list[tuple[int | None, int | None, dict[str, Any]]] = field(default_factory=list)
+    logged: dict[str, list[tuple[int, dict[str, Any]]]] = field(default_factory=dict)
+    damage: str | None = None
+
+
+def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
+    """Everything of the entities wanted.
+
+    Raises:
+        RecordingError: The file cannot be read, or is no such file.
+    """
+    found = Columns()
+    parts: dict[tuple[str, str], list[tuple[NDArray[np.int64], NDArray[Any]]]] = {}
+    with RrdFile(path) as file:
+        for entity, batch in file.chunks(images=False):
+            if wanted(entity):
+                _take(entity, batch, found, parts)
+        found.damage = file.damage
+    for key, pieces in parts.items():
+        shape = pieces[0][1].shape[1:]
+        fitting = [p for p in pieces if p[1].shape[1:] == shape and p[1].dtype == pieces[0][1].dtype]
+        found.values[key] = (
+            np.concatenate([frames for frames, _ in fitting]),
+            np.concatenate([values for _, values in fitting]),
+        )
+    return found
+
+
+class RrdFile:
+    """The messages of a file, as many as there are when it is opened.
+
+    Attributes:
+        damage: What was found to be wrong so far; None where nothing was.
+
+    Raises:
+        RecordingError: It cannot be read, or is no such file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.damage: str | None = None
+        self._path = path
+        try:
+            if path.is_dir():
+                raise RecordingError(f"{path} is a folder, not a session.")
+            with path.open("rb") as file:
+                start = file.read(_FILE_HEADER)
+                if start[:4] != _MAGIC:
+                    raise RecordingError(f"{path} is no session: it does not begin as an .rrd file does.")
+                self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except FileNotFoundError:
+            raise RecordingError(f"No session {path}.") from None
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from None
+
+    def __enter__(self) -> RrdFile:
+        """Itself."""
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Closes the file."""
+        self._data.close()
+
+    def messages(self) -> Iterator[tuple[int, int, int]]:
+        """Kind, beginning and end of each message's content, up to the end or the first that is not whole."""
+        at, size = _FILE_HEADER, len(self._data)
+        while at + _MESSAGE.size <= size:
+            kind, length = _MESSAGE.unpack_from(self._data, at)
+            begin, end = at + _MESSAGE.size, at + _MESSAGE.size + length
+            if kind > _LAST_KIND:
+                self._wrong(f"byte {at} is damaged")
+                return
+            if end > size:
+                self._wrong(f"it is cut off at byte {size}")
+                return
+            yield kind, begin, end
+            if kind == _END:
+                return
+            at = end
+        self._wrong("it was not ended")
+
+    def chunks(self, images: bool) -> Iterator[tuple[str, pa.RecordBatch]]:
+        """Entity and content of each chunk of the recording, in the order they were written.
+
+        Args:
+            images: With depth images; those need not even be unpacked where they are not wanted.
+        """
+        for kind, begin, end in self.messages():
+            if kind != _CHUNK:
+                continue
+            if not images and self._data.find(_IMAGE, begin, min(begin + _IMAGE_WITHIN, end)) >= 0:
+                continue
+            try:
+                chunk = _unpack(self._data[begin:end])
+            except _DAMAGED:
+                self._wrong(f"the message at byte {begin} is damaged")
+                continue
+            if chunk is not None:
+                yield chunk
+
+    def _wrong(self, what: str) -> None:
+        self.damage = self.damage or what
+
+
+def damage_of(path: Path) -> str | None:
+    """What is wrong with how a file ends; None where it is whole.
+
+    Raises:
+        RecordingError: It cannot be read, or is no such file.
+    """
+    with RrdFile(path) as file:
+        for _ in file.messages():
+            pass
+        return file.damage
+
+
+def without_footer(rrd: bytes, with_header: bool) -> bytes:
+    """The messages of a whole ``.rrd`` in memory, to be followed by more.
+
+    Rerun's binary stream gives a whole file, header and footer, each time it is read.
+    """
+    at = _FILE_HEADER
+    while at < len(rrd):
+        kind, length = _MESSAGE.unpack_from(rrd, at)
+        if kind == _END:
+            break
+        at += _MESSAGE.size + length
+    return rrd[0 if with_header else _FILE_HEADER : at]
+
+
+def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:
+    """Entity and content of a chunk; None where it belongs to a blueprint.
+
+    Raises:
+        Exception: One of _DAMAGED where it is damaged.
+    """
+    fields = _fields(message)
+    if _fields(fields[_STORE]).get(1) != _RECORDING:
+        return None
+    payload = fields[_PAYLOAD]
+    if fields[_PACKING] == _LZ4:
+        if fields[_SIZE] > _LZ4_RATIO * len(payload):
+            raise ValueError("claims more than it can hold")
+        payload = pa.Codec("lz4_raw").decompress(payload, fields[_SIZE])
+    with pa.ipc.open_stream(payload) as stream:
+        batch = stream.read_next_batch()
+    batch.validate(full=True)
+    if len(set(batch.schema.names)) != len(batch.schema.names):
+        raise ValueError("two columns of one name")
+    return (batch.schema.metadata or {})[_ENTITY].decode(), batch
+
+
+def _fields(message: bytes) -> dict[int, Any]:
+    """The fields of a protobuf message by number: an int or bytes each."""
+    fields: dict[int, Any] = {}
+    at = 0
+    while at < len(message):
+        tag, at = _varint(message, at)
+        wire = tag & 7
+        if wire == 0:
+            fields[tag >> 3], at = _varint(message, at)
+            continue
+        if wire == 2:
+            length, at = _varint(message, at)
+        else:
+            length = {1: 8, 5: 4}[wire]
+        if at + length > len(message):
+            raise ValueError("a field is longer than its message")
+        fields[tag >> 3] = message[at : at + length]
+        at += length
+    return fields
+
+
+def _varint(message: bytes, at: int) -> tuple[int, int]:
+    value = shift = 0
+    while shift < 70:
+        byte = message[at]
+        value |= (byte & 127) << shift
+        at, shift = at + 1, shift + 7
+        if byte < 128:
+            return value, at
+    raise ValueError("a number has no end")
+
+
+def _take(
+    entity: str,
+    batch: pa.RecordBatch,
+    found: Columns,
+    parts: dict[tuple[str, str], list[tuple[NDArray[np.int64], NDArray[Any]]]],
+) -> None:
+    names = batch.schema.names
+    if entity.startswith(f"{PROPERTIES}/"):
+        values = found.properties.setdefault(entity.removeprefix(f"{PROPERTIES}/"), {})
+        for name in names[1:]:
+            value = batch.column(name).to_pylist()
+            if value and isinstance(value[-1], list) and value[-1]:
+                values[name] = value[-1]
+        return
+    if entity == layout.EVENTS:
+        found.texts += _texts(batch)
+        return
+    if layout.FRAME not in names:
+        return
+    if entity == layout.CALIBRATION:
+        of_entity = found.logged.setdefault(entity, [])
+        components = [name for name in names[1:] if name not in (layout.FRAME, layout.TIME, "log_time")]
+        for frame, _, row in _texts(batch):
+            of_entity.append((frame or 0, {name: row[name] for name in components}))
+        return
+    frames = np.asarray(batch.column(layout.FRAME).to_numpy(zero_copy_only=False))
+    if frames.dtype != np.int64:
+        return
+    for name, column in [*zip(names, batch.columns, strict=True)][1:]:
+        if name == layout.FRAME:
+            continue
+        dense = _dense(column)
+        if dense is not None and len(dense) == len(frames):
+            parts.setdefault((entity, name), []).append((frames, dense))
+
+
+def _texts(batch: pa.RecordBatch) -> list[tuple[int | None, int | None, dict[str, Any]]]:
+    def column(name: str) -> list[Any]:
+        if name not in batch.schema.names:
+            return [None] * batch.num_rows
+        values = batch.column(name)
+        if pa.types.is_duration(values.type):
+            values = values.cast(pa.int64())
+        return list(values.to_pylist())
+
+    rows = {name: column(name) for name in batch.schema.names[1:]}
+    return [
+        (frame, time, {name: values[k] for name, values in rows.items()})
+        for k, (frame, time) in enumerate(zip(column(layout.FRAME), column(layout.TIME), strict=True))
+    ]
+
+
+def _dense(column: pa.Array) -> NDArray[Any] | None:
+    """(N, …) of a list column whose rows are of one length; None where they are not, or are no numbers."""
+    shape = [len(column)]
+    if pa.types.is_list(column.type) or pa.types.is_large_list(column.type):
+        lengths = np.unique(np.diff(np.asarray(column.offsets)))
+        if column.null_count or len(lengths) != 1:
+            return None
+        shape.append(int(lengths[0]))
+        column = column.flatten()
+    while pa.types.is_fixed_size_list(column.type):
+        shape.append(column.type.list_size)
+        column = column.flatten()
+    if pa.types.is_duration(column.type):
+        column = column.cast(pa.int64())
+    if column.null_count or not (pa.types.is_primitive(column.type)):
+        return None
+    values = np.asarray(column.to_numpy(zero_copy_only=False))
+    return values.reshape(shape) if values.size == np.prod(shape) else None

@@ -1,0 +1,104 @@
+"""For tests, a user's own among them: fuse pairs into a session without any viewer, and compare sessions.
+
+::
+
+    from recordings.testing import assert_sessions_match, fused_run
+
+    def test_my_change(fused_run):
+        assert_sessions_match(fused_run(pairs, calibration), "expected.rrd", position_mm=1.0)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from uuid import uuid4
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from devices.pairing import FramePair
+from fusion.calibration import Calibration
+from fusion.fuser import Fuser, FuserSettings
+from recordings import layout
+from recordings.arrays import RecordedFrame
+from recordings.recorder import Recorder
+from recordings.session import Session
+
+FusedRun = Callable[..., Session]
+
+
+def record_fused(
+    path: Path,
+    pairs: Iterable[FramePair],
+    calibration: Calibration,
+    settings: FuserSettings | None = None,
+    depth_every: int = 0,
+    block: int = 256,
+) -> Session:
+    """Fuses pairs, records them into a file, and reads it back.
+
+    Args:
+        path: The file; overwritten.
+        pairs: At least one.
+        calibration: R, t and the bone lengths.
+        settings: The method's choices.
+        depth_every: Keep the depth images of every so many pairs; 0 for none.
+        block: Frames written at a time.
+    """
+    fuser = Fuser(calibration, settings)
+    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+    stream.save(path)
+    try:
+        recorder = Recorder(stream, fuser, ("a", "b"), depth_every)
+        recorder.event(f"calibrated: {calibration.how}")
+        frames = [RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
+        for first in range(0, len(frames), block):
+            recorder.record_all(frames[first : first + block])
+        recorder.finish()
+    finally:
+        stream.disconnect()
+    return Session.open(path)
+
+
+@pytest.fixture
+def fused_run(tmp_path: Path) -> FusedRun:
+    """A function like :func:`record_fused` without the path; each call records a session of its own."""
+    return lambda *pairs_and_calibration, **more: record_fused(
+        tmp_path / f"{uuid4()}.rrd", *pairs_and_calibration, **more
+    )
+
+
+def assert_sessions_match(
+    actual: Session | str | Path, expected: Session | str | Path, *, position_mm: float
+) -> None:
+    """Fails where S* of two sessions of one capture differs, and says at which frame and joint.
+
+    Args:
+        actual, expected: Sessions or their files.
+        position_mm: How far a joint may be from the expected one; 0 asks for the same bits.
+
+    Raises:
+        AssertionError: Another body, another number of frames, S* missing in one of them, or too far apart.
+    """
+    one, two = (s if isinstance(s, Session) else Session.open(s) for s in (actual, expected))
+    assert one.body is two.body, f"{one.path} is of {one.body.name}, {two.path} of {two.body.name}"
+    assert len(one) == len(two), f"{one.path} has {len(one)} frames, {two.path} has {len(two)}"
+    assert one.damage is None, f"{one.path}: {one.damage}"
+    assert two.damage is None, f"{two.path}: {two.damage}"
+    for t in np.flatnonzero((np.isnan(one.rows.fused) != np.isnan(two.rows.fused)).any(axis=(1, 2)))[:1]:
+        raise AssertionError(f"frame {t}: only one of the sessions has an S*")
+    if position_mm == 0.0:
+        for t in np.flatnonzero(one.fused_checksums != two.fused_checksums)[:1]:
+            raise AssertionError(f"frame {t}: S* differs")
+    apart = np.linalg.norm(one.rows.fused - two.rows.fused, axis=2) * 1e3
+    far = np.argwhere(apart > position_mm)
+    if len(far):
+        t, j = far[0]
+        worst = np.unravel_index(np.nanargmax(apart), apart.shape)
+        raise AssertionError(
+            f"S* differs by more than {position_mm:g} mm at {len(far)} joints, first at frame {t}, "
+            f"{one.body.joints[j]}: {apart[t, j]:.3g} mm; most at frame {worst[0]}, "
+            f"{one.body.joints[worst[1]]}: {apart[worst]:.3g} mm"
+        )

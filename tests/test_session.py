@@ -1,0 +1,187 @@
+"""What is read back is what was written; what is damaged says so."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
+from fusion.fuser import Fuser, FuserSettings
+from recordings import layout
+from recordings.checksums import frame_checksums, fused_checksums
+from recordings.errors import RecordingError
+from recordings.rewriting import rewrite
+from recordings.session import Session
+from recordings.testing import FusedRun, assert_sessions_match, fused_run, record_fused
+from tests import campaign_sessions
+from tests.frame_pairs import calibration_of, frame_pairs
+
+__all__ = ["fused_run"]  # a fixture
+
+FRAMES = 70
+
+
+@pytest.fixture(params=BODIES.values(), ids=str)
+def body(request: pytest.FixtureRequest) -> Body:
+    found: Body = request.param
+    return found
+
+
+def full_of_faults(body: Body) -> list:  # type: ignore[type-arg]
+    return frame_pairs(body, FRAMES, gap=(7, 40, 41), only_a=(9, 10), no_b=(15,), jitter_ns=3_000_000)
+
+
+def test_a_session_gives_back_what_the_sensors_said(body: Body, fused_run: FusedRun) -> None:
+    pairs = full_of_faults(body)
+    session = fused_run(pairs, calibration_of(body))
+    assert (len(session), session.damage, session.frames_lost) == (FRAMES, None, 0)
+    for pair, again in zip(pairs, session.pairs(), strict=True):
+        assert (again.b is None) == (pair.b is None)
+        assert again.time_ns == pair.time_ns - pairs[0].time_ns
+        assert again.skew_ns == pair.skew_ns
+        for one, two in ((pair.skeletons.a, again.skeletons.a), (pair.skeletons.b, again.skeletons.b)):
+            assert (one is None) == (two is None)
+            if one is not None and two is not None:
+                np.testing.assert_array_equal(one.positions, two.positions)
+                np.testing.assert_array_equal(one.states, two.states)
+                assert one.time_ns == two.time_ns
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [FuserSettings(), FuserSettings(h=0.9), FuserSettings(solver="paper"), FuserSettings(weights="equal")],
+    ids=str,
+)
+def test_fusing_a_session_again_gives_the_same_bits(settings: FuserSettings, fused_run: FusedRun) -> None:
+    session = fused_run(full_of_faults(KINECT_V2), calibration_of(KINECT_V2), settings)
+    assert session.settings == settings
+    ((fuser, _),) = session.fusers()
+    again = [fuser.update(pair.skeletons) for pair in session.pairs()]
+    fused = np.array([frame.positions for frame in again])
+    np.testing.assert_array_equal(fused_checksums(fused), session.fused_checksums)
+    np.testing.assert_array_equal([frame.stale_a for frame in again], session.rows.stale_a)
+    np.testing.assert_array_equal([frame.a_from_b.translation for frame in again], session.rows.translation)
+
+
+def test_the_checksum_of_s_notices_the_last_bit() -> None:
+    fused = np.random.default_rng(0).normal(size=(3, 20, 3))
+    nudged = fused.copy()
+    nudged[1, 4, 2] = np.nextafter(nudged[1, 4, 2], 9.0)
+    assert (fused_checksums(fused) == fused_checksums(nudged)).tolist() == [True, False, True]
+
+
+def test_calibration_intrinsics_and_events_are_kept(fused_run: FusedRun) -> None:
+    calibration = calibration_of(KINECT_V1)
+    session = fused_run(full_of_faults(KINECT_V1), calibration)
+    np.testing.assert_array_equal(session.calibration.a_from_b.rotation, calibration.a_from_b.rotation)
+    np.testing.assert_array_equal(session.calibration.a_from_b.translation, calibration.a_from_b.translation)
+    np.testing.assert_array_equal(session.calibration.bone_lengths, calibration.bone_lengths)
+    assert session.intrinsics_b == Fuser(calibration).intrinsics_b
+    assert [event.text for event in session.events] == ["calibrated: known truth"]
+
+
+def test_depth_comes_back_exactly_and_only_when_asked_for(fused_run: FusedRun) -> None:
+    pairs = frame_pairs(KINECT_V1, 12, no_b=(4,), depth=True)
+    session = fused_run(pairs, calibration_of(KINECT_V1), depth_every=2)
+    images = dict(session.depth("b"))
+    assert sorted(images) == [0, 2, 6, 8, 10]
+    for frame, image in images.items():
+        expected = pairs[frame].b
+        assert expected is not None
+        np.testing.assert_array_equal(image, expected.depth)
+    with_depth = list(session.pairs(depth=True))
+    assert with_depth[2].a is not None
+    assert with_depth[3].a is not None
+    np.testing.assert_array_equal(with_depth[2].a.depth, dict(session.depth("a"))[2])
+    assert with_depth[3].a.depth is None
+
+
+def test_a_rewritten_session_has_the_same_frames(fused_run: FusedRun, tmp_path: Path) -> None:
+    session = fused_run(frame_pairs(KINECT_V1, 30, depth=True), calibration_of(KINECT_V1), depth_every=1)
+    rewrite(session, tmp_path / "part.rrd", None, 10, 25)
+    part = Session.open(tmp_path / "part.rrd")
+    assert (len(part), part.first_frame, part.damage) == (15, 10, None)
+    np.testing.assert_array_equal(part.rows.fused, session.rows.fused[10:25])
+    np.testing.assert_array_equal(part.fused_checksums, session.fused_checksums[10:25])
+    assert part.rows.time_ns[0] == 0
+    np.testing.assert_array_equal(dict(part.depth("a"))[3], dict(session.depth("a"))[13])
+
+
+def test_a_cut_off_session_gives_the_frames_before(tmp_path: Path) -> None:
+    whole = record_fused(tmp_path / "s.rrd", full_of_faults(KINECT_V1), calibration_of(KINECT_V1), block=10)
+    data = whole.path.read_bytes()
+    (tmp_path / "cut.rrd").write_bytes(data[: int(0.4 * len(data))])
+    cut = Session.open(tmp_path / "cut.rrd")
+    assert 0 < len(cut) < FRAMES
+    assert len(cut) % 10 == 0
+    assert cut.damage is not None
+    assert "cut off" in cut.damage
+    np.testing.assert_array_equal(frame_checksums(cut.rows), frame_checksums(whole.rows)[: len(cut)])
+
+
+def test_a_flipped_number_is_noticed_and_counted(tmp_path: Path) -> None:
+    whole = record_fused(tmp_path / "s.rrd", full_of_faults(KINECT_V1), calibration_of(KINECT_V1), block=10)
+    data = bytearray(whole.path.read_bytes())
+    needle = whole.rows.positions_a[33, 5].tobytes()  # stands as it is: it does not compress
+    assert data.count(needle) == 1
+    data[data.index(needle) + 2] ^= 1
+    (tmp_path / "flipped.rrd").write_bytes(bytes(data))
+    flipped = Session.open(tmp_path / "flipped.rrd")
+    assert len(flipped) == 33
+    assert flipped.frames_lost == FRAMES - 33
+    assert flipped.damage is not None
+    assert "frame 33" in flipped.damage
+
+
+def test_random_damage_gives_the_beginning_or_one_line(tmp_path: Path) -> None:
+    outcomes, wrong = campaign_sessions.campaign(60, tmp_path)
+    assert wrong == []
+    assert outcomes["beginning"] > 0
+    assert outcomes["refused"] < 30
+
+
+def test_files_that_are_no_sessions_are_named_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "text.rrd").write_text("hello, world\n", encoding="utf-8")
+    (tmp_path / "empty.rrd").touch()
+    stream = rr.RecordingStream("something_else")
+    stream.save(tmp_path / "other.rrd")
+    stream.log("x", rr.TextLog("y"))
+    stream.disconnect()
+    for name, words in (
+        ("missing.rrd", "No session"),
+        ("text.rrd", "does not begin as an .rrd"),
+        ("empty.rrd", "no session"),
+        ("other.rrd", "no session of duplex-kinects"),
+        (".", "is a folder"),
+    ):
+        with pytest.raises(RecordingError, match=words) as error:
+            Session.open(tmp_path / name)
+        assert "\n" not in str(error.value)
+
+
+def test_another_layout_says_which_version_wrote_it(
+    monkeypatch: pytest.MonkeyPatch, fused_run: FusedRun
+) -> None:
+    monkeypatch.setattr(layout, "VERSION", 1)
+    old = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1))
+    monkeypatch.undo()
+    with pytest.raises(RecordingError, match=r"layout 1, written by duplex-kinects .*reads layout 2"):
+        Session.open(old.path)
+
+
+def test_sessions_that_match_and_that_do_not(fused_run: FusedRun) -> None:
+    pairs, calibration = full_of_faults(KINECT_V1), calibration_of(KINECT_V1)
+    one, two = fused_run(pairs, calibration), fused_run(pairs, calibration)
+    assert_sessions_match(one, two, position_mm=0.0)
+    other = fused_run(pairs, calibration, FuserSettings(weights="equal"))
+    with pytest.raises(AssertionError, match=r"first at frame \d+, \w+"):
+        assert_sessions_match(other, one, position_mm=1.0)
+    assert_sessions_match(other, one.path, position_mm=500.0)
+    shorter = fused_run(pairs[:-1], calibration)
+    with pytest.raises(AssertionError, match="frames"):
+        assert_sessions_match(shorter, one, position_mm=1.0)
+    nudged = replace(one, fused_checksums=one.fused_checksums + np.uint32(1))
+    with pytest.raises(AssertionError, match=r"frame 0: S\* differs"):
+        assert_sessions_match(nudged, one, position_mm=0.0)

@@ -1,0 +1,172 @@
+"""``duplex replay``, ``compare``, ``review``, ``export``, ``trim`` and ``info`` from the outside."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion.body import KINECT_V2
+from recordings.session import Session
+from recordings.testing import FusedRun, fused_run
+from tests.frame_pairs import calibration_of, frame_pairs
+from tests.test_fuse_command import REAL, duplex, one_line
+
+__all__ = ["fused_run"]  # a fixture
+
+
+@pytest.fixture
+def session(fused_run: FusedRun) -> Path:
+    pairs = frame_pairs(KINECT_V2, 90, gap=(30,), no_b=(20,), depth=True)
+    return fused_run(pairs, calibration_of(KINECT_V2), depth_every=1).path
+
+
+def test_a_replay_is_verified_and_can_be_replayed_again(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    again = tmp_path / "again.rrd"
+    assert duplex("replay", session, "--verify", "--save", again) == 0
+    assert "all 90 frames is the recorded one, bit for bit" in capsys.readouterr().out.replace("\n", " ")
+    assert duplex("replay", again, "--verify") == 0
+    one, two = Session.open(session), Session.open(again)
+    np.testing.assert_array_equal(one.fused_checksums, two.fused_checksums)
+    np.testing.assert_array_equal(dict(one.depth("b"))[60], dict(two.depth("b"))[60])
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_recordings_replay_bit_for_bit(name: str, shared: Path, tmp_path: Path) -> None:
+    folder, saved = shared / "real" / f"kinect_v2_90deg_{name}", tmp_path / "s.rrd"
+    assert duplex("fuse", folder / "a.csv", folder / "b.csv", "--no-viewer", "--save", saved) == 0
+    assert duplex("replay", saved, "--verify") == 0
+
+
+def test_a_difference_is_exit_code_1_with_frame_and_joint(
+    session: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    true_fusers = Session.fusers
+
+    def biased(self: Session, *arguments: object) -> object:
+        self.calibration.bone_lengths[KINECT_V2.joint("WristLeft")] *= 1.001
+        return true_fusers(self, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Session, "fusers", biased)
+    assert duplex("replay", session, "--verify") == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "S* differs from the recorded one in 89 of 90 frames, first at frame 0, joint" in said
+
+
+def test_verifying_other_settings_is_refused(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert duplex("replay", session, "--verify", "--h", "0.9") == 2
+    assert "duplex compare" in one_line(capsys)
+
+
+def test_a_replay_with_other_settings_is_compared_with_the_first(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other, compared = tmp_path / "equal.rrd", tmp_path / "compared.rrd"
+    assert duplex("replay", session, "--no-viewer", "--weights", "equal", "--save", other) == 0
+    capsys.readouterr()
+    assert duplex("compare", session, other, "--no-viewer", "--save", compared, "--worst", "3") == 0
+    said = capsys.readouterr().out
+    assert "weights: paper against equal" in said
+    assert "90 frames in common" in said
+    assert said.count(" differs by ") == 3
+    assert compared.stat().st_size > 10_000
+    assert duplex("compare", session, session, "--no-viewer") == 0
+    assert "S* is the same in every frame" in capsys.readouterr().out
+
+
+def test_sessions_of_other_captures_are_not_compared(
+    session: Path, fused_run: FusedRun, capsys: pytest.CaptureFixture[str]
+) -> None:
+    later = [pair for pair in frame_pairs(KINECT_V2, 200) if pair.time_ns > 4_000_000_000]
+    other = fused_run(later, calibration_of(KINECT_V2)).path
+    assert duplex("compare", session, other, "--no-viewer") == 2
+    assert "not one capture" in one_line(capsys)
+
+
+def test_a_trimmed_session_is_a_session(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = tmp_path / "part.rrd"
+    assert duplex("trim", session, "--from", "1.0", "--to", "2.0", "--save", part) == 0
+    whole, cut = Session.open(session), Session.open(part)
+    assert len(cut) == 30  # frame 30 is 10 ns before the second
+    np.testing.assert_array_equal(cut.rows.fused, whole.rows.fused[31:61])
+    assert duplex("replay", part, "--verify") == 0
+    capsys.readouterr()
+    assert duplex("trim", session, "--from", "9", "--save", tmp_path / "none.rrd") == 2
+    assert "runs from 0 to" in one_line(capsys)
+
+
+def test_info_says_what_is_in_it_and_what_is_missing(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert duplex("info", session) == 0
+    said = capsys.readouterr().out
+    for words in (
+        "kinect_v2, 25 joints",
+        "90 in",
+        "A 90, B 89",
+        "85° apart",
+        "whole",
+        "calibrated: known truth",
+    ):
+        assert words in said
+    cut = tmp_path / "cut.rrd"
+    cut.write_bytes(session.read_bytes()[:-50])
+    assert duplex("info", cut) == 0
+    assert "cut off" in capsys.readouterr().out
+
+
+def test_export_writes_by_the_files_ending(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("s.bvh", "s.csv", "s.npz", "s.parquet", "s.trc"):
+        assert duplex("export", session, "--to", tmp_path / name) == 0
+        assert (tmp_path / name).stat().st_size > 1000
+    capsys.readouterr()
+    assert duplex("export", session, "--to", tmp_path / "s.fbx") == 2
+    assert "Known: .bvh" in one_line(capsys)
+    assert duplex("export", session, "--to", tmp_path / "s.bvh") == 2
+    assert "--force" in one_line(capsys)
+
+
+def test_the_report_of_a_replay_is_that_of_the_fusion(session: Path, tmp_path: Path) -> None:
+    report = tmp_path / "r.json"
+    assert duplex("replay", session, "--no-viewer", "--report", report) == 0
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert figures["paired"] == 90
+    assert figures["bone_error_mm"]["fused"]["max"] < 1e-3
+
+
+def test_a_damaged_session_is_one_line(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.rrd"
+    bad.write_bytes(session.read_bytes()[:3000])
+    for command in (
+        ("replay", bad),
+        ("info", bad),
+        ("review", bad),
+        ("compare", bad, session),
+        ("export", bad, "--to", tmp_path / "x.csv"),
+    ):
+        assert duplex(*command) == 2
+        assert "bad.rrd" in one_line(capsys)
+
+
+def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved, part = tmp_path / "demo.rrd", tmp_path / "part.rrd"
+    assert duplex("demo", "--no-viewer", "--seconds", "5", "--depth", "off", "--save", saved) == 0
+    session = Session.open(saved)
+    assert session.damage is None
+    assert session.rows.truth is not None
+    assert len(session.calibrations) > 1
+    assert duplex("replay", saved, "--verify") == 0
+    assert "bit for bit" in " ".join(capsys.readouterr().out.split())
+    assert duplex("trim", saved, "--from", "2", "--save", part) == 0
+    assert Session.open(part).calibrations[0][1].how == session.calibrations[-2][1].how
+    assert duplex("replay", part, "--verify") == 0

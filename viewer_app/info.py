@@ -1,0 +1,52 @@
+"""``duplex info``: what a session holds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from recordings import layout
+from recordings.session import Session
+from viewer_app.options import InfoOptions
+
+
+def run(options: InfoOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        RecordingError: With one line for the person who asked.
+    """
+    session = Session.open(options.session)
+    rows, calibration = session.rows, session.calibration
+    seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
+    size = session.path.stat().st_size
+    table = Table(show_header=False, box=None)
+
+    def row(name: str, value: object) -> None:
+        table.add_row(f"[bold]{name}[/]", str(value))
+
+    row("session", session.path)
+    row("written by", f"{session.about['session']['written_by'][0]}, layout {layout.VERSION}")
+    row("body", f"{session.body.name}, {len(session.body)} joints")
+    row("sensors", f"A {session.sources[0]}, B {session.sources[1]}")
+    row("frames", f"{len(session)} in {seconds:.2f} s, {session.frame_rate:.1f} a second")
+    row("without S*", int(rows.predicted.all(axis=1).sum()))
+    row("settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items()))
+    row("calibration", f"{calibration.how}; axes {math.degrees(calibration.axes_angle):.0f}° apart")
+    if np.isfinite(session.calibration_residual):
+        row("views differ by", f"{session.calibration_residual * 1e3:.0f} mm (median)")
+    row("depth images", ", ".join(f"{side.upper()} {session.depth_count(side)}" for side in layout.SIDES))
+    row("size", f"{size / 1e6:.1f} MB, {size / max(seconds, 1e-9) * 60 / 1e6:.1f} MB a minute")
+    row("events", len(session.events))
+    row(
+        "whole",
+        "yes" if session.damage is None else f"no: {session.damage}; {session.frames_lost} frames lost",
+    )
+    console = Console()
+    console.print(table, highlight=False)
+    for event in session.events:
+        at = "" if event.time_ns is None else f"{event.time_ns * 1e-9:8.2f} s  "
+        console.print(f"  {at}{event.text}", highlight=False, markup=False)

@@ -1,0 +1,144 @@
+"""Plots as SVG inside a page, in the page's own text colour.
+
+By matplotlib: its SVG needs no script, so a page stays small and safe to open; Plotly would add 4 MB of
+script to each, Bokeh 1 MB.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings import layout
+
+_INK = "#010203"  # stands for the page's text colour until the SVG is written
+_MOST_POINTS = 1500  # a line has a pixel or so for each
+_TRUST_COLUMNS = 600
+Line = tuple[NDArray[Any], str]
+
+
+def line_plot(
+    title: str,
+    unit: str,
+    time: NDArray[Any],
+    lines: Mapping[str, Line],
+    level: float | None = None,
+    logarithmic: bool = False,
+) -> str:
+    """Values over seconds; each line with the key of its skeleton's colour, and a dashed level."""
+    figure, axes = _figure(6.0, 2.4)
+    for name, (values, key) in lines.items():
+        at, thinned = _thinned(time, np.asarray(values, dtype=np.float64))
+        axes.plot(at, thinned, color=_color(key), linewidth=1.6 if key == "fused" else 0.8, label=name)
+    if level is not None:
+        axes.axhline(level, color=_INK, linewidth=0.9, linestyle=(0, (5, 4)))
+    if logarithmic and any(np.nanmax(values) > 0.0 for values, _ in lines.values()):
+        axes.set_yscale("log")
+    axes.set_title(title, fontsize=10, loc="left", color=_INK)
+    axes.set_xlabel("s")
+    axes.set_ylabel(unit)
+    if len(lines) > 1:
+        axes.legend(fontsize=8, frameon=False, loc="upper right", ncols=len(lines), labelcolor=_INK)
+    return _svg(figure, f"{title}, {unit}, over time")
+
+
+def bar_plot(unit: str, names: Sequence[str], bars: Mapping[str, Line]) -> str:
+    """A group of bars a name."""
+    figure, axes = _figure(11.0, 3.2)
+    at, width = np.arange(len(names)), 0.8 / len(bars)
+    for k, (name, (values, key)) in enumerate(bars.items()):
+        axes.bar(
+            at + (k - (len(bars) - 1) / 2) * width,
+            np.nan_to_num(values),
+            width,
+            color=_color(key),
+            label=name,
+        )
+    axes.set_xticks(at, names, rotation=60, ha="right", fontsize=8)
+    axes.set_ylabel(unit)
+    axes.legend(fontsize=8, frameon=False, labelcolor=_INK)
+    return _svg(figure, f"{', '.join(bars)}, {unit}, of each joint")
+
+
+def trust_map(time: NDArray[Any], names: Sequence[str], share: NDArray[Any]) -> str:
+    """(T, J) share of A, a row a joint: A's colour, B's colour, and empty where neither."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    figure, axes = _figure(11.0, 0.16 * len(names) + 1.0)
+    blocks = np.array_split(np.arange(len(time)), min(len(time), _TRUST_COLUMNS))
+    counted = np.isfinite(share)
+    total = np.where(counted, share, 0.0)
+    mean = np.array(
+        [
+            np.where(n := counted[block].sum(axis=0), total[block].sum(axis=0) / np.maximum(n, 1), np.nan)
+            for block in blocks
+        ]
+    )
+    colors = LinearSegmentedColormap.from_list("trust", [_color("b"), "#b0b0b0", _color("a")])
+    extent = (float(time[0]), float(time[-1]) or 1.0, len(names) - 0.5, -0.5)
+    image = axes.imshow(
+        mean.T, aspect="auto", cmap=colors, vmin=0.0, vmax=1.0, extent=extent, interpolation="none"
+    )
+    axes.set_yticks(np.arange(len(names)), names, fontsize=7)
+    axes.set_xlabel("s")
+    bar = figure.colorbar(image, ax=axes, pad=0.01, ticks=[0.0, 0.5, 1.0])
+    bar.ax.set_yticklabels(["B", "both", "A"], fontsize=8, color=_INK)
+    bar.ax.tick_params(color=_INK)
+    return _svg(figure, "share of A in the trust, of each joint, over time")
+
+
+def _figure(width: float, height: float) -> tuple[Any, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = figure.add_subplot()
+    axes.patch.set_visible(False)
+    axes.tick_params(colors=_INK, labelsize=8)
+    for part in (axes.xaxis.label, axes.yaxis.label):
+        part.set_color(_INK)
+    for name, spine in axes.spines.items():
+        spine.set_color(_INK)
+        spine.set_visible(name in ("left", "bottom"))
+    return figure, axes
+
+
+def _svg(figure: Any, label: str) -> str:
+    from matplotlib import rc_context
+
+    out = io.StringIO()
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": label, "font.family": "sans-serif"}):
+        figure.savefig(out, format="svg", transparent=True, metadata={"Date": None})
+    svg = out.getvalue()
+    svg = svg[svg.index("<svg") :].replace(_INK, "currentColor")
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
+    # ids are of the whole page, so each plot's are made its own
+    own = f"p{crc32((label + svg).encode()):x}"
+    svg = re.sub(r'\bid="', f'id="{own}-', svg)
+    svg = re.sub(r"url\(#", f"url(#{own}-", svg)
+    svg = re.sub(r'href="#', f'href="#{own}-', svg)
+    return f'<figure role="img" aria-label="{label}">{svg}</figure>'
+
+
+def _color(key: str) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*layout.SKELETON_COLORS[key])
+
+
+def _thinned(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Lowest and highest of each stretch, so that a peak is never lost."""
+    if len(values) <= _MOST_POINTS:
+        return time, values
+    blocks = np.array_split(np.arange(len(values)), _MOST_POINTS // 2)
+    at = []
+    for block in blocks:
+        of = values[block]
+        if np.isnan(of).all():
+            at += [block[0], block[-1]]
+        else:
+            at += sorted((block[np.nanargmin(of)], block[np.nanargmax(of)]))
+    return time[at], values[at]

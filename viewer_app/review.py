@@ -1,0 +1,37 @@
+"""``duplex review``: a session in the viewer, its summary, and a page to send on."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from recordings.session import Session
+from viewer_app.options import ReviewOptions
+from viewer_app.outputs import check_writable, whole_file
+from viewer_app.replay import pairing_of, print_damage
+from viewer_app.report import FusionResult, print_summary, report
+from viewer_app.sinks import has_display, open_file
+
+
+def run(options: ReviewOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        RecordingError, UsageError: With one line for the person who asked.
+    """
+    console = Console()
+    if options.html is not None:
+        check_writable(options.html, options.force)
+    session = Session.open(options.session)
+    print_damage(console, session)
+    result = FusionResult(pairing_of(session), session.calibration, session.settings, session.rows)
+    figures = report(result)
+    if options.html is not None:
+        from viewer_app.review_page import review_page
+
+        with whole_file(options.html) as partial:
+            partial.write_text(review_page(session, figures), encoding="utf-8")
+    print_summary(console, result, figures)
+    if options.html is not None:
+        console.print(f"Wrote {options.html}.", highlight=False)
+    if not options.no_viewer and has_display():
+        open_file(options.session)

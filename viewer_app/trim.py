@@ -1,0 +1,37 @@
+"""``duplex trim``: a stretch of a session as a session of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+from rich.console import Console
+
+from recordings.rewriting import rewrite
+from recordings.session import Session
+from viewer_app.blueprint import inspect_blueprint
+from viewer_app.errors import UsageError
+from viewer_app.options import TrimOptions
+from viewer_app.outputs import check_writable, whole_file
+from viewer_app.replay import print_damage, whereabouts
+
+
+def run(options: TrimOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        RecordingError, UsageError: With one line for the person who asked.
+    """
+    console = Console()
+    check_writable(options.save, options.force)
+    session = Session.open(options.session)
+    print_damage(console, session)
+    time = session.rows.time_ns * 1e-9
+    last = time[-1] if options.end is None else options.end
+    first, end = np.searchsorted(time, options.start), np.searchsorted(time, last, side="right")
+    if first >= end:
+        raise UsageError(
+            f"No frame from {options.start:g} s to {last:g} s; "
+            f"{session.path} runs from 0 to {time[-1]:.3f} s."
+        )
+    with whole_file(options.save) as partial:
+        rewrite(session, partial, inspect_blueprint(session.body, whereabouts(session)), int(first), int(end))
+    console.print(f"Saved {options.save}: {end - first} of {len(session)} frames.", highlight=False)
