@@ -81,7 +81,7 @@ class SessionArrays:
         body: Body,
         bone_lengths: NDArray[np.float64],
         frames: Sequence[RecordedFrame],
-        first_frame: int = 0,
+        numbers: Sequence[int] | None = None,
         start_ns: int | None = None,
     ) -> SessionArrays:
         """Stacks one or more turns of the loop.
@@ -90,7 +90,7 @@ class SessionArrays:
             body: The body of all frames.
             bone_lengths: (J,) metres.
             frames: In time order, at least one.
-            first_frame: The number of the first.
+            numbers: Of the frames; from 0 where None.
             start_ns: When the session began; with the first of these frames where None.
         """
         pairs = [f.pair.skeletons for f in frames]
@@ -109,7 +109,7 @@ class SessionArrays:
         return SessionArrays(
             body=body,
             bone_lengths=bone_lengths,
-            frame=np.arange(first_frame, first_frame + len(frames)),
+            frame=np.array(range(len(frames)) if numbers is None else numbers, dtype=np.int64),
             time_ns=np.array([f.pair.time_ns for f in frames], dtype=np.int64) - start,
             skew_ns=np.array([f.pair.skew_ns for f in frames], dtype=np.int64),
             clock_a=np.array([_clock(f.pair.a) for f in frames], dtype=np.int64),
@@ -168,9 +168,14 @@ class SessionArrays:
         return np.asarray(error.max(axis=1))
 
     @property
+    def view_difference(self) -> NDArray[np.float64]:
+        """(T, J) metres between p and R q + t; NaN where a joint is not in both views."""
+        return np.asarray(np.linalg.norm(self.positions_a - self.b_in_a, axis=2))
+
+    @property
     def disagreement(self) -> NDArray[np.float64]:
         """(T,) metres between p and R q + t, the median over joints both see; NaN where there are none."""
-        distance = np.linalg.norm(self.positions_a - self.b_in_a, axis=2)
+        distance = self.view_difference
         none = np.isnan(distance).all(axis=1)
         distance[none] = 0.0
         return np.where(none, np.nan, np.nanmedian(distance, axis=1))

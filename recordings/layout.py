@@ -23,6 +23,11 @@ CALIBRATION = "/calibration"
 FUSED_TRUST = "/fused/trust"
 QUALITY = "/quality"
 EVENTS = "/events"
+TRUST_MATRIX = "/trust_matrix"
+"""Picture, joint × time: whose view made each joint of S* over the last seconds."""
+STATE_LANES = "/lanes"
+COACH = "/coach"
+"""Text: what to do next while setting up."""
 PLACEMENT = "/kinect_b/placement"
 """R and t again, as float64 data: the viewer's transform has float32."""
 CHECKS = "/checks"
@@ -48,6 +53,11 @@ def states(side: str) -> str:
     return f"/kinect_{side}/states"
 
 
+def state_lane(side: str, joint: str) -> str:
+    """A joint's tracking state where it changes, for the joints that ever change."""
+    return f"{STATE_LANES}/{joint.lower()}/{side}"
+
+
 def clock(side: str) -> str:
     """The sensor's own time of each frame, as data; :data:`NO_FRAME` where it gave none for the pair."""
     return f"/kinect_{side}/clock"
@@ -61,6 +71,11 @@ def weights(side: str) -> str:
 def depth(side: str) -> str:
     """The depth camera: pinhole and depth image."""
     return f"/kinect_{side}/depth"
+
+
+def points(side: str) -> str:
+    """The point cloud of a depth image, thinned out, in the sensor's own frame."""
+    return f"/kinect_{side}/points"
 
 
 def bone(name: str) -> str:
@@ -80,6 +95,7 @@ QUALITY_NAMES = (
     "disagreement_mm",
     "iterations",
     "predicted_joints",
+    "tracked_joints",
     "stale",
 )
 """What is logged under ``/quality``."""
@@ -94,6 +110,10 @@ SKELETON_COLORS: dict[str, Color] = {
     "truth": (64, 168, 96),
 }
 CLASS_IDS = {"a": 1, "b": 2, "fused": 3, "truth": 4}
+PREDICTED_COLOR: Color = (150, 150, 150)
+"""Of a joint of S* that no sensor gave."""
+STATE_NAMES = ("not tracked", "inferred", "tracked")
+STATE_COLORS: tuple[Color, ...] = ((190, 60, 60), (226, 168, 60), (86, 160, 96))
 PROMINENT_JOINTS = ("ELBOW_LEFT", "ELBOW_RIGHT", "WRIST_LEFT", "WRIST_RIGHT", "KNEE_LEFT", "KNEE_RIGHT")
 """Whose weights are shown until one asks for more: the joints that hide and are mixed up most."""
 TARGET_COLOR = (128, 128, 128)

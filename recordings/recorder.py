@@ -5,7 +5,6 @@ Both ways give the same layout, because both come from the same list of what a f
 
 from __future__ import annotations
 
-import colorsys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -15,9 +14,9 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from fusion.body import Body
 from fusion.fuser import Fuser
-from recordings import layout
+from fusion.skeleton import TrackingState
+from recordings import appearance, layout
 from recordings.arrays import RecordedFrame, SessionArrays
 from recordings.checksums import (
     frame_checksums,
@@ -26,6 +25,8 @@ from recordings.checksums import (
     properties_checksum,
     text_checksum,
 )
+from recordings.depth_points import thin_points
+from recordings.explained_trust import StateLanes, TrustMatrix, details, trust_colors
 from recordings.rvl import MEDIA_TYPE, encode_depth
 
 
@@ -38,6 +39,8 @@ class Recorder:
         sources: What the sensors are called, K_A first.
         depth_every: Keep the depth images of every so many pairs; 0 for none.
         about: More to say of the session's origin, kept among its properties.
+        start_ns: When the session began; with the first frame recorded here where None.
+        points: Whether a depth image is shown as a point cloud too.
     """
 
     def __init__(
@@ -47,13 +50,19 @@ class Recorder:
         sources: tuple[str, str],
         depth_every: int = 0,
         about: Mapping[str, str | int] | None = None,
+        *,
+        start_ns: int | None = None,
+        points: bool = False,
     ) -> None:
         self._stream = stream
         self._calibration = fuser.calibration
         self._frames = 0
-        self._start_ns: int | None = None
+        self._start_ns = start_ns
         self._last: tuple[int, int] | None = None
-        self._depth_every = depth_every
+        self._depth_every, self._points = depth_every, points
+        self._cameras = {"a": fuser.intrinsics_a, "b": fuser.intrinsics_b}
+        self._matrix = TrustMatrix(fuser.calibration.body)
+        self._lanes = StateLanes()
         self._log_static(fuser)
         properties = self._properties(fuser, sources, about or {})
         for name, values in properties.items():
@@ -75,28 +84,33 @@ class Recorder:
             "residual_median": np.nan if registration is None else registration.residual_median,
             "residual_rms": np.nan if registration is None else registration.residual_rms,
         }
-        self._stream.set_time(layout.FRAME, sequence=self._frames)
-        self._stream.set_time(layout.TIME, duration=np.timedelta64(self._last[1] if self._last else 0, "ns"))
+        self._set_time(self._frames, self._last[1] if self._last else 0)
         check = properties_checksum({"calibration": {"frame": self._frames, **values}})
         self._stream.log(layout.CALIBRATION, rr.AnyValues(**values, calibration_crc32=check))
 
     def record(self, frame: RecordedFrame) -> None:
         """Logs one frame at once, for live use."""
-        rows = self._stack([frame])
-        self._stream.set_time(layout.FRAME, sequence=int(rows.frame[0]))
-        self._stream.set_time(layout.TIME, duration=np.timedelta64(int(rows.time_ns[0]), "ns"))
+        rows = self._stack([frame], None)
+        self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
         for stream in _streams(rows):
             self._stream.log(stream.entity, stream.archetype(**stream.of_frame(0)))
         self._log_depth([frame], rows)
+        self._explain(rows)
         self._last = (int(rows.frame[0]), int(rows.time_ns[0]))
 
-    def record_all(self, frames: Sequence[RecordedFrame]) -> SessionArrays:
-        """Logs many frames by columns, for offline use; may be called again with the frames that follow.
+    def record_all(
+        self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None = None
+    ) -> SessionArrays:
+        """Logs many frames by columns; may be called again with the frames that follow.
+
+        Args:
+            frames: In time order, at least one.
+            numbers: Of the frames, where some were left out; else they are counted.
 
         Returns:
             What was logged.
         """
-        rows = self._stack(frames)
+        rows = self._stack(frames, numbers)
         self.record_rows(rows)
         self._log_depth(frames, rows)
         return rows
@@ -114,19 +128,22 @@ class Recorder:
         ]
         for stream in _streams(rows, fused_crc):
             self._stream.send_columns(stream.entity, times, stream.columns())
+        self._explain(rows)
         self._frames = max(self._frames, int(rows.frame[-1]) + 1)
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
 
     def record_depth(self, side: str, frame: int, time_ns: int, depth: NDArray[np.uint16]) -> None:
         """Logs a depth image: (height, width) millimetres, without loss."""
         blob = encode_depth(depth)
-        self._stream.set_time(layout.FRAME, sequence=frame)
-        self._stream.set_time(layout.TIME, duration=np.timedelta64(time_ns, "ns"))
+        self._set_time(frame, time_ns)
         self._stream.log(
             layout.depth(side),
             rr.EncodedDepthImage(blob, media_type=MEDIA_TYPE, meter=1000.0),
             rr.AnyValues(crc32=image_checksum(frame, blob)),
         )
+        if self._points:
+            cloud = thin_points(depth, self._cameras[side])
+            self._stream.log(layout.points(side), rr.Points3D.from_fields(positions=cloud))
 
     def event(self, text: str, level: str = "INFO", at: tuple[int, int] | None = None) -> None:
         """Logs what happened, at the time of the last frame.
@@ -138,11 +155,15 @@ class Recorder:
         """
         at = at or self._last
         if at is not None:
-            self._stream.set_time(layout.FRAME, sequence=at[0])
-            self._stream.set_time(layout.TIME, duration=np.timedelta64(at[1], "ns"))
+            self._set_time(*at)
         self._stream.log(
             layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=text_checksum(text, level))
         )
+
+    def coach(self, markdown: str) -> None:
+        """Logs what to do next, at the time of the last frame."""
+        self._set_time(*(self._last or (0, 0)))
+        self._stream.log(layout.COACH, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
 
     def finish(self) -> None:
         """Says that the session is whole; a reader takes one without this for cut off."""
@@ -156,14 +177,40 @@ class Recorder:
                 if seen is not None and seen.depth is not None:
                     self.record_depth(side, number, time_ns, seen.depth)
 
-    def _stack(self, frames: Sequence[RecordedFrame]) -> SessionArrays:
+    def _set_time(self, frame: int, time_ns: int) -> None:
+        self._stream.set_time(layout.FRAME, sequence=frame)
+        self._stream.set_time(layout.TIME, duration=np.timedelta64(time_ns, "ns"))
+
+    def _stack(self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None) -> SessionArrays:
         if self._start_ns is None:
             self._start_ns = frames[0].pair.time_ns
+        if numbers is None:
+            numbers = range(self._frames, self._frames + len(frames))
+        calibration = self._calibration
         rows = SessionArrays.stack(
-            self._calibration.body, self._calibration.bone_lengths, frames, self._frames, self._start_ns
+            calibration.body, calibration.bone_lengths, frames, numbers, self._start_ns
         )
-        self._frames += len(frames)
+        self._frames = numbers[-1] + 1
         return rows
+
+    def _explain(self, rows: SessionArrays) -> None:
+        """What is not logged every frame: the trust matrix, and tracking states where they change."""
+        for t, png in self._matrix.add(rows):
+            self._set_time(int(rows.frame[t]), int(rows.time_ns[t]))
+            self._stream.log(layout.TRUST_MATRIX, rr.EncodedImage(contents=png, media_type="image/png"))
+        for side, joint, changes in self._lanes.add(rows):
+            lane = layout.state_lane(side, rows.body.joints[joint])
+            at = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
+            self._stream.send_columns(
+                lane,
+                [
+                    rr.TimeColumn(layout.FRAME, sequence=[frame for frame, _ in at]),
+                    rr.TimeColumn(layout.TIME, duration=np.array([ns for _, ns in at], "timedelta64[ns]")),
+                ],
+                rr.StateChange.columns(state=[layout.STATE_NAMES[state] for _, state in changes]),
+            )
+            if changes[0][0] is None:
+                self._stream.log(lane, appearance.STATE_LANES, static=True)
 
     def _log_static(self, fuser: Fuser) -> None:
         body = self._calibration.body
@@ -172,29 +219,20 @@ class Recorder:
         def once(entity: str, *what: Any) -> None:
             stream.log(entity, *what, static=True)
 
-        once(layout.ROOT, rr.ViewCoordinates.RDF, _annotations(body))
+        once(layout.ROOT, rr.ViewCoordinates.RDF, appearance.annotation_context(body))
         once(layout.kinect("a"), rr.Transform3D.from_fields(translation=(0.0, 0.0, 0.0)))
         for side, intrinsics in (("a", fuser.intrinsics_a), ("b", fuser.intrinsics_b)):
-            once(layout.skeleton(side), _joint_look(body, side))
-            once(
-                layout.depth(side),
-                rr.Pinhole(
-                    focal_length=(intrinsics.fx, intrinsics.fy),
-                    principal_point=(intrinsics.cx, intrinsics.cy),
-                    width=intrinsics.width,
-                    height=intrinsics.height,
-                    camera_xyz=rr.ViewCoordinates.RDF,
-                    image_plane_distance=0.25,
-                    color=layout.SKELETON_COLORS[side],
-                ),
-            )
-            once(layout.weights(side), _weight_lines(body))
-        once(layout.FUSED_SKELETON, _joint_look(body, "fused"))
-        once(layout.TRUTH_SKELETON, _joint_look(body, "truth"))
+            once(layout.skeleton(side), appearance.joint_look(body, side))
+            once(layout.depth(side), appearance.camera(intrinsics, side))
+            once(layout.depth(side), appearance.DEPTH)
+            once(layout.points(side), appearance.cloud_look(side))
+            once(layout.weights(side), appearance.weight_lines(body))
+        once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))
+        once(layout.TRUTH_SKELETON, appearance.joint_look(body, "truth"))
         for joint in body.bone_joints:
-            once(layout.bone(body.bones[joint]), _BONE_LINES)
+            once(layout.bone(body.bones[joint]), appearance.BONE_LINES)
         for name in layout.QUALITY_NAMES:
-            once(layout.quality(name), _QUALITY_LINES[name])
+            once(layout.quality(name), appearance.QUALITY_LINES[name])
 
     def _properties(
         self, fuser: Fuser, sources: tuple[str, str], about: Mapping[str, str | int]
@@ -266,7 +304,13 @@ def _streams(rows: SessionArrays, fused_crc: NDArray[np.uint32] | None = None) -
         fused_crc = fused_checksums(rows.fused)
     checks = np.stack([frame_checksums(rows), fused_crc], axis=1)
     yield _Stream(layout.CHECKS, rr.AnyValues, {"frame_crc32": checks}, 2)
-    yield _Stream(layout.FUSED_SKELETON, rr.Points3D, {"positions": rows.fused.astype(np.float32)}, joints)
+    yield _Stream(
+        layout.FUSED_SKELETON,
+        rr.Points3D,
+        {"positions": rows.fused.astype(np.float32), "colors": trust_colors(rows)},
+        joints,
+    )
+    yield _Stream(layout.FUSED_SKELETON, rr.AnyValues, details(rows), joints)
     yield _Stream(
         layout.FUSED_TRUST, rr.AnyValues, {"misleading": rows.misleading, "predicted": rows.predicted}, joints
     )
@@ -298,71 +342,12 @@ def _quality(rows: SessionArrays) -> dict[str, NDArray[Any]]:
         "disagreement_mm": rows.disagreement[:, None] * 1e3,
         "iterations": rows.iterations[:, None],
         "predicted_joints": rows.predicted.sum(axis=1)[:, None],
+        "tracked_joints": np.stack(
+            [(of == TrackingState.TRACKED).sum(axis=1) for of in (rows.states_a, rows.states_b)], axis=1
+        ),
         "stale": np.stack([rows.stale_a, rows.stale_b], axis=1),
     }
 
 
-def _annotations(body: Body) -> rr.AnnotationContext:
-    joints = [rr.AnnotationInfo(id=j, label=name) for j, name in enumerate(body.joints)]
-    bones = [(int(body.parents[joint]), int(joint)) for joint in body.bone_joints]
-    return rr.AnnotationContext(
-        [
-            rr.ClassDescription(
-                info=rr.AnnotationInfo(
-                    id=layout.CLASS_IDS[key],
-                    label=layout.SKELETON_NAMES[key],
-                    color=layout.SKELETON_COLORS[key],
-                ),
-                keypoint_annotations=joints,
-                keypoint_connections=bones,
-            )
-            for key in layout.CLASS_IDS
-        ]
-    )
-
-
-def _joint_look(body: Body, key: str) -> rr.Points3D:
-    return rr.Points3D.from_fields(
-        class_ids=layout.CLASS_IDS[key],
-        keypoint_ids=range(len(body)),
-        colors=layout.SKELETON_COLORS[key],
-        radii=layout.JOINT_RADII[key],
-        show_labels=False,
-    )
-
-
-def _weight_lines(body: Body) -> rr.SeriesLines:
-    """Hues around the wheel; a joint and its mirror image share one, the right side is paler."""
-    prominent = [body.joint(name) for name in layout.PROMINENT_JOINTS]
-    hue = {joint: k // 2 / (len(prominent) // 2) for k, joint in enumerate(prominent)}
-    colors = []
-    for joint, mirror in enumerate(body.mirror):
-        first = min(joint, int(mirror))
-        rgb = colorsys.hsv_to_rgb(
-            0.1 + hue.get(joint, first / len(body)), 0.85 if joint == first else 0.45, 0.9
-        )
-        colors.append((int(255 * rgb[0]), int(255 * rgb[1]), int(255 * rgb[2])))
-    return rr.SeriesLines(
-        names=body.joints, colors=colors, visible_series=[j in hue for j in range(len(body))]
-    )
-
-
 _FINEST = 2.0**-14
 """Metres to which plotted bone lengths are rounded, 0.06 mm: round numbers compress. S* is not rounded."""
-
-_BONE_LINES = rr.SeriesLines(
-    names=[*(layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")), "target"],
-    colors=[*(layout.SKELETON_COLORS[key] for key in ("a", "b", "fused")), layout.TARGET_COLOR],
-    widths=[1.0, 1.0, 2.5, 1.0],
-)
-
-_QUALITY_LINES = {
-    "stale": rr.SeriesLines(
-        names=["stale A", "stale B"], colors=[layout.SKELETON_COLORS["a"], layout.SKELETON_COLORS["b"]]
-    ),
-    **{
-        name: rr.SeriesLines(names=name.replace("_mm", " (mm)").replace("_ms", " (ms)").replace("_", " "))
-        for name in layout.QUALITY_NAMES
-        if name != "stale"
-    },
-}

@@ -112,7 +112,7 @@ def test_a_rewritten_session_has_the_same_frames(fused_run: FusedRun, tmp_path: 
 def test_a_cut_off_session_gives_the_frames_before(tmp_path: Path) -> None:
     whole = record_fused(tmp_path / "s.rrd", full_of_faults(KINECT_V1), calibration_of(KINECT_V1), block=10)
     data = whole.path.read_bytes()
-    (tmp_path / "cut.rrd").write_bytes(data[: int(0.7 * len(data))])
+    (tmp_path / "cut.rrd").write_bytes(data[: int(0.4 * len(data))])
     cut = Session.open(tmp_path / "cut.rrd")
     assert 0 < len(cut) < FRAMES
     assert len(cut) % 10 == 0

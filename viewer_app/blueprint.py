@@ -1,79 +1,182 @@
-"""What the viewer shows, and where."""
+"""What the viewer shows, and where: three layouts, one a task, as tabs to switch between.
+
+*setup* while sensors are placed, *inspect* to find out why a joint went where, *report* for the bones.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from typing import Literal
+
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.calibration import nominal_calibration
+from fusion.fuser import Fuser
 from recordings import layout
 
-_PLOTTED_BONES = ("upper_arm", "forearm", "thigh", "shin")  # the limbs of the paper's fig. 5
+Layout = Literal["setup", "inspect", "report"]
+LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report")
+
+_LIMBS = ("upper_arm", "forearm", "thigh", "shin")  # of the paper's fig. 5
+_REPORT_COLUMNS = 5
+_FIGURES = (
+    ("disagreement_mm", "S_A against S_B (mm)"),
+    ("bone_error_mm", "S* bone error (mm)"),
+    ("fuse_ms", "fusion (ms)"),
+    ("skew_ms", "skew (ms)"),
+)
+_NEAR = 1.7  # metres from the person: a standing adult fills the view
+_FRUSTUM = rr.Pinhole.from_fields().visualizer()
+"""Of a depth camera, without the image's own points."""
+_FROM_ABOVE = np.array([-0.35, -0.6, -0.7])
+"""From behind K_A's left shoulder, looking down: y is down, z ahead."""
 
 
-def inspect_blueprint(body: Body, person_at: NDArray[np.float64]) -> rrb.Blueprint:
-    """The layout for finding out why a joint went where: 3D, bone lengths as in fig. 5, trust, quality.
+def session_blueprint(fuser: Fuser, person_at: NDArray[np.float64], active: Layout) -> rrb.Blueprint:
+    """All layouts, with one of them open.
 
     Args:
-        body: The session's body.
+        fuser: Whose body, sensors and placement are shown.
         person_at: (3,) metres in K_A's frame: where to look.
+        active: The layout that is open at first.
     """
-    bones = [
-        rrb.TimeSeriesView(
-            origin=layout.bone(f"{bone}_{side}"),
-            name=f"{bone.replace('_', ' ')} {side} (m)",
-            plot_legend=rrb.PlotLegend(visible=bone == _PLOTTED_BONES[0] and side == "left"),
-        )
-        for bone in _PLOTTED_BONES
-        for side in ("left", "right")
-        if f"{bone}_{side}" in body.bones
-    ]
-    trust = rrb.TimeSeriesView(
-        origin=layout.weights("a"),
-        name="trust in A (1) or in B (0)",
-        axis_y=rrb.ScalarAxis(range=(-0.05, 1.05)),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
-    )
-    quality = rrb.Tabs(
-        *(
-            rrb.TimeSeriesView(
-                origin=layout.quality(name), name=title, plot_legend=rrb.PlotLegend(visible=False)
-            )
-            for name, title in (
-                ("disagreement_mm", "S_A against S_B (mm)"),
-                ("bone_error_mm", "S* bone error (mm)"),
-                ("fuse_ms", "fusion (ms)"),
-                ("skew_ms", "skew (ms)"),
-            )
-        ),
-        rrb.TextLogView(origin=layout.EVENTS, name="events"),
-        active_tab=0,
-    )
+    body = fuser.calibration.body
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                _scene(person_at),
-                rrb.Horizontal(trust, quality, column_shares=[3, 2]),
-                row_shares=[5, 2],
-            ),
-            rrb.Grid(*bones, grid_columns=2, name="bone lengths"),
-            column_shares=[5, 4],
+        rrb.Tabs(
+            _setup(fuser, person_at),
+            _inspect(body, person_at),
+            _report(body),
+            active_tab=LAYOUTS.index(active),
         ),
         rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
+        rrb.SelectionPanel(state="expanded" if active == "inspect" else "collapsed"),
         rrb.TimePanel(state="collapsed", timeline=layout.TIME),
         auto_views=False,
     )
 
 
-def _scene(person_at: NDArray[np.float64]) -> rrb.Spatial3DView:
-    """The skeletons from K_A's side: behind its right shoulder, a little above, so that K_B shows too."""
+def inspect_blueprint(body: Body, person_at: NDArray[np.float64]) -> rrb.Blueprint:
+    """All layouts for a session whose sensors' placement is in its frames, with *inspect* open."""
+    return session_blueprint(Fuser(nominal_calibration(body)), person_at, "inspect")
+
+
+def _setup(fuser: Fuser, person_at: NDArray[np.float64]) -> rrb.Container:
+    images = [
+        rrb.Spatial2DView(
+            origin=layout.depth(side),
+            contents=["$origin/**", layout.skeleton(side)],
+            name=f"Kinect {side.upper()}",
+            visual_bounds=rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height)),
+        )
+        for side, camera in zip(layout.SIDES, (fuser.intrinsics_a, fuser.intrinsics_b), strict=True)
+    ]
+    b_at = fuser.calibration.a_from_b.translation
+    if not b_at.any():  # nobody knows yet: where it should be, 90° round the person
+        b_at = person_at + np.linalg.norm(person_at) * np.array([1.0, 0.0, 0.0])
+    places = np.array([np.zeros(3), b_at, person_at])
+    middle = places.mean(axis=0)
+    size = float(np.linalg.norm(places - middle, axis=1).max())
+    advice = rrb.TextDocumentView(origin=layout.COACH, name="what to do next")
+    seen = _plot("tracked_joints", "joints tracked by each sensor", legend=True)
+    return rrb.Horizontal(
+        rrb.Vertical(*images),
+        _scene(middle + 1.9 * size * _FROM_ABOVE, middle, "sensors, skeletons, points"),
+        rrb.Vertical(advice, seen, _events(), row_shares=[4, 2, 2]),
+        column_shares=[3, 5, 3],
+        name="setup",
+    )
+
+
+def _inspect(body: Body, person_at: NDArray[np.float64]) -> rrb.Container:
     away = person_at / max(float(np.linalg.norm(person_at)), 1e-6)
-    eye = person_at - 2.1 * away + np.array([0.6, -0.35, 0.0])
+    beside = person_at - _NEAR * away + np.array([0.4, -0.2, 0.0])  # so that K_B shows too
+    limbs = [f"{bone}_{side}" for bone in _LIMBS for side in ("left", "right")]
+    prominent = [body.joints[body.joint(name)] for name in layout.PROMINENT_JOINTS]
+    trust_lines = rrb.TimeSeriesView(
+        origin=layout.weights("a"),
+        name="trust in A, limbs",
+        axis_y=rrb.ScalarAxis(range=(-0.05, 1.05)),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+    )
+    return rrb.Horizontal(
+        rrb.Vertical(
+            _scene(
+                beside,
+                person_at,
+                "S_A brown, S_B blue, S* purple",
+                track=layout.FUSED_SKELETON,
+                hidden=[layout.points(side) for side in layout.SIDES],
+            ),
+            rrb.Tabs(
+                *(_plot(*figure) for figure in _FIGURES),
+                rrb.StateTimelineView(
+                    origin="/",
+                    contents=[layout.state_lane(side, joint) for joint in prominent for side in layout.SIDES],
+                    name="states, limbs",
+                ),
+                rrb.StateTimelineView(origin=layout.STATE_LANES, name="states"),
+                trust_lines,
+                _events(),
+                active_tab=0,
+            ),
+            row_shares=[3, 2],
+        ),
+        rrb.Vertical(
+            rrb.Spatial2DView(origin=layout.TRUST_MATRIX, name="whose view made each joint"),
+            rrb.Grid(*_bone_plots([bone for bone in limbs if bone in body.bones]), grid_columns=2),
+            row_shares=[1, 1],
+        ),
+        column_shares=[1, 1],
+        name="inspect",
+    )
+
+
+def _report(body: Body) -> rrb.Container:
+    plots = _bone_plots((body.bones[joint] for joint in body.bone_joints), legend=True)
+    return rrb.Grid(*plots, grid_columns=_REPORT_COLUMNS, name="report")
+
+
+def _bone_plots(bones: Iterable[str], legend: bool = False) -> list[rrb.View]:
+    return [
+        rrb.TimeSeriesView(
+            origin=layout.bone(bone),
+            name=f"{bone.replace('_', ' ')} (m)",
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend and k == 0),
+        )
+        for k, bone in enumerate(bones)
+    ]
+
+
+def _plot(name: str, title: str, legend: bool = False) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin=layout.quality(name), name=title, plot_legend=rrb.PlotLegend(visible=legend)
+    )
+
+
+def _events() -> rrb.TextLogView:
+    return rrb.TextLogView(origin=layout.EVENTS, name="events")
+
+
+def _scene(
+    eye: NDArray[np.float64],
+    looks_at: NDArray[np.float64],
+    name: str,
+    track: str | None = None,
+    hidden: Sequence[str] = (),
+) -> rrb.Spatial3DView:
+    """Everything in K_A's frame; depth cameras as frusta: their points are an entity of their own."""
+    left_out = [layout.TRUTH_SKELETON, layout.TRUST_MATRIX, *hidden]
     return rrb.Spatial3DView(
         origin="/",
-        name="S_A brown, S_B blue, S* purple",
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=person_at, eye_up=(0.0, -1.0, 0.0)),
+        contents=["$origin/**", *(f"- {entity}" for entity in left_out)],
+        name=name,
+        overrides={layout.depth(side): _FRUSTUM for side in layout.SIDES},
+        eye_controls=rrb.EyeControls3D(
+            position=eye, look_target=looks_at, eye_up=(0.0, -1.0, 0.0), tracking_entity=track
+        ),
         line_grid=rrb.LineGrid3D(visible=False),
     )

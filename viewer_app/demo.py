@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +19,17 @@ from fusion.body import BODIES
 from fusion.calibration import nominal_calibration
 from fusion.fuser import Fuser, FuserSettings
 from recordings.arrays import RecordedFrame, SessionArrays
-from recordings.recorder import Recorder
-from viewer_app.blueprint import inspect_blueprint
+from viewer_app.blueprint import session_blueprint
+from viewer_app.coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.live import run_live
+from viewer_app.live_display import LiveDisplay
+from viewer_app.live_session import LiveSession
 from viewer_app.options import DemoOptions
-from viewer_app.outputs import check_writable
+from viewer_app.outputs import check_writable, whole_file
 from viewer_app.report import calibration_in_words, say_saved
 from viewer_app.run import warm_up
-from viewer_app.sinks import has_display, open_stream
+from viewer_app.viewing import announce, choose_viewing, has_display
 
 _SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
 
@@ -43,10 +46,12 @@ def run(options: DemoOptions) -> None:
         return
     if not 0.0 < options.seconds < float("inf"):
         raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
-    window = not options.no_viewer and has_display()
     save = options.save
-    if save is None and not window and not options.no_viewer:
+    if save is None and not (options.no_viewer or options.web or has_display()):
         save = _SAVED_WITHOUT_DISPLAY
+    viewing = choose_viewing(
+        no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=save, live=True
+    )
     if save is not None:
         check_writable(save, options.force or save == _SAVED_WITHOUT_DISPLAY)
     body = BODIES[options.body]
@@ -59,24 +64,31 @@ def run(options: DemoOptions) -> None:
         depth=options.depth,
     )
     start = truth.positions_at(0)
-    blueprint = inspect_blueprint(body, np.asarray(start.mean(axis=0)))
-    warm_up(Fuser(nominal_calibration(body)), console)
+    nominal = Fuser(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
+    blueprint = session_blueprint(nominal, np.asarray(start.mean(axis=0)), options.layout)
+    warm_up(nominal, console)
     console.print(
         f"A simulated person ({options.motion}) before two Kinects {options.angle:.0f}° apart, "
         f"{options.seconds:g} s. Ctrl-C ends it."
     )
-    with (
-        open_stream(save, window, blueprint) as stream,
-        TwoSensors(PacedSensor(a), PacedSensor(b)) as sensors,
-    ):
+    announce(viewing, console)
+    with ExitStack() as stack:
+        file = None if save is None else stack.enter_context(whole_file(save))
+        session = stack.enter_context(
+            LiveSession(nominal, (a.name, b.name), blueprint, file=file, viewing=viewing)
+        )
+        sensors = stack.enter_context(TwoSensors(PacedSensor(a), PacedSensor(b)))
+        coach = Coach(body, (nominal.intrinsics_a, nominal.intrinsics_b))
+        show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))
         fuser, frames = run_live(
             sensors,
             body=body,
             settings=FuserSettings(),
             intrinsics=(a.intrinsics, b.intrinsics),
             calibration=None,
-            recorder_for=lambda fuser: Recorder(stream, fuser, (a.name, b.name)),
+            recorder_for=lambda _: session,
             truth_at=truth.positions_at,
+            go_on=show,
         )
         dropped = sensors.a.dropped, sensors.b.dropped
     if frames:

@@ -21,16 +21,16 @@ from fusion.calibration import Calibration, calibrate, find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.fuser import Fuser, FuserSettings
 from fusion.skeleton import SkeletonPair
-from recordings.arrays import SessionArrays
+from recordings.arrays import RecordedFrame, SessionArrays
 from recordings.calibration_file import calibration_to_json, read_calibration
-from recordings.recorder import Recorder
-from viewer_app.blueprint import inspect_blueprint
+from viewer_app.blueprint import session_blueprint
 from viewer_app.errors import UsageError
+from viewer_app.live_session import LiveSession
 from viewer_app.options import FuseOptions
 from viewer_app.outputs import check_outputs, whole_file
 from viewer_app.report import FusionResult, print_summary, report, report_to_json, say_saved
 from viewer_app.run import fuse_offline, fuse_one, warm_up
-from viewer_app.sinks import has_display, open_stream
+from viewer_app.viewing import announce, choose_viewing, stay_for_visitors
 
 
 def run(options: FuseOptions) -> None:
@@ -40,7 +40,9 @@ def run(options: FuseOptions) -> None:
         DeviceError, FusionError, RecordingError, UsageError: With one line for the person who asked.
     """
     console = Console()
-    window = _wants_window(options)
+    viewing = choose_viewing(
+        no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=options.save, live=False
+    )
     outputs = (options.save, options.report, options.save_calibration)
     check_outputs(outputs, (options.a, options.b, Path(options.calibrate)), options.force)
     settings = FuserSettings(h=options.h, solver=options.solver, weights=options.weights)
@@ -48,44 +50,51 @@ def run(options: FuseOptions) -> None:
     skeletons = [pair.skeletons for pair in pairing.pairs]
     calibration = _calibrate(options.calibrate, body, skeletons)
 
-    with open_stream(options.save, window, inspect_blueprint(body, _whereabouts(skeletons))) as stream:
-        fuser = Fuser(calibration, settings)
-        warm_up(fuser, console)
-        recorder = Recorder(stream, fuser, (str(options.a), str(options.b)))
-        recorder.event(f"calibrated: {calibration.how}")
-        shown = track(
-            pairing.pairs, "fusing", console=console, transient=True, disable=not console.is_terminal
-        )
-        frames = fuse_offline(shown, fuser, recorder)
-        recorder.finish()
+    fuser = Fuser(calibration, settings)
+    warm_up(fuser, console)
+    blueprint = session_blueprint(fuser, _whereabouts(skeletons), options.layout)
+    with ExitStack() as viewer:
+        announce(viewing, console)
+        with ExitStack() as file:
+            session = viewer.enter_context(
+                LiveSession(
+                    fuser,
+                    (str(options.a), str(options.b)),
+                    blueprint,
+                    file=None if options.save is None else file.enter_context(whole_file(options.save)),
+                    viewing=viewing,
+                    complete=True,
+                )
+            )
+            session.event(f"calibrated: {calibration.how}")
+            shown = track(
+                pairing.pairs, "fusing", console=console, transient=True, disable=not console.is_terminal
+            )
+            frames = fuse_offline(shown, fuser, session)
+            session.finish()
+            session.save()
+        _summarise(console, options, FusionResult(pairing, calibration, settings, *_rows(frames, fuser)))
+        stay_for_visitors(viewing, console)
 
-    rows = SessionArrays.stack(body, calibration.bone_lengths, frames)
-    exact = None
-    if settings.solver != "exact":
-        other = Fuser(calibration, replace(settings, solver="exact"))
-        exact = SessionArrays.stack(
-            body, calibration.bone_lengths, [fuse_one(other, pair) for pair in pairing.pairs]
-        )
-    result = FusionResult(pairing, calibration, settings, rows, exact)
+
+def _rows(frames: list[RecordedFrame], fuser: Fuser) -> tuple[SessionArrays, SessionArrays | None]:
+    """What was fused, and the same by the exact solver where another one was asked for."""
+    calibration = fuser.calibration
+    rows = SessionArrays.stack(calibration.body, calibration.bone_lengths, frames)
+    if fuser.settings.solver == "exact":
+        return rows, None
+    other = Fuser(calibration, replace(fuser.settings, solver="exact"))
+    again = [fuse_one(other, frame.pair) for frame in frames]
+    return rows, SessionArrays.stack(calibration.body, calibration.bone_lengths, again)
+
+
+def _summarise(console: Console, options: FuseOptions, result: FusionResult) -> None:
     figures = report(result)
     _write(options.report, report_to_json(figures))
-    _write(options.save_calibration, calibration_to_json(calibration))
+    _write(options.save_calibration, calibration_to_json(result.calibration))
     print_summary(console, result, figures)
     if options.save is not None:
         say_saved(console, options.save)
-
-
-def _wants_window(options: FuseOptions) -> bool:
-    if options.no_viewer:
-        return False
-    if has_display():
-        return True
-    if options.save is None:
-        raise UsageError(
-            "There is no display for the viewer's window, and no --save. Use --save FILE.rrd to keep the "
-            "session, or --no-viewer for the summary alone."
-        )
-    return False
 
 
 def _read(options: FuseOptions) -> tuple[Body, Pairing]:

@@ -22,6 +22,7 @@ from fusion.skeleton import Skeleton, SkeletonPair
 from fusion.viewing_plane import Intrinsics
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
+from viewer_app.live_session import LiveSession
 from viewer_app.run import fuse_one
 
 _KEPT_FRAMES = 9_000
@@ -98,7 +99,7 @@ def run_live(
     settings: FuserSettings,
     intrinsics: tuple[Intrinsics | None, Intrinsics | None],
     calibration: Calibration | None,
-    recorder_for: Callable[[Fuser], Recorder],
+    recorder_for: Callable[[Fuser], Recorder | LiveSession],
     truth_at: Callable[[int], NDArray[np.float64]] | None = None,
     go_on: Callable[[Status], bool] = lambda _: True,
 ) -> tuple[Fuser, list[RecordedFrame]]:

@@ -32,6 +32,12 @@ class FuseOptions:
     """Write all figures of the summary as JSON."""
     no_viewer: bool = False
     """Do not open the viewer."""
+    web: bool = False
+    """Show the session in a browser instead of a window."""
+    listen: str | None = None
+    """With --web: an address of this machine to be reached at, by others too. Else only from here."""
+    layout: Literal["setup", "inspect", "report"] = "inspect"
+    """Which of the viewer's tabs is open at first."""
     person_a: str | None = None
     """Id of the person in A; the one seen longest if not given."""
     person_b: str | None = None
@@ -73,6 +79,16 @@ class DemoOptions:
     """Keep the session as an .rrd file; without a display demo.rrd if not given."""
     no_viewer: bool = False
     """Do not open the viewer."""
+    web: bool = False
+    """Show it in a browser instead of a window."""
+    listen: str | None = None
+    """With --web: an address of this machine to be reached at, by others too. Else only from here."""
+    layout: Literal["setup", "inspect", "report"] = "inspect"
+    """Which of the viewer's tabs is open at first."""
+    quiet: bool = False
+    """No status line and no advice, only warnings."""
+    verbose: bool = False
+    """Keep every status line."""
     force: bool = False
     """Overwrite files that exist."""
 

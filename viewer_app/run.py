@@ -12,6 +12,7 @@ from devices.pairing import FramePair
 from fusion.fuser import Fuser
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
+from viewer_app.live_session import LiveSession
 
 _BLOCK = 1024  # frames written at a time, so that a viewer shows the work going on
 
@@ -35,7 +36,9 @@ def fuse_one(fuser: Fuser, pair: FramePair) -> RecordedFrame:
     return RecordedFrame(pair, fused, time.perf_counter_ns() - before)
 
 
-def fuse_offline(pairs: Iterable[FramePair], fuser: Fuser, recorder: Recorder) -> list[RecordedFrame]:
+def fuse_offline(
+    pairs: Iterable[FramePair], fuser: Fuser, recorder: Recorder | LiveSession
+) -> list[RecordedFrame]:
     """Fuses pairs as fast as it goes, writing by columns, a block at a time."""
     frames: list[RecordedFrame] = []
     written = 0

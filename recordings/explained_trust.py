@@ -1,0 +1,150 @@
+"""Why S* is where it is, for eyes: joints coloured by their source, a matrix joint × time, state lanes.
+
+"Why did the right elbow follow B at 12.4 s?" is answered by the joint's colour, by the row of the matrix, and
+by the data that :func:`details` lays beside the joint.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from recordings import layout
+from recordings.arrays import SessionArrays
+
+_SHADES = 16  # more than an eye tells apart here; few colours compress well
+_BINS = 300
+_BIN_NS = 100_000_000
+_PICTURE_EVERY_NS = 1_000_000_000
+_BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _AXIS_HEIGHT = 3, 22, 170, 56  # pixels of the picture
+_BACKGROUND, _INK = (27, 27, 31), (214, 214, 220)
+_SMALL_AND_QUICK = (
+    cv2.IMWRITE_PNG_COMPRESSION, 6, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE,
+)  # fmt: skip
+_FONT, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.55
+
+
+def trust_colors(rows: SessionArrays) -> NDArray[np.uint8]:
+    """(T, J, 3) RGB: between A's colour and B's by the share each has in the joint; grey where predicted."""
+    a, b = (np.array(layout.SKELETON_COLORS[side], dtype=np.float64) for side in layout.SIDES)
+    total = rows.weights_a + rows.weights_b
+    share = np.where(total > 0.0, rows.weights_a / np.where(total > 0.0, total, 1.0), 0.0)[..., None]
+    share = np.round(share * _SHADES) / _SHADES
+    mixed = share * a + (1.0 - share) * b
+    return np.where(rows.predicted[..., None], np.array(layout.PREDICTED_COLOR), mixed).astype(np.uint8)
+
+
+def details(rows: SessionArrays) -> dict[str, NDArray[Any]]:
+    """(T, J) each: what a person wants to read beside a joint of S* that is clicked."""
+    joints = np.array([*rows.body.joints, "none"])
+    states = np.array(layout.STATE_NAMES)
+    return {
+        "weight_a": rows.weights_a,
+        "weight_b": rows.weights_b,
+        "state_a": states[rows.states_a],
+        "state_b": states[rows.states_b],
+        "misleading_joint": joints[rows.misleading],
+        "view_difference_mm": np.round(rows.view_difference * 1e3, 0).astype(np.float32),
+        "joint": np.broadcast_to(joints[:-1], rows.misleading.shape),
+    }
+
+
+class TrustMatrix:
+    """The last half minute as a picture: a row a joint, coloured as in :func:`trust_colors`."""
+
+    def __init__(self, body: Body) -> None:
+        self._body = body
+        self._bins = np.full((len(body), _BINS, 3), _BACKGROUND, dtype=np.uint8)
+        self._newest = -1  # bin
+        self._next_ns = 0
+
+    def add(self, rows: SessionArrays) -> Iterator[tuple[int, bytes]]:
+        """Takes frames in time order.
+
+        Returns:
+            (index in `rows`, PNG file) whenever a new picture is due: once a second.
+        """
+        for t, color in enumerate(trust_colors(rows)):
+            now = int(rows.time_ns[t])
+            self._put(now // _BIN_NS, color)
+            if now >= self._next_ns:
+                self._next_ns = now - now % _PICTURE_EVERY_NS + _PICTURE_EVERY_NS
+                yield t, self._picture(now)
+
+    def _put(self, number: int, color: NDArray[np.uint8]) -> None:
+        moved = min(max(number - self._newest, 0), _BINS)
+        if moved:
+            self._bins = np.roll(self._bins, -moved, axis=1)
+            self._bins[:, _BINS - moved :] = _BACKGROUND
+            self._newest = number
+        self._bins[:, -1] = color
+
+    def _picture(self, now_ns: int) -> bytes:
+        cells = self._bins.repeat(_ROW_HEIGHT, axis=0).repeat(_BIN_WIDTH, axis=1)
+        cells[_ROW_HEIGHT - 1 :: _ROW_HEIGHT] = _BACKGROUND  # a line between the joints
+        height, width = len(cells), cells.shape[1]
+        picture = np.full((height + _AXIS_HEIGHT, _NAMES_WIDTH + width + 30, 3), _BACKGROUND, dtype=np.uint8)
+        picture[:height, _NAMES_WIDTH : _NAMES_WIDTH + width] = cells
+        for joint, name in enumerate(self._body.joints):
+            _text(picture, _in_words(name), 4, (joint + 1) * _ROW_HEIGHT - 6)
+        seconds = _BINS * _BIN_NS * 1e-9
+        for ago in np.arange(0.0, seconds + 1.0, 5.0):
+            x = _NAMES_WIDTH + round(width * (1.0 - ago / seconds))
+            cv2.line(picture, (x, height), (x, height + 5), _INK, 1)
+            label = "now" if ago == 0.0 else f"-{ago:.0f} s"
+            _text(picture, label, x - 18, height + 21)
+        left = _NAMES_WIDTH
+        for words, color in (
+            ("from A", layout.SKELETON_COLORS["a"]),
+            ("from B", layout.SKELETON_COLORS["b"]),
+            ("predicted", layout.PREDICTED_COLOR),
+        ):
+            picture[height + 33 : height + 48, left : left + 22] = color
+            _text(picture, words, left + 28, height + 47)
+            left += 150
+        _text(picture, f"until {now_ns * 1e-9:.1f} s", left + 220, height + 47)
+        _, png = cv2.imencode(".png", picture[..., ::-1], _SMALL_AND_QUICK)
+        return png.tobytes()
+
+
+class StateLanes:
+    """Tracking states where they change; a joint that never changes gets no lane."""
+
+    def __init__(self) -> None:
+        self._before: dict[str, NDArray[np.uint8]] = {}
+        self._open: set[tuple[str, int]] = set()
+
+    def add(self, rows: SessionArrays) -> Iterator[tuple[str, int, list[tuple[int | None, int]]]]:
+        """Takes frames in time order.
+
+        Returns:
+            For each side and joint with news, (side, joint, changes); a change is (index in `rows`, state).
+            A joint's first change is preceded by what it was from the beginning, at index None.
+        """
+        for side, states in (("a", rows.states_a), ("b", rows.states_b)):
+            before = self._before.get(side, states[0])
+            whole = np.concatenate((before[None], states))
+            for joint in np.flatnonzero((whole[1:] != whole[:-1]).any(axis=0)):
+                lane = whole[:, joint]
+                at = np.flatnonzero(lane[1:] != lane[:-1])
+                changes: list[tuple[int | None, int]] = [(int(t), int(states[t, joint])) for t in at]
+                if (side, int(joint)) not in self._open:
+                    self._open.add((side, int(joint)))
+                    changes.insert(0, (None, int(lane[0])))
+                yield side, int(joint), changes
+            self._before[side] = states[-1].copy()  # a view would keep the whole block
+
+
+def _in_words(joint: str) -> str:
+    """ELBOW_LEFT and ElbowLeft as ``elbow left``."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])|_", " ", joint).lower()
+
+
+def _text(picture: NDArray[np.uint8], words: str, x: int, y: int) -> None:
+    cv2.putText(picture, words, (x, y), _FONT, _TEXT_SIZE, _INK, 1, cv2.LINE_AA)

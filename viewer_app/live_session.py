@@ -1,0 +1,261 @@
+"""Where a loop's frames go while it runs: a file, a viewer, both or neither. It never waits for either."""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from uuid import uuid4
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from fusion.fuser import Fuser
+from recordings import layout
+from recordings.arrays import RecordedFrame
+from recordings.recorder import Recorder
+from recordings.rewriting import check_whole
+from viewer_app.errors import UsageError
+from viewer_app.rerun_process import Hub, start_window, start_window_on_pipe, stop
+from viewer_app.session_file import SessionFile, has_images, without_images
+from viewer_app.viewer_feed import Item, Note, ViewerFeed
+
+_VIEWER_QUEUE = 60
+"""Frames that wait for the viewer at most: two seconds, then it is shown the newest."""
+_EARLY = 0.9  # of an interval: a frame that comes a little early is not put off for the next one
+_DEPTH_HZ = 10.0  # what a viewer's memory of images stands
+_WINDOW_LOOKED_AFTER_EVERY = 0.5  # seconds
+_SHOWN_WITHIN = 60.0
+
+
+@dataclass(frozen=True)
+class Viewing:
+    """How a session is looked at while it is made.
+
+    Attributes:
+        window: Whether a window opens.
+        hub: Where viewers connect to; None where there is only a window, which then outlives the program.
+        depth_hz: Depth images a second and sensor at most, in the viewer.
+        headless: Whether the window is drawn without a screen, for tests.
+    """
+
+    window: bool = False
+    hub: Hub | None = None
+    depth_hz: float = _DEPTH_HZ
+    headless: bool = False
+
+
+class LiveSession:
+    """Takes what a :class:`~recordings.recorder.Recorder` takes, at once; threads of its own write it.
+
+    File and viewer each have a thread and a recording stream of the same recording id. Use it as a context
+    manager.
+
+    Args:
+        fuser: Whose settings, calibration and intrinsics the session keeps at first.
+        sources: What the sensors are called, K_A first.
+        blueprint: What the viewer shows.
+        file: The file to write; None for none.
+        viewing: The viewer; None for none.
+        complete: Whether the viewer too gets every frame, and closing waits for that: for recordings, whose
+            frames stay in memory anyway.
+
+    Raises:
+        UsageError: The viewer does not start.
+    """
+
+    def __init__(
+        self,
+        fuser: Fuser,
+        sources: tuple[str, str],
+        blueprint: rrb.Blueprint,
+        *,
+        file: Path | None = None,
+        viewing: Viewing | None = None,
+        complete: bool = False,
+    ) -> None:
+        self._fuser, self._sources, self._blueprint = fuser, sources, blueprint
+        self._id = uuid4()
+        self._complete = complete
+        self._count = 0
+        self._whole = False
+        self._start_ns: int | None = None
+        self._path = file
+        self._viewing = viewing or Viewing()
+        self._next_image_ns = 0
+        self._file: SessionFile | None = None
+        self._feed: ViewerFeed | None = None
+        self._window: _Window | None = None
+        hub = self._viewing.hub
+        if hub is not None:
+            self._feed = self._feed_into(hub.start)
+            try:
+                hub.wait_until_listening(self._feed.process)
+            except UsageError:
+                self._feed.close(end_process=True)
+                raise
+            if self._viewing.window:
+                self._window = _Window(lambda: start_window(hub, self._viewing.headless))
+        elif self._viewing.window:
+            self._feed = self._feed_into(start_window_on_pipe, restart=False)
+        if file is not None:
+            stream = self._stream()
+            stream.set_sinks(rr.FileSink(str(file)), default_blueprint=blueprint)
+            self._file = SessionFile(
+                stream, lambda of: Recorder(of, fuser, sources, depth_every=1), bounded=not complete
+            )
+
+    def record(self, frame: RecordedFrame) -> None:
+        """Takes a frame."""
+        if self._start_ns is None:
+            self._start_ns = frame.pair.time_ns
+        number, self._count = self._count, self._count + 1
+        if self._file is not None:
+            self._file.offer((number, frame))
+        if self._feed is not None:
+            self._feed.offer((number, self._capped(frame)))
+
+    def record_all(self, frames: Sequence[RecordedFrame]) -> None:
+        """Takes frames in time order."""
+        for frame in frames:
+            self.record(frame)
+
+    def event(self, text: str, level: str = "INFO") -> None:
+        """Takes what happened, at the time of the last frame."""
+        self._say(Note(text, level))
+
+    def coach(self, markdown: str) -> None:
+        """Takes what to do next, at the time of the last frame."""
+        self._say(Note(markdown, None))
+
+    def calibrate(self, fuser: Fuser) -> None:
+        """Takes the fuser with which the frames that follow are made."""
+        self._fuser = fuser
+        self._say(fuser)
+
+    @property
+    def dropped(self) -> int:
+        """Frames that the viewer was too slow for."""
+        return 0 if self._feed is None else self._feed.dropped
+
+    @property
+    def lost(self) -> int:
+        """Frames that the file lacks, because the disk stood still for a minute."""
+        return 0 if self._file is None else self._file.lost
+
+    @property
+    def saves(self) -> bool:
+        """Whether there is a file."""
+        return self._path is not None
+
+    @property
+    def saved_bytes(self) -> int:
+        """The file's size so far."""
+        try:
+            return 0 if self._path is None else self._path.stat().st_size
+        except OSError:
+            return 0
+
+    @property
+    def window_closed(self) -> bool:
+        """Whether a person closed the window; it does not come back by itself."""
+        return self._window is not None and self._window.closed
+
+    def finish(self) -> None:
+        """Says that the session is whole, as :meth:`Recorder.finish` does."""
+        self._whole = True
+
+    def save(self) -> None:
+        """Writes what waits for the file, and closes it; what comes later only the viewer gets.
+
+        Raises:
+            OSError: Not everything has reached the file.
+        """
+        if self._file is not None:
+            file, self._file = self._file, None
+            file.close(self._whole)
+            if self._whole and self._path is not None:
+                check_whole(self._path)
+
+    def __enter__(self) -> LiveSession:
+        """Is open already."""
+        return self
+
+    def __exit__(self, failed: type[BaseException] | None, *exc_info: object) -> None:
+        """Saves everything; what the viewer has not seen yet it sees only of a recording that went well."""
+        try:
+            self.save()
+        finally:
+            if self._window is not None:
+                self._window.leave()
+            if self._feed is not None:
+                if self._complete and failed is None:
+                    self._feed.finish(_SHOWN_WITHIN)
+                self._feed.close(end_process=self._viewing.hub is not None)
+
+    def _say(self, item: Item) -> None:
+        for taker in (self._file, self._feed):
+            if taker is not None:
+                taker.offer(item)
+
+    def _capped(self, frame: RecordedFrame) -> RecordedFrame:
+        """The frame for the viewer: with images only as often as it stands them."""
+        if not has_images(frame.pair):
+            return frame
+        if frame.pair.time_ns >= self._next_image_ns:
+            self._next_image_ns = frame.pair.time_ns + int(_EARLY * 1e9 / self._viewing.depth_hz)
+            return frame
+        return replace(frame, pair=without_images(frame.pair))
+
+    def _feed_into(self, start: Callable[[], subprocess.Popen[bytes]], restart: bool = True) -> ViewerFeed:
+        return ViewerFeed(
+            start,
+            self._stream,
+            self._begin,
+            restart=restart,
+            keep=None if self._complete else _VIEWER_QUEUE,
+        )
+
+    def _stream(self) -> rr.RecordingStream:
+        return rr.RecordingStream(layout.APPLICATION_ID, recording_id=self._id)
+
+    def _begin(self, stream: rr.RecordingStream) -> Recorder:
+        stream.send_blueprint(self._blueprint)
+        return Recorder(
+            stream, self._fuser, self._sources, depth_every=1, start_ns=self._start_ns, points=True
+        )
+
+
+class _Window:
+    """A viewer's window that comes back when it crashes, and stays away when a person closes it."""
+
+    def __init__(self, start: Callable[[], subprocess.Popen[bytes]]) -> None:
+        self._start = start
+        self._leaving = threading.Event()
+        self.process = start()
+        self.starts = 1
+        self.closed = False
+        self._thread = threading.Thread(target=self._look_after, name="viewer window", daemon=True)
+        self._thread.start()
+
+    def leave(self) -> None:
+        """Stops looking after it. The window stays open, with what it has."""
+        self._leaving.set()
+        self._thread.join(timeout=1.0)
+
+    def _look_after(self) -> None:
+        while not self._leaving.wait(_WINDOW_LOOKED_AFTER_EVERY):
+            if self.process.poll() is None:
+                continue
+            if self.process.returncode == 0:
+                self.closed = True
+                return
+            try:
+                self.process = self._start()
+                self.starts += 1
+            except UsageError:
+                continue
+            if self._leaving.is_set():
+                stop(self.process)

@@ -1,0 +1,196 @@
+"""Rerun's own program as child processes: a hub that viewers connect to, and a window.
+
+A recording stream that logs to a viewer directly stops for good when that viewer is frozen or gone. So our
+data go down a pipe into a hub (``rerun --serve-grpc -``), which keeps a bounded history for viewers that come
+late, and which we can abandon at any time: a pipe can be written without waiting.
+
+Everything listens on this machine's loopback address unless told otherwise, and sends no usage statistics.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+from viewer_app.errors import UsageError
+
+LOOPBACK = "127.0.0.1"
+_STARTS_WITHIN = 20.0  # seconds
+_HUB_MEMORY = "512MiB"
+_VIEWER_MEMORY = "2GiB"
+
+
+@dataclass(frozen=True)
+class Hub:
+    """Where a hub listens.
+
+    Attributes:
+        port: Of the data.
+        web_port: Of the page with the viewer; None without one.
+        address: That it is bound to.
+    """
+
+    port: int
+    web_port: int | None = None
+    address: str = LOOPBACK
+
+    @staticmethod
+    def on_free_ports(web: bool, address: str | None = None) -> Hub:
+        """A hub that is not started yet.
+
+        Raises:
+            UsageError: The address is none of this machine's.
+        """
+        host = address or LOOPBACK
+        return Hub(free_port(host), free_port(host) if web else None, host)
+
+    @property
+    def reached_at(self) -> str:
+        """The host name to reach it by, from this machine."""
+        anywhere = {"0.0.0.0": LOOPBACK, "::": "[::1]"}
+        return anywhere.get(self.address, f"[{self.address}]" if ":" in self.address else self.address)
+
+    @property
+    def url(self) -> str:
+        """What ``rerun --connect`` takes."""
+        return f"rerun+http://{self.reached_at}:{self.port}/proxy"
+
+    @property
+    def page(self) -> str:
+        """What a browser opens."""
+        return f"http://{self.reached_at}:{self.web_port}/?url={quote(self.url, safe='')}"
+
+    def start(self) -> subprocess.Popen[bytes]:
+        """Starts it; it takes a session from its standard input, and listens when something came there."""
+        web = ["--serve-grpc"]
+        if self.web_port is not None:
+            web = ["--serve-web", "--web-viewer-port", str(self.web_port)]
+        return _start(
+            [
+                *web,
+                *("--bind", self.address, "--port", str(self.port)),
+                *("--server-memory-limit", _HUB_MEMORY, "-"),
+            ],
+            stdin=subprocess.PIPE,
+        )
+
+    def wait_until_listening(self, process: subprocess.Popen[bytes]) -> None:
+        """Waits for a hub that was started and gets its session.
+
+        Raises:
+            UsageError: It does not start.
+        """
+        for port in (self.port, self.web_port):
+            if port is not None:
+                _wait_for(process, self.reached_at.strip("[]"), port, "Rerun's server")
+
+
+def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
+    """Starts a viewer that shows what the hub has; `headless` is for tests.
+
+    Raises:
+        UsageError: It does not start.
+    """
+    arguments = ["--connect", hub.url, "--hide-welcome-screen", *(["--headless"] if headless else [])]
+    return start_viewer(arguments)[0]
+
+
+def start_window_on_pipe() -> subprocess.Popen[bytes]:
+    """Starts a viewer of its own that takes a session from its standard input, and outlives us."""
+    return _start([*_own(free_port()), "--expect-data-soon", "-"], stdin=subprocess.PIPE)
+
+
+def start_viewer(arguments: Sequence[str]) -> tuple[subprocess.Popen[bytes], int]:
+    """Starts a viewer that listens on a free port of the loopback address, and has a bounded memory.
+
+    Returns:
+        The process and its port.
+
+    Raises:
+        UsageError: It does not start.
+    """
+    port = free_port()
+    viewer = _start([*_own(port), *arguments])
+    _wait_for(viewer, LOOPBACK, port, "Rerun's viewer")
+    return viewer, port
+
+
+def stop(process: subprocess.Popen[bytes]) -> None:
+    """Ends a process that this module started, frozen or not; ending it twice is harmless."""
+    if process.stdin is not None:
+        with contextlib.suppress(OSError):
+            process.stdin.close()
+    if process.poll() is None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL) if hasattr(os, "killpg") else process.kill()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=1.0)
+
+
+def free_port(address: str = LOOPBACK) -> int:
+    """A port of the address that nothing listens on.
+
+    Raises:
+        UsageError: The address is none of this machine's.
+    """
+    try:
+        family = socket.AF_INET6 if ":" in address else socket.AF_INET
+        with socket.socket(family) as probe:
+            probe.bind((address, 0))
+            return int(probe.getsockname()[1])
+    except OSError as error:
+        raise UsageError(
+            f"Cannot listen on {address!r}: {error.strerror or error}. Give an address of this machine, or "
+            "0.0.0.0 for all."
+        ) from None
+
+
+def _start(arguments: Sequence[str], stdin: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [*_program(), *arguments],
+        env={**os.environ, "RERUN_ANALYTICS": "0"},
+        stdin=stdin,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # Ctrl-C is for us: we end it when everything is saved
+        bufsize=0,
+    )
+
+
+def _own(port: int) -> tuple[str, ...]:
+    return "--bind", LOOPBACK, "--port", str(port), "--memory-limit", _VIEWER_MEMORY
+
+
+def _program() -> list[str]:
+    """Rerun's viewer itself where it can be found, so that it is the process we start, stop and wait for."""
+    spec = importlib.util.find_spec("rerun_cli")
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        for name in ("rerun", "rerun.exe"):
+            if (program := Path(folder) / name).is_file():
+                return [str(program)]
+    return [sys.executable, "-m", "rerun"]
+
+
+def _wait_for(process: subprocess.Popen[bytes], host: str, port: int, what: str) -> None:
+    deadline = time.monotonic() + _STARTS_WITHIN
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            socket.create_connection((host, port), timeout=0.5).close()
+            return
+        except OSError:
+            time.sleep(0.05)
+    stop(process)
+    raise UsageError(
+        f"{what} does not start here. Use --save FILE.rrd --no-viewer, and open the file with "
+        "`rerun FILE.rrd` where there is a display."
+    )
