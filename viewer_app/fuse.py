@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +11,6 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from devices.pairing import Pairing, pair_recordings
-from devices.people import choose_person
-from devices.sensor import DeviceError
-from devices.skeleton_files import SkeletonRecording
 from fusion.body import Body
 from fusion.calibration import Calibration, calibrate, find_start_up_pose
 from fusion.errors import CalibrationError
@@ -30,7 +25,8 @@ from viewer_app.options import FuseOptions
 from viewer_app.outputs import check_outputs, whole_file
 from viewer_app.report import FusionResult, print_summary, report, report_to_json, say_saved
 from viewer_app.run import fuse_offline, fuse_one, warm_up
-from viewer_app.sinks import has_display, open_stream
+from viewer_app.sinks import open_stream, wants_window
+from viewer_app.two_recordings import log_depth, read_two
 
 
 def run(options: FuseOptions) -> None:
@@ -40,29 +36,37 @@ def run(options: FuseOptions) -> None:
         DeviceError, FusionError, RecordingError, UsageError: With one line for the person who asked.
     """
     console = Console()
-    window = _wants_window(options)
+    window = wants_window(options.no_viewer, options.save)
     outputs = (options.save, options.report, options.save_calibration)
-    check_outputs(outputs, (options.a, options.b, Path(options.calibrate)), options.force)
+    inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
+    check_outputs(outputs, filter(None, inputs), options.force)
     settings = FuserSettings(h=options.h, solver=options.solver, weights=options.weights)
-    body, pairing = _read(options)
+    read = read_two(options, console)
+    body, pairing = read.body, read.pairing
+    for warning in read.warnings:
+        console.print(warning, style="yellow", highlight=False, markup=False)
     skeletons = [pair.skeletons for pair in pairing.pairs]
     calibration = _calibrate(options.calibrate, body, skeletons)
 
     with open_stream(options.save, window, inspect_blueprint(body, _whereabouts(skeletons))) as stream:
-        fuser = Fuser(calibration, settings)
+        fuser = Fuser(calibration, settings, *read.intrinsics)
         warm_up(fuser, console)
         recorder = Recorder(stream, fuser, (str(options.a), str(options.b)))
         recorder.event(f"calibrated: {calibration.how}")
+        for warning in read.warnings:
+            recorder.event(warning, "WARN")
         shown = track(
             pairing.pairs, "fusing", console=console, transient=True, disable=not console.is_terminal
         )
         frames = fuse_offline(shown, fuser, recorder)
+        if window or options.save is not None:
+            log_depth(read, recorder, console)
         recorder.finish()
 
     rows = SessionArrays.stack(body, calibration.bone_lengths, frames)
     exact = None
     if settings.solver != "exact":
-        other = Fuser(calibration, replace(settings, solver="exact"))
+        other = Fuser(calibration, replace(settings, solver="exact"), *read.intrinsics)
         exact = SessionArrays.stack(
             body, calibration.bone_lengths, [fuse_one(other, pair) for pair in pairing.pairs]
         )
@@ -73,34 +77,6 @@ def run(options: FuseOptions) -> None:
     print_summary(console, result, figures)
     if options.save is not None:
         say_saved(console, options.save)
-
-
-def _wants_window(options: FuseOptions) -> bool:
-    if options.no_viewer:
-        return False
-    if has_display():
-        return True
-    if options.save is None:
-        raise UsageError(
-            "There is no display for the viewer's window, and no --save. Use --save FILE.rrd to keep the "
-            "session, or --no-viewer for the summary alone."
-        )
-    return False
-
-
-def _read(options: FuseOptions) -> tuple[Body, Pairing]:
-    with ExitStack() as stack:
-        a = stack.enter_context(SkeletonRecording(options.a))
-        b = stack.enter_context(SkeletonRecording(options.b))
-        if a.body is not b.body:
-            raise DeviceError(
-                f"{a.name} has the {len(a.body)} joints of {a.body.name}, {b.name} the {len(b.body)} of "
-                f"{b.body.name}. Both sensors must be of one family."
-            )
-        frames_a, frames_b = list(a.frames()), list(b.frames())
-        person_a = choose_person(frames_a, options.person_a, a.name, "--person-a")
-        person_b = choose_person(frames_b, options.person_b, b.name, "--person-b")
-        return a.body, pair_recordings(frames_a, frames_b, person_a, person_b)
 
 
 def _calibrate(wanted: str, body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:
