@@ -11,12 +11,17 @@ from pathlib import Path
 
 from devices.body_tracking import INSTALL, TrackerSettings
 from devices.kinect_access import ConnectedKinect, connected_kinects, load_sdk
+from devices.kinect_choice import sync_master
 from devices.native_library import load_library
 from devices.sensor import DeviceError
 from devices.usb import UDEV_ADVICE, usb_kinects
 
 _MODELS = ("dnn_model_2_0_op11.onnx", "dnn_model_2_0_lite_op11.onnx", "dnn_model_2_0.onnx")
 _USB3_MEGABITS = 5000
+_CABLE_ADVICE = (
+    "A 3.5 mm cable from one's sync out to the other's sync in makes them capture together, without "
+    "disturbing each other."
+)
 
 
 @dataclass(frozen=True)
@@ -134,7 +139,21 @@ def _kinects() -> list[Check]:
     usable = sum(kinect.serial is not None for kinect in there)
     advice = "" if usable >= 2 else "Plug in two: USB 3 and a power supply each, on two USB controllers."
     counted = Check("two Kinects", usable >= 2, f"{len(there)} connected, {usable} usable", advice)
-    return [counted, *(_kinect(kinect) for kinect in there)]
+    return [counted, *(_kinect(kinect) for kinect in there), *_sync_cable(there)]
+
+
+def _sync_cable(there: list[ConnectedKinect]) -> list[Check]:
+    """How the two are joined; with more, that depends on which two are chosen."""
+    if len(there) != 2 or any(kinect.serial is None for kinect in there):
+        return []
+    try:
+        master = sync_master(*there)
+    except DeviceError as fault:
+        return [_failed("sync cable", fault)]
+    if master is None:
+        return [Check("sync cable", False, "none", _CABLE_ADVICE, needed=False)]
+    other = next(kinect.serial for kinect in there if kinect.serial != master)
+    return [Check("sync cable", True, f"from {master} to {other}", needed=False)]
 
 
 def _kinect(kinect: ConnectedKinect) -> Check:

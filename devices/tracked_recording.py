@@ -96,7 +96,6 @@ class RecordingWithSkeletons:
 
     Attributes:
         name, intrinsics: The recording's.
-        body: The saved skeletons'.
         warnings: The recording's, and how many frames found no skeleton of their time.
     """
 
@@ -104,9 +103,13 @@ class RecordingWithSkeletons:
         """Names the two sources; opens nothing. Their times must be on the same clock: the sensor's."""
         self.recording, self.skeletons = recording, skeletons
         self.name: str = recording.name
-        self.body: Body = skeletons.body
         self.intrinsics: Intrinsics | None = None
         self.warnings: list[str] = []
+
+    @property
+    def body(self) -> Body:
+        """The saved skeletons'; known once it is open."""
+        return self.skeletons.body
 
     def __enter__(self) -> RecordingWithSkeletons:
         """Opens both.
@@ -121,7 +124,6 @@ class RecordingWithSkeletons:
             self.__exit__()
             raise
         self.intrinsics, self.warnings = self.recording.intrinsics, self.recording.warnings
-        self.body = self.skeletons.body
         return self
 
     def __exit__(self, *exc_info: object) -> None:

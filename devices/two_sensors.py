@@ -11,6 +11,7 @@ from devices.sensor import Sensor
 from devices.sensor_thread import SensorEvent, SensorState, SensorThread
 
 _POLL_S = 0.01  # pairs that wait for nobody any more come out this much late at most
+_KEEP = 8  # frames a sensor: a quarter of a second in which the reader's machine did something else
 
 
 class TwoSensors:
@@ -33,6 +34,7 @@ class TwoSensors:
         stall_s: float = 2.0,
         retry_s: float = 1.0,
         open_s: float = 120.0,
+        tell: Callable[[SensorEvent], None] = lambda _: None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         """Prepares; opens nothing.
@@ -44,16 +46,20 @@ class TwoSensors:
             stall_s: After how long without a frame a sensor counts as stalled.
             retry_s: How often a lost sensor is tried again.
             open_s: How long opening one may take: its body tracker loads a network.
+            tell: Told of every event at once, also while no pair comes; on the thread that asks for pairs.
             clock: Seconds; tests put their own.
         """
         self._arrival = threading.Event()
         self.a, self.b = (
-            SensorThread(sensor, stall_s=stall_s, retry_s=retry_s, arrival=self._arrival, clock=clock)
+            SensorThread(
+                sensor, keep=_KEEP, stall_s=stall_s, retry_s=retry_s, arrival=self._arrival, clock=clock
+            )
             for sensor in (a, b)
         )
         self._pairing = pairing or LivePairing()
         self._first: Side = first
-        self._clock, self._open_s = clock, open_s
+        self._clock, self._open_s, self._tell = clock, open_s, tell
+        self._stopped = False
         self._returns: dict[Side, int] = {"a": 0, "b": 0}
         self._events: list[SensorEvent] = []
 
@@ -68,6 +74,7 @@ class TwoSensors:
         Raises:
             DeviceError: One cannot be opened; the other is closed again.
         """
+        self._stopped = False
         try:
             for thread in (self.b, self.a) if self._first == "b" else (self.a, self.b):
                 thread.open(self._open_s)
@@ -84,17 +91,21 @@ class TwoSensors:
             self.b.close()
 
     def pairs(self) -> Iterator[LivePair]:
-        """Pairs as they come, until both sources have ended; waits as long as both are gone.
+        """Pairs as they come, until both sources have ended or :meth:`stop`; waits while both are gone.
 
         Raises:
             Exception: A fault of the program inside a sensor.
         """
-        while True:
+        while not self._stopped:
             ended = all(thread.state is SensorState.ENDED for thread in (self.a, self.b))
             yield from self.poll(0.0 if ended else _POLL_S)
             if ended:
                 yield from self._pairing.poll(_ns(self._clock()) + 10**12)
                 return
+
+    def stop(self) -> None:
+        """Makes ``pairs`` end; for signal handlers and other threads."""
+        self._stopped = True  # an Event's lock may be held by the very thread that the signal interrupts
 
     def poll(self, wait_s: float = _POLL_S) -> list[LivePair]:
         """The pairs that are complete now, after waiting for a frame at most ``wait_s``.
@@ -114,7 +125,10 @@ class TwoSensors:
                 self._pairing.set_gone(side, True)
             for frame in frames:
                 pairs += self._pairing.add(side, frame, now_ns)
-            self._events += thread.events()
+            events = thread.events()
+            self._events += events
+            for event in events:
+                self._tell(event)
         return pairs + self._pairing.poll(now_ns)
 
     def events(self) -> list[SensorEvent]:

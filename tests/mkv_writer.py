@@ -49,6 +49,7 @@ def write_mkv(
     color: bool = False,
     calibration: bytes | None = None,
     size: tuple[int, int] | None = None,
+    sync: str = "SUBORDINATE",
 ) -> Path:
     """Writes a recording; infrared is depth + 1, colour one grey, and every frame has one IMU sample."""
     width, height = size or (DEPTH_MODES[mode].width, DEPTH_MODES[mode].height)
@@ -56,8 +57,8 @@ def write_mkv(
         container.metadata.update(
             K4A_START_OFFSET_NS=str(start_offset_ns),
             K4A_DEVICE_SERIAL_NUMBER=serial,
-            K4A_WIRED_SYNC_MODE="SUBORDINATE",
-            K4A_SUBORDINATE_DELAY_NS="160000",
+            K4A_WIRED_SYNC_MODE=sync,
+            K4A_SUBORDINATE_DELAY_NS="160000" if sync == "SUBORDINATE" else "0",
         )
         streams = {}
         for title in ("DEPTH", "IR"):

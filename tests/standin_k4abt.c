@@ -34,15 +34,19 @@ EXPORT char standin_model[512];
 static void *born(size_t size, uint32_t magic) {
     uint32_t *thing = calloc(1, size);
     *thing = magic;
-    standin_alive++;
+    __atomic_add_fetch(&standin_alive, 1, __ATOMIC_SEQ_CST); /* two sensors' threads work at once */
     return thing;
 }
 static int is(const void *thing, uint32_t magic) {
     if (thing && *(const uint32_t *)thing == magic) return 1;
-    standin_misuses++;
+    __atomic_add_fetch(&standin_misuses, 1, __ATOMIC_SEQ_CST);
     return 0;
 }
-static void dies(void *thing) { *(uint32_t *)thing = DEAD; standin_alive--; free(thing); }
+static void dies(void *thing) {
+    *(uint32_t *)thing = DEAD;
+    __atomic_sub_fetch(&standin_alive, 1, __ATOMIC_SEQ_CST);
+    free(thing);
+}
 
 EXPORT int k4a_calibration_get_from_raw(char *raw, size_t size, int depth_mode, int color_mode, uint8_t *calibration) {
     if (standin_calibration_status || size == 0 || raw[size - 1] != 0 || color_mode != 0) return FAILED;

@@ -5,7 +5,9 @@ from __future__ import annotations
 import ctypes
 import enum
 import sys
+import time
 import types
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -44,6 +46,10 @@ class Device:
     fails_to_stop: bool = False
     clock_usec: int = 1_000_000
     captures: int = 0
+    interval_usec: int = 33_333
+    paced: bool = False  # captures come when they are due, by the machine's clock
+    begun: float | None = None
+    at: dict[int, Callable[[], object]] = field(default_factory=dict)  # what happens at which capture
     opened_by: object = None
     log: list[str] = field(default_factory=list)
 
@@ -70,7 +76,7 @@ class Bus:
 class Capture:
     def __init__(self, bus: Bus, device: Device) -> None:
         device.captures += 1
-        device.clock_usec += 33_333
+        device.clock_usec += device.interval_usec
         shape = (576, 640)
         self.depth = None if device.blind else np.full(shape, 2000 + device.captures, np.uint16)
         self.ir = np.full(shape, 900, np.uint16)
@@ -183,9 +189,22 @@ def make_module(bus: Bus) -> types.ModuleType:
 
         def get_capture(self, timeout: int = -1) -> Capture:
             bus.timeouts.append(timeout)
-            if self._present().silent:
+            self._device.at.pop(self._present().captures, lambda: None)()
+            device = self._present()
+            if device.silent:
+                time.sleep(timeout / 1000 if device.paced else 0.0)
                 raise K4ATimeoutException
-            return Capture(bus, self._device)
+            if device.paced:
+                self._wait_until_due(device)
+            return Capture(bus, device)
+
+        @staticmethod
+        def _wait_until_due(device: Device) -> None:
+            period = device.interval_usec * 1e-6
+            now = time.perf_counter()
+            if device.begun is None:
+                device.begun = now - device.captures * period
+            time.sleep(max(0.0, device.begun + (device.captures + 1) * period - now))
 
         def _present(self) -> Device:
             if self._device is None or not self._device.plugged:

@@ -13,6 +13,7 @@ from standin import Standin
 from devices.body_tracking import TrackerSettings
 from devices.mkv import MkvRecording
 from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.skeleton_files import SkeletonRecording
 from devices.tracked_recording import RecordingWithSkeletons, TrackedRecording
 from fusion.body import KINECT_V2
 from fusion.skeleton import Skeleton
@@ -94,6 +95,16 @@ def test_saved_skeletons_join_the_frame_of_their_time(path: Path) -> None:
         assert source.warnings == ["b.mkv: 1 of 6 frames found no saved skeleton."]
     assert [list(frame.people) for frame in frames] == [["0"], ["1"], [], ["2"], ["3"], ["4"]]
     assert all(frame.depth is not None for frame in frames)
+
+
+def test_skeletons_saved_to_a_file_join_too(path: Path, tmp_path: Path) -> None:
+    # a file's body is known only once it is open
+    rows = [f"{time_ns // 1000},0,SPINE_BASE,0,0,2" for time_ns in _times()]
+    saved = tmp_path / "b.csv"
+    saved.write_text("\n".join(["time_us,body,joint,x,y,z", *rows]) + "\n", encoding="utf-8")
+    with RecordingWithSkeletons(MkvRecording(path), SkeletonRecording(saved)) as source:
+        assert [list(frame.people) for frame in source.frames()] == [["0"]] * FRAMES
+        assert source.body is KINECT_V2
 
 
 def test_skeletons_of_another_recording_are_refused(path: Path) -> None:

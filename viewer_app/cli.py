@@ -13,6 +13,7 @@ from viewer_app import options as of
 
 _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "demo": (of.DemoOptions, "viewer_app.demo"),
+    "live": (of.LiveOptions, "viewer_app.live_command"),
     "fuse": (of.FuseOptions, "viewer_app.fuse"),
     "replay": (of.ReplayOptions, "viewer_app.replay"),
     "review": (of.ReviewOptions, "viewer_app.review"),
@@ -20,6 +21,7 @@ _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "export": (of.ExportOptions, "viewer_app.export"),
     "trim": (of.TrimOptions, "viewer_app.trim"),
     "info": (of.InfoOptions, "viewer_app.info"),
+    "doctor": (of.DoctorOptions, "viewer_app.doctor_command"),
     "bench accuracy": (of.BenchAccuracyOptions, "viewer_app.bench_accuracy"),
     "bench speed": (of.BenchSpeedOptions, "viewer_app.bench_speed"),
 }

@@ -21,13 +21,15 @@ from fusion.fuser import Fuser, FuserSettings
 from recordings.arrays import RecordedFrame, SessionArrays
 from viewer_app.blueprint import session_blueprint
 from viewer_app.coach import Coach
+from viewer_app.ctrl_c import CtrlC
 from viewer_app.errors import UsageError
 from viewer_app.live import run_live
 from viewer_app.live_display import LiveDisplay
 from viewer_app.live_session import LiveSession
+from viewer_app.live_summary import print_session
 from viewer_app.options import DemoOptions
 from viewer_app.outputs import check_writable, whole_file
-from viewer_app.report import calibration_in_words, say_saved
+from viewer_app.report import say_saved
 from viewer_app.run import warm_up
 from viewer_app.viewing import announce, choose_viewing, has_display
 
@@ -72,44 +74,38 @@ def run(options: DemoOptions) -> None:
         f"{options.seconds:g} s. Ctrl-C ends it."
     )
     announce(viewing, console)
-    with ExitStack() as stack:
-        file = None if save is None else stack.enter_context(whole_file(save))
-        session = stack.enter_context(
-            LiveSession(nominal, (a.name, b.name), blueprint, file=file, viewing=viewing)
-        )
-        sensors = stack.enter_context(TwoSensors(PacedSensor(a), PacedSensor(b)))
-        coach = Coach(body, (nominal.intrinsics_a, nominal.intrinsics_b))
-        show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))
-        fuser, frames = run_live(
-            sensors,
-            body=body,
-            settings=FuserSettings(),
-            intrinsics=(a.intrinsics, b.intrinsics),
-            calibration=None,
-            recorder_for=lambda _: session,
-            truth_at=truth.positions_at,
-            go_on=show,
-        )
-        dropped = sensors.a.dropped, sensors.b.dropped
-    if frames:
-        _print_summary(console, fuser, frames, truth, dropped)
-    if save is not None:
-        say_saved(console, save)
+    with CtrlC() as ctrl_c:
+        with ExitStack() as stack:
+            file = None if save is None else stack.enter_context(whole_file(save))
+            session = stack.enter_context(
+                LiveSession(nominal, (a.name, b.name), blueprint, file=file, viewing=viewing)
+            )
+            sensors = stack.enter_context(TwoSensors(PacedSensor(a), PacedSensor(b)))
+            ctrl_c.calls(sensors.stop)
+            coach = Coach(body, (nominal.intrinsics_a, nominal.intrinsics_b))
+            show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))
+            fuser, frames = run_live(
+                sensors,
+                body=body,
+                settings=FuserSettings(),
+                intrinsics=(a.intrinsics, b.intrinsics),
+                calibration=None,
+                recorder_for=lambda _: session,
+                truth_at=truth.positions_at,
+                go_on=show,
+            )
+        print_session(console, fuser, frames, sensors)
+        if frames:
+            _print_truth(console, fuser, frames, truth)
+        if save is not None:
+            say_saved(console, save)
 
 
-def _print_summary(
-    console: Console, fuser: Fuser, frames: list[RecordedFrame], truth: Truth, dropped: tuple[int, int]
-) -> None:
+def _print_truth(console: Console, fuser: Fuser, frames: list[RecordedFrame], truth: Truth) -> None:
     rows = SessionArrays.stack(fuser.calibration.body, fuser.calibration.bone_lengths, frames)
     assert rows.truth is not None
-    console.print(
-        f"[bold]{len(frames)} frames[/], {_rate(rows):.1f} a second; the sensors were too fast for us "
-        f"{dropped[0]} and {dropped[1]} times."
-    )
-    for line in calibration_in_words(fuser.calibration):
-        console.print(line, highlight=False)
     angle = math.degrees(fuser.calibration.a_from_b.angle_to(truth.a_from_b))
-    console.print(f"  The sensors' true rotation lies {angle:.1f}° from it.")
+    console.print(f"The sensors' true rotation lies {angle:.1f}° from the one found.")
     calibrated = rows.frame >= len(rows) // 4  # by then the start-up pose is over
     skeletons: dict[str, NDArray[np.float64]] = {
         "S_A": rows.positions_a.astype(np.float64),
@@ -125,11 +121,3 @@ def _print_summary(
         if off.size:
             table.add_row(name, f"{off.mean():.0f} mm", f"{np.percentile(off, 95):.0f} mm")
     console.print(table)
-    console.print(
-        f"[bold]Fusion[/]: {np.median(rows.fuse_ms):.3f} ms a frame (median), "
-        f"99 % {np.percentile(rows.fuse_ms, 99):.3f} ms"
-    )
-
-
-def _rate(rows: SessionArrays) -> float:
-    return float((len(rows) - 1) / max(rows.time_ns[-1] * 1e-9, 1e-9))

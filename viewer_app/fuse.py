@@ -12,10 +12,6 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from devices.pairing import Pairing, pair_recordings
-from devices.people import choose_person
-from devices.sensor import DeviceError
-from devices.skeleton_files import SkeletonRecording
 from fusion.body import Body
 from fusion.calibration import Calibration, calibrate, find_start_up_pose
 from fusion.errors import CalibrationError
@@ -30,6 +26,7 @@ from viewer_app.options import FuseOptions
 from viewer_app.outputs import check_outputs, whole_file
 from viewer_app.report import FusionResult, print_summary, report, report_to_json, say_saved
 from viewer_app.run import fuse_offline, fuse_one, warm_up
+from viewer_app.two_recordings import log_depth, read_two
 from viewer_app.viewing import announce, choose_viewing, stay_for_visitors
 
 
@@ -44,13 +41,17 @@ def run(options: FuseOptions) -> None:
         no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=options.save, live=False
     )
     outputs = (options.save, options.report, options.save_calibration)
-    check_outputs(outputs, (options.a, options.b, Path(options.calibrate)), options.force)
+    inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
+    check_outputs(outputs, filter(None, inputs), options.force)
     settings = FuserSettings(h=options.h, solver=options.solver, weights=options.weights)
-    body, pairing = _read(options)
+    read = read_two(options, console)
+    body, pairing = read.body, read.pairing
+    for warning in read.warnings:
+        console.print(warning, style="yellow", highlight=False, markup=False)
     skeletons = [pair.skeletons for pair in pairing.pairs]
     calibration = _calibrate(options.calibrate, body, skeletons)
 
-    fuser = Fuser(calibration, settings)
+    fuser = Fuser(calibration, settings, *read.intrinsics)
     warm_up(fuser, console)
     blueprint = session_blueprint(fuser, _whereabouts(skeletons), options.layout)
     with ExitStack() as viewer:
@@ -70,7 +71,10 @@ def run(options: FuseOptions) -> None:
             shown = track(
                 pairing.pairs, "fusing", console=console, transient=True, disable=not console.is_terminal
             )
+            for warning in read.warnings:
+                session.event(warning, "WARN")
             frames = fuse_offline(shown, fuser, session)
+            log_depth(read, session, console)
             session.finish()
             session.save()
         _summarise(console, options, FusionResult(pairing, calibration, settings, *_rows(frames, fuser)))
@@ -83,7 +87,12 @@ def _rows(frames: list[RecordedFrame], fuser: Fuser) -> tuple[SessionArrays, Ses
     rows = SessionArrays.stack(calibration.body, calibration.bone_lengths, frames)
     if fuser.settings.solver == "exact":
         return rows, None
-    other = Fuser(calibration, replace(fuser.settings, solver="exact"))
+    other = Fuser(
+        calibration,
+        replace(fuser.settings, solver="exact"),
+        fuser.intrinsics_a,
+        fuser.intrinsics_b,
+    )
     again = [fuse_one(other, frame.pair) for frame in frames]
     return rows, SessionArrays.stack(calibration.body, calibration.bone_lengths, again)
 
@@ -95,21 +104,6 @@ def _summarise(console: Console, options: FuseOptions, result: FusionResult) -> 
     print_summary(console, result, figures)
     if options.save is not None:
         say_saved(console, options.save)
-
-
-def _read(options: FuseOptions) -> tuple[Body, Pairing]:
-    with ExitStack() as stack:
-        a = stack.enter_context(SkeletonRecording(options.a))
-        b = stack.enter_context(SkeletonRecording(options.b))
-        if a.body is not b.body:
-            raise DeviceError(
-                f"{a.name} has the {len(a.body)} joints of {a.body.name}, {b.name} the {len(b.body)} of "
-                f"{b.body.name}. Both sensors must be of one family."
-            )
-        frames_a, frames_b = list(a.frames()), list(b.frames())
-        person_a = choose_person(frames_a, options.person_a, a.name, "--person-a")
-        person_b = choose_person(frames_b, options.person_b, b.name, "--person-b")
-        return a.body, pair_recordings(frames_a, frames_b, person_a, person_b)
 
 
 def _calibrate(wanted: str, body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:

@@ -25,8 +25,8 @@ from recordings.recorder import Recorder
 from viewer_app.live_session import LiveSession
 from viewer_app.run import fuse_one
 
-_KEPT_FRAMES = 9_000
-"""Five minutes at 30 fps: what the summary at the end speaks of."""
+_KEPT_FRAMES = 1_800
+"""A minute at 30 fps: what the summary at the end speaks of."""
 _PROVISIONAL_PAIRS = 30
 
 
@@ -103,7 +103,7 @@ def run_live(
     truth_at: Callable[[int], NDArray[np.float64]] | None = None,
     go_on: Callable[[Status], bool] = lambda _: True,
 ) -> tuple[Fuser, list[RecordedFrame]]:
-    """Fuses and records what two open sensors give until they end, ``go_on`` says no, or Ctrl-C.
+    """Fuses and records what two open sensors give until they end or ``go_on`` says no.
 
     Args:
         sensors: Open.
@@ -123,27 +123,26 @@ def run_live(
     recorder = recorder_for(fuser)
     people = PersonChoice(), PersonChoice()
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
-    try:
-        for live in sensors.pairs():
-            pair = _with_people(live, people)
-            found = calibrator.watch(pair.skeletons)
-            if found is not None:
-                fuser = Fuser(found, settings, *intrinsics)
-                recorder.calibrate(fuser)
-            frame = fuse_one(fuser, pair)
-            if truth_at is not None:
-                frame = replace(frame, truth=truth_at(pair.time_ns))
-            events = tuple(event.message for event in sensors.events())
-            recorder.record(frame)
-            if found is not None:
-                recorder.event(f"calibrated: {found.how}")
-            for event in events:
-                recorder.event(event, "WARN")
-            kept.append(replace(frame, pair=_without_images(pair)))
-            if not go_on(Status(frame, calibrator, sensors, events)):
-                break
-    except KeyboardInterrupt:
-        pass  # the usual way to end it
+    for live in sensors.pairs():
+        pair = _with_people(live, people)
+        found = calibrator.watch(pair.skeletons)
+        if found is not None:
+            fuser = Fuser(found, settings, *intrinsics)
+            recorder.calibrate(fuser)
+        frame = fuse_one(fuser, pair)
+        if truth_at is not None:
+            frame = replace(frame, truth=truth_at(pair.time_ns))
+        events = tuple(event.message for event in sensors.events())
+        recorder.record(frame)
+        if found is not None:
+            recorder.event(f"calibrated: {found.how}")
+        for event in events:
+            recorder.event(event, "WARN")
+        kept.append(replace(frame, pair=_without_images(pair)))
+        if not go_on(Status(frame, calibrator, sensors, events)):
+            break
+    for late in sensors.events():  # what happened after the last pair
+        recorder.event(late.message, "WARN")
     recorder.finish()
     return fuser, list(kept)
 

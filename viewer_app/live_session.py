@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import subprocess
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from uuid import uuid4
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from fusion.fuser import Fuser
 from recordings import layout
@@ -20,7 +23,7 @@ from recordings.rewriting import check_whole
 from viewer_app.errors import UsageError
 from viewer_app.rerun_process import Hub, start_window, start_window_on_pipe, stop
 from viewer_app.session_file import SessionFile, has_images, without_images
-from viewer_app.viewer_feed import Item, Note, ViewerFeed
+from viewer_app.viewer_feed import Image, Item, Note, ViewerFeed
 
 _VIEWER_QUEUE = 60
 """Frames that wait for the viewer at most: two seconds, then it is shown the newest."""
@@ -28,6 +31,8 @@ _EARLY = 0.9  # of an interval: a frame that comes a little early is not put off
 _DEPTH_HZ = 10.0  # what a viewer's memory of images stands
 _WINDOW_LOOKED_AFTER_EVERY = 0.5  # seconds
 _SHOWN_WITHIN = 60.0
+_IMAGES_WAITING = 30
+_SHOWN_EVERY = 3  # depth images of a recording, to a viewer
 
 
 @dataclass(frozen=True)
@@ -121,6 +126,23 @@ class LiveSession:
         """Takes frames in time order."""
         for frame in frames:
             self.record(frame)
+
+    def record_depth(self, side: str, frame: int, time_ns: int, depth: NDArray[np.uint16]) -> None:
+        """Takes a depth image of a frame that was taken before, for recordings only: it waits for the disk.
+
+        Args:
+            side: ``a`` or ``b``.
+            frame: The frame's number.
+            time_ns: Since the first pair.
+            depth: (height, width) millimetres.
+        """
+        image = Image(side, frame, time_ns, depth)
+        if self._file is not None:
+            self._file.offer(image)
+            while self._file.waiting > _IMAGES_WAITING:
+                time.sleep(0.01)
+        if self._feed is not None and frame % _SHOWN_EVERY == 0:
+            self._feed.offer(image)
 
     def event(self, text: str, level: str = "INFO") -> None:
         """Takes what happened, at the time of the last frame."""

@@ -18,8 +18,8 @@ _BENCH_MOTIONS = ("walk", "arms", "badminton", "basketball", "squat", "sit", "bo
 class FuseOptions:
     """Fuse two recorded skeleton streams into one skeleton with bones of constant length.
 
-    Recordings are .csv (time_us,body,joint,x,y,z[,state]; metres), .json (Microsoft's offline_processor)
-    or .skeleton (NTU RGB+D).
+    Recordings are .csv (time_us,body,joint,x,y,z[,state]; metres), .json (Microsoft's offline_processor),
+    .skeleton (NTU RGB+D), or .mkv of an Azure Kinect, on which the body tracker is run.
     """
 
     a: Positional[Path]
@@ -38,6 +38,14 @@ class FuseOptions:
     """With --web: an address of this machine to be reached at, by others too. Else only from here."""
     layout: Literal["setup", "inspect", "report"] = "inspect"
     """Which of the viewer's tabs is open at first."""
+    skeletons_a: Path | None = None
+    """For an .mkv: skeletons of A saved before, in place of the body tracker."""
+    skeletons_b: Path | None = None
+    """For an .mkv: skeletons of B saved before, in place of the body tracker."""
+    k4abt: Path | None = None
+    """For an .mkv: Microsoft's body tracker, libk4abt; where the system finds it if not given."""
+    processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
+    """For an .mkv: where the body tracker runs; a CPU tracks about one frame a second."""
     person_a: str | None = None
     """Id of the person in A; the one seen longest if not given."""
     person_b: str | None = None
@@ -91,6 +99,74 @@ class DemoOptions:
     """Keep every status line."""
     force: bool = False
     """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """Fuse what two Azure Kinects (or Orbbec Femto Bolt / Mega) see, as they see it.
+
+    Ctrl-C ends it and saves everything. duplex doctor says what this machine lacks.
+    """
+
+    kinect_a: str | None = None
+    """Serial number of the principal sensor K_A; S* is in its frame."""
+    kinect_b: str | None = None
+    """Serial number of the secondary sensor K_B."""
+    principal: str | None = None
+    """Of the two connected, the one that is K_A; without it the first question asked."""
+    depth_mode: Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"] = "NFOV_UNBINNED"
+    """Narrow and far, or wide and near."""
+    fps: Literal[5, 15, 30] = 30
+    """Frames a second."""
+    color: Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"] = "off"
+    """Colour images, and at which resolution."""
+    k4abt: Path | None = None
+    """Microsoft's body tracker, libk4abt; where the system finds it if not given."""
+    processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
+    """Where the body tracker runs; a CPU gives about one frame a second."""
+    smoothing: float = 0.0
+    """Temporal smoothing of the body tracker, 0 to 1; fusion wants 0."""
+    h: float = 0.786
+    """How much more a tracked joint counts than an inferred one, between 0.5 and 1."""
+    solver: Literal["exact", "paper"] = "exact"
+    """exact: one constraint a bone. paper: eqs. (3)-(9) as published."""
+    weights: Literal["paper", "equal"] = "paper"
+    """paper: trust a joint, eqs. (10), (11). equal: both views alike."""
+    calibrate: str = "auto"
+    """auto: on the start-up pose, once it is held. Or a file of --save-calibration."""
+    save_calibration: Path | None = None
+    """Keep the sensors' placement and the bone lengths in a file."""
+    seconds: float | None = None
+    """End after so many seconds; with Ctrl-C if not given."""
+    save: Path | None = None
+    """Keep the session as an .rrd file."""
+    no_viewer: bool = False
+    """Do not open the viewer."""
+    web: bool = False
+    """Show it in a browser instead of a window."""
+    listen: str | None = None
+    """With --web: an address of this machine to be reached at, by others too. Else only from here."""
+    layout: Literal["setup", "inspect", "report"] = "setup"
+    """Which of the viewer's tabs is open at first."""
+    quiet: bool = False
+    """No status line and no advice in the terminal."""
+    verbose: bool = False
+    """Advice with its figures and thresholds."""
+    force: bool = False
+    """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
+class DoctorOptions:
+    """Say what of live capture works on this machine, and what to do where it does not.
+
+    The exit code is 0 if duplex live could start, 1 if not.
+    """
+
+    k4abt: Path | None = None
+    """Microsoft's body tracker, libk4abt; where the system finds it if not given."""
+    processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
+    """Where the body tracker would run."""
 
 
 @dataclass(frozen=True)

@@ -47,16 +47,6 @@ def report(result: FusionResult) -> Figures:
     """The report as plain data; figures that do not exist are None."""
     rows, pairing = result.rows, result.pairing
     registration = result.calibration.registration
-    lengths, target = rows.bone_length_of_each, rows.bone_lengths
-    disagreement = rows.disagreement * 1e3
-    bones = {}
-    for joint in rows.body.bone_joints:
-        of_bone: Figures = {"target_m": float(target[joint])}
-        for key, length in zip(("a", "b", "fused"), lengths[:, :, joint], strict=True):
-            of_bone[key] = {"mean_m": _of(np.mean, length), "std_mm": _of(np.std, length * 1e3)}
-        of_bone["fused"]["max_error_mm"] = _of(np.max, np.abs(lengths[2, :, joint] - target[joint]) * 1e3)
-        bones[rows.body.bones[joint]] = of_bone
-    error = (lengths - target)[:, :, rows.body.bone_joints] * 1e3
     figures: Figures = {
         "frames": {"a": pairing.frames_a, "b": pairing.frames_b},
         "paired": len(pairing.pairs) - pairing.alone_a - pairing.alone_b,
@@ -85,6 +75,26 @@ def report(result: FusionResult) -> Figures:
             if registration is None
             else {name: distance * 1e3 for name, distance in registration.worst_joints()},
         },
+        **method_figures(rows),
+    }
+    if result.exact is not None:
+        figures["compared_with_exact"] = _comparison(rows, result.exact)
+    return figures
+
+
+def method_figures(rows: SessionArrays) -> Figures:
+    """Bones, errors, disagreement and time of any fused frames."""
+    lengths, target = rows.bone_length_of_each, rows.bone_lengths
+    disagreement = rows.disagreement * 1e3
+    bones = {}
+    for joint in rows.body.bone_joints:
+        of_bone: Figures = {"target_m": float(target[joint])}
+        for key, length in zip(("a", "b", "fused"), lengths[:, :, joint], strict=True):
+            of_bone[key] = {"mean_m": _of(np.mean, length), "std_mm": _of(np.std, length * 1e3)}
+        of_bone["fused"]["max_error_mm"] = _of(np.max, np.abs(lengths[2, :, joint] - target[joint]) * 1e3)
+        bones[rows.body.bones[joint]] = of_bone
+    error = (lengths - target)[:, :, rows.body.bone_joints] * 1e3
+    return {
         "bones": bones,
         "bone_error_mm": {
             key: {"rms": _of(_rms, error[k]), "max": _of(np.max, np.abs(error[k]))}
@@ -97,9 +107,6 @@ def report(result: FusionResult) -> Figures:
             "max": _of(np.max, rows.fuse_ms),
         },
     }
-    if result.exact is not None:
-        figures["compared_with_exact"] = _comparison(rows, result.exact)
-    return figures
 
 
 def report_to_json(figures: Figures) -> str:
@@ -120,7 +127,14 @@ def print_summary(console: Console, result: FusionResult, figures: Figures) -> N
             f"No person in {alone['a']} frames of A, {alone['b']} of B, {alone['both']} of both: "
             "S* comes from the other sensor, or there is none."
         )
-    for line in calibration_in_words(result.calibration):
+    print_method(console, result.calibration, figures)
+    if result.exact is not None:
+        console.print(_comparison_table(figures["compared_with_exact"]))
+
+
+def print_method(console: Console, calibration: Calibration, figures: Figures) -> None:
+    """What the method came to, for recorded and live sessions alike: calibration, bones, errors, time."""
+    for line in calibration_in_words(calibration):
         console.print(line, highlight=False)
     console.print(_bone_table(figures))
     error, apart = figures["bone_error_mm"], figures["disagreement_mm"]
@@ -134,8 +148,6 @@ def print_summary(console: Console, result: FusionResult, figures: Figures) -> N
         f"[bold]Fusion[/]: {ms['p50']:.3f} ms a frame (median), 99 % {ms['p99']:.3f} ms, "
         f"max {ms['max']:.3f} ms"
     )
-    if result.exact is not None:
-        console.print(_comparison_table(figures["compared_with_exact"]))
 
 
 def say_saved(console: Console, path: Path) -> None:

@@ -58,6 +58,11 @@ class SessionFile:
                     item = number, replace(frame, pair=without_images(frame.pair))
             self._queue.append(item)
 
+    @property
+    def waiting(self) -> int:
+        """How much is offered and not yet written."""
+        return len(self._queue)
+
     def close(self, whole: bool) -> None:
         """Writes what waits, and closes the file.
 

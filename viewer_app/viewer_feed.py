@@ -15,7 +15,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from fusion.fuser import Fuser
 from recordings.arrays import RecordedFrame
@@ -44,8 +46,29 @@ class Note:
             recorder.event(self.text, self.level)
 
 
+@dataclass(frozen=True, eq=False)
+class Image:
+    """A depth image of a frame that was given before.
+
+    Attributes:
+        side: Whose.
+        frame: Of which frame.
+        time_ns: Since the first pair.
+        depth: (height, width) uint16 millimetres.
+    """
+
+    side: str
+    frame: int
+    time_ns: int
+    depth: NDArray[np.uint16]
+
+    def write(self, recorder: Recorder) -> None:
+        """Puts it where it belongs."""
+        recorder.record_depth(self.side, self.frame, self.time_ns, self.depth)
+
+
 Numbered = tuple[int, RecordedFrame]
-Item = Numbered | Note | Fuser
+Item = Numbered | Note | Image | Fuser
 """A frame, something said, or the fuser with whose calibration the frames that follow are made."""
 Opening = Callable[[rr.RecordingStream], Recorder]
 """Writes what is static, and gives the recorder to go on with."""
@@ -61,7 +84,7 @@ def write_items(recorder: Recorder, items: Sequence[Item]) -> None:
             run.clear()
 
     for item in items:
-        if isinstance(item, Note):
+        if isinstance(item, Note | Image):
             write_run()
             item.write(recorder)
         elif isinstance(item, Fuser):

@@ -1,0 +1,332 @@
+"""``duplex live`` and ``duplex doctor`` on stand-ins for two Kinects and their body tracker."""
+
+from __future__ import annotations
+
+import ctypes
+import io
+import os
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from session_text import events_of, rows_of
+from standin import Standin
+from standin_pyk4a import Bus, Device, make_module
+from test_doctor import plug_in
+
+from devices import doctor as device_doctor
+from devices import kinect
+from devices.usb import UsbKinect
+from fusion.body import AZURE_KINECT
+from fusion.calibration import nominal_calibration
+from fusion.fuser import Fuser
+from recordings.calibration_file import calibration_to_json
+from viewer_app.cli import main
+
+FRAME_S = 1 / 30
+
+
+def duplex(*arguments: object) -> int:
+    """The exit code of a command run in this process."""
+    try:
+        main([str(argument) for argument in arguments])
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+@pytest.fixture
+def kinects(standin: Standin, monkeypatch: pytest.MonkeyPatch) -> Bus:
+    """Two sensors on a sync cable, 000456 leading, at a real sensor's pace, tracked by the stand-in."""
+    bus = Bus(ctypes.CDLL(str(standin.path)))
+    bus.devices = [
+        Device("000123", jacks=(True, False), paced=True),
+        Device("000456", jacks=(False, True), paced=True),
+    ]
+    monkeypatch.setitem(sys.modules, "pyk4a", make_module(bus))
+
+    def on_usb() -> list[UsbKinect]:
+        return [UsbKinect(device.serial, Path("usb"), True, 5000) for device in bus.plugged()]
+
+    monkeypatch.setattr(kinect, "usb_kinects", on_usb)
+    Fuser(nominal_calibration(AZURE_KINECT)).warm_up()  # compiling takes longer than these sessions
+    return bus
+
+
+def live(standin: Standin, save: Path, *more: object, seconds: float = 1.0) -> int:
+    return duplex(
+        *("live", "--kinect-a", "000123", "--kinect-b", "000456", "--k4abt", standin.path),
+        *("--no-viewer", "--save", save, "--seconds", seconds, *more),
+    )
+
+
+def test_two_sensors_become_a_session_and_a_summary(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved = tmp_path / "live.rrd"
+    assert live(standin, saved) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    for words in ("Sync cable: B leads, A captures 160 µs later", "Paired", "Largest bone error", "Saved"):
+        assert words in said
+    # a second at 30 fps; pairs at either end may lack one sensor
+    assert 20 <= rows_of(saved, "/fused/skeleton") <= 33
+    assert kinects.open_serials == []
+    assert kinects.started == ["000123", "000456"], "the subordinate first"
+    modes = [(config.wired_sync_mode, config.subordinate_delay_off_master_usec) for config in kinects.configs]
+    assert modes == [(2, 160), (1, 0)]
+    assert [path.name for path in tmp_path.iterdir()] == ["live.rrd"]
+
+
+def test_options_reach_the_sensors_and_the_tracker(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    options = ("--fps", 15, "--depth-mode", "WFOV_2X2BINNED", "--color", "1080P", "--processing", "cuda")
+    for device in kinects.devices:
+        device.interval_usec = 66_667
+    assert live(standin, tmp_path / "s.rrd", *options, "--smoothing", 0.5, seconds=0.3) == 0
+    module = sys.modules["pyk4a"]
+    for config in kinects.configs:
+        assert config.camera_fps == module.FPS.FPS_15
+        assert config.depth_mode == module.DepthMode.WFOV_2X2BINNED
+        assert config.color_resolution == module.ColorResolution.RES_1080P
+    assert (standin.processing, standin.smoothing) == (2, 0.5)
+
+
+def test_without_a_cable_it_says_what_that_costs(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for device in kinects.devices:
+        device.jacks = (False, False)
+    assert live(standin, tmp_path / "s.rrd", seconds=0.2) == 0
+    assert "No sync cable" in capsys.readouterr().out
+    assert {config.wired_sync_mode for config in kinects.configs} == {0}
+
+
+@pytest.mark.parametrize(("answer", "principal"), [("1\n", "000123"), ("x\n\n000456\n", "000456")])
+@pytest.mark.usefixtures("kinects")
+def test_it_asks_which_is_which(
+    standin: Standin,
+    answer: str,
+    principal: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    terminal = io.StringIO(answer)
+    terminal.isatty = lambda: True  # type: ignore[method-assign]
+    monkeypatch.setattr(sys, "stdin", terminal)
+    assert duplex("live", "--k4abt", standin.path, "--no-viewer", "--seconds", 0.2) == 0
+    said = capsys.readouterr().out
+    assert f"Next time: --principal {principal}" in said
+    assert f"Opening {principal} (A)" in said
+
+
+@pytest.mark.usefixtures("kinects")
+def test_without_a_terminal_it_says_what_to_choose_from(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    assert duplex("live", "--no-viewer") == 2
+    assert "--principal 000123 or --principal 000456" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("kinects")
+def test_mistakes_are_one_line_before_any_sensor_opens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    taken = tmp_path / "taken.rrd"
+    taken.touch()
+    for arguments, words in (
+        ([], "no display"),
+        (["--no-viewer", "--save", taken], "exists already"),
+        (["--no-viewer", "--seconds", -1], "--seconds must be"),
+        (["--no-viewer", "--calibrate", tmp_path / "none.json"], "neither auto nor a file"),
+        (["--no-viewer", "--kinect-a", "000999"], "No Kinect with serial 000999"),
+        (["--no-viewer", "--principal", "000123", "--h", 2], "h must lie"),
+    ):
+        assert duplex("live", *arguments) == 2
+        said = capsys.readouterr().err
+        assert words in said
+        assert said.count("\n") == 1
+
+
+def test_a_calibration_is_loaded_and_kept(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    assert len(kinects.devices) == 2
+    before, after = tmp_path / "before.json", tmp_path / "after.json"
+    before.write_text(calibration_to_json(nominal_calibration(AZURE_KINECT)), encoding="utf-8")
+    options = ("--calibrate", before, "--save-calibration", after)
+    assert live(standin, tmp_path / "s.rrd", *options, seconds=0.3) == 0
+    text = after.read_text(encoding="utf-8")
+    assert f"loaded from {before}" in text
+
+
+def test_a_calibration_that_was_never_found_is_said_and_the_session_is_kept(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # the stand-in's joints lie on a line, which no one can calibrate on
+    assert len(kinects.devices) == 2
+    saved, wanted = tmp_path / "s.rrd", tmp_path / "calibration.json"
+    assert live(standin, saved, "--save-calibration", wanted, seconds=0.3) == 2
+    assert "no calibration was found" in capsys.readouterr().err
+    assert rows_of(saved, "/fused/skeleton") > 0
+    assert not wanted.exists()
+
+
+# ------------------------------------------------------------------ faults, through the whole program
+
+
+def test_no_device(bus: Bus, capsys: pytest.CaptureFixture[str]) -> None:
+    assert bus.devices == []
+    assert duplex("live", "--no-viewer") == 2
+    assert capsys.readouterr().err.startswith("duplex: No Kinect is connected. Plug in two")
+
+
+def test_one_device(bus: Bus, capsys: pytest.CaptureFixture[str]) -> None:
+    bus.devices = [Device("000456")]
+    assert duplex("live", "--no-viewer") == 2
+    assert "Only one Kinect is connected, 000456" in capsys.readouterr().err
+
+
+def test_unplugged_mid_stream(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, b = kinects.devices
+    b.at[15] = lambda: setattr(b, "plugged", False)
+    saved = tmp_path / "s.rrd"
+    assert live(standin, saved, seconds=1.6) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Kinect 000456 was unplugged or lost its power" in said
+    told = [text for text in events_of(saved) if "000456" in text]
+    assert "unplugged" in told[0]
+    assert "Going on without it" in told[0]
+    # A gives frames to the end: some 48, of which 15 with B
+    assert rows_of(saved, "/fused/skeleton") >= 35
+    assert kinects.open_serials == []
+
+
+def test_unplugged_and_plugged_in_again(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    a, b = kinects.devices
+    b.at[10] = lambda: setattr(b, "plugged", False)
+    a.at[20] = lambda: setattr(b, "plugged", True)
+    saved = tmp_path / "s.rrd"
+    assert live(standin, saved, seconds=2.4) == 0  # a lost sensor is tried again every second
+    told = [text for text in events_of(saved) if "000456" in text]
+    assert ["unplugged" in told[0], "is back" in told[1]] == [True, True]
+    assert b.captures > 15
+
+
+def test_both_unplugged_end_when_asked(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for device in kinects.devices:
+        device.at[8] = lambda device=device: setattr(device, "plugged", False)
+    saved = tmp_path / "s.rrd"
+    assert live(standin, saved, seconds=0.8) == 0
+    said = capsys.readouterr().out
+    assert said.count("was unplugged") == 2, "said at once, though no frame comes"
+    assert len([text for text in events_of(saved) if "unplugged" in text]) == 2
+    assert rows_of(saved, "/fused/skeleton") >= 5
+
+
+def test_stream_stalls(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, b = kinects.devices
+    b.at[10] = lambda: setattr(b, "silent", True)
+    saved = tmp_path / "s.rrd"
+    assert live(standin, saved, seconds=2.8) == 0
+    assert "000456 stalls: no frame for 2 s" in " ".join(capsys.readouterr().out.split())
+    assert any("stalls" in text for text in events_of(saved))
+    assert rows_of(saved, "/fused/skeleton") >= 60, "A goes on"
+
+
+def test_tracker_crashes_to_an_error_code(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    a, _ = kinects.devices
+    a.at[10] = lambda: setattr(standin, "pop_status", 1)
+    a.at[12] = lambda: setattr(standin, "pop_status", 0)
+    saved = tmp_path / "s.rrd"
+    assert live(standin, saved, seconds=2.0) == 0
+    told = events_of(saved)
+    assert any("The body tracker failed (status 1)" in text for text in told)
+    assert any("is back" in text for text in told)
+
+
+def test_one_sensor_5_fps_slower(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, b = kinects.devices
+    b.interval_usec = 40_000
+    saved = tmp_path / "s.rrd"
+    assert live(standin, saved, seconds=1.5) == 0
+    said = capsys.readouterr().out
+    # every frame of A is fused, five of six with B
+    assert rows_of(saved, "/fused/skeleton") >= 38
+    pairs, of_a = (int(word) for word in np.array(said[said.index("Paired") :].split())[[1, 4]])
+    assert 0.6 <= pairs / of_a < 1.0
+    assert not any("000" in text for text in events_of(saved)), "no event of a sensor"
+
+
+@pytest.mark.skipif(not hasattr(os, "kill"), reason="needs POSIX signals")
+@pytest.mark.parametrize("capture", [0, 1, 12])
+def test_ctrl_c_ends_it_and_everything_is_saved(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str], capture: int
+) -> None:
+    a, _ = kinects.devices
+    a.at[capture] = lambda: os.kill(os.getpid(), signal.SIGINT)
+    saved = tmp_path / "s.rrd"
+    code = live(standin, saved, seconds=20.0)
+    assert kinects.open_serials == []
+    if code == 130:  # it came while the second sensor was still being opened: nothing was captured
+        assert capture < 12
+        assert not saved.exists()
+        return
+    assert code == 0
+    assert "Saved" in capsys.readouterr().out
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert rows_of(saved, "/fused/skeleton") >= max(capture - 5, 0)
+
+
+# ------------------------------------------------------------------ doctor
+
+
+def test_the_doctor_of_a_bare_machine_fails(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    assert duplex("doctor", "--k4abt", tmp_path / "none.so") == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("✗ pyk4a and the Sensor SDK: ")
+    assert any(line.startswith(f"✗ body tracker: No library at {tmp_path}") for line in said)
+    assert any(line.startswith("✓ viewer: rerun 0.") for line in said)
+    assert said[-1].startswith("duplex live cannot start: pyk4a and the Sensor SDK, body tracker")
+    assert all(line[:2] in ("✓ ", "✗ ", "– ") for line in said[:-1]), "one line each"
+
+
+def test_the_doctor_says_0_where_live_starts(
+    kinects: Bus,
+    standin: Standin,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    model = standin.path.with_name("dnn_model_2_0_op11.onnx")
+    model.touch()
+    try:
+        for number, device in enumerate(kinects.devices):
+            plug_in(tmp_path, device.serial, number=number)
+        checks = device_doctor.device_checks
+        monkeypatch.setattr("viewer_app.doctor_command.device_checks", lambda of: checks(of, tmp_path))
+        assert duplex("doctor", "--k4abt", standin.path) == 0
+        said = capsys.readouterr().out
+        assert "✓ two Kinects: 2 connected, 2 usable" in said
+        assert "✓ sync cable: from 000456 to 000123" in said
+        assert "never a real sensor" in said
+        assert said.endswith("duplex live can start.\n")
+        assert live(standin, tmp_path / "s.rrd", seconds=0.2) == 0
+        kinects.devices[0].jacks = (False, False)
+        assert duplex("doctor", "--k4abt", standin.path) == 1
+        assert "joins no sync out to a sync in" in capsys.readouterr().out
+        assert live(standin, tmp_path / "t.rrd", seconds=0.2) == 2
+    finally:
+        model.unlink()

@@ -1,0 +1,60 @@
+"""What a live session came to: the figures at its end, for real and simulated sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Console
+
+from devices.two_sensors import TwoSensors
+from fusion.fuser import Fuser
+from recordings.arrays import RecordedFrame, SessionArrays
+from viewer_app.report import method_figures, print_method
+
+
+def print_frames(console: Console, sensors: TwoSensors) -> None:
+    """How many frames came, were paired, and were not."""
+    figures = sensors.figures
+    console.print(
+        f"[bold]Paired[/] {figures.pairs} frames of {sensors.a.received} (A) and {sensors.b.received} (B); "
+        f"alone {figures.alone_a} and {figures.alone_b}; of B {figures.unmatched_b} that A has no frame for."
+    )
+    trouble = {
+        "frames of A we were too slow for": sensors.a.dropped,
+        "of B": sensors.b.dropped,
+        "A lost and back": sensors.a.returns,
+        "B lost and back": sensors.b.returns,
+        "frames late": figures.late,
+        "repeated": figures.repeated,
+        "out of order": figures.reordered,
+        "clocks reset": figures.resets,
+    }
+    if any(trouble.values()):
+        console.print(", ".join(f"{what} {count}" for what, count in trouble.items() if count) + ".")
+    if figures.offset_ns is not None:
+        console.print(
+            f"B's clock less A's: {figures.offset_ns * 1e-6:.1f} ms, drifting {figures.drift_ppm:.0f} ppm."
+        )
+
+
+def rows_since_calibration(fuser: Fuser, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
+    """The frames fused with the last calibration: earlier ones have other bone lengths. None without any."""
+    rotation = fuser.calibration.a_from_b.rotation
+    last = [frame for frame in frames if frame.fused.a_from_b.rotation is rotation]
+    calibration = fuser.calibration
+    return SessionArrays.stack(calibration.body, calibration.bone_lengths, last) if last else None
+
+
+def print_session(
+    console: Console, fuser: Fuser, frames: Sequence[RecordedFrame], sensors: TwoSensors
+) -> None:
+    """The whole summary. Frames are counted since the start; the method's figures are of the last minute."""
+    print_frames(console, sensors)
+    rows = rows_since_calibration(fuser, frames)
+    if rows is None:
+        console.print("No frame was fused.")
+        return
+    seconds = (rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
+    rate = f", {(len(rows) - 1) / seconds:.1f} a second" if seconds > 0.0 else ""
+    console.print(f"[bold]The last {seconds:.1f} s[/]: {len(rows)} frames{rate}.")
+    print_method(console, fuser.calibration, method_figures(rows))
