@@ -29,7 +29,7 @@ from viewer_app.options import DemoOptions
 from viewer_app.outputs import check_writable, whole_file
 from viewer_app.report import calibration_in_words
 from viewer_app.run import warm_up
-from viewer_app.viewing import announce, choose_viewing, has_display
+from viewer_app.viewing import announce, choose_viewing, has_display, stay_for_visitors
 
 _SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
 
@@ -91,6 +91,8 @@ def run(options: DemoOptions) -> None:
             go_on=show,
         )
         dropped = sensors.a.dropped, sensors.b.dropped
+        session.save()
+        stay_for_visitors(viewing, console)
     if frames:
         _print_summary(console, fuser, frames, truth, dropped)
     if save is not None:
