@@ -19,10 +19,10 @@ from recordings import layout
 from recordings.arrays import SessionArrays
 
 _SHADES = 16  # more than an eye tells apart here; few colours compress well
-_BINS = 300
-_BIN_NS = 100_000_000
+_BINS = 150
+_BIN_NS = 200_000_000
 _PICTURE_EVERY_NS = 1_000_000_000
-_BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _AXIS_HEIGHT = 3, 22, 170, 56  # pixels of the picture
+_BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _AXIS_HEIGHT = 6, 22, 170, 56  # pixels of the picture
 _BACKGROUND, _INK = (27, 27, 31), (214, 214, 220)
 _SMALL_AND_QUICK = (
     cv2.IMWRITE_PNG_COMPRESSION, 6, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE,
@@ -51,7 +51,6 @@ def details(rows: SessionArrays) -> dict[str, NDArray[Any]]:
         "state_b": states[rows.states_b],
         "misleading_joint": joints[rows.misleading],
         "view_difference_mm": np.round(rows.view_difference * 1e3, 0).astype(np.float32),
-        "joint": np.broadcast_to(joints[:-1], rows.misleading.shape),
     }
 
 

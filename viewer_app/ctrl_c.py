@@ -59,9 +59,9 @@ class CtrlC:
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         del number, frame
+        self._pressed = True
         if self._action is not None:
             self._action()
             return
-        self._pressed = True
         if self._raises:
             raise KeyboardInterrupt

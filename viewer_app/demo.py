@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from contextlib import ExitStack
+import threading
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ from viewer_app.options import DemoOptions
 from viewer_app.outputs import check_writable, whole_file
 from viewer_app.report import say_saved
 from viewer_app.run import warm_up
-from viewer_app.viewing import announce, choose_viewing, has_display
+from viewer_app.viewing import announce, choose_viewing, has_display, stay_for_visitors
 
 _SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
 
@@ -94,6 +95,11 @@ def run(options: DemoOptions) -> None:
                 truth_at=truth.positions_at,
                 go_on=show,
             )
+            session.save()
+            with suppress(KeyboardInterrupt):  # whoever ended the run with Ctrl-C need not press it again
+                again = threading.Event()
+                ctrl_c.calls(again.set)
+                stay_for_visitors(viewing, console, again)
         print_session(console, fuser, frames, sensors)
         if frames:
             _print_truth(console, fuser, frames, truth)

@@ -75,13 +75,15 @@ def announce(viewing: Viewing | None, console: Console) -> None:
         webbrowser.open(hub.page)
 
 
-def stay_for_visitors(viewing: Viewing | None, console: Console) -> None:
-    """Keeps a page that is served until Ctrl-C; returns at once where there is none."""
+def stay_for_visitors(
+    viewing: Viewing | None, console: Console, until: threading.Event | None = None
+) -> None:
+    """Keeps a page that is served until Ctrl-C, or the event; returns at once where there is none."""
     if viewing is None or viewing.hub is None or viewing.hub.web_port is None:
         return
     console.print("The page stays until Ctrl-C.")
     try:
-        threading.Event().wait()
+        (until or threading.Event()).wait()
     except KeyboardInterrupt:
         return
 
