@@ -100,8 +100,8 @@ def pair_recordings(
         FramePair(frames_a[i], frames_b[j], person_a, person_b, int(time_a[i]), int(skew[i]))
         for i, j in zip(chosen.tolist(), nearest_b[chosen].tolist(), strict=True)
     ]
-    alone_a = _in_gaps(time_a, time_b)
-    alone_b = _in_gaps(time_b, time_a)
+    alone_a = sorted(set(_in_gaps(time_a, time_b)) - set(chosen.tolist()))
+    alone_b = sorted(set(_in_gaps(time_b, time_a)) - set(nearest_b[chosen].tolist()))
     pairs += [FramePair(frames_a[i], None, person_a, person_b, int(time_a[i])) for i in alone_a]
     pairs += [FramePair(None, frames_b[j], person_a, person_b, int(time_b[j])) for j in alone_b]
     pairs.sort(key=lambda pair: pair.time_ns)

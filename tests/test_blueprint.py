@@ -40,7 +40,9 @@ def seen() -> tuple[Fuser, list[RecordedFrame]]:
 def saved(path: Path, fuser: Fuser, made: list[RecordedFrame], active: Layout) -> Path:
     blueprint = session_blueprint(fuser, np.array([0.1, 0.1, 2.6]), active)
     with LiveSession(fuser, ("a", "b"), blueprint, file=path) as live:
-        live.coach("**Mend:** step into the view")
+        live.coach(
+            "# Calibrate\n\n" + "- **Mend:** step into the view of sensor A, to 2.5 m from both sensors\n" * 6
+        )
         live.event("calibrated: known")
         for frame in made:
             live.record(frame)
