@@ -37,7 +37,7 @@ def calibration_json() -> bytes:
 def depth_image(index: int, mode: str = "NFOV_2X2BINNED") -> np.ndarray:
     """The depth image of a frame: a slope that names its frame."""
     shape = DEPTH_MODES[mode].height, DEPTH_MODES[mode].width
-    return (np.arange(shape[0] * shape[1]) % 4000 + index).astype(np.uint16).reshape(shape)
+    return (np.arange(shape[0] * shape[1]) % 4000 + index + 1).astype(np.uint16).reshape(shape)
 
 
 def write_mkv(

@@ -8,9 +8,12 @@ import rerun as rr
 
 
 def rows_of(path: Path, entity: str) -> int:
-    """How many times an entity was logged."""
-    chunks = rr.chunk.RrdReader(path).stream()
-    return sum(c.num_rows for c in chunks if c.entity_path == entity and not c.is_static)
+    """In how many frames an entity was logged; it may be in several parts in each."""
+    frames: set[int] = set()
+    for chunk in rr.chunk.RrdReader(path).stream():
+        if chunk.entity_path == entity and not chunk.is_static:
+            frames.update(chunk.to_record_batch().column("frame").to_pylist())
+    return len(frames)
 
 
 def events_of(path: Path) -> list[str]:

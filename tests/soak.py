@@ -11,14 +11,11 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import rerun as rr
 
 from devices.live_pairing import PairingFigures
 from devices.simulated.paced import PacedSensor
@@ -27,8 +24,9 @@ from devices.two_sensors import TwoSensors
 from fusion.body import AZURE_KINECT
 from fusion.calibration import nominal_calibration
 from fusion.fuser import Fuser, FuserSettings
-from recordings.recorder import Recorder
+from viewer_app.blueprint import session_blueprint
 from viewer_app.live import Status, run_live
+from viewer_app.live_session import LiveSession
 
 FPS = 30
 SETTLED_S = 60.0  # the minute after which memory must be flat: caches and kept frames are full by then
@@ -44,6 +42,7 @@ class Soak:
     pairing: PairingFigures = field(default_factory=PairingFigures)
     received: tuple[int, int] = (0, 0)
     dropped: tuple[int, int] = (0, 0)
+    lost: int = 0
     memory: list[tuple[float, float]] = field(default_factory=list)
     waiting: int = 0
     latest_ms: float = 0.0
@@ -70,7 +69,6 @@ def soak(seconds: float, depth: Literal["off", "half"], path: Path, report_every
     Fuser(nominal_calibration(AZURE_KINECT)).warm_up()
     for sensor in (a, b):
         next(sensor.frames())  # compiles the renderer before the clock runs
-    stream = rr.RecordingStream("duplex_kinects_soak")
     begun, said = time.perf_counter(), [0.0]
     looked = [0.0]
 
@@ -97,7 +95,12 @@ def soak(seconds: float, depth: Literal["off", "half"], path: Path, report_every
             )
         return True
 
-    with drained(stream, path), TwoSensors(PacedSensor(a), PacedSensor(b)) as sensors:
+    nominal = Fuser(nominal_calibration(AZURE_KINECT), None, a.intrinsics, b.intrinsics)
+    blueprint = session_blueprint(nominal, np.array([0.0, 0.0, 2.5]), "inspect")
+    with (
+        LiveSession(nominal, (a.name, b.name), blueprint, file=path) as session,
+        TwoSensors(PacedSensor(a), PacedSensor(b)) as sensors,
+    ):
         timer = threading.Timer(seconds, sensors.stop)
         timer.daemon = True
         timer.start()
@@ -108,42 +111,17 @@ def soak(seconds: float, depth: Literal["off", "half"], path: Path, report_every
             settings=FuserSettings(),
             intrinsics=(a.intrinsics, b.intrinsics),
             calibration=None,
-            recorder_for=lambda fuser: Recorder(stream, fuser, (a.name, b.name)),
+            recorder_for=lambda _: session,
             go_on=look,
         )
         seen.seconds = time.perf_counter() - started
         seen.pairing = sensors.figures
         seen.received = sensors.a.received, sensors.b.received
         seen.dropped = sensors.a.dropped, sensors.b.dropped
-    stream.disconnect()
+    seen.lost = session.lost
     seen.saved_mb = path.stat().st_size / 1e6
     seen.threads = threading.active_count()
     return seen
-
-
-@contextmanager
-def drained(stream: rr.RecordingStream, path: Path) -> Iterator[None]:
-    """Writes what a stream holds to a file, every half second from a thread.
-
-    Not through ``rerun.FileSink``, which keeps some kB of every chunk until it is closed, for its table of
-    contents: 0.6 MB a second of a live session.
-    """
-    ending = threading.Event()
-    held = stream.binary_stream()
-
-    def write() -> None:
-        with path.open("wb") as file:
-            while not ending.wait(0.5):
-                file.write(held.read(flush=True) or b"")
-            file.write(held.read(flush=True) or b"")
-
-    writer = threading.Thread(target=write)
-    writer.start()
-    try:
-        yield
-    finally:
-        ending.set()
-        writer.join()
 
 
 def resident_mb() -> float:
@@ -161,7 +139,9 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         seen = soak(60.0 * given.minutes, given.depth, Path(folder) / "soak.rrd")
     figures = seen.pairing
-    lost = sum(seen.dropped) + figures.alone_a + figures.alone_b + figures.unmatched_b + figures.late
+    lost = (
+        seen.lost + sum(seen.dropped) + figures.alone_a + figures.alone_b + figures.unmatched_b + figures.late
+    )
     print(
         f"{seen.seconds:.1f} s: {seen.frames} frames, {seen.rate:.2f} a second; {figures.pairs} pairs of "
         f"{seen.received}; dropped {seen.dropped}, alone {figures.alone_a}/{figures.alone_b}, unmatched "

@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -142,7 +143,8 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                     intrinsics=(a.intrinsics, b.intrinsics),
                     calibration=calibration,
                     recorder_for=lambda _: session,
-                    go_on=lambda status: watch(status) and display(status),
+                    # events are told at once, by the sensors: also while no frame comes
+                    go_on=lambda status: watch(status) and display(replace(status, events=())),
                 )
         for sensor in (a, b):
             for warning in sensor.warnings if isinstance(sensor, KinectSensor) else ():

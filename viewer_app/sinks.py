@@ -33,24 +33,6 @@ def has_display() -> bool:
     return True
 
 
-def wants_window(no_viewer: bool, save: Path | None) -> bool:
-    """Whether to open the viewer's window.
-
-    Raises:
-        UsageError: It is wanted, but there is no display; and no file is wanted instead.
-    """
-    if no_viewer:
-        return False
-    if has_display():
-        return True
-    if save is None:
-        raise UsageError(
-            "There is no display for the viewer's window, and no --save. Use --save FILE.rrd to keep the "
-            "session, or --no-viewer for the summary alone."
-        )
-    return False
-
-
 @contextmanager
 def open_stream(save: Path | None, window: bool, blueprint: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
     """A recording stream into a file, a new viewer window, both or neither.
