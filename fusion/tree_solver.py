@@ -41,6 +41,9 @@ _STATIONARY = 3e-11  # m: tangential force over the information it acts on
 _LAST_STEP = 1e-4  # of the bone's length: an undamped step below it leaves an error of its square
 _SMALL_STEP = 1e-7  # m: where the force is zero too, a shorter step tells nothing new
 _ROUNDING = 1e-14  # relative: two objectives nearer than this are the same
+# m: so are two that differ by what a rounded coordinate of a few metres makes of the misfit. Σ 2 w r ε is at
+# most 2 ε √(f Σw); step[root, 5] is 6 Σw.
+_COORDINATE = 8e-16
 _NEAR_SADDLE = 0.01  # of the bone's length: a shorter step, with a negative pivot, crawls along a saddle
 _CRAWL, _CRAWLED = (
     0.01,
@@ -57,7 +60,7 @@ _MORE, _LESS, _NONE = 8.0, 0.03, 1e-9
 _PATIENCE = 8  # steps that may climb before the best point is taken up again
 _PATIENT_DAMPING, _PATIENT_MORE = 1e-8, 6.0
 _CLIMBS = 4  # lost; a valley that bends so sharply is followed with less daring:
-_LITTLE_LESS, _SHORT_CLIMB = 0.3, 3
+_LITTLE_LESS, _SHORT_CLIMB = 0.1, 3
 _LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
 
 
@@ -159,15 +162,15 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             keep(POSITION, BEST, work)
             for i in range(len(order)):
                 work[BEST, i, 3] = work[BONE, i, 4]
-        slack = _ROUNDING * best
+        slack = _ROUNDING * best + _COORDINATE * math.sqrt(step[root, 5] * best)
         ratio = (best - trial + slack) / (predicted + slack)
         if ratio >= 0.01:
             iterations += 1
-            patience = 0
+            climbed, patience = patience > 0, 0
             crawling = crawling + 1 if saddle >= 0 and objective - trial < _CRAWL * objective else 0
             if ratio < 0.1:
                 damping = max(2.0 * damping, _FIRST_DAMPING)
-            elif ratio > 0.25:
+            elif ratio > 0.25 and not (climbed and climbs_lost >= _CLIMBS):
                 damping = damping * less if damping > _NONE else 0.0
         elif patience < longest_climb and max(best_step, relative) < _LONGEST:
             patience += 1

@@ -62,6 +62,21 @@ def test_random_problems_end_stationary_with_exact_bones_within_fifty_iterations
     assert work[1].max() <= MAX_SYSTEMS
 
 
+@pytest.mark.parametrize(
+    ("seed", "what"),
+    [
+        (1000326, "crawls along negative curvature"),
+        (1016879, "flat to fourth order at the minimum"),
+        (8007907, "light weights far below the rounding of heavy ones"),
+        (4020787, "a narrow valley that bends"),
+        (8089239, "another"),
+    ],
+)
+def test_problems_that_once_ran_out_of_iterations_converge(seed, what):
+    _, _, failed = run(1, seed)
+    assert not failed, what
+
+
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
 def test_optimum_is_that_of_slsqp(body):
     for seed in range(3):
