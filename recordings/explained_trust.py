@@ -21,7 +21,6 @@ from recordings.arrays import SessionArrays
 _SHADES = 16  # more than an eye tells apart here; few colours compress well
 _BINS = 150
 _BIN_NS = 200_000_000
-_PICTURE_EVERY_NS = 1_000_000_000
 _BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _AXIS_HEIGHT = 6, 22, 170, 56  # pixels of the picture
 _BACKGROUND, _INK = (27, 27, 31), (214, 214, 220)
 _SMALL_AND_QUICK = (
@@ -55,10 +54,16 @@ def details(rows: SessionArrays) -> dict[str, NDArray[Any]]:
 
 
 class TrustMatrix:
-    """The last half minute as a picture: a row a joint, coloured as in :func:`trust_colors`."""
+    """The last half minute as a picture: a row a joint, coloured as in :func:`trust_colors`.
 
-    def __init__(self, body: Body) -> None:
-        self._body = body
+    Args:
+        body: Whose joints.
+        every_ns: How often there is a new picture.
+    """
+
+    def __init__(self, body: Body, every_ns: int = 1_000_000_000) -> None:
+        self._every_ns = every_ns
+        self._frame = _frame_of_matrix(body)
         self._bins = np.full((len(body), _BINS, 3), _BACKGROUND, dtype=np.uint8)
         self._newest = -1  # bin
         self._next_ns = 0
@@ -67,13 +72,13 @@ class TrustMatrix:
         """Takes frames in time order.
 
         Returns:
-            (index in `rows`, PNG file) whenever a new picture is due: once a second.
+            (index in `rows`, PNG file) whenever a new picture is due.
         """
         for t, color in enumerate(trust_colors(rows)):
             now = int(rows.time_ns[t])
             self._put(now // _BIN_NS, color)
             if now >= self._next_ns:
-                self._next_ns = now - now % _PICTURE_EVERY_NS + _PICTURE_EVERY_NS
+                self._next_ns = now - now % self._every_ns + self._every_ns
                 yield t, self._picture(now)
 
     def _put(self, number: int, color: NDArray[np.uint8]) -> None:
@@ -87,29 +92,36 @@ class TrustMatrix:
     def _picture(self, now_ns: int) -> bytes:
         cells = self._bins.repeat(_ROW_HEIGHT, axis=0).repeat(_BIN_WIDTH, axis=1)
         cells[_ROW_HEIGHT - 1 :: _ROW_HEIGHT] = _BACKGROUND  # a line between the joints
-        height, width = len(cells), cells.shape[1]
-        picture = np.full((height + _AXIS_HEIGHT, _NAMES_WIDTH + width + 30, 3), _BACKGROUND, dtype=np.uint8)
+        height, width = cells.shape[:2]
+        picture = self._frame.copy()
         picture[:height, _NAMES_WIDTH : _NAMES_WIDTH + width] = cells
-        for joint, name in enumerate(self._body.joints):
-            _text(picture, _in_words(name), 4, (joint + 1) * _ROW_HEIGHT - 6)
-        seconds = _BINS * _BIN_NS * 1e-9
-        for ago in np.arange(0.0, seconds + 1.0, 5.0):
-            x = _NAMES_WIDTH + round(width * (1.0 - ago / seconds))
-            cv2.line(picture, (x, height), (x, height + 5), _INK, 1)
-            label = "now" if ago == 0.0 else f"-{ago:.0f} s"
-            _text(picture, label, x - 18, height + 21)
-        left = _NAMES_WIDTH
-        for words, color in (
-            ("from A", layout.SKELETON_COLORS["a"]),
-            ("from B", layout.SKELETON_COLORS["b"]),
-            ("predicted", layout.PREDICTED_COLOR),
-        ):
-            picture[height + 33 : height + 48, left : left + 22] = color
-            _text(picture, words, left + 28, height + 47)
-            left += 150
-        _text(picture, f"until {now_ns * 1e-9:.1f} s", left + 220, height + 47)
-        _, png = cv2.imencode(".png", picture[..., ::-1], _SMALL_AND_QUICK)
+        _text(picture, f"until {now_ns * 1e-9:.1f} s", _NAMES_WIDTH + 670, height + 47)
+        _, png = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), _SMALL_AND_QUICK)
         return png.tobytes()
+
+
+def _frame_of_matrix(body: Body) -> NDArray[np.uint8]:
+    """What stays the same from picture to picture: names, time axis, legend."""
+    height, width = len(body) * _ROW_HEIGHT, _BINS * _BIN_WIDTH
+    picture = np.full((height + _AXIS_HEIGHT, _NAMES_WIDTH + width + 30, 3), _BACKGROUND, dtype=np.uint8)
+    for joint, name in enumerate(body.joints):
+        _text(picture, _in_words(name), 4, (joint + 1) * _ROW_HEIGHT - 6)
+    seconds = _BINS * _BIN_NS * 1e-9
+    for ago in np.arange(0.0, seconds + 1.0, 5.0):
+        x = _NAMES_WIDTH + round(width * (1.0 - ago / seconds))
+        cv2.line(picture, (x, height), (x, height + 5), _INK, 1)
+        label = "now" if ago == 0.0 else f"-{ago:.0f} s"
+        _text(picture, label, x - 18, height + 21)
+    left = _NAMES_WIDTH
+    for words, color in (
+        ("from A", layout.SKELETON_COLORS["a"]),
+        ("from B", layout.SKELETON_COLORS["b"]),
+        ("predicted", layout.PREDICTED_COLOR),
+    ):
+        picture[height + 33 : height + 48, left : left + 22] = color
+        _text(picture, words, left + 28, height + 47)
+        left += 150
+    return picture
 
 
 class StateLanes:

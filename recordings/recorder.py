@@ -11,6 +11,7 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
@@ -28,6 +29,9 @@ from recordings.checksums import (
 from recordings.depth_points import thin_points
 from recordings.explained_trust import StateLanes, TrustMatrix, details, trust_colors
 from recordings.rvl import MEDIA_TYPE, encode_depth
+
+_MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
+"""How often the matrix of trust is drawn anew: for eyes that wait, and for a file, where it spans 30 s."""
 
 
 class Recorder:
@@ -61,7 +65,7 @@ class Recorder:
         self._last: tuple[int, int] | None = None
         self._depth_every, self._points = depth_every, points
         self._cameras = {"a": fuser.intrinsics_a, "b": fuser.intrinsics_b}
-        self._matrix = TrustMatrix(fuser.calibration.body)
+        self._matrix = TrustMatrix(fuser.calibration.body, _MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS)
         self._lanes = StateLanes()
         self._log_static(fuser)
         properties = self._properties(fuser, sources, about or {})
@@ -274,11 +278,18 @@ class _Stream:
         if self.per_frame is None:
             columns: rr.ComponentColumnList = self.archetype.columns(**self.values)
             return columns
+        frames = len(next(iter(self.values.values())))
+        if self.archetype is rr.AnyValues:  # whose own way takes every value by itself, through Python
+            ends = np.arange(0, self.per_frame * (frames + 1), self.per_frame, dtype=np.int32)
+            rows = {
+                name: pa.ListArray.from_arrays(ends, pa.array(values.ravel()))
+                for name, values in self.values.items()
+            }
+            return rr.AnyValues.columns(**rows)
         flat = {
             name: values.reshape(-1, *values.shape[2:]) if values.ndim > 1 else values
             for name, values in self.values.items()
         }
-        frames = len(next(iter(self.values.values())))
         columns = self.archetype.columns(**flat)
         return columns.partition([self.per_frame] * frames)
 
