@@ -59,6 +59,7 @@ _FIRST_DAMPING = 1e-5
 _MORE, _LESS, _NONE = 8.0, 0.03, 1e-9
 _PATIENCE = 8  # steps that may climb before the best point is taken up again
 _PATIENT_DAMPING, _PATIENT_MORE = 1e-8, 6.0
+_SECOND_START, _STEPS = 75, 28  # linear systems, iterations: one problem in ten thousand needs more
 _CLIMBS = 4  # lost; a valley that bends so sharply is followed with less daring:
 _LITTLE_LESS, _SHORT_CLIMB = 0.1, 3
 _LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
@@ -88,7 +89,8 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     An iteration ends at a better point. The steps on the way there, each with a linear system of its own, are
     its line search: those that more damping replaced, and those that were climbing. At most ``MAX_SYSTEMS``.
 
-    It starts from the better of ``start`` and the directions between targets, both with the bones' lengths.
+    It starts from the better of ``start`` and the directions between targets, both with the bones' lengths;
+    and once more from the other after ``_SECOND_START`` linear systems or ``_STEPS`` iterations.
 
     Args:
         parents: (J,) int64, -1 for the root.
@@ -109,7 +111,8 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         return -1, 0, math.nan, False
     objective = place(parents, order, rest, start, False, work, work[POSITION])
     from_targets = place(parents, order, rest, start, True, work, work[TRIAL])
-    if from_targets < objective:
+    on_targets = from_targets < objective
+    if on_targets:
         objective = from_targets
         keep(TRIAL, POSITION, work)
     root = order[0]
@@ -120,7 +123,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     kick = _KICK
     last_step = math.inf
     best = best_step = predicted = 0.0
-    converged = False
+    converged = restarted = False
     while True:
         stationary = pull(parents, order, work) <= _STATIONARY
         if not step[root, 5] > 0.0 or (stationary and last_step < _LAST_STEP):
@@ -147,6 +150,14 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             break
         if iterations == MAX_ITERATIONS or systems == MAX_SYSTEMS:
             break
+        if not restarted and (systems >= _SECOND_START or iterations >= _STEPS):
+            restarted = True
+            objective = place(parents, order, rest, start, not on_targets, work, work[POSITION])
+            work[BONE, :, 4] = 0.0
+            damping, kick, last_step = 0.0, _KICK, math.inf
+            crawling = stationary_points = patience = climbs_lost = 0
+            less, longest_climb = _LESS, _PATIENCE
+            continue
         systems += 1
         if saddle >= 0 and (relative < _NEAR_SADDLE or crawling == _CRAWLED):
             crawling = 0
