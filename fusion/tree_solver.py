@@ -59,7 +59,7 @@ _FIRST_DAMPING = 1e-5
 _MORE, _LESS, _NONE = 8.0, 0.03, 1e-9
 _PATIENCE = 8  # steps that may climb before the best point is taken up again
 _PATIENT_DAMPING, _PATIENT_MORE = 1e-8, 6.0
-_SECOND_START, _STEPS = 75, 28  # linear systems, iterations: one problem in ten thousand needs more
+_SECOND_START = 75  # linear systems: one problem in ten thousand needs more
 _CLIMBS = 4  # lost; a valley that bends so sharply is followed with less daring:
 _LITTLE_LESS, _SHORT_CLIMB = 0.1, 3
 _LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
@@ -90,7 +90,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     its line search: those that more damping replaced, and those that were climbing. At most ``MAX_SYSTEMS``.
 
     It starts from the better of ``start`` and the directions between targets, both with the bones' lengths;
-    and once more from the other after ``_SECOND_START`` linear systems or ``_STEPS`` iterations.
+    and once more from the other after ``_SECOND_START`` linear systems.
 
     Args:
         parents: (J,) int64, -1 for the root.
@@ -150,7 +150,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             break
         if iterations == MAX_ITERATIONS or systems == MAX_SYSTEMS:
             break
-        if not restarted and (systems >= _SECOND_START or iterations >= _STEPS):
+        if not restarted and systems >= _SECOND_START:
             restarted = True
             objective = place(parents, order, rest, start, not on_targets, work, work[POSITION])
             work[BONE, :, 4] = 0.0
