@@ -1,6 +1,8 @@
 # make demo and make test do all set-up by themselves; PYTHON=python3.12 chooses another interpreter.
 PYTHON ?= python3
 VENV := .venv
+# All matrices are small: more BLAS threads only wait on each other.
+export OPENBLAS_NUM_THREADS := 1
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 

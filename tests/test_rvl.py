@@ -14,6 +14,7 @@ from rerun.experimental import ViewerClient
 
 from recordings.errors import RecordingError
 from recordings.rvl import MEDIA_TYPE, decode_depth, encode_depth
+from tests.pictures import eventually
 from viewer_app.sinks import free_port
 
 
@@ -68,6 +69,9 @@ def test_the_viewer_draws_it(tmp_path: Path) -> None:
         stream.send_blueprint(rrb.Blueprint(view, collapse_panels=True), make_active=True)
         stream.log("depth", rr.EncodedDepthImage(encode_depth(wall()), media_type=MEDIA_TYPE, meter=1000.0))
         stream.flush()
+        assert eventually(
+            lambda: any(str(shown.view_id) == str(view.id) for shown in viewer.get_state().views)
+        )
         viewer.save_screenshot(str(picture), view_id=view.id)
         reports = [report for shown in viewer.get_state().views for report in shown.reports]
     finally:

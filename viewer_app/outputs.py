@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from zlib import crc32
 
 from viewer_app.errors import UsageError
+
+_LEAST_FREE = 20_000_000  # bytes; a session takes 5 MB a minute
 
 
 def check_writable(path: Path, force: bool) -> None:
@@ -31,6 +34,9 @@ def check_writable(path: Path, force: bool) -> None:
         raise UsageError(f"No folder {path.parent} to write {path.name} into.")
     if not os.access(path.parent, os.W_OK):
         raise UsageError(f"The folder {path.parent} is not writable.")
+    free = shutil.disk_usage(path.parent).free
+    if free < _LEAST_FREE:
+        raise UsageError(f"The disk of {path.parent} is full: {free / 1e6:.0f} MB are free. Make room first.")
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path], force: bool) -> None:
