@@ -133,11 +133,16 @@ def time_writing(body: Body, pairs: Sequence[SkeletonPair]) -> Writing:
             command = ["fuse", *files, "--save", str(session), "--no-viewer", "--force", "--calibrate"]
             seconds.append(_seconds_of([*command, "seconds:3"]))
             sizes.append(session.stat().st_size)
-    each = (seconds[2] - seconds[1]) / (_LONG - _SHORT)
+    return writing_between((_SHORT, _LONG), seconds[1:], sizes[1:])
+
+
+def writing_between(pairs: Sequence[int], seconds: Sequence[float], sizes: Sequence[int]) -> Writing:
+    """What a pair costs, by the difference of a short and a long recording; the rest is start-up."""
+    each = (seconds[1] - seconds[0]) / (pairs[1] - pairs[0])
     return Writing(
         pairs_per_s=1.0 / each,
-        start_up_s=seconds[1] - _SHORT * each,
-        bytes_a_minute=(sizes[2] - sizes[1]) / (_LONG - _SHORT) * _PAIRS_A_MINUTE,
+        start_up_s=seconds[0] - pairs[0] * each,
+        bytes_a_minute=(sizes[1] - sizes[0]) / (pairs[1] - pairs[0]) * _PAIRS_A_MINUTE,
     )
 
 
