@@ -282,9 +282,14 @@ def test_ctrl_c_ends_it_and_everything_is_saved(
         assert not saved.exists()
         return
     assert code == 0
-    assert "Saved" in capsys.readouterr().out
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    assert rows_of(saved, "/fused/skeleton") >= max(capture - 5, 0)
+    said = capsys.readouterr().out
+    if "no frame came" in said:
+        assert capture < 12
+        assert not saved.exists()
+        return
+    assert "Saved" in said
+    assert rows_of(saved, "/fused/skeleton") >= max(capture - 5, 1)
 
 
 # ------------------------------------------------------------------ doctor

@@ -30,10 +30,9 @@ from viewer_app.errors import UsageError
 from viewer_app.live import Status, run_live
 from viewer_app.live_display import LiveDisplay
 from viewer_app.live_session import LiveSession, Viewing
-from viewer_app.live_summary import print_session
+from viewer_app.live_summary import check_saved, print_saved, print_session
 from viewer_app.options import LiveOptions
 from viewer_app.outputs import check_outputs, whole_file
-from viewer_app.report import say_saved
 from viewer_app.run import warm_up
 from viewer_app.viewing import announce, choose_viewing
 
@@ -125,10 +124,14 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             ctrl_c.calls(sensors.stop)
             nominal = Fuser(nominal.calibration, settings, a.intrinsics, b.intrinsics)
             announce(viewing, console)
-            file = None if options.save is None else opened.enter_context(whole_file(options.save))
             blueprint = session_blueprint(nominal, _PERSON_AT, options.layout)
             session = opened.enter_context(
-                LiveSession(nominal, (a.name, b.name), blueprint, file=file, viewing=viewing)
+                LiveSession(
+                    *(nominal, (a.name, b.name), blueprint),
+                    file=options.save,
+                    overwrite=options.force,
+                    viewing=viewing,
+                )
             )
             coach = Coach(a.body, (nominal.intrinsics_a, nominal.intrinsics_b))
             display = opened.enter_context(
@@ -151,9 +154,10 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                 console.print(warning, style="yellow", highlight=False, markup=False)
         print_session(console, fuser, frames, sensors)
         if options.save is not None:
-            say_saved(console, options.save)
+            print_saved(console, options.save, session)
         if options.save_calibration is not None:
             _save_calibration(options.save_calibration, watch.settled)
+        check_saved(session)
 
 
 def _viewing(options: LiveOptions) -> Viewing | None:

@@ -7,8 +7,8 @@ import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from zlib import crc32
 
+from recordings.growing import partial_beside
 from viewer_app.errors import UsageError
 
 _LEAST_FREE = 20_000_000  # bytes; a session takes 5 MB a minute
@@ -62,7 +62,7 @@ def _real(path: Path) -> Path:
 def whole_file(path: Path) -> Iterator[Path]:
     """Gives a temporary name beside `path`, renamed to it when all went well and removed when not."""
     path = _real(path)
-    partial = path.with_name(f".{crc32(path.name.encode()):08x}.{os.getpid()}.partial")
+    partial = partial_beside(path)
     try:
         yield partial
         partial.replace(path)
