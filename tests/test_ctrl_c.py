@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def demo(save: Path, *more: str) -> subprocess.Popen[str]:
-    arguments = ["demo", "--no-viewer", "--depth", "off", "--save", str(save), *more]
+    arguments = ["demo", "--no-viewer", "--depth", "none", "--save", str(save), *more]
     return subprocess.Popen(
         [sys.executable, "-u", "-m", "viewer_app.cli", *arguments],
         cwd=ROOT,

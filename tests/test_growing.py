@@ -243,7 +243,7 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
     assert [path.name for path in found.parent.iterdir()] == ["s.rrd"]
 
 
-@pytest.mark.parametrize(("depth", "limit"), [("off", 1_500_000), ("half", 6_000_000)])
+@pytest.mark.parametrize(("depth", "limit"), [("none", 1_500_000), ("half", 6_000_000)])
 def test_the_demo_goes_on_without_its_file(tmp_path: Path, depth: str, limit: int) -> None:
     path = tmp_path / "s.rrd"
     arguments = ("--seconds", "4", "--depth", depth, "--no-viewer", "--save", str(path))
@@ -282,7 +282,7 @@ def test_a_name_that_cannot_be_written_is_a_mistake_before_anything_runs(
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
-@pytest.mark.parametrize(("depth", "after_s"), [("off", 0.7), ("off", 2.9), ("half", 2.2)])
+@pytest.mark.parametrize(("depth", "after_s"), [("none", 0.7), ("none", 2.9), ("half", 2.2)])
 def test_a_killed_demo_leaves_all_but_the_last_second(tmp_path: Path, depth: str, after_s: float) -> None:
     path = tmp_path / "s.rrd"
     arguments = ("--depth", depth, "--no-viewer", "--quiet", "--save", str(path))

@@ -114,7 +114,7 @@ def test_the_demo_leaves_a_session_and_says_how_far_from_the_truth_it_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     saved = tmp_path / "demo.rrd"
-    main(["demo", "--seconds", "2.5", "--depth", "off", "--no-viewer", "--save", str(saved)])
+    main(["demo", "--seconds", "2.5", "--depth", "none", "--no-viewer", "--save", str(saved)])
     said = capsys.readouterr().out
     assert "Distance from the true joints" in said
     for entity in ("/truth/skeleton", "/fused/skeleton", "/kinect_b/skeleton"):

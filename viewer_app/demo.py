@@ -64,7 +64,7 @@ def run(options: DemoOptions) -> None:
         body=body,
         angle_deg=options.angle,
         seconds=options.seconds,
-        depth=options.depth,
+        depth="off" if options.depth == "none" else options.depth,
     )
     start = truth.positions_at(0)
     nominal = Fuser(nominal_calibration(body), None, a.intrinsics, b.intrinsics)

@@ -22,6 +22,7 @@ from fusion.skeleton import Skeleton, SkeletonPair
 from fusion.viewing_plane import Intrinsics
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
+from viewer_app.images import Depth, with_depth, without_images
 from viewer_app.live_session import LiveSession
 from viewer_app.run import fuse_one
 
@@ -100,6 +101,7 @@ def run_live(
     intrinsics: tuple[Intrinsics | None, Intrinsics | None],
     calibration: Calibration | None,
     recorder_for: Callable[[Fuser], Recorder | LiveSession],
+    depth: Depth = "full",
     truth_at: Callable[[int], NDArray[np.float64]] | None = None,
     go_on: Callable[[Status], bool] = lambda _: True,
 ) -> tuple[Fuser, list[RecordedFrame]]:
@@ -109,9 +111,10 @@ def run_live(
         sensors: Open.
         body: Of both sensors.
         settings: The method's choices.
-        intrinsics: Of the two depth cameras.
+        intrinsics: Of the two depth cameras, for depth images as `depth` leaves them.
         calibration: One to keep; None to find it while running.
         recorder_for: Makes the recorder, once.
+        depth: How much of the depth images is recorded.
         truth_at: (J, 3) the true joints at a pair's time, where they are known.
         go_on: Asked after each frame; shows the status in passing.
 
@@ -124,7 +127,7 @@ def run_live(
     people = PersonChoice(), PersonChoice()
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
     for live in sensors.pairs():
-        pair = _with_people(live, people)
+        pair = with_depth(_with_people(live, people), depth)
         found = calibrator.watch(pair.skeletons)
         if found is not None:
             fuser = Fuser(found, settings, *intrinsics)
@@ -138,7 +141,7 @@ def run_live(
             recorder.event(f"calibrated: {found.how}")
         for event in events:
             recorder.event(event, "WARN")
-        kept.append(replace(frame, pair=_without_images(pair)))
+        kept.append(replace(frame, pair=without_images(pair)))
         if not go_on(Status(frame, calibrator, sensors, events)):
             break
     for late in sensors.events():  # what happened after the last pair
@@ -164,10 +167,3 @@ def _with_people(live: LivePair, people: tuple[PersonChoice, PersonChoice]) -> F
         live.time_ns,
         live.skew_ns or 0,
     )
-
-
-def _without_images(pair: FramePair) -> FramePair:
-    def bare(frame: SensorFrame | None) -> SensorFrame | None:
-        return None if frame is None else SensorFrame(frame.time_ns, frame.people)
-
-    return replace(pair, a=bare(pair.a), b=bare(pair.b))

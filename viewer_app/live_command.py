@@ -22,11 +22,13 @@ from devices.sensor_thread import SensorEvent
 from devices.two_sensors import TwoSensors
 from fusion.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser, FuserSettings
+from fusion.viewing_plane import NOMINAL_INTRINSICS, Intrinsics
 from recordings.calibration_file import calibration_to_json, read_calibration
 from viewer_app.blueprint import session_blueprint
 from viewer_app.coach import Coach
 from viewer_app.ctrl_c import CtrlC
 from viewer_app.errors import UsageError
+from viewer_app.images import thinned_camera
 from viewer_app.live import Status, run_live
 from viewer_app.live_display import LiveDisplay
 from viewer_app.live_session import LiveSession, Viewing
@@ -122,7 +124,8 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             with ctrl_c.raising():  # a body tracker may load its network for minutes
                 opened.enter_context(sensors)
             ctrl_c.calls(sensors.stop)
-            nominal = Fuser(nominal.calibration, settings, a.intrinsics, b.intrinsics)
+            cameras = _camera(options, a), _camera(options, b)
+            nominal = Fuser(nominal.calibration, settings, *cameras)
             announce(viewing, console)
             blueprint = session_blueprint(nominal, _PERSON_AT, options.layout)
             session = opened.enter_context(
@@ -143,7 +146,8 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                     sensors,
                     body=a.body,
                     settings=settings,
-                    intrinsics=(a.intrinsics, b.intrinsics),
+                    intrinsics=cameras,
+                    depth=options.depth,
                     calibration=calibration,
                     recorder_for=lambda _: session,
                     # events are told at once, by the sensors: also while no frame comes
@@ -229,6 +233,10 @@ def _settings(options: LiveOptions, serial: str, master: str | None) -> KinectSe
         color=None if options.color == "off" else options.color,
         sync="standalone" if master is None else "master" if serial == master else "subordinate",
     )
+
+
+def _camera(options: LiveOptions, sensor: Sensor) -> Intrinsics:
+    return thinned_camera(sensor.intrinsics or NOMINAL_INTRINSICS[sensor.body.name], options.depth)
 
 
 def _given_calibration(options: LiveOptions, sensor: Sensor) -> Calibration | None:
