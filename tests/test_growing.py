@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -263,6 +264,16 @@ def test_the_demo_goes_on_without_its_file(tmp_path: Path, depth: str, limit: in
     assert "of 120 (A) and 120 (B)" in said
     saved = int(done.stderr.split("from frame ")[1].split()[0])
     assert frames_in(path) == saved > 0
+
+
+def test_a_disk_with_little_room_is_said_and_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 3_000_000))  # type: ignore[attr-defined]
+    path = tmp_path / "s.rrd"
+    main(["demo", "--seconds", "1", "--depth", "none", "--no-viewer", "--save", str(path)])
+    assert "Only 3 MB are free" in capsys.readouterr().out
+    assert frames_in(path) == 30
 
 
 def test_a_name_that_cannot_be_written_is_a_mistake_before_anything_runs(

@@ -29,7 +29,7 @@ from viewer_app.live_display import LiveDisplay
 from viewer_app.live_session import LiveSession
 from viewer_app.live_summary import check_saved, print_saved, print_session
 from viewer_app.options import DemoOptions
-from viewer_app.outputs import check_writable
+from viewer_app.outputs import check_writable, warn_of_little_room
 from viewer_app.run import warm_up
 from viewer_app.viewing import announce, choose_viewing, has_display, stay_for_visitors
 
@@ -74,6 +74,8 @@ def run(options: DemoOptions) -> None:
         f"A simulated person ({options.motion}) before two Kinects {options.angle:.0f}° apart, "
         f"{options.seconds:g} s. Ctrl-C ends it."
     )
+    if save is not None:
+        warn_of_little_room(save, console)
     announce(viewing, console)
     with CtrlC() as ctrl_c:
         with ExitStack() as stack:

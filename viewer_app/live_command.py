@@ -34,7 +34,7 @@ from viewer_app.live_display import LiveDisplay
 from viewer_app.live_session import LiveSession, Viewing
 from viewer_app.live_summary import check_saved, print_saved, print_session
 from viewer_app.options import LiveOptions
-from viewer_app.outputs import check_outputs, whole_file
+from viewer_app.outputs import check_outputs, warn_of_little_room, whole_file
 from viewer_app.run import warm_up
 from viewer_app.viewing import announce, choose_viewing
 
@@ -126,6 +126,8 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             ctrl_c.calls(sensors.stop)
             cameras = _camera(options, a), _camera(options, b)
             nominal = Fuser(nominal.calibration, settings, *cameras)
+            if options.save is not None:
+                warn_of_little_room(options.save, console)
             announce(viewing, console)
             blueprint = session_blueprint(nominal, _PERSON_AT, options.layout)
             session = opened.enter_context(
