@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -11,21 +12,23 @@ from typing import Any
 
 import rerun as rr
 
-from recordings.growing import Blocks, partial_beside
+from recordings.growing import partial_beside
 from recordings.recorder import Recorder
-from recordings.rrd_file import END_OF_FILE
+from recordings.rewriting import check_whole
 from viewer_app.images import has_images
 from viewer_app.viewer_feed import Image, Item, Opening, write_items
 
 _BLOCK = 600
 """Items written together: 20 s, which then take less than half the room of half seconds."""
+_FLUSH_WITHIN = 5.0
 
 
 class CompactCopy:
-    """Writes items to a file without a name, so that a process that is killed leaves none behind.
+    """Writes items to a second file, which has Rerun's table of contents, too.
 
-    Whatever goes wrong, only the copy is given up. With the first image it gives itself up: images take
-    nearly all of a file, and gain nothing by being written together.
+    That has no name where the system knows such files, so that a process that is killed leaves nothing
+    behind. Whatever goes wrong, only the copy is given up. With the first image it gives itself up: images
+    take nearly all of a file, and gain nothing by being written together.
 
     Args:
         path: The file that grows; the copy is in its folder, to end up on the same disk.
@@ -35,14 +38,17 @@ class CompactCopy:
     """
 
     def __init__(self, path: Path, stream: rr.RecordingStream, begin: Opening, blueprint: Any) -> None:
-        self._path = path
-        self._blocks = Blocks(stream, blueprint)
-        self._recorder: Recorder | None = begin(stream)
+        self._path = Path(os.path.realpath(path))
+        self._partial = partial_beside(self._path)
+        self._stream = stream
+        self._recorder: Recorder | None = None
         self._waiting: list[Item] = []
-        try:
-            self._file = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115
-        except OSError:
-            self._recorder = None
+        with suppress(OSError):
+            self._file = tempfile.TemporaryFile(dir=self._path.parent)  # noqa: SIM115
+            nameless = Path(f"/proc/self/fd/{self._file.fileno()}")
+            self._written = nameless if nameless.exists() else self._partial
+            stream.set_sinks(rr.FileSink(str(self._written)), default_blueprint=blueprint)
+            self._recorder = begin(stream)
 
     def add(self, items: Sequence[Item]) -> None:
         """Takes items."""
@@ -51,15 +57,8 @@ class CompactCopy:
         if self._recorder is not None:
             self._waiting += items
             if len(self._waiting) >= _BLOCK:
-                self._write(self._recorder)
-
-    def close(self) -> None:
-        """Gives the copy up, unless it took the place; closing twice is harmless."""
-        if self._recorder is not None:
-            self._recorder = None
-            self._waiting.clear()
-            self._file.close()
-        self._blocks.close()
+                write_items(self._recorder, self._waiting)
+                self._waiting.clear()
 
     def take_place(self) -> None:
         """Ends the session, and puts it where the grown one is, in one step."""
@@ -67,22 +66,23 @@ class CompactCopy:
             write_items(self._recorder, self._waiting)
             self._waiting.clear()
             self._recorder.finish()
-            partial = partial_beside(self._path)
-            with suppress(OSError):
-                self._file.write(self._blocks.take())
-                self._file.write(END_OF_FILE)
-                self._file.seek(0)
-                with partial.open("xb") as whole:
-                    shutil.copyfileobj(self._file, whole, 1 << 20)
-                partial.replace(self._path)
-            with suppress(OSError):
-                partial.unlink(missing_ok=True)
+            with suppress(OSError, TimeoutError):
+                self._stream.flush(timeout_sec=_FLUSH_WITHIN)
+                self._stream.disconnect()
+                check_whole(self._written)
+                if self._written != self._partial:
+                    shutil.copyfile(self._written, self._partial)
+                self._partial.replace(self._path)
         self.close()
 
-    def _write(self, recorder: Recorder) -> None:
-        write_items(recorder, self._waiting)
-        self._waiting.clear()
-        try:
-            self._file.write(self._blocks.take())
-        except OSError:
-            self.close()
+    def close(self) -> None:
+        """Gives the copy up, unless it took the place; closing twice is harmless."""
+        if self._recorder is not None:
+            self._recorder = None
+            self._waiting.clear()
+            with suppress(OSError):
+                self._file.truncate(0)  # makes room for what the stream has yet to write, on a full disk
+            self._stream.disconnect()
+            self._file.close()
+            with suppress(OSError):
+                self._partial.unlink(missing_ok=True)
