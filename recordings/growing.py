@@ -6,7 +6,6 @@ import os
 from contextlib import suppress
 from io import FileIO
 from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import rerun as rr
@@ -21,14 +20,11 @@ class Blocks:
 
     Args:
         stream: Which must have no sink yet.
-        blueprint: What a viewer that opens the file shows.
     """
 
-    def __init__(self, stream: rr.RecordingStream, blueprint: Any = None) -> None:
+    def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._bytes = rr.binary_stream(stream)
-        if blueprint is not None:
-            stream.set_sinks(self._bytes, default_blueprint=blueprint)
         self._begun = False
 
     def take(self) -> memoryview:
@@ -51,15 +47,12 @@ class GrowingFile:
     Args:
         path: The file.
         stream: What is logged to it is written; it must have no sink yet.
-        blueprint: What a viewer that opens the file shows.
         overwrite: Whether one of that name may be replaced.
     """
 
-    def __init__(
-        self, path: Path, stream: rr.RecordingStream, blueprint: Any = None, overwrite: bool = False
-    ) -> None:
+    def __init__(self, path: Path, stream: rr.RecordingStream, overwrite: bool = False) -> None:
         self._path = Path(os.path.realpath(path))
-        self._blocks = Blocks(stream, blueprint)
+        self._blocks = Blocks(stream)
         self._overwrite = overwrite
         self._file: FileIO | None = None
         self._size = 0

@@ -8,7 +8,6 @@ import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import rerun as rr
 
@@ -34,10 +33,9 @@ class CompactCopy:
         path: The file that grows; the copy is in its folder, to end up on the same disk.
         stream: A second stream of the same recording.
         begin: Writes what is static.
-        blueprint: What a viewer that opens the file shows.
     """
 
-    def __init__(self, path: Path, stream: rr.RecordingStream, begin: Opening, blueprint: Any) -> None:
+    def __init__(self, path: Path, stream: rr.RecordingStream, begin: Opening) -> None:
         self._path = Path(os.path.realpath(path))
         self._partial = partial_beside(self._path)
         self._stream = stream
@@ -47,7 +45,7 @@ class CompactCopy:
             self._file = tempfile.TemporaryFile(dir=self._path.parent)  # noqa: SIM115
             nameless = Path(f"/proc/self/fd/{self._file.fileno()}")
             self._written = nameless if nameless.exists() else self._partial
-            stream.set_sinks(rr.FileSink(str(self._written)), default_blueprint=blueprint)
+            stream.set_sinks(rr.FileSink(str(self._written)))
             self._recorder = begin(stream)
 
     def add(self, items: Sequence[Item]) -> None:

@@ -111,8 +111,7 @@ class LiveSession:
             self._file = SessionFile(
                 file,
                 self._stream,
-                lambda of: Recorder(of, fuser, sources, depth_every=1),
-                blueprint,
+                lambda of: self._with_blueprint(of, Recorder(of, fuser, sources, depth_every=1)),
                 growing=not complete,
                 overwrite=overwrite,
                 on_failure=self._tell_failure,
@@ -262,10 +261,15 @@ class LiveSession:
         return rr.RecordingStream(layout.APPLICATION_ID, recording_id=self._id)
 
     def _begin(self, stream: rr.RecordingStream) -> Recorder:
-        stream.send_blueprint(self._blueprint)
-        return Recorder(
-            stream, self._fuser, self._sources, depth_every=1, start_ns=self._start_ns, points=True
+        return self._with_blueprint(
+            stream,
+            Recorder(stream, self._fuser, self._sources, depth_every=1, start_ns=self._start_ns, points=True),
         )
+
+    def _with_blueprint(self, stream: rr.RecordingStream, recorder: Recorder) -> Recorder:
+        """The timeline it names must be there; it is active, or a viewer would show what it remembers."""
+        stream.send_blueprint(self._blueprint)
+        return recorder
 
 
 class _Window:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import rerun as rr
 
@@ -38,7 +37,6 @@ class SessionFile:
         path: The file.
         open_stream: Makes a stream of the recording, without a sink.
         begin: Writes what is static.
-        blueprint: What a viewer that opens the file shows.
         growing: Whether it is that of a live session. A recording's, whose fusion keeps all frames anyway, is
             complete, or :meth:`close` raises; it is there before, but not to be read.
         overwrite: Whether a live session may replace a file of that name.
@@ -50,13 +48,12 @@ class SessionFile:
         path: Path,
         open_stream: Callable[[], rr.RecordingStream],
         begin: Opening,
-        blueprint: Any = None,
         *,
         growing: bool = True,
         overwrite: bool = False,
         on_failure: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._path, self._blueprint = path, blueprint
+        self._path = path
         self._open_stream, self._begin = open_stream, begin
         self._growing, self._overwrite = growing, overwrite
         self._on_failure = on_failure
@@ -131,8 +128,8 @@ class SessionFile:
     def _write_growing(self) -> None:
         stream = self._open_stream()
         with (
-            closing(GrowingFile(self._path, stream, self._blueprint, self._overwrite)) as file,
-            closing(CompactCopy(self._path, self._open_stream(), self._begin, self._blueprint)) as compact,
+            closing(GrowingFile(self._path, stream, self._overwrite)) as file,
+            closing(CompactCopy(self._path, self._open_stream(), self._begin)) as compact,
         ):
             recorder = self._begin(stream)
             ending = False
@@ -153,7 +150,7 @@ class SessionFile:
 
     def _write_at_once(self) -> None:
         stream = self._open_stream()
-        stream.set_sinks(rr.FileSink(str(self._path)), default_blueprint=self._blueprint)
+        stream.set_sinks(rr.FileSink(str(self._path)))
         try:
             recorder = self._begin(stream)
             ending = False
