@@ -182,8 +182,7 @@ def soak(
         seen.received = sensors.a.received, sensors.b.received
         seen.dropped = sensors.a.dropped, sensors.b.dropped
     seen.lost, seen.not_shown = session.lost + seen.frames - session.saved, session.dropped
-    assert session._file is not None
-    seen.without_images = session._file.without_images
+    seen.without_images = session.without_images
     seen.saved_mb = path.stat().st_size / 1e6
     seen.threads = threading.active_count()
     return seen

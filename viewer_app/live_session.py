@@ -173,6 +173,11 @@ class LiveSession:
         return 0 if self._file is None else self._file.lost
 
     @property
+    def without_images(self) -> int:
+        """Frames that the file has without their images, because the disk was too slow for those."""
+        return 0 if self._file is None else self._file.without_images
+
+    @property
     def saves(self) -> bool:
         """Whether a file is being written."""
         return self._file is not None and self._file.failure is None

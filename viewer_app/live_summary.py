@@ -69,8 +69,12 @@ def print_saved(console: Console, path: Path, session: LiveSession) -> None:
         console.print(f"{path} was not written: no frame came.", highlight=False, markup=False)
     elif session.failure is None:
         say_saved(console, path)
-    if session.lost:
-        console.print(f"[yellow]{session.lost} frames are not saved: the disk stood still.[/]")
+    for count, what in (
+        (session.lost, "not saved: the disk stood still"),
+        (session.without_images, "saved without their images, which came too fast for this machine"),
+    ):
+        if count:
+            console.print(f"[yellow]{count} frames are {what}.[/]", highlight=False)
 
 
 def check_saved(session: LiveSession) -> None:
