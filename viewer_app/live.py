@@ -112,7 +112,7 @@ def run_live(
         intrinsics: Of the two depth cameras.
         calibration: One to keep; None to find it while running.
         recorder_for: Makes the recorder, once.
-        truth_at: (J, 3) the true joints at a pair's time, where they are known.
+        truth_at: (J, 3) the true joints at a time of A's clock, where they are known.
         go_on: Asked after each frame; shows the status in passing.
 
     Returns:
@@ -123,6 +123,7 @@ def run_live(
     recorder = recorder_for(fuser)
     people = PersonChoice(), PersonChoice()
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
+    ahead_ns = 0
     for live in sensors.pairs():
         pair = _with_people(live, people)
         found = calibrator.watch(pair.skeletons)
@@ -131,7 +132,9 @@ def run_live(
             recorder.calibrate(fuser)
         frame = fuse_one(fuser, pair)
         if truth_at is not None:
-            frame = replace(frame, truth=truth_at(pair.time_ns))
+            if pair.a is not None:  # A's own time: a pair's goes on where A's clock is reset
+                ahead_ns = pair.time_ns - pair.a.time_ns
+            frame = replace(frame, truth=truth_at(pair.time_ns - ahead_ns))
         events = tuple(event.message for event in sensors.events())
         recorder.record(frame)
         if found is not None:
