@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from devices.live_pairing import LivePair, LivePairing, PairingFigures, Side
-from devices.sensor import Sensor
+from devices.sensor import Sensor, SensorFrame
 from devices.sensor_thread import SensorEvent, SensorState, SensorThread
 
 _POLL_S = 0.01  # pairs that wait for nobody any more come out this much late at most
@@ -116,19 +116,23 @@ class TwoSensors:
         self._arrival.wait(wait_s)
         self._arrival.clear()
         now_ns, pairs = _ns(self._clock()), []
+        came: list[tuple[int, Side, SensorFrame]] = []
         for side, thread in self._sides():
             came_back, frames = thread.returns, thread.take()
             if came_back != self._returns[side]:
                 self._returns[side] = came_back
                 pairs += self._pairing.restart(side)
-            if thread.gone:
-                self._pairing.set_gone(side, True)
-            for frame in frames:
-                pairs += self._pairing.add(side, frame, now_ns)
+            came += [(at_ns, side, frame) for at_ns, frame in frames]
             events = thread.events()
             self._events += events
             for event in events:
                 self._tell(event)
+        # As they came, whenever they are asked for: else a pause here would look like a sensor's.
+        for at_ns, side, frame in sorted(came, key=lambda frame: frame[0]):
+            pairs += self._pairing.add(side, frame, at_ns)
+        for side, thread in self._sides():
+            if thread.gone:
+                self._pairing.set_gone(side, True)
         return pairs + self._pairing.poll(now_ns)
 
     def events(self) -> list[SensorEvent]:
