@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from devices.live_pairing import LivePair, LivePairing, PairingFigures, Side
 from devices.sensor import Sensor, SensorFrame
@@ -12,6 +13,21 @@ from devices.sensor_thread import SensorEvent, SensorState, SensorThread
 
 _POLL_S = 0.01  # pairs that wait for nobody any more come out this much late at most
 _KEEP = 8  # frames a sensor: a quarter of a second in which the reader's machine did something else
+
+
+@dataclass(frozen=True)
+class StreamFigures:
+    """How two running sensors go, at one moment.
+
+    Attributes:
+        drift_ppm: By how many millionths B's clock runs faster than A's.
+        dropped: Frames of A and of B for which we were too slow, since the start.
+        unpaired: Frames of A and of B that found no partner, since the start.
+    """
+
+    drift_ppm: float
+    dropped: tuple[int, int]
+    unpaired: tuple[int, int]
 
 
 class TwoSensors:
@@ -67,6 +83,13 @@ class TwoSensors:
     def figures(self) -> PairingFigures:
         """How pairing goes so far."""
         return self._pairing.figures
+
+    @property
+    def stream_figures(self) -> StreamFigures:
+        """What of it belongs on the timeline."""
+        figures = self._pairing.figures
+        unpaired = figures.alone_a, figures.alone_b + figures.unmatched_b
+        return StreamFigures(figures.drift_ppm, (self.a.dropped, self.b.dropped), unpaired)
 
     def __enter__(self) -> TwoSensors:
         """Opens both.

@@ -4,25 +4,32 @@ from __future__ import annotations
 
 import ctypes
 import io
+import json
 import os
 import signal
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from session_text import events_of, rows_of
 from standin import Standin
-from standin_pyk4a import Bus, Device, make_module
+from standin_pyk4a import JPEG, Bus, Device, make_module
 from test_doctor import plug_in
 
 from devices import doctor as device_doctor
 from devices import kinect
+from devices.pairing import Pairing
 from devices.usb import UsbKinect
 from fusion.body import AZURE_KINECT
 from fusion.calibration import nominal_calibration
-from fusion.fuser import Fuser
+from fusion.fuser import Fuser, FuserSettings
 from recordings.calibration_file import calibration_to_json
+from recordings.rrd_file import read_columns
+from recordings.session import Session
 from viewer_app.cli import main
+from viewer_app.report import FusionResult
+from viewer_app.report import report as report_of
 
 FRAME_S = 1 / 30
 
@@ -89,6 +96,66 @@ def test_options_reach_the_sensors_and_the_tracker(kinects: Bus, standin: Standi
         assert config.depth_mode == module.DepthMode.WFOV_2X2BINNED
         assert config.color_resolution == module.ColorResolution.RES_1080P
     assert (standin.processing, standin.smoothing) == (2, 0.5)
+
+
+def test_colour_and_depth_of_one_moment_are_in_the_session(
+    kinects: Bus, standin: Standin, tmp_path: Path
+) -> None:
+    for device in kinects.devices:
+        device.color = True
+    saved, part, again = (tmp_path / name for name in ("s.rrd", "part.rrd", "again.rrd"))
+    assert live(standin, saved, "--color", "720P") == 0
+    session = Session.open(saved)
+    for side in ("a", "b"):
+        depths, colors = [frame for frame, _ in session.depth(side)], dict(session.color(side))
+        assert len(colors) >= 15
+        assert [*colors] == depths
+        image = next(iter(colors.values()))
+        assert image.jpeg == JPEG, "as the camera made it"
+        assert image.camera.intrinsics.width == 1280
+        assert image.camera.color_from_depth.translation.tolist() == [-0.032, 0.0, 0.004]
+    assert duplex("trim", saved, "--from", 0.2, "--save", part) == 0
+    trimmed = Session.open(part)
+    assert 0 < len(dict(trimmed.color("a"))) == len(dict(trimmed.depth("a"))) < len(dict(session.color("a")))
+    assert duplex("replay", saved, "--no-viewer", "--save", again) == 0
+    assert [*dict(Session.open(again).color("b"))] == [*dict(session.color("b"))]
+
+
+def test_colour_is_off_unless_asked_for(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    for device in kinects.devices:
+        device.color = True
+    assert live(standin, tmp_path / "s.rrd", seconds=0.4) == 0
+    assert rows_of(tmp_path / "s.rrd", "/kinect_a/color") == 0
+
+
+def test_skew_drift_and_drops_are_on_the_timeline(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    _, b = kinects.devices
+    b.interval_usec = 40_000
+    saved = tmp_path / "s.rrd"
+    assert live(standin, saved, seconds=1.5) == 0
+    for name in ("skew_ms", "drift_ppm", "dropped", "unpaired"):
+        assert rows_of(saved, f"/quality/{name}") >= 2, name
+    counted = read_columns(saved, lambda entity: entity == "/quality/unpaired").values
+    unpaired = counted["/quality/unpaired", "Scalars:scalars"][1]
+    # one of six frames of A has no partner, from the first second on
+    assert 3 <= unpaired[-1, 0] <= 45 / 6 + 8
+    assert (np.diff(unpaired, axis=0) >= 0).all()
+
+
+def test_a_report_has_what_that_of_fuse_has(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    assert len(kinects.devices) == 2
+    report = tmp_path / "report.json"
+    assert live(standin, tmp_path / "s.rrd", "--report", report) == 0
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert 20 <= figures["paired"] <= 33
+    assert figures["frames"]["a"] >= figures["paired"]
+    assert figures["streams"]["clock_resets"] == 0
+    rows = Session.open(tmp_path / "s.rrd").rows
+    of_fuse = report_of(
+        FusionResult(Pairing([], 0, 0, 0, 0), nominal_calibration(AZURE_KINECT), FuserSettings(), rows)
+    )
+    assert of_fuse.keys() <= figures.keys()
+    assert live(standin, tmp_path / "t.rrd", "--report", report) == 2, "it exists already"
 
 
 def test_without_a_cable_it_says_what_that_costs(

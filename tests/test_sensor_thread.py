@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import DeviceError
 from devices.sensor_thread import SensorState, SensorThread
 
 

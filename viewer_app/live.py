@@ -129,7 +129,7 @@ def run_live(
         if found is not None:
             fuser = Fuser(found, settings, *intrinsics)
             recorder.calibrate(fuser)
-        frame = fuse_one(fuser, pair)
+        frame = replace(fuse_one(fuser, pair), streams=sensors.stream_figures)
         if truth_at is not None:
             frame = replace(frame, truth=truth_at(pair.time_ns))
         events = tuple(event.message for event in sensors.events())
