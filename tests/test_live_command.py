@@ -15,7 +15,7 @@ import pytest
 from session_text import events_of, rows_of
 from standin import Standin
 from standin_pyk4a import JPEG, Bus, Device, make_module
-from test_doctor import plug_in
+from test_doctor import furnish, plug_in
 
 from devices import doctor as device_doctor
 from devices import kinect
@@ -366,7 +366,8 @@ def test_the_doctor_of_a_bare_machine_fails(
     assert said[0].startswith("✗ pyk4a and the Sensor SDK: ")
     assert any(line.startswith(f"✗ body tracker: No library at {tmp_path}") for line in said)
     assert any(line.startswith("✓ viewer: rerun 0.") for line in said)
-    assert said[-1].startswith("duplex live cannot start: pyk4a and the Sensor SDK, body tracker")
+    assert said[-1].startswith("duplex live cannot start: pyk4a and the Sensor SDK, ")
+    assert ", body tracker, " in said[-1]
     assert all(line[:2] in ("✓ ", "✗ ", "– ") for line in said[:-1]), "one line each"
 
 
@@ -377,23 +378,20 @@ def test_the_doctor_says_0_where_live_starts(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    model = standin.path.with_name("dnn_model_2_0_op11.onnx")
-    model.touch()
-    try:
-        for number, device in enumerate(kinects.devices):
-            plug_in(tmp_path, device.serial, number=number)
-        checks = device_doctor.device_checks
-        monkeypatch.setattr("viewer_app.doctor_command.device_checks", lambda of: checks(of, tmp_path))
-        assert duplex("doctor", "--k4abt", standin.path) == 0
-        said = capsys.readouterr().out
-        assert "✓ two Kinects: 2 connected, 2 usable" in said
-        assert "✓ sync cable: from 000456 to 000123" in said
-        assert "never a real sensor" in said
-        assert said.endswith("duplex live can start.\n")
-        assert live(standin, tmp_path / "s.rrd", seconds=0.2) == 0
-        kinects.devices[0].jacks = (False, False)
-        assert duplex("doctor", "--k4abt", standin.path) == 1
-        assert "joins no sync out to a sync in" in capsys.readouterr().out
-        assert live(standin, tmp_path / "t.rrd", seconds=0.2) == 2
-    finally:
-        model.unlink()
+    monkeypatch.setenv("DISPLAY", ":0")
+    furnish(tmp_path)
+    for number, device in enumerate(kinects.devices):
+        plug_in(tmp_path, device.serial, number=number)
+    checks = device_doctor.device_checks
+    monkeypatch.setattr("viewer_app.doctor_command.device_checks", lambda of: checks(of, tmp_path))
+    assert duplex("doctor", "--k4abt", standin.path) == 0
+    said = capsys.readouterr().out
+    assert "✓ two Kinects: 2 connected, 2 usable" in said
+    assert "✓ sync cable: from 000456 to 000123" in said
+    assert "never a real sensor" in said
+    assert said.endswith("duplex live can start.\n")
+    assert live(standin, tmp_path / "s.rrd", seconds=0.2) == 0
+    kinects.devices[0].jacks = (False, False)
+    assert duplex("doctor", "--k4abt", standin.path) == 1
+    assert "joins no sync out to a sync in" in capsys.readouterr().out
+    assert live(standin, tmp_path / "t.rrd", seconds=0.2) == 2
