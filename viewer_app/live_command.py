@@ -126,7 +126,9 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             nominal = Fuser(nominal.calibration, settings, a.intrinsics, b.intrinsics)
             announce(viewing, console)
             file = None if options.save is None else opened.enter_context(whole_file(options.save))
-            blueprint = session_blueprint(nominal, _PERSON_AT, options.layout)
+            blueprint = session_blueprint(
+                nominal, _PERSON_AT, options.layout, live=True, color=options.color != "off"
+            )
             session = opened.enter_context(
                 LiveSession(nominal, (a.name, b.name), blueprint, file=file, viewing=viewing)
             )
