@@ -6,6 +6,7 @@ import gc
 import itertools
 import sys
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from devices.kinect import KinectSensor, KinectSettings
 from devices.kinect_access import ConnectedKinect, capsule_pointer, connected_kinects
 from devices.kinect_choice import NeedsChoiceError, choose_two, sync_master
 from devices.sensor import ColorCamera, ColorImage, DeviceError, Interruptible
+from devices.sensor_thread import SensorThread
 from fusion.rigid import RigidTransform
 from fusion.viewing_plane import Intrinsics
 
@@ -98,6 +100,30 @@ def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two: Bus) 
     lens = frame.color.camera.intrinsics
     assert (lens.width, lens.height, lens.fx, lens.cy) == (1280, 720, 610, 365)
     assert frame.color.camera.color_from_depth.translation.tolist() == [-0.032, 0.0, 0.004]
+
+
+def test_a_thousand_openings_of_sensor_and_tracker_leak_nothing(bus: Bus, standin: Standin) -> None:
+    bus.native, bus.devices = standin.library, [Device("000123")]
+    descriptors = Path("/proc/self/fd")
+
+    def cycle() -> None:
+        sensor = KinectSensor("000123", tracker=TrackerSettings(library=standin.path))
+        with SensorThread(sensor) as thread:
+            while thread.received == 0:
+                thread.arrival.wait(10.0)
+                thread.arrival.clear()
+
+    def held() -> tuple[int, int, object]:
+        gc.collect()
+        open_files = len(list(descriptors.iterdir())) if descriptors.is_dir() else 0
+        return threading.active_count(), open_files, standin.alive
+
+    cycle()
+    before = held()
+    for _ in range(1000):
+        cycle()
+    assert held() == before == (*before[:2], 0)
+    assert bus.open_serials == []
 
 
 @pytest.mark.usefixtures("two")
