@@ -34,7 +34,7 @@ class SessionArrays:
 
     Attributes:
         body: Which joints these are.
-        bone_lengths: (J,) the target lengths; 0 at the root.
+        bone_lengths: (T, J) the target lengths each frame was fused with; 0 at the root.
         frame: (T,) number of the pair.
         time_ns: (T,) since the first pair.
         skew_ns: (T,) capture time of B less that of A.
@@ -88,7 +88,7 @@ class SessionArrays:
 
         Args:
             body: The body of all frames.
-            bone_lengths: (J,) metres.
+            bone_lengths: (J,) metres, or (T, J) where they change.
             frames: In time order, at least one.
             numbers: Of the frames; from 0 where None.
             start_ns: When the session began; with the first of these frames where None.
@@ -108,7 +108,7 @@ class SessionArrays:
         a, b = [p.a for p in pairs], [p.b for p in pairs]
         return SessionArrays(
             body=body,
-            bone_lengths=bone_lengths,
+            bone_lengths=np.broadcast_to(bone_lengths, (len(frames), len(body))),
             frame=np.array(range(len(frames)) if numbers is None else numbers, dtype=np.int64),
             time_ns=np.array([f.pair.time_ns for f in frames], dtype=np.int64) - start,
             skew_ns=np.array([f.pair.skew_ns for f in frames], dtype=np.int64),
@@ -141,9 +141,7 @@ class SessionArrays:
     def __getitem__(self, frames: slice | NDArray[np.int64]) -> SessionArrays:
         """Some of the frames, with their numbers and times as they are."""
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
-        per_frame = {
-            n: v[frames] for n, v in kept.items() if n not in ("body", "bone_lengths") and v is not None
-        }
+        per_frame = {n: v[frames] for n, v in kept.items() if n != "body" and v is not None}
         return replace(self, **per_frame)
 
     @property

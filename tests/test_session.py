@@ -164,10 +164,13 @@ def test_files_that_are_no_sessions_are_named_in_one_line(tmp_path: Path) -> Non
 def test_another_layout_says_which_version_wrote_it(
     monkeypatch: pytest.MonkeyPatch, fused_run: FusedRun
 ) -> None:
-    monkeypatch.setattr(layout, "VERSION", 1)
+    this = layout.VERSION
+    monkeypatch.setattr(layout, "VERSION", this - 1)
     old = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1))
     monkeypatch.undo()
-    with pytest.raises(RecordingError, match=r"layout 1, written by duplex-kinects .*reads layout 2"):
+    with pytest.raises(
+        RecordingError, match=rf"layout {this - 1}, written by duplex-kinects .*reads layout {this}"
+    ):
         Session.open(old.path)
 
 
