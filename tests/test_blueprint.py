@@ -13,7 +13,6 @@ from rerun.experimental import ViewerClient
 from fusion.body import KINECT_V2
 from fusion.calibration import Calibration
 from fusion.fuser import Fuser
-from recordings import layout
 from recordings.arrays import RecordedFrame
 from tests.conftest import A_FROM_B
 from tests.pictures import eventually, headless_viewer

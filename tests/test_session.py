@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ import rerun as rr
 from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
 from fusion.fuser import Fuser, FuserSettings
 from recordings import layout
+from recordings.arrays import RecordedFrame
 from recordings.checksums import frame_checksums, fused_checksums
 from recordings.errors import RecordingError
+from recordings.recorder import Recorder
 from recordings.rewriting import rewrite
 from recordings.session import Session
 from recordings.testing import FusedRun, assert_sessions_match, fused_run, record_fused
@@ -188,3 +191,26 @@ def test_sessions_that_match_and_that_do_not(fused_run: FusedRun) -> None:
     nudged = replace(one, fused_checksums=one.fused_checksums + np.uint32(1))
     with pytest.raises(AssertionError, match=r"frame 0: S\* differs"):
         assert_sessions_match(nudged, one, position_mm=0.0)
+
+
+def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path: Path) -> None:
+    pairs, first = frame_pairs(KINECT_V1, 12), calibration_of(KINECT_V1)
+    second = replace(first, bone_lengths=first.bone_lengths * 1.1)
+    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+    stream.save(tmp_path / "s.rrd")
+    fusers = [Fuser(first), Fuser(second)]
+    recorder = Recorder(stream, fusers[0], ("a", "b"))
+    for fuser, own in zip(fusers, (pairs[:5], pairs[5:]), strict=True):
+        if fuser is not fusers[0]:
+            recorder.calibrate(fuser)
+        recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in own])
+    recorder.finish()
+    stream.disconnect()
+    session = Session.open(tmp_path / "s.rrd")
+    np.testing.assert_array_equal(session.rows.bone_lengths[4], first.bone_lengths)
+    np.testing.assert_array_equal(session.rows.bone_lengths[5], second.bone_lengths)
+    # S* is kept in float32: at 4 m its ends are within half of 2⁻²² m on each axis
+    assert session.rows.bone_error.max() < 2 * np.sqrt(3) * 2.0**-23
+    trimmed = tmp_path / "t.rrd"
+    rewrite(session, trimmed, first=3, end=8)
+    np.testing.assert_array_equal(Session.open(trimmed).rows.bone_lengths, session.rows.bone_lengths[3:8])
