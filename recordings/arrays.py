@@ -41,7 +41,7 @@ class SessionArrays:
         clock_a, clock_b: (T,) each sensor's own time, ns; layout.NO_FRAME where it gave no frame.
         positions_a, positions_b: (T, J, 3) float32, each in its sensor's frame.
         states_a, states_b: (T, J) uint8 tracking states.
-        weights_a, weights_b: (T, J) float32, eq. (11).
+        weights_a, weights_b: (T, J) float32, eq. (11), to 1/128: a session keeps what an eye can tell apart.
         misleading: (T, J) int32, the mis-leading joint of sec. 3, or -1.
         rotation, translation: (T, 3, 3) and (T, 3), K_A ← K_B.
         fused: (T, J, 3) float64, S* in K_A's frame.
@@ -118,8 +118,8 @@ class SessionArrays:
             positions_b=positions(b),
             states_a=states(a),
             states_b=states(b),
-            weights_a=np.array([f.weights_a for f in fused], dtype=np.float32),
-            weights_b=np.array([f.weights_b for f in fused], dtype=np.float32),
+            weights_a=_to_128ths([f.weights_a for f in fused]),
+            weights_b=_to_128ths([f.weights_b for f in fused]),
             misleading=np.array([f.misleading for f in fused], dtype=np.int32),
             rotation=np.array([f.a_from_b.rotation for f in fused]),
             translation=np.array([f.a_from_b.translation for f in fused]),
@@ -177,6 +177,10 @@ class SessionArrays:
         none = np.isnan(distance).all(axis=1)
         distance[none] = 0.0
         return np.where(none, np.nan, np.nanmedian(distance, axis=1))
+
+
+def _to_128ths(weights: list[NDArray[np.float64]]) -> NDArray[np.float32]:
+    return (np.round(np.array(weights) * 128.0) / 128.0).astype(np.float32)
 
 
 def _clock(frame: SensorFrame | None) -> int:

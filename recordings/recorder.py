@@ -24,7 +24,7 @@ from recordings.explained_trust import StateLanes, TrustMatrix
 from recordings.frame_streams import frame_streams
 from recordings.rvl import MEDIA_TYPE, encode_depth
 
-_MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 10_000_000_000
+_MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 15_000_000_000
 """How often the matrix of trust is drawn anew: for eyes that wait, and for a file, where it spans 30 s."""
 
 

@@ -282,8 +282,8 @@ def _texts(batch: pa.RecordBatch) -> list[tuple[int | None, int | None, dict[str
         if name not in batch.schema.names:
             return [None] * batch.num_rows
         values = batch.column(name)
-        if pa.types.is_duration(values.type):
-            values = values.cast(pa.int64())
+        if pa.types.is_duration(values.type) or pa.types.is_timestamp(values.type):
+            values = values.cast(pa.int64())  # nanoseconds as Python's own times only pandas can make
         return list(values.to_pylist())
 
     rows = {name: column(name) for name in batch.schema.names[1:]}

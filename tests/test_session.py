@@ -1,5 +1,7 @@
 """What is read back is what was written; what is damaged says so."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from uuid import uuid4
@@ -214,3 +216,15 @@ def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path: Pa
     trimmed = tmp_path / "t.rrd"
     rewrite(session, trimmed, first=3, end=8)
     np.testing.assert_array_equal(Session.open(trimmed).rows.bone_lengths, session.rows.bone_lengths[3:8])
+
+
+def test_a_session_opens_without_pandas(fused_run: FusedRun) -> None:
+    path = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1)).path
+    program = (
+        "import sys; sys.modules['pandas'] = None; "
+        "from recordings.session import Session; print(len(Session.open(sys.argv[1])))"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=False
+    )
+    assert (said.stdout, said.stderr) == ("3\n", "")
