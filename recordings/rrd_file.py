@@ -39,7 +39,10 @@ _ENTITY = b"rerun:entity_path"
 _IMAGE, _IMAGE_WITHIN = b"Encoded", 2048
 
 
-_DAMAGED = (pa.ArrowException, ValueError, TypeError, LookupError, AttributeError, OSError, MemoryError)
+_DAMAGED = (
+    *(pa.ArrowException, ValueError, TypeError, LookupError, AttributeError, OSError, MemoryError),
+    StopIteration,  # of a stream without a batch
+)
 """What unpacking bytes that make no sense can raise."""
 
 
