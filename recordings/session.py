@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,39 +14,29 @@ from devices.pairing import FramePair
 from devices.sensor import ColorImage, SensorFrame
 from fusion.body import BODIES, Body
 from fusion.calibration import Calibration
-from fusion.errors import FusionError
 from fusion.fuser import Fuser, FuserSettings
-from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 from fusion.viewing_plane import Intrinsics
 from recordings import layout
 from recordings.arrays import SessionArrays
-from recordings.checksums import frame_checksums, image_checksum, properties_checksum, text_checksum
+from recordings.checksums import image_checksum
 from recordings.color import read_color
 from recordings.errors import RecordingError
-from recordings.rrd_file import Columns, RrdFile, read_columns
+from recordings.rrd_file import RrdFile, read_columns
 from recordings.rvl import decode_depth
+from recordings.stored_frames import frames_of
+from recordings.stored_settings import (
+    Event,
+    calibrations_of,
+    camera_of,
+    checked_properties,
+    events_of,
+    settings_of,
+)
 
 _BLOB = "EncodedDepthImage:blob"
 PERSON = "0"
 """The id of the one person of a session, as a source of pairs."""
-
-
-@dataclass(frozen=True)
-class Event:
-    """What happened.
-
-    Attributes:
-        frame: The frame it happened at; None where it happened before the first.
-        time_ns: Since the first pair; None likewise.
-        text: What.
-        level: INFO, WARN or ERROR.
-    """
-
-    frame: int | None
-    time_ns: int | None
-    text: str
-    level: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,17 +82,16 @@ class Session:
                 frame.
         """
         path = Path(path)
-        found = read_columns(path, lambda entity: not entity.startswith("/bones/"))
-        about = _checked_properties(path, found)
+        found = read_columns(path, lambda entity: entity != layout.BONES)
+        about = checked_properties(path, found)
         name = about["session"]["body"][0]
         if name not in BODIES:
             raise RecordingError(f"{path} is of an unknown body {name!r}. Known: {', '.join(BODIES)}.")
-        calibrations, residuals = _calibrations(path, BODIES[name], found)
-        rows, checks, lost = _frames(BODIES[name], calibrations[-1][1].bone_lengths, found)
+        calibrations, residuals = calibrations_of(path, BODIES[name], found)
+        rows, checks, lost = frames_of(BODIES[name], calibrations, found)
         used = [number < max(len(rows), 1) for number, _ in calibrations]
         calibrations = [c for c, use in zip(calibrations, used, strict=True) if use]
         about["calibration"] = {"residual_median": [residuals[len(calibrations) - 1]]}
-        rows = replace(rows, bone_lengths=calibrations[-1][1].bone_lengths)
         damage = found.damage
         end = about.get("end", {}).get("frames")
         if end is None:
@@ -118,13 +107,13 @@ class Session:
         return Session(
             path=path,
             rows=rows,
-            settings=_settings(about["settings"]),
+            settings=settings_of(about["settings"]),
             calibrations=tuple(calibrations),
-            intrinsics_a=_camera(cameras["a"]),
-            intrinsics_b=_camera(cameras["b"]),
+            intrinsics_a=camera_of(cameras["a"]),
+            intrinsics_b=camera_of(cameras["b"]),
             sources=(str(session["source_a"][0]), str(session["source_b"][0])),
             about=about,
-            events=_events(found),
+            events=events_of(found),
             fused_checksums=checks,
             frames_lost=lost,
             damage=damage,
@@ -254,145 +243,3 @@ def _sensor_frame(
         return None
     people = {PERSON: Skeleton.of(body, positions, states, int(clock))} if states.any() else {}
     return SensorFrame(int(clock), people, depth)
-
-
-def _checked_properties(path: Path, found: Columns) -> dict[str, dict[str, list[Any]]]:
-    about = found.properties
-    session = about.get("session", {})
-    if "layout_version" not in session:
-        if found.damage is not None:
-            raise RecordingError(f"{path} is damaged before its first frame: {found.damage}.")
-        raise RecordingError(
-            f"{path} is a Rerun recording, but no session of duplex-kinects: its properties are missing."
-        )
-    version, writer = session["layout_version"], session.get("written_by", ["another version"])
-    if version != [layout.VERSION]:
-        raise RecordingError(
-            f"{path} has layout {version[0]}, written by {writer[0]}; this version reads layout "
-            f"{layout.VERSION}. Open it with the version that wrote it."
-        )
-    written = {name: of for name, of in about.items() if name not in ("check", "end", "RecordingInfo")}
-    if about.get("check", {}).get("crc32") != [properties_checksum(written)]:
-        raise RecordingError(
-            f"{path}: the settings and calibration in it are damaged; they do not match their checksum."
-        )
-    return about
-
-
-def _calibrations(
-    path: Path, body: Body, found: Columns
-) -> tuple[list[tuple[int, Calibration]], list[float]]:
-    """Each with the frame it begins at, in order, and how far apart the views were (median)."""
-    at: dict[int, tuple[Calibration, float]] = {}
-    for frame, of in found.logged.get(layout.CALIBRATION, []):
-        check = of.pop("calibration_crc32", None)
-        if check != [properties_checksum({"calibration": {"frame": frame, **of}})]:
-            raise RecordingError(f"{path}: a calibration in it is damaged; it does not match its checksum.")
-        a_from_b = RigidTransform.of(np.reshape(of["rotation"], (3, 3)), of["translation"])
-        lengths = np.array(of["bone_lengths"], dtype=np.float64)
-        at[frame] = Calibration(body, a_from_b, lengths, str(of["how"][0])), float(of["residual_median"][0])
-    if 0 not in at:
-        raise RecordingError(
-            f"{path}: its calibration is missing" + (f"; {found.damage}." if found.damage else ".")
-        )
-    ordered = sorted(at.items())
-    return [(frame, calibration) for frame, (calibration, _) in ordered], [r for _, (_, r) in ordered]
-
-
-def _settings(of: dict[str, list[Any]]) -> FuserSettings:
-    known = {f.name for f in fields(FuserSettings)}
-    strangers = sorted(set(of) - known)
-    if strangers:
-        raise RecordingError(f"The session was made with settings unknown here: {', '.join(strangers)}.")
-    try:
-        return FuserSettings(**{name: value[0] for name, value in of.items()})
-    except FusionError as error:
-        raise RecordingError(f"The session's settings cannot be followed: {error}") from None
-
-
-def _camera(values: list[float]) -> Intrinsics:
-    width, height, fx, fy, cx, cy, *distortion = values
-    return Intrinsics(int(width), int(height), fx, fy, cx, cy, tuple(distortion))
-
-
-def _events(found: Columns) -> tuple[Event, ...]:
-    events = []
-    for frame, time, row in found.texts:
-        text, level, check = (row.get(k) or [None] for k in ("TextLog:text", "TextLog:level", "crc32"))
-        if isinstance(text[0], str) and check[0] == text_checksum(text[0], str(level[0])):
-            events.append(Event(frame, time, text[0], str(level[0])))
-    return tuple(events)
-
-
-def _frames(
-    body: Body, bone_lengths: NDArray[np.float64], found: Columns
-) -> tuple[SessionArrays, NDArray[np.uint32], int]:
-    """The frames before the first that is missing or damaged, their S* checksums, how many are lost."""
-    J = len(body)
-    stored: dict[str, tuple[tuple[str, str], tuple[int, ...], Any]] = {
-        "time_ns": ((layout.CHECKS, layout.TIME), (), np.int64),
-        "checks": ((layout.CHECKS, "frame_crc32"), (2,), np.uint32),
-        "placement": ((layout.PLACEMENT, "rotation_translation"), (12,), np.float64),
-        "fused": ((layout.FUSED_SKELETON, "Points3D:positions"), (J, 3), np.float32),
-        "predicted": ((layout.FUSED_TRUST, "predicted"), (J,), np.bool_),
-        "misleading": ((layout.FUSED_TRUST, "misleading"), (J,), np.int32),
-        "iterations": ((layout.quality("iterations"), "Scalars:scalars"), (1,), np.float64),
-        "skew_ms": ((layout.quality("skew_ms"), "Scalars:scalars"), (1,), np.float64),
-        "fuse_ms": ((layout.quality("fuse_ms"), "Scalars:scalars"), (1,), np.float64),
-        "stale": ((layout.quality("stale"), "Scalars:scalars"), (2,), np.float64),
-    }
-    for side in layout.SIDES:
-        stored |= {
-            f"positions_{side}": ((layout.skeleton(side), "Points3D:positions"), (J, 3), np.float32),
-            f"states_{side}": ((layout.states(side), "state"), (J,), np.uint8),
-            f"weights_{side}": ((layout.weights(side), "Scalars:scalars"), (J,), np.float64),
-            f"clock_{side}": ((layout.clock(side), "captured_ns"), (1,), np.int64),
-        }
-    truth = (layout.TRUTH_SKELETON, "Points3D:positions")
-    if truth in found.values:
-        stored["truth"] = (truth, (J, 3), np.float32)
-    written = 0
-    whole: int | None = None
-    at: dict[str, NDArray[Any]] = {}
-    for name, (key, shape, kind) in stored.items():
-        frames, values = found.values.get(key, (np.empty(0, np.int64), np.empty((0, *shape), kind)))
-        if values.shape[1:] != shape or values.dtype != kind:
-            frames, values = frames[:0], np.empty((0, *shape), kind)
-        order = np.argsort(frames, kind="stable")
-        frames = frames[order]
-        count = int(np.argmin(np.concatenate([frames, [-1]]) == np.arange(len(frames) + 1)))
-        written = max(written, count)
-        whole = count if whole is None else min(whole, count)
-        at[name] = values[order]
-    n = whole or 0
-    at = {name: values[:n] for name, values in at.items()}
-    with np.errstate(invalid="ignore"):  # damaged numbers are found below
-        rows = SessionArrays(
-            body=body,
-            bone_lengths=bone_lengths,
-            frame=np.arange(n),
-            time_ns=at["time_ns"],
-            skew_ns=np.rint(at["skew_ms"][:, 0] * 1e6).astype(np.int64),
-            clock_a=at["clock_a"][:, 0],
-            clock_b=at["clock_b"][:, 0],
-            positions_a=at["positions_a"],
-            positions_b=at["positions_b"],
-            states_a=at["states_a"],
-            states_b=at["states_b"],
-            weights_a=at["weights_a"].astype(np.float32),
-            weights_b=at["weights_b"].astype(np.float32),
-            misleading=at["misleading"],
-            rotation=at["placement"][:, :9].reshape(-1, 3, 3),
-            translation=at["placement"][:, 9:],
-            fused=at["fused"].astype(np.float64),
-            predicted=at["predicted"],
-            iterations=at["iterations"][:, 0].astype(np.int64),
-            stale_a=at["stale"][:, 0] != 0.0,
-            stale_b=at["stale"][:, 1] != 0.0,
-            fuse_ms=at["fuse_ms"][:, 0],
-            truth=at["truth"].astype(np.float64) if "truth" in at else None,
-        )
-    if n:
-        fits = frame_checksums(rows) == at["checks"][:, 0]
-        n = int(np.argmin(np.append(fits, False)))
-    return rows[:n], at["checks"][:n, 1], written - n

@@ -114,7 +114,7 @@ def _bones(session: Session) -> str:
                 "S*": (lengths[2, :, j], "fused"),
             }
             plots.append(
-                line_plot(bone.replace("_", " "), "m", time, lines, level=float(rows.bone_lengths[j]))
+                line_plot(bone.replace("_", " "), "m", time, lines, level=float(rows.bone_lengths[-1, j]))
             )
     return (
         '<p class="note">As in the paper\'s fig. 5; dashed is the length measured in the start-up pose.</p>'
