@@ -27,7 +27,9 @@ TRUST_MATRIX = "/trust_matrix"
 """Picture, joint × time: whose view made each joint of S* over the last seconds."""
 STATE_LANES = "/lanes"
 COACH = "/coach"
-"""Text: what to do next while setting up."""
+"""Text: what to do next while setting up; beneath it, what is drawn into the scene for that."""
+COACH_MARKS = ("spot", "sensor_a", "sensor_b", "better_b")
+"""Where to stand, which sensor has a problem, where B would see more."""
 PLACEMENT = "/kinect_b/placement"
 """R and t again, as float64 data: the viewer's transform has float32."""
 CHECKS = "/checks"
@@ -73,9 +75,19 @@ def depth(side: str) -> str:
     return f"/kinect_{side}/depth"
 
 
+def image_edge(side: str) -> str:
+    """Where the depth image ends."""
+    return f"{depth(side)}/edge"
+
+
 def points(side: str) -> str:
     """The point cloud of a depth image, thinned out, in the sensor's own frame."""
     return f"/kinect_{side}/points"
+
+
+def coach_mark(name: str) -> str:
+    """Lines that the coach draws into the scene, in K_A's frame."""
+    return f"{COACH}/{name}"
 
 
 def bone(name: str) -> str:

@@ -15,6 +15,7 @@ from fusion.calibration import Calibration
 from fusion.fuser import Fuser
 from recordings import layout
 from recordings.arrays import RecordedFrame
+from recordings.coach_page import CoachPage
 from tests.conftest import A_FROM_B
 from tests.pictures import eventually, headless_viewer
 from tests.test_live_session import BODY, frames
@@ -40,9 +41,7 @@ def seen() -> tuple[Fuser, list[RecordedFrame]]:
 def saved(path: Path, fuser: Fuser, made: list[RecordedFrame], active: Layout) -> Path:
     blueprint = session_blueprint(fuser, np.array([0.1, 0.1, 2.6]), active)
     with LiveSession(fuser, ("a", "b"), blueprint, file=path) as live:
-        live.coach(
-            "# Calibrate\n\n" + "- **Mend:** step into the view of sensor A, to 2.5 m from both sensors\n" * 6
-        )
+        live.coach(CoachPage("- **Mend:** step into the view of sensor A, to 2.5 m from both sensors\n" * 6))
         live.event("calibrated: known")
         for frame in made:
             live.record(frame)
@@ -53,7 +52,7 @@ def expected(active: Layout) -> set[str]:
     """Origins of the views that a layout shows before a tab is touched."""
     bones = {layout.bone(KINECT_V2.bones[joint]) for joint in KINECT_V2.bone_joints}
     if active == "report":
-        return bones
+        return bones | {layout.COACH}
     if active == "setup":
         return {
             *map(layout.depth, layout.SIDES), "/", layout.COACH, layout.EVENTS,

@@ -24,7 +24,7 @@ from fusion.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser, FuserSettings
 from recordings.calibration_file import calibration_to_json, read_calibration
 from viewer_app.blueprint import session_blueprint
-from viewer_app.coach import Coach
+from viewer_app.coach import WARM_UP, Coach
 from viewer_app.ctrl_c import CtrlC
 from viewer_app.errors import UsageError
 from viewer_app.live import Status, run_live
@@ -130,7 +130,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             session = opened.enter_context(
                 LiveSession(nominal, (a.name, b.name), blueprint, file=file, viewing=viewing)
             )
-            coach = Coach(a.body, (nominal.intrinsics_a, nominal.intrinsics_b))
+            coach = Coach(a.body, (nominal.intrinsics_a, nominal.intrinsics_b), options.fps, warm_up=WARM_UP)
             display = opened.enter_context(
                 LiveDisplay(console, session, coach, options.quiet, options.verbose)
             )

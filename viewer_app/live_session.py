@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fusion.fuser import Fuser
 from recordings import layout
 from recordings.arrays import RecordedFrame
+from recordings.coach_page import CoachPage
 from recordings.recorder import Recorder
 from recordings.rewriting import check_whole
 from viewer_app.errors import UsageError
@@ -148,9 +149,9 @@ class LiveSession:
         """Takes what happened, at the time of the last frame."""
         self._say(Note(text, level))
 
-    def coach(self, markdown: str) -> None:
+    def coach(self, page: CoachPage) -> None:
         """Takes what to do next, at the time of the last frame."""
-        self._say(Note(markdown, None))
+        self._say(page)
 
     def calibrate(self, fuser: Fuser) -> None:
         """Takes the fuser with which the frames that follow are made."""

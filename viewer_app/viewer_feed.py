@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from fusion.fuser import Fuser
 from recordings.arrays import RecordedFrame
+from recordings.coach_page import CoachPage
 from recordings.recorder import Recorder
 from viewer_app.errors import UsageError
 from viewer_app.rerun_process import stop
@@ -28,22 +29,19 @@ from viewer_app.rerun_process import stop
 
 @dataclass(frozen=True, eq=False)
 class Note:
-    """Something said beside the frames: an event, or the coach's page.
+    """An event.
 
     Attributes:
         text: What is said.
-        level: Of an event; None for the coach's page.
+        level: How bad it is.
     """
 
     text: str
-    level: str | None = "INFO"
+    level: str = "INFO"
 
     def write(self, recorder: Recorder) -> None:
         """Puts it where it belongs."""
-        if self.level is None:
-            recorder.coach(self.text)
-        else:
-            recorder.event(self.text, self.level)
+        recorder.event(self.text, self.level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +66,8 @@ class Image:
 
 
 Numbered = tuple[int, RecordedFrame]
-Item = Numbered | Note | Image | Fuser
-"""A frame, something said, or the fuser with whose calibration the frames that follow are made."""
+Item = Numbered | Note | CoachPage | Image | Fuser
+"""A frame, something said or drawn, or the fuser with whose calibration the frames that follow are made."""
 Opening = Callable[[rr.RecordingStream], Recorder]
 """Writes what is static, and gives the recorder to go on with."""
 
@@ -87,6 +85,9 @@ def write_items(recorder: Recorder, items: Sequence[Item]) -> None:
         if isinstance(item, Note | Image):
             write_run()
             item.write(recorder)
+        elif isinstance(item, CoachPage):
+            write_run()
+            recorder.coach(item)
         elif isinstance(item, Fuser):
             write_run()
             recorder.calibrate(item)
