@@ -45,12 +45,14 @@ class Viewing:
         hub: Where viewers connect to; None where there is only a window, which then outlives the program.
         depth_hz: Depth images a second and sensor at most, in the viewer.
         headless: Whether the window is drawn without a screen, for tests.
+        why_not: Why nothing is looked at, where something was to be.
     """
 
     window: bool = False
     hub: Hub | None = None
     depth_hz: float = _DEPTH_HZ
     headless: bool = False
+    why_not: str = ""
 
 
 class LiveSession:

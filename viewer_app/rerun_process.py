@@ -9,9 +9,11 @@ Everything listens on this machine's loopback address unless told otherwise, and
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import importlib.util
 import os
+import platform
 import signal
 import socket
 import subprocess
@@ -82,6 +84,7 @@ class Hub:
                 *("--server-memory-limit", _HUB_MEMORY, "-"),
             ],
             stdin=subprocess.PIPE,
+            dies_with_us=True,
         )
 
     def wait_until_listening(self, process: subprocess.Popen[bytes]) -> None:
@@ -155,9 +158,25 @@ def free_port(address: str = LOOPBACK) -> int:
         ) from None
 
 
-def _start(arguments: Sequence[str], stdin: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [*_program(), *arguments],
+_DIES_WITH_ITS_PARENT = """
+import ctypes, os, signal, sys
+ctypes.CDLL(None).prctl(1, signal.SIGKILL)
+if os.getppid() != int(sys.argv[1]):
+    sys.exit()
+os.execv(sys.argv[2], sys.argv[2:])
+"""
+"""PR_SET_PDEATHSIG, kept over exec: the kernel ends the process when the thread that started it ends. Popen's
+preexec_fn would do it without a second program, but may hang in a program with threads."""
+
+
+def _start(
+    arguments: Sequence[str], stdin: int = subprocess.DEVNULL, dies_with_us: bool = False
+) -> subprocess.Popen[bytes]:
+    command = [*_program(), *arguments]
+    if dies_with_us and platform.system() == "Linux":
+        command = [sys.executable, "-I", "-S", "-c", _DIES_WITH_ITS_PARENT, str(os.getpid()), *command]
+    process = subprocess.Popen(
+        command,
         env={**os.environ, "RERUN_ANALYTICS": "0"},
         stdin=stdin,
         stdout=subprocess.DEVNULL,
@@ -165,6 +184,9 @@ def _start(arguments: Sequence[str], stdin: int = subprocess.DEVNULL) -> subproc
         start_new_session=True,  # Ctrl-C is for us: we end it when everything is saved
         bufsize=0,
     )
+    if dies_with_us:
+        atexit.register(stop, process)  # on other systems, and where a thread outlives the interpreter
+    return process
 
 
 def _own(port: int) -> tuple[str, ...]:
