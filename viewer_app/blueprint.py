@@ -144,7 +144,7 @@ def _inspect(fuser: Fuser, person_at: NDArray[np.float64]) -> rrb.Container:
         rrb.Vertical(
             rrb.Spatial2DView(origin=layout.TRUST_MATRIX, name="whose view made each joint"),
             rrb.Grid(*_bone_plots([bone for bone in limbs if bone in body.bones]), grid_columns=2),
-            row_shares=[5, 4],
+            row_shares=[1, 1],
         ),
         column_shares=[5, 6],
         name="inspect",

@@ -110,9 +110,11 @@ class LiveSession:
             self._feed = self._feed_into(start_window_on_pipe, restart=False)
         if file is not None:
             stream = self._stream()
-            stream.set_sinks(rr.FileSink(str(file)), default_blueprint=blueprint)
+            stream.set_sinks(rr.FileSink(str(file)))
             self._file = SessionFile(
-                stream, lambda of: Recorder(of, fuser, sources, depth_every=1), bounded=not complete
+                stream,
+                lambda of: self._with_blueprint(of, Recorder(of, fuser, sources, depth_every=1)),
+                bounded=not complete,
             )
 
     def record(self, frame: RecordedFrame) -> None:
@@ -247,10 +249,15 @@ class LiveSession:
         return rr.RecordingStream(layout.APPLICATION_ID, recording_id=self._id)
 
     def _begin(self, stream: rr.RecordingStream) -> Recorder:
-        stream.send_blueprint(self._blueprint)
-        return Recorder(
-            stream, self._fuser, self._sources, depth_every=1, start_ns=self._start_ns, points=True
+        return self._with_blueprint(
+            stream,
+            Recorder(stream, self._fuser, self._sources, depth_every=1, start_ns=self._start_ns, points=True),
         )
+
+    def _with_blueprint(self, stream: rr.RecordingStream, recorder: Recorder) -> Recorder:
+        """The timeline it names must be there; it is active, or a viewer would show what it remembers."""
+        stream.send_blueprint(self._blueprint)
+        return recorder
 
 
 class _Window:

@@ -22,6 +22,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 from urllib.parse import quote
 
 from viewer_app.errors import UsageError
@@ -113,8 +114,14 @@ def start_window_on_pipe() -> subprocess.Popen[bytes]:
     return _start([*_own(free_port()), "--expect-data-soon", "-"], stdin=subprocess.PIPE)
 
 
-def start_viewer(arguments: Sequence[str]) -> tuple[subprocess.Popen[bytes], int]:
+def start_viewer(
+    arguments: Sequence[str], stdin: int | IO[bytes] = subprocess.DEVNULL
+) -> tuple[subprocess.Popen[bytes], int]:
     """Starts a viewer that listens on a free port of the loopback address, and has a bounded memory.
+
+    Args:
+        arguments: What it shows, and how.
+        stdin: What it reads where the arguments have ``-``.
 
     Returns:
         The process and its port.
@@ -123,7 +130,7 @@ def start_viewer(arguments: Sequence[str]) -> tuple[subprocess.Popen[bytes], int
         UsageError: It does not start.
     """
     port = free_port()
-    viewer = _start([*_own(port), *arguments])
+    viewer = _start([*_own(port), *arguments], stdin)
     _wait_for(viewer, LOOPBACK, port, "Rerun's viewer")
     return viewer, port
 
@@ -170,7 +177,7 @@ preexec_fn would do it without a second program, but may hang in a program with 
 
 
 def _start(
-    arguments: Sequence[str], stdin: int = subprocess.DEVNULL, dies_with_us: bool = False
+    arguments: Sequence[str], stdin: int | IO[bytes] = subprocess.DEVNULL, dies_with_us: bool = False
 ) -> subprocess.Popen[bytes]:
     command = [*_program(), *arguments]
     if dies_with_us and platform.system() == "Linux":
