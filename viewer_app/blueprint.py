@@ -31,7 +31,7 @@ _FIGURES = (
 )
 _OVERVIEW, _HIGH = 2.1, 1.4
 """In *setup*: from behind both sensors, times their distance from the person, and metres above."""
-_BEHIND, _ABOVE = 2.1, 0.4
+_BEHIND, _ABOVE = 2.4, 0.4
 """In *inspect*: metres behind the person and over their middle, who then stands before both sensors."""
 _FRUSTA = {"setup": 0.3, "inspect": 0.2}  # metres
 

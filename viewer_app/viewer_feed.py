@@ -212,6 +212,7 @@ class ViewerFeed:
                     self._idle = self._idle and not items
                 write_items(recorder, items)
         finally:
+            encoded.read()  # what is left would be reported as lost
             stream.disconnect()
 
     def _send(self, process: subprocess.Popen[bytes], data: bytes) -> bool:
