@@ -12,6 +12,7 @@ import psutil
 import pytest
 
 from tests.pictures import eventually
+from viewer_app.rerun_process import Hub, start_window_on_pipe, stop
 
 ROOT = Path(__file__).resolve().parent.parent
 _STARTS_A_HUB = """
@@ -79,3 +80,21 @@ def _pressed(program: subprocess.Popen[bytes]) -> bool:
     if program.poll() is None:
         program.send_signal(signal.SIGINT)
     return program.poll() is not None
+
+
+def test_hub_and_viewer_have_a_bounded_memory() -> None:
+    hub = Hub.on_free_ports(web=True).start()
+    window = start_window_on_pipe()
+    try:
+        for process, option in ((hub, "--server-memory-limit"), (window, "--memory-limit")):
+            # the hub's command line is Rerun's once it has been told to end with us
+            assert eventually(lambda process=process, option=option: option in _options(process))
+            options = _options(process)
+            assert options[options.index(option) + 1].endswith("iB")
+    finally:
+        stop(hub)
+        stop(window)
+
+
+def _options(process: subprocess.Popen[bytes]) -> list[str]:
+    return psutil.Process(process.pid).cmdline()

@@ -239,7 +239,7 @@ class LiveSession:
     def _feed_into(self, start: Callable[[], subprocess.Popen[bytes]], restart: bool = True) -> ViewerFeed:
         return ViewerFeed(
             start,
-            self._stream,
+            self._stream(),
             self._begin,
             restart=restart,
             keep=None if self._complete else _VIEWER_QUEUE,

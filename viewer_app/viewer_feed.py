@@ -101,7 +101,8 @@ class ViewerFeed:
 
     Args:
         start: Starts the process, with a pipe as its standard input.
-        open_stream: Makes a recording stream without a sink; each process gets a stream of its own.
+        stream: Without a sink. All processes get the same one: Rerun never frees a stream's threads and
+            buffers, 5 MB each.
         begin: Writes what is static.
         keep: How many items wait at most, the oldest give way; None: all wait, nothing is left out.
         patience: Seconds without progress after which the process is replaced.
@@ -112,7 +113,7 @@ class ViewerFeed:
     def __init__(
         self,
         start: Callable[[], subprocess.Popen[bytes]],
-        open_stream: Callable[[], rr.RecordingStream],
+        stream: rr.RecordingStream,
         begin: Opening,
         *,
         keep: int | None = 60,
@@ -120,7 +121,7 @@ class ViewerFeed:
         restart: bool = True,
         retry: float = 0.5,
     ) -> None:
-        self._start, self._open_stream, self._begin = start, open_stream, begin
+        self._start, self._stream, self._begin = start, stream, begin
         self._patience, self._restart, self._retry = patience, restart, retry
         self._queue: deque[Item] = deque()
         self._keep = keep
@@ -180,6 +181,12 @@ class ViewerFeed:
         self._queue.popleft()
 
     def _run(self) -> None:
+        try:
+            self._feed_each()
+        finally:
+            self._stream.disconnect()
+
+    def _feed_each(self) -> None:
         while not self._stopping:
             if self.starts and self.process.poll() is None:
                 self._feed(self.process)
@@ -196,9 +203,8 @@ class ViewerFeed:
 
     def _feed(self, process: subprocess.Popen[bytes]) -> None:
         """Until the process is gone, stands still, or we stop."""
-        stream = self._open_stream()
-        encoded = rr.binary_stream(stream)
-        recorder = self._begin(stream)
+        encoded = rr.binary_stream(self._stream)
+        recorder = self._begin(self._stream)
         try:
             while not self._stopping:
                 if not self._send(process, encoded.read() or b""):
@@ -213,7 +219,6 @@ class ViewerFeed:
                 write_items(recorder, items)
         finally:
             encoded.read()  # what is left would be reported as lost
-            stream.disconnect()
 
     def _send(self, process: subprocess.Popen[bytes], data: bytes) -> bool:
         """Whether all went into the pipe. It is not broken off within a message, unless for good."""
