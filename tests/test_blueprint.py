@@ -107,19 +107,3 @@ def ink_of(viewer: ViewerClient, view_id: str, folder: Path) -> float:
         return 0.0
     picture = cv2.imread(str(path))
     return 0.0 if picture is None else ink(np.asarray(picture))
-
-
-def test_the_layout_asked_for_is_shown_though_the_viewer_remembers_another(
-    seen: tuple[Fuser, list[RecordedFrame]], tmp_path: Path
-) -> None:
-    first = saved(tmp_path / "first.rrd", *seen, "report")
-    second = saved(tmp_path / "second.rrd", *seen, "setup")
-    with headless_viewer(str(first)) as viewer:
-
-        def shows(origin: str) -> bool:
-            ids = [view.view_id for view in viewer.get_state().views if view.origin == origin]
-            return any(ink_of(viewer, view_id, tmp_path) > 0.0 for view_id in ids)
-
-        assert eventually(lambda: shows(layout.bone("head")), 30.0)
-        viewer.open(str(second))
-        assert eventually(lambda: shows(layout.depth("a")), 30.0)
