@@ -52,7 +52,7 @@ def test_a_hub_does_not_outlive_the_program(how: str) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="signals to a process group")
 def test_nothing_survives_two_ctrl_c_while_a_page_is_served() -> None:
-    arguments = ["-m", "viewer_app.cli", "demo", "--web", "--depth", "off", "--seconds", "60", "--quiet"]
+    arguments = ["-m", "viewer_app.cli", "demo", "--web", "--depth", "none", "--seconds", "60", "--quiet"]
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     with subprocess.Popen(
         [sys.executable, *arguments],
