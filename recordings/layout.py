@@ -32,7 +32,9 @@ TRUST_MATRIX = "/trust_matrix"
 """Picture, joint × time: whose view made each joint of S* over the last seconds."""
 STATE_LANES = "/lanes"
 COACH = "/coach"
-"""Text: what to do next while setting up."""
+"""Text: what to do next while setting up; beneath it, what is drawn into the scene for that."""
+COACH_MARKS = ("spot", "sensor_a", "sensor_b", "better_b")
+"""Where to stand, which sensor has a problem, where B would see more."""
 NO_FRAME = -(2**63)
 """A sensor's time where it gave no frame for the pair."""
 
@@ -65,9 +67,19 @@ def color(side: str) -> str:
     return f"/kinect_{side}/color"
 
 
+def image_edge(side: str) -> str:
+    """Where the depth image ends."""
+    return f"{depth(side)}/edge"
+
+
 def points(side: str) -> str:
     """The point cloud of a depth image, thinned out, in the sensor's own frame."""
     return f"/kinect_{side}/points"
+
+
+def coach_mark(name: str) -> str:
+    """Lines that the coach draws into the scene, in K_A's frame."""
+    return f"{COACH}/{name}"
 
 
 def weight(side: str) -> str:

@@ -20,6 +20,7 @@ from fusion.fuser import Fuser
 from recordings import appearance, layout
 from recordings.arrays import RecordedFrame, SessionArrays
 from recordings.checksums import image_checksum, properties_checksum, text_checksum
+from recordings.coach_page import CoachPage
 from recordings.color import ColorLog
 from recordings.depth_points import thin_points
 from recordings.explained_trust import StateLanes, TrustMatrix
@@ -167,10 +168,11 @@ class Recorder:
             layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=text_checksum(text, level))
         )
 
-    def coach(self, markdown: str) -> None:
+    def coach(self, page: CoachPage) -> None:
         """Logs what to do next, at the time of the last frame."""
         self._set_time(*(self._last or (0, 0)))
-        self._stream.log(layout.COACH, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
+        for entity, what in page.entities():
+            self._stream.log(entity, what)
 
     def finish(self) -> None:
         """Says that the session is whole; a reader takes one without this for cut off."""
@@ -237,6 +239,7 @@ class Recorder:
             once(layout.skeleton(side), appearance.joint_look(body, side))
             once(layout.depth(side), appearance.camera(intrinsics, side))
             once(layout.depth(side), appearance.DEPTH)
+            once(layout.image_edge(side), appearance.image_edge(intrinsics))
             once(layout.points(side), appearance.cloud_look(side))
         once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))
         once(layout.TRUTH_SKELETON, appearance.joint_look(body, "truth"))

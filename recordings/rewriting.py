@@ -36,7 +36,9 @@ def rewrite(
         raise RecordingError(f"{session.path} has {len(session)} frames; none from {first} to {end}.")
     about: dict[str, str | int] = {"first_frame": session.first_frame + first}
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
-    stream.set_sinks(rr.FileSink(str(path)), default_blueprint=blueprint)
+    stream.set_sinks(rr.FileSink(str(path)))
+    if blueprint is not None:
+        stream.send_blueprint(blueprint)
     try:
         segments = [(fuser, own) for fuser, own in session.fusers() if own.stop > first and own.start < end]
         recorder = Recorder(stream, segments[0][0], session.sources, about=about)

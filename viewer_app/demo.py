@@ -23,6 +23,7 @@ from recordings.arrays import RecordedFrame, SessionArrays
 from viewer_app.blueprint import session_blueprint
 from viewer_app.coach import Coach
 from viewer_app.ctrl_c import CtrlC
+from viewer_app.display import has_display
 from viewer_app.errors import UsageError
 from viewer_app.live import run_live
 from viewer_app.live_display import LiveDisplay
@@ -31,7 +32,7 @@ from viewer_app.live_summary import check_saved, print_saved, print_session
 from viewer_app.options import DemoOptions
 from viewer_app.outputs import check_writable, warn_of_little_room
 from viewer_app.run import warm_up
-from viewer_app.viewing import announce, choose_viewing, has_display, stay_for_visitors
+from viewer_app.viewing import announce, choose_viewing, stay_for_visitors
 
 _SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
 

@@ -155,9 +155,9 @@ class LiveOptions:
     layout: Literal["setup", "inspect", "report"] = "setup"
     """Which of the viewer's tabs is open at first."""
     quiet: bool = False
-    """No status line and no advice in the terminal."""
+    """No status line and no advice, only warnings."""
     verbose: bool = False
-    """Advice with its figures and thresholds."""
+    """Keep every status line."""
     force: bool = False
     """Overwrite files that exist."""
 

@@ -18,12 +18,13 @@ from recordings.checksums import fused_checksums
 from recordings.recorder import Recorder
 from recordings.session import Session
 from viewer_app.blueprint import inspect_blueprint
+from viewer_app.display import has_display
 from viewer_app.errors import UsageError
+from viewer_app.file_window import written_and_shown
 from viewer_app.options import ReplayOptions
 from viewer_app.outputs import check_writable, whole_file
 from viewer_app.report import FusionResult, print_summary, report, report_to_json
 from viewer_app.run import fuse_offline
-from viewer_app.sinks import has_display, open_stream
 
 _CUT_WITHIN = 1e-6  # metres; float32 shows 2.4e-7 at 4 m
 
@@ -52,7 +53,9 @@ def run(options: ReplayOptions) -> None:
     print_damage(console, session)
     fusers = list(session.fusers(settings))
     window = not options.no_viewer and not options.verify and has_display()
-    with open_stream(options.save, window, inspect_blueprint(session.body, whereabouts(session))) as stream:
+    with written_and_shown(
+        options.save, window, inspect_blueprint(session.body, whereabouts(session))
+    ) as stream:
         about: dict[str, str | int] = {"first_frame": session.first_frame, "replay_of": session.path.name}
         recorder = Recorder(stream, fusers[0][0], session.sources, about=about)
         pairs = list(session.pairs())
