@@ -206,6 +206,7 @@ def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:
     with pa.ipc.open_stream(payload) as stream:
         batch = stream.read_next_batch()
     batch.validate(full=True)
+    batch.schema.to_string()  # decodes the names of fields within fields, which no validation does
     if len(set(batch.schema.names)) != len(batch.schema.names):
         raise ValueError("two columns of one name")
     return (batch.schema.metadata or {})[_ENTITY].decode(), batch
