@@ -102,7 +102,6 @@ class Fuser:
             calibration.a_from_b.rotation,
             (self.intrinsics_a, self.intrinsics_b),
             self.settings.h,
-            frame.PAPER if self.settings.solver == "paper" else frame.EXACT,
             frame.EQUAL if self.settings.weights == "equal" else frame.TRUST,
         )
         self._memory = frame.new_memory(len(body), calibration.a_from_b.translation)
@@ -148,7 +147,8 @@ class Fuser:
 
     def _run(self, time_ns: NDArray[np.int64], *views: NDArray[Any]) -> frame.Result:
         result = frame.new_result(len(time_ns), len(self._nobody.states))
-        frame.fuse_frames(self._model, self._memory, result, time_ns, *views)
+        fuse = frame.fuse_frames_as_published if self.settings.solver == "paper" else frame.fuse_frames
+        fuse(self._model, self._memory, result, time_ns, *views)
         return result
 
     def _fused(self, result: frame.Result, k: int, time_ns: int) -> FusedFrame:
