@@ -14,12 +14,13 @@ from rich.table import Table
 
 from devices.simulated.movements import MOTIONS
 from devices.simulated.paced import PacedSensor
-from devices.simulated.sensor import Truth, simulated_pair
+from devices.simulated.sensor import SimulatedKinect, Truth, simulated_pair
 from devices.two_sensors import TwoSensors
 from fusion.body import BODIES
 from fusion.calibration import nominal_calibration
 from fusion.fuser import Fuser, FuserSettings
 from recordings.arrays import RecordedFrame, SessionArrays
+from recordings.rvl import encode_depth
 from viewer_app.blueprint import session_blueprint
 from viewer_app.coach import Coach
 from viewer_app.ctrl_c import CtrlC
@@ -69,7 +70,7 @@ def run(options: DemoOptions) -> None:
     start = truth.positions_at(0)
     nominal = Fuser(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
     blueprint = session_blueprint(nominal, np.asarray(start.mean(axis=0)), options.layout)
-    warm_up(nominal, console)
+    warm_up(nominal, console, lambda: _compile(a))
     console.print(
         f"A simulated person ({options.motion}) before two Kinects {options.angle:.0f}° apart, "
         f"{options.seconds:g} s. Ctrl-C ends it."
@@ -105,6 +106,13 @@ def run(options: DemoOptions) -> None:
             _print_truth(console, fuser, frames, truth)
         if save is not None:
             say_saved(console, save)
+
+
+def _compile(sensor: SimulatedKinect) -> None:
+    """Runs what makes and writes a simulated sensor's frames."""
+    frame = next(sensor.frames(), None)
+    if frame is not None and frame.depth is not None:
+        encode_depth(frame.depth)
 
 
 def _print_truth(console: Console, fuser: Fuser, frames: list[RecordedFrame], truth: Truth) -> None:
