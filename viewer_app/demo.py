@@ -14,7 +14,7 @@ from rich.table import Table
 
 from devices.simulated.movements import MOTIONS
 from devices.simulated.paced import PacedSensor
-from devices.simulated.sensor import SimulatedKinect, Truth, simulated_pair
+from devices.simulated.sensor import SimulatedKinect, Truth, TruthAhead, simulated_pair
 from devices.two_sensors import TwoSensors
 from fusion.body import BODIES
 from fusion.calibration import nominal_calibration
@@ -93,7 +93,7 @@ def run(options: DemoOptions) -> None:
                 intrinsics=(a.intrinsics, b.intrinsics),
                 calibration=None,
                 recorder_for=lambda _: session,
-                truth_at=truth.positions_at,
+                truth_at=TruthAhead(truth),
                 go_on=show,
             )
             session.save()

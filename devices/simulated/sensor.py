@@ -108,6 +108,27 @@ class Truth:
         return at if times.ndim else at[0]
 
 
+class TruthAhead:
+    """The truth at one pair's time after the other: a second of A's frames is computed at once.
+
+    Args:
+        truth: Of which.
+    """
+
+    def __init__(self, truth: Truth) -> None:
+        self._truth = truth
+        self._known: dict[int, NDArray[np.float64]] = {}
+
+    def __call__(self, time_ns: int) -> NDArray[np.float64]:
+        """(J, 3) as :meth:`Truth.positions_at`."""
+        if time_ns not in self._known:
+            rig = self._truth.rig
+            first = round(time_ns * 1e-9 / rig.frame_seconds)
+            times = [time_ns, *(rig.clock(0, rig.captured_at(0, first + k)) for k in range(1, _CHUNK))]
+            self._known = dict(zip(times, self._truth.positions_at(times), strict=True))
+        return self._known[time_ns]
+
+
 class SimulatedKinect:
     """One of the two sensors of a rig. Its frames come as fast as they are asked for.
 
