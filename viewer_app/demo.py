@@ -102,6 +102,13 @@ def run(options: DemoOptions) -> None:
                 ctrl_c.calls(again.set)
                 stay_for_visitors(viewing, console, again)
         print_session(console, fuser, frames, sensors)
+        left_out = a.images_left_out + b.images_left_out
+        if left_out:
+            of = sensors.a.received + sensors.b.received
+            console.print(
+                f"To keep pace, {left_out} of {of} depth images were left out; a smaller --depth takes less time.",
+                highlight=False,
+            )
         if frames:
             _print_truth(console, fuser, frames, truth)
         if save is not None:

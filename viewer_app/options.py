@@ -82,7 +82,8 @@ class DemoOptions:
     body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
     """Whose body tracker is simulated."""
     depth: Literal["off", "half", "full"] = "half"
-    """Depth images, and at which part of the sensor's resolution."""
+    """Depth images, and at which part of the sensor's resolution. Where the machine is too slow, as most are
+    for full, images are left out, skeletons never."""
     save: Path | None = None
     """Keep the session as an .rrd file; without a display demo.rrd if not given."""
     no_viewer: bool = False

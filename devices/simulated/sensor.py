@@ -139,6 +139,10 @@ class SimulatedKinect:
         errors: Of its body tracker; the real ones of the body where None.
         depth: Whether frames carry a depth image, and how large.
         depth_errors: Of that image.
+
+    Attributes:
+        hurried: While set, frames come without the image, which takes most of a frame's time.
+        images_left_out: How many so far.
     """
 
     def __init__(
@@ -161,6 +165,8 @@ class SimulatedKinect:
         self._scene, self._rig, self._which = scene, rig, which
         self._errors = TrackerErrors.of(scene.body) if errors is None else errors
         self._depth, self._depth_errors = depth, depth_errors or DepthErrors()
+        self.hurried = False
+        self.images_left_out = 0
 
     def __enter__(self) -> SimulatedKinect:
         """Nothing is to be opened."""
@@ -173,7 +179,7 @@ class SimulatedKinect:
         """The frames in capture order; every call begins again, with the same frames."""
         scene, rig, which = self._scene, self._rig, self._which
         # Streams of their own: dropping a frame or asking for depth changes no other error.
-        tracking, dropping, imaging = (np.random.default_rng([scene.seed, which, k]) for k in range(3))
+        tracking, dropping = (np.random.default_rng([scene.seed, which, k]) for k in range(2))
         sensor_from_world = rig.world_from_sensor(which).inverse()
         flesh = flesh_over(self.body) * (scene.height / anatomy.REFERENCE_HEIGHT)
         tracker = Tracker(self.body, self._errors, flesh, self._lens, rig.frame_seconds, tracking)
@@ -185,7 +191,10 @@ class SimulatedKinect:
             skeleton = tracker.report(joints, visibility(joints, shapes, flesh, self._lens), time_ns)
             dropped = dropping.random() < rig.dropped
             image = None
-            if self._depth != "off":
+            if self._depth != "off" and self.hurried:
+                self.images_left_out += 1
+            elif self._depth != "off":
+                imaging = np.random.default_rng([scene.seed, which, 2, frame])
                 z, _, cosine = surface(shapes, sensor_from_world, self._lens)
                 image = depth_image(z, cosine, self._depth_errors, imaging)
             if not dropped:
