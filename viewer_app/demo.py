@@ -106,7 +106,7 @@ def run(options: DemoOptions) -> None:
         if left_out:
             of = sensors.a.received + sensors.b.received
             console.print(
-                f"To keep pace, {left_out} of {of} depth images were left out; a smaller --depth takes less time.",
+                f"To keep pace, {left_out} of {of} depth images were left out; a smaller --depth takes less.",
                 highlight=False,
             )
         if frames:
