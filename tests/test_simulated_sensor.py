@@ -161,6 +161,8 @@ def test_what_makes_no_sense_is_refused_with_the_way_out() -> None:
         simulated_pair(angle_deg=270.0)
     with pytest.raises(DeviceError, match="height"):
         simulated_pair(height=17.0)
+    with pytest.raises(DeviceError, match="seed"):
+        simulated_pair(seed=-1)
     with pytest.raises(DeviceError, match="half"):
         simulated_pair(depth="tiny")  # type: ignore[arg-type]
     with pytest.raises(DeviceError, match="distance"):

@@ -77,6 +77,8 @@ class Scene:
     def __post_init__(self) -> None:
         if not 0.5 <= self.height <= 2.5:
             raise DeviceError(f"A person's height is between 0.5 and 2.5 m; got {self.height}.")
+        if self.seed < 0:
+            raise DeviceError(f"A seed is 0 or more; got {self.seed}.")
 
 
 @dataclass(frozen=True)
