@@ -14,13 +14,12 @@ from rich.table import Table
 
 from devices.simulated.movements import MOTIONS
 from devices.simulated.paced import PacedSensor
-from devices.simulated.sensor import SimulatedKinect, Truth, TruthAhead, simulated_pair
+from devices.simulated.sensor import Truth, TruthAhead, simulated_pair
 from devices.two_sensors import TwoSensors
 from fusion.body import BODIES
 from fusion.calibration import nominal_calibration
 from fusion.fuser import Fuser, FuserSettings
 from recordings.arrays import RecordedFrame, SessionArrays
-from recordings.rvl import encode_depth
 from viewer_app.blueprint import session_blueprint
 from viewer_app.coach import Coach
 from viewer_app.ctrl_c import CtrlC
@@ -28,10 +27,9 @@ from viewer_app.errors import UsageError
 from viewer_app.live import run_live
 from viewer_app.live_display import LiveDisplay
 from viewer_app.live_session import LiveSession
-from viewer_app.live_summary import print_session
+from viewer_app.live_summary import check_saved, print_saved, print_session
 from viewer_app.options import DemoOptions
-from viewer_app.outputs import check_writable, whole_file
-from viewer_app.report import say_saved
+from viewer_app.outputs import check_writable, warn_of_little_room
 from viewer_app.run import warm_up
 from viewer_app.viewing import announce, choose_viewing, has_display, stay_for_visitors
 
@@ -56,8 +54,9 @@ def run(options: DemoOptions) -> None:
     viewing = choose_viewing(
         no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=save, live=True
     )
+    overwrite = options.force or save == _SAVED_WITHOUT_DISPLAY
     if save is not None:
-        check_writable(save, options.force or save == _SAVED_WITHOUT_DISPLAY)
+        check_writable(save, overwrite)
     body = BODIES[options.body]
     a, b, truth = simulated_pair(
         motion=options.motion,
@@ -65,22 +64,25 @@ def run(options: DemoOptions) -> None:
         body=body,
         angle_deg=options.angle,
         seconds=options.seconds,
-        depth=options.depth,
+        depth="off" if options.depth == "none" else options.depth,
     )
     start = truth.positions_at(0)
     nominal = Fuser(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
     blueprint = session_blueprint(nominal, np.asarray(start.mean(axis=0)), options.layout)
-    warm_up(nominal, console, lambda: _compile(a))
+    warm_up(nominal, console, lambda: next(a.frames(), None))
     console.print(
         f"A simulated person ({options.motion}) before two Kinects {options.angle:.0f}° apart, "
         f"{options.seconds:g} s. Ctrl-C ends it."
     )
+    if save is not None:
+        warn_of_little_room(save, console)
     announce(viewing, console)
     with CtrlC() as ctrl_c:
         with ExitStack() as stack:
-            file = None if save is None else stack.enter_context(whole_file(save))
             session = stack.enter_context(
-                LiveSession(nominal, (a.name, b.name), blueprint, file=file, viewing=viewing)
+                LiveSession(
+                    nominal, (a.name, b.name), blueprint, file=save, overwrite=overwrite, viewing=viewing
+                )
             )
             sensors = stack.enter_context(TwoSensors(PacedSensor(a), PacedSensor(b)))
             ctrl_c.calls(sensors.stop)
@@ -112,14 +114,8 @@ def run(options: DemoOptions) -> None:
         if frames:
             _print_truth(console, fuser, frames, truth)
         if save is not None:
-            say_saved(console, save)
-
-
-def _compile(sensor: SimulatedKinect) -> None:
-    """Runs what makes and writes a simulated sensor's frames."""
-    frame = next(sensor.frames(), None)
-    if frame is not None and frame.depth is not None:
-        encode_depth(frame.depth)
+            print_saved(console, save, session)
+        check_saved(session)
 
 
 def _print_truth(console: Console, fuser: Fuser, frames: list[RecordedFrame], truth: Truth) -> None:
