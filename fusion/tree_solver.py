@@ -262,7 +262,7 @@ class TreeSolver:
         bone_lengths: ArrayLike,
         start: ArrayLike | None = None,
     ) -> Solution:
-        """See :meth:`fusion.solver.Solver.solve`; weights may be (J, 3, 3) symmetric positive semidefinite W."""
+        """See :meth:`fusion.solver.Solver.solve`; weights may be (J, 3, 3) W, positive semidefinite."""
         m = np.ascontiguousarray(targets, dtype=np.float64)
         W = np.ascontiguousarray(weights, dtype=np.float64)
         lengths = np.ascontiguousarray(bone_lengths, dtype=np.float64)

@@ -58,7 +58,7 @@ def test_a_warm_start_leads_both_to_the_same_joints() -> None:
 
 
 def information(seed: int, joints: int, rank: int = 3) -> np.ndarray:
-    """(J, 3, 3) W of random axes, eigenvalues over two orders of magnitude, the last ones zero below a rank."""
+    """(J, 3, 3) W of random axes and this rank, eigenvalues over two orders of magnitude."""
     rng = np.random.default_rng(seed)
     axes = np.linalg.qr(rng.normal(size=(joints, 3, 3)))[0]
     eigenvalues = 10.0 ** rng.uniform(-2.0, 0.0, (joints, 3))
