@@ -114,7 +114,7 @@ def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
     assert stuck.dropped >= 50
     waiting = [item[0] for item in stuck._queue if isinstance(item, tuple)]
     assert waiting == list(range(90, 100))
-    assert slowest < 0.05  # it would be 60 s, the patience, if it waited
+    assert slowest < 2.0  # it would be 60 s, the patience, if it waited
 
 
 def test_what_is_said_is_not_dropped_with_the_frames(stuck: ViewerFeed, fuser: Fuser) -> None:
@@ -232,7 +232,7 @@ def test_a_viewer_killed_again_and_again_loses_no_frame_of_the_file(fuser: Fuser
     stop(window)
     assert kills == 6
     assert numbers_in(out) == list(range(600))
-    assert slowest < 0.1
+    assert slowest < 0.5  # it would be 10 s, the feed's patience, if it waited
 
 
 def test_a_viewer_that_comes_later_sees_the_history(fuser: Fuser) -> None:
