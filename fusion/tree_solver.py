@@ -86,11 +86,11 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     and is left along the curvature; so is a place where Gauss–Newton steps gain next to nothing.
 
     An iteration ends at a better point. The steps on the way there, each with a linear system of its own, are
-    its line search: those that more damping replaced, and those that were climbing. At most ``MAX_SYSTEMS``.
+    its line search: those that more damping replaced, and those that were climbing.
 
     It starts from the better of ``start`` and the directions between targets, both with the bones' lengths.
-    Where iterations or systems run out, deep in a valley that is narrow and bends, it starts afresh from the
-    other: some four in a million of the campaign's problems.
+    Where ``MAX_ITERATIONS`` or ``MAX_SYSTEMS`` run out, deep in a valley that is narrow and bends, it starts
+    afresh from the other: some four in a million of the campaign's problems.
 
     Args:
         parents: (J,) int64, -1 for the root.

@@ -59,7 +59,7 @@ def test_random_problems_end_stationary_with_exact_bones_within_fifty_iterations
     kinds, work, failed = run(2000, first=7_000_000)  # seeds no one has tuned on
     assert not failed, f"{dict(kinds)} at seeds {failed[:10]}"
     assert work[0].max() <= MAX_ITERATIONS
-    assert work[1].max() <= MAX_SYSTEMS
+    assert work[1].max() <= 2 * MAX_SYSTEMS  # of two starts
 
 
 @pytest.mark.parametrize(
