@@ -90,7 +90,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
 
     It starts from the better of ``start`` and the directions between targets, both with the bones' lengths.
     Where ``MAX_ITERATIONS`` or ``MAX_SYSTEMS`` run out, deep in a valley that is narrow and bends, it starts
-    afresh from the other: some four in a million of the campaign's problems.
+    afresh from the other: some ten in a million of the campaign's problems.
 
     Args:
         parents: (J,) int64, -1 for the root.
