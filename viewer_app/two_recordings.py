@@ -21,6 +21,7 @@ from fusion.body import Body
 from fusion.viewing_plane import Intrinsics
 from recordings import layout
 from recordings.recorder import Recorder
+from viewer_app.images import Depth, thinned, thinned_camera
 from viewer_app.live_session import LiveSession
 from viewer_app.options import FuseOptions
 
@@ -45,6 +46,11 @@ class TwoRecordings:
     intrinsics: tuple[Intrinsics | None, Intrinsics | None]
     warnings: tuple[str, ...]
     images: tuple[Path | None, Path | None] = (None, None)
+
+    def cameras(self, depth: Depth) -> tuple[Intrinsics | None, Intrinsics | None]:
+        """The intrinsics, for depth images as they are logged."""
+        a, b = (None if camera is None else thinned_camera(camera, depth) for camera in self.intrinsics)
+        return a, b
 
 
 def read_two(options: FuseOptions, console: Console) -> TwoRecordings:
@@ -71,14 +77,14 @@ def read_two(options: FuseOptions, console: Console) -> TwoRecordings:
     return TwoRecordings(a.body, pairing, (a.intrinsics, b.intrinsics), tuple(said), images)
 
 
-def log_depth(read: TwoRecordings, recorder: Recorder | LiveSession, console: Console) -> None:
+def log_depth(read: TwoRecordings, recorder: Recorder | LiveSession, depth: Depth, console: Console) -> None:
     """Logs the depth images of the pairs that are logged already, in a pass of its own over the files.
 
     One image is in memory at a time, however long the recordings are.
     """
     pairs = read.pairing.pairs
     for side, path in zip(layout.SIDES, read.images, strict=True):
-        if path is None:
+        if path is None or depth == "none":
             continue
         frames = enumerate(getattr(pair, side) for pair in pairs)
         number = {frame.time_ns: k for k, frame in frames if frame is not None}
@@ -94,7 +100,9 @@ def log_depth(read: TwoRecordings, recorder: Recorder | LiveSession, console: Co
             for frame in shown:
                 k = number.get(frame.time_ns)
                 if k is not None and frame.depth is not None:
-                    recorder.record_depth(side, k, pairs[k].time_ns - pairs[0].time_ns, frame.depth)
+                    recorder.record_depth(
+                        side, k, pairs[k].time_ns - pairs[0].time_ns, thinned(frame.depth, depth)
+                    )
 
 
 def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePair]) -> list[str]:
