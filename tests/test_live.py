@@ -1,12 +1,15 @@
 """The live loop on simulated sensors that run as fast as they can."""
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 from session_text import rows_of
 
+from devices.live_pairing import LivePair
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from devices.simulated.paced import PacedSensor
@@ -14,11 +17,11 @@ from devices.simulated.sensor import simulated_pair
 from devices.simulated.tracker import TrackerErrors
 from fusion.body import KINECT_V1, KINECT_V2
 from fusion.calibration import calibrate
-from fusion.fuser import Fuser
+from fusion.fuser import Fuser, FuserSettings
 from recordings.arrays import SessionArrays
-from tests.conftest import FRAME_NS, moving, pair_of
+from tests.conftest import FRAME_NS, moving, pair_of, standing
 from viewer_app.cli import main
-from viewer_app.live import Calibrator, short_turns
+from viewer_app.live import Calibrator, run_live, short_turns
 from viewer_app.run import fuse_one
 
 
@@ -80,6 +83,41 @@ def test_a_calibration_from_before_is_kept() -> None:
     calibrator = Calibrator(KINECT_V2, before)
     assert all(calibrator.watch(pair) is None for pair in pairs)
     assert calibrator.calibration is before
+
+
+class ResetSensors:
+    """Two sensors, of which A's clock is set back by a second, and A then misses a frame."""
+
+    def pairs(self) -> Iterator[LivePair]:
+        truth = standing(KINECT_V1)
+        for t in range(4):
+            time_ns, clock_ns = 10**10 + t * FRAME_NS, 10**10 + t * FRAME_NS - (10**9 if t > 1 else 0)
+            pair = pair_of(KINECT_V1, truth, clock_ns)
+            a = SensorFrame(clock_ns, {"1": pair.a}) if t < 3 else None
+            yield LivePair(a, SensorFrame(clock_ns, {"1": pair.b}), time_ns, 0)
+
+    def events(self) -> tuple[()]:
+        return ()
+
+
+def test_the_truth_is_that_of_a_sensors_own_time() -> None:
+    asked: list[int] = []
+
+    def truth_at(time_ns: int) -> np.ndarray:
+        asked.append(time_ns)
+        return standing(KINECT_V1)
+
+    run_live(
+        ResetSensors(),
+        body=KINECT_V1,
+        settings=FuserSettings(),
+        intrinsics=(None, None),
+        calibration=None,
+        recorder_for=lambda _: MagicMock(),
+        truth_at=truth_at,
+    )
+    start = 10**10
+    assert asked == [start, start + FRAME_NS, *(start + t * FRAME_NS - 10**9 for t in (2, 3))]
 
 
 def test_stacking_keeps_what_the_loop_gave() -> None:

@@ -134,7 +134,7 @@ def run_live(
         calibration: One to keep; None to find it while running.
         recorder_for: Makes the recorder, once.
         depth: How much of the depth images is recorded.
-        truth_at: (J, 3) the true joints at a pair's time, where they are known.
+        truth_at: (J, 3) the true joints at a time of A's clock, where they are known.
         go_on: Asked after each frame; shows the status in passing.
 
     Returns:
@@ -145,6 +145,7 @@ def run_live(
     recorder = recorder_for(fuser)
     people = PersonChoice(), PersonChoice()
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
+    ahead_ns = 0
     for live in sensors.pairs():
         pair = with_depth(_with_people(live, people), depth)
         found = calibrator.watch(pair.skeletons)
@@ -153,7 +154,9 @@ def run_live(
             recorder.calibrate(fuser)
         frame = fuse_one(fuser, pair)
         if truth_at is not None:
-            frame = replace(frame, truth=truth_at(pair.time_ns))
+            if pair.a is not None:  # A's own time: a pair's goes on where A's clock is reset
+                ahead_ns = pair.time_ns - pair.a.time_ns
+            frame = replace(frame, truth=truth_at(pair.time_ns - ahead_ns))
         events = tuple(event.message for event in sensors.events())
         recorder.record(frame)
         if found is not None:

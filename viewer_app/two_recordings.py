@@ -14,7 +14,7 @@ from rich.progress import track
 from devices.body_tracking import TrackerSettings
 from devices.mkv import MkvInfo, MkvRecording
 from devices.pairing import FramePair, Pairing, pair_recordings
-from devices.people import choose_person
+from devices.people import choose_person, with_successors
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.sources import one_person, open_source, recording_info, warnings_of, without_images
 from fusion.body import Body
@@ -71,8 +71,15 @@ def read_two(options: FuseOptions, console: Console) -> TwoRecordings:
         )
     person_a = choose_person(frames_a, options.person_a, a.name, "--person-a")
     person_b = choose_person(frames_b, options.person_b, b.name, "--person-b")
+    said = [*warnings_of(a), *warnings_of(b)]
+    if options.person_a is None:
+        frames_a, renamed = with_successors(frames_a, person_a)
+        said += _said_of(a, person_a, renamed, "--person-a")
+    if options.person_b is None:
+        frames_b, renamed = with_successors(frames_b, person_b)
+        said += _said_of(b, person_b, renamed, "--person-b")
     pairing = pair_recordings(frames_a, frames_b, person_a, person_b)
-    said = [*warnings_of(a), *warnings_of(b), *clock_warnings(info_a, info_b, pairing.pairs)]
+    said += clock_warnings(info_a, info_b, pairing.pairs)
     images = (None if info_a is None else options.a, None if info_b is None else options.b)
     return TwoRecordings(a.body, pairing, (a.intrinsics, b.intrinsics), tuple(said), images)
 
@@ -152,3 +159,13 @@ def _read(source: Sensor, person: str | None, console: Console) -> tuple[list[Se
             disable=not console.is_terminal,
         )
         return list(shown), info
+
+
+def _said_of(source: Sensor, person: str, others: tuple[str, ...], flag: str) -> list[str]:
+    if not others:
+        return []
+    named = ", ".join(map(repr, others[:5])) + (" …" if len(others) > 5 else "")
+    return [
+        f"{source.name}: person {named} is followed "
+        f"while {person!r} is not seen. {flag} {person} follows {person!r} alone."
+    ]
