@@ -122,10 +122,13 @@ def test_info_says_what_is_in_it_and_what_is_missing(
 def test_export_writes_by_the_files_ending(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in ("s.bvh", "s.csv", "s.npz", "s.parquet", "s.trc"):
+    for name in ("s.bvh", "s.c3d", "T.C3D", "s.csv", "s.npz", "s.parquet", "s.trc"):
         assert duplex("export", session, "--to", tmp_path / name) == 0
         assert (tmp_path / name).stat().st_size > 1000
-    capsys.readouterr()
+        assert f"{name}: 90 frames" in capsys.readouterr().out
+    assert sorted(p.name for p in tmp_path.iterdir() if p.suffix != ".rrd") == sorted(
+        ["s.bvh", "s.c3d", "T.C3D", "s.csv", "s.npz", "s.parquet", "s.trc"]
+    )
     assert duplex("export", session, "--to", tmp_path / "s.fbx") == 2
     assert "Known: .bvh" in one_line(capsys)
     assert duplex("export", session, "--to", tmp_path / "s.bvh") == 2

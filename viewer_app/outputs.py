@@ -60,9 +60,12 @@ def _real(path: Path) -> Path:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Gives a temporary name beside `path`, renamed to it when all went well and removed when not."""
+    """Gives a temporary name beside `path`, renamed to it when all went well and removed when not.
+
+    It has the file's own ending, which some libraries insist on.
+    """
     path = _real(path)
-    partial = path.with_name(f".{crc32(path.name.encode()):08x}.{os.getpid()}.partial")
+    partial = path.with_name(f".{crc32(path.name.encode()):08x}.{os.getpid()}.partial{path.suffix}")
     try:
         yield partial
         partial.replace(path)

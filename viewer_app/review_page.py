@@ -136,9 +136,9 @@ def _bone_table(figures: dict[str, Any]) -> str:
 def _jitter(session: Session) -> str:
     rows = session.rows
     jitter = {
-        "S_A": (jitter_of(rows.positions_a.astype(np.float64)) * 1e3, "a"),
-        "S_B": (jitter_of(rows.positions_b.astype(np.float64)) * 1e3, "b"),
-        "S*": (jitter_of(rows.fused) * 1e3, "fused"),
+        "S_A": (jitter_of(rows.positions_a.astype(np.float64), rows.frame) * 1e3, "a"),
+        "S_B": (jitter_of(rows.positions_b.astype(np.float64), rows.frame) * 1e3, "b"),
+        "S*": (jitter_of(rows.fused, rows.frame) * 1e3, "fused"),
     }
     note = "The median second difference over √6: the noise of one frame, where movement is slow."
     return f'<p class="note">{note}</p>' + bar_plot("mm", session.body.joints, jitter)
