@@ -57,8 +57,8 @@ class Comparison:
         one, two = first.rows[np.sort(i).astype(np.int64)], second.rows[np.sort(j).astype(np.int64)]
         for t in np.flatnonzero(~_same_inputs(one, two))[:1]:
             raise RecordingError(
-                f"{first.path} and {second.path} have {len(i)} frames of the same time, but S_A or S_B of frame "
-                f"{one.frame[t]} is another than that of frame {two.frame[t]}: not one capture."
+                f"{first.path} and {second.path} have {len(i)} frames of the same time, but S_A or S_B of "
+                f"frame {one.frame[t]} is another than that of frame {two.frame[t]}: not one capture."
             )
         target = np.stack([first.calibration.bone_lengths, second.calibration.bone_lengths])
         return Comparison(
@@ -76,6 +76,12 @@ class Comparison:
     def apart(self) -> NDArray[np.float64]:
         """(T, J) metres between the two S*; NaN where one has none."""
         return np.asarray(np.linalg.norm(self.first.fused - self.second.fused, axis=2))
+
+    @property
+    def one_missing(self) -> int:
+        """In how many frames only one of the two has an S*."""
+        present = [np.isfinite(of.fused).all(axis=(1, 2)) for of in (self.first, self.second)]
+        return int(np.count_nonzero(present[0] != present[1]))
 
     @cached_property
     def jitter(self) -> NDArray[np.float64]:

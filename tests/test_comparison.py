@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fusion.body import KINECT_V1
 from fusion.fuser import FuserSettings
@@ -23,7 +24,7 @@ def session(fused_run: FusedRun) -> Session:
     return fused_run(frame_pairs(KINECT_V1, 40), calibration_of(KINECT_V1))
 
 
-def with_fused(session: Session, fused: np.ndarray) -> Session:  # type: ignore[type-arg]
+def with_fused(session: Session, fused: NDArray[np.float64]) -> Session:
     return replace(session, rows=replace(session.rows, fused=fused))
 
 
@@ -84,8 +85,8 @@ def test_only_fusions_of_the_same_skeletons_are_compared(fused_run: FusedRun, tm
     chance = fused_run(frame_pairs(KINECT_V1, 40, noise=0.03), calibration)  # the same times
     with pytest.raises(RecordingError, match="40 frames of the same time, but S_A or S_B of frame 0"):
         Comparison.of(one, chance)
-    refused = fused_run(frame_pairs(KINECT_V1, 40), calibration, FuserSettings(h=0.9))
-    rewrite(refused, tmp_path / "part.rrd", None, 10, 30)
+    again = fused_run(frame_pairs(KINECT_V1, 40), calibration, FuserSettings(h=0.9))
+    rewrite(again, tmp_path / "part.rrd", None, 10, 30)
     part = Comparison.of(one, Session.open(tmp_path / "part.rrd"))
     assert part.first.frame.tolist() == list(range(10, 30))
     assert part.second.frame.tolist() == list(range(20))

@@ -173,7 +173,7 @@ def test_c3d_holds_as_many_frames_as_it_can_count(tmp_path: Path) -> None:
 def test_c3d_refuses_what_its_readers_would_silently_lose(tmp_path: Path) -> None:
     pytest.importorskip("ezc3d")
     session = paused(tmp_path, 65_536)
-    with pytest.raises(RecordingError, match="holds 65535 frames, 36 min at 30 Hz; .* has 65536"):
+    with pytest.raises(RecordingError, match=r"holds 65535 frames, 36 min at 30 Hz; .* has 65536"):
         exported(session, "s.c3d")
     assert not (tmp_path / "s.c3d").exists()
 

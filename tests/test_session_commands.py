@@ -76,6 +76,69 @@ def test_a_replay_with_other_settings_is_compared_with_the_first(
     assert "S* is the same in every frame" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("count", [0, 2])
+def test_as_many_moments_are_listed_as_asked_for(
+    count: int, session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "equal.rrd"
+    assert duplex("replay", session, "--no-viewer", "--weights", "equal", "--save", other) == 0
+    capsys.readouterr()
+    assert duplex("compare", session, other, "--no-viewer", "--worst", count) == 0
+    said = capsys.readouterr().out
+    assert said.count(" differs by ") == count
+    assert "the same in every frame" not in said
+
+
+def test_a_negative_number_of_moments_is_one_line(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert duplex("compare", session, session, "--no-viewer", "--worst=-3") == 2
+    assert "--worst -3" in one_line(capsys)
+
+
+def test_no_command_writes_two_things_into_one_file_or_over_what_it_reads(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    same, before = tmp_path / "same.rrd", session.read_bytes()
+    assert duplex("replay", session, "--no-viewer", "--save", same, "--report", same) == 2
+    assert "written twice" in one_line(capsys)
+    assert not same.exists()
+    for command in (
+        ("replay", session, "--no-viewer", "--save", session),
+        ("compare", session, session, "--no-viewer", "--save", session),
+        ("trim", session, "--save", session),
+        ("review", session, "--no-viewer", "--html", session),
+    ):
+        assert duplex(*command, "--force") == 2
+        assert "also read" in one_line(capsys)
+        assert session.read_bytes() == before
+    table = session.rename(session.with_suffix(".csv"))
+    assert duplex("export", table, "--to", table, "--force") == 2
+    assert table.read_bytes() == before
+
+
+def test_names_with_brackets_are_printed_as_they_are(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "300")
+    for name in ("[red]a.rrd", "[/bold]a.rrd", "c[bold].rrd"):
+        path = Path(name)
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(session.read_bytes()[:-50])  # said to be cut off, under its name
+        out = path.with_suffix("")
+        for command in (
+            ("info", path),
+            ("replay", path, "--no-viewer", "--save", f"{out}_2.rrd", "--report", f"{out}.json"),
+            ("review", path, "--no-viewer", "--html", f"{out}.html"),
+            ("compare", path, path, "--no-viewer", "--save", f"{out}_3.rrd"),
+            ("export", path, "--to", f"{out}.csv"),
+            ("trim", path, "--to", "1", "--save", f"{out}_4.rrd"),
+        ):
+            assert duplex(*command) == 0
+            said = capsys.readouterr().out
+            assert name in said
+            assert all(str(part) in said for part in command[3:] if str(part).endswith(("_2.rrd", ".html")))
+
+
 def test_sessions_of_other_captures_are_not_compared(
     session: Path, fused_run: FusedRun, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from recordings import layout
@@ -26,7 +27,7 @@ def run(options: InfoOptions) -> None:
     table = Table(show_header=False, box=None)
 
     def row(name: str, value: object) -> None:
-        table.add_row(f"[bold]{name}[/]", str(value))
+        table.add_row(f"[bold]{name}[/]", escape(str(value)))
 
     row("session", session.path)
     row("written by", f"{session.about['session']['written_by'][0]}, layout {layout.VERSION}")

@@ -62,10 +62,10 @@ def _real(path: Path) -> Path:
 def whole_file(path: Path) -> Iterator[Path]:
     """Gives a temporary name beside `path`, renamed to it when all went well and removed when not.
 
-    It has the file's own ending, which some libraries insist on.
+    It has the file's own ending, in small letters: ezc3d adds that to any other.
     """
     path = _real(path)
-    partial = path.with_name(f".{crc32(path.name.encode()):08x}.{os.getpid()}.partial{path.suffix}")
+    partial = path.with_name(f".{crc32(path.name.encode()):08x}.{os.getpid()}.partial{path.suffix.lower()}")
     try:
         yield partial
         partial.replace(path)

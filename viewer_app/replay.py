@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import track
 
 from devices.pairing import Pairing
@@ -20,7 +21,7 @@ from recordings.session import Session
 from viewer_app.blueprint import inspect_blueprint
 from viewer_app.errors import UsageError
 from viewer_app.options import ReplayOptions
-from viewer_app.outputs import check_writable, whole_file
+from viewer_app.outputs import check_outputs, whole_file
 from viewer_app.report import FusionResult, print_summary, report, report_to_json
 from viewer_app.run import fuse_offline
 from viewer_app.sinks import has_display, open_stream
@@ -40,8 +41,7 @@ def run(options: ReplayOptions) -> None:
         for name, value in (("h", options.h), ("solver", options.solver), ("weights", options.weights))
         if value is not None
     }
-    for path in filter(None, (options.save, options.report)):
-        check_writable(path, options.force)
+    check_outputs([options.save, options.report], [options.session], options.force)
     session = Session.open(options.session)
     settings = replace(session.settings, **changed)
     if options.verify and settings != session.settings:
@@ -137,7 +137,7 @@ def print_damage(console: Console, session: Session) -> None:
     if session.damage is not None:
         lost = f"; {session.frames_lost} more were written and are lost" if session.frames_lost else ""
         console.print(
-            f"[bold yellow]{session.path} is not whole[/]: {session.damage}. "
+            f"[bold yellow]{escape(str(session.path))} is not whole[/]: {escape(session.damage)}. "
             f"{len(session)} frames could be read{lost}.",
             highlight=False,
         )

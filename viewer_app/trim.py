@@ -10,7 +10,7 @@ from recordings.session import Session
 from viewer_app.blueprint import inspect_blueprint
 from viewer_app.errors import UsageError
 from viewer_app.options import TrimOptions
-from viewer_app.outputs import check_writable, whole_file
+from viewer_app.outputs import check_outputs, whole_file
 from viewer_app.replay import print_damage, whereabouts
 
 
@@ -21,7 +21,7 @@ def run(options: TrimOptions) -> None:
         RecordingError, UsageError: With one line for the person who asked.
     """
     console = Console()
-    check_writable(options.save, options.force)
+    check_outputs([options.save], [options.session], options.force)
     session = Session.open(options.session)
     print_damage(console, session)
     time = session.rows.time_ns * 1e-9
