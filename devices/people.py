@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 from devices.sensor import DeviceError, SensorFrame
 
@@ -32,3 +33,36 @@ def choose_person(frames: Sequence[SensorFrame], wanted: str | None, source: str
             f"choose one with {flag}."
         )
     return wanted
+
+
+def with_successors(frames: Sequence[SensorFrame], person: str) -> tuple[list[SensorFrame], tuple[str, ...]]:
+    """The frames with those who are seen only while the person is not under that person's id.
+
+    A tracker gives whoever comes back a new id; and after the first person has gone, the next one is meant.
+
+    Args:
+        frames: All frames of a recording.
+        person: The id to follow.
+
+    Returns:
+        The frames, and the other ids, the one seen longest first.
+    """
+    when: dict[str, set[int]] = {}
+    for k, frame in enumerate(frames):
+        for name in frame.people:
+            when.setdefault(name, set()).add(k)
+    taken, others = set(when[person]), []
+    for name in sorted(when, key=lambda name: (-len(when[name]), name)):
+        if taken.isdisjoint(when[name]):
+            taken |= when[name]
+            others.append(name)
+    if not others:
+        return list(frames), ()
+    followed = []
+    for frame in frames:
+        successor = next((name for name in others if name in frame.people), None)
+        if successor is not None:
+            people = {name: who for name, who in frame.people.items() if name != successor}
+            frame = replace(frame, people={person: frame.people[successor], **people})
+        followed.append(frame)
+    return followed, tuple(others)

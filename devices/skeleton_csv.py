@@ -57,7 +57,7 @@ def read_csv(path: Path) -> tuple[Body, list[SensorFrame]]:
     times, frame = np.unique(time_us, return_inverse=True)
     slot = (frame * len(people) + person) * len(body) + joint
     _refuse_repeated(slot, path, body)
-    _refuse_cut_off(raw, frame, path)
+    _refuse_cut_off(raw, table, frame, path)
     positions = np.full((len(times), len(people), len(body), 3), np.nan, dtype=np.float32)
     state = np.zeros((len(times), len(people), len(body)), dtype=np.uint8)
     with np.errstate(over="ignore"):
@@ -140,7 +140,7 @@ def _numbers(table: pa.Table, column: str, kind: pa.DataType, path: Path) -> NDA
             except pa.ArrowInvalid:
                 wanted = "a whole number" if kind == pa.int64() else "a number"
                 raise DeviceError(
-                    f"{path}, row {row + 1}: {column} must be {wanted}; got {value!r}."
+                    f"{path}, line {row + 2}: {column} must be {wanted}; got {value!r}."
                 ) from None
         raise
 
@@ -153,7 +153,7 @@ def _states(table: pa.Table, path: Path) -> NDArray[np.uint8]:
         if value.lower() not in _STATES:
             row = int(np.flatnonzero(code == k)[0])
             raise DeviceError(
-                f"{path}, row {row + 1}: state {value!r} is none of tracked, inferred, not_tracked, 2, 1, 0."
+                f"{path}, line {row + 2}: state {value!r} is none of tracked, inferred, not_tracked, 2, 1, 0."
             )
     return np.array([_STATES[value.lower()] for value in values], dtype=np.uint8)[code]
 
@@ -172,9 +172,17 @@ def _refuse_repeated(slot: NDArray[np.int64], path: Path, body: Body) -> None:
         raise DeviceError(f"{path}: joint {joint} of one person stands twice in one frame.")
 
 
-def _refuse_cut_off(raw: bytes, frame: NDArray[np.int64], path: Path) -> None:
-    # Without a newline at the end the last number may have lost digits. Some writers leave the newline
-    # out, so it only counts where the last frame also lacks rows that the one before has.
+def _refuse_cut_off(raw: bytes, table: pa.Table, frame: NDArray[np.int64], path: Path) -> None:
+    # Without a newline at the end the last value may have lost digits. Some writers leave the newline out,
+    # so it only counts where that value is shorter than others, or the last frame lacks rows.
+    if raw.endswith(b"\n"):
+        return
     rows = np.bincount(frame)
-    if not raw.endswith(b"\n") and len(rows) > 1 and rows[-1] < rows[-2]:
-        raise DeviceError(f"{path} is cut off in its last line. Copy it again, or delete that line.")
+    last = table[table.column_names[-1]]
+    decimals = pc.utf8_length(pc.replace_substring_regex(last, r"^[^.]*\.?", "")).to_numpy()
+    is_number = table.column_names[-1] in ("x", "y", "z")
+    if (len(rows) > 1 and rows[-1] < rows[-2]) or (is_number and decimals[-1] < decimals.max()):
+        raise DeviceError(
+            f"{path} seems cut off in its last line, {raw.splitlines()[-1].decode()[-40:]!r}. Copy it again; "
+            "if that line is whole, end it with a newline."
+        )

@@ -30,6 +30,8 @@ def read_json(path: Path) -> tuple[Body, list[SensorFrame]]:
         raise DeviceError(f"{path} is not whole JSON: {error}. Was it cut off?") from None
     where = "the top level"
     try:
+        if not isinstance(document, dict):
+            raise TypeError(f"it holds a {type(document).__name__}, not an object")
         names = [str(name) for name in document["joint_names"]]
         body = body_of(set(names))
         joint = np.array([body.joint(name) for name in names], dtype=np.int64)
@@ -48,13 +50,18 @@ def read_json(path: Path) -> tuple[Body, list[SensorFrame]]:
 
 
 def _frame(frame: dict[str, Any], body: Body, joint: np.ndarray[Any, np.dtype[np.int64]]) -> SensorFrame:
-    time_us = int(frame["timestamp_usec"])
+    time_us = frame["timestamp_usec"]
+    if isinstance(time_us, bool) or not isinstance(time_us, int):
+        raise ValueError(f"timestamp_usec must be a whole number; it is {time_us!r}")
     if abs(time_us) > LATEST_US:
         raise ValueError(f"timestamp_usec {time_us} is beyond {LATEST_US}")
     time_ns = time_us * 1000
     people = {}
     for person in frame["bodies"]:
-        given = np.array(person["joint_positions"], dtype=np.float64)
+        try:
+            given = np.array(person["joint_positions"], dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError("joint_positions must be numbers, three a joint") from None
         if given.shape != (len(joint), 3):
             raise ValueError(f"joint_positions has shape {given.shape}, not ({len(joint)}, 3)")
         positions = np.full((len(body), 3), np.nan)

@@ -172,7 +172,7 @@ def damage_of(path: Path) -> str | None:
         return file.damage
 
 
-def without_footer(rrd: bytes, with_header: bool) -> bytes:
+def without_footer(rrd: bytes, with_header: bool) -> memoryview:
     """The messages of a whole ``.rrd`` in memory, to be followed by more.
 
     Rerun's binary stream gives a whole file, header and footer, each time it is read.
@@ -183,7 +183,7 @@ def without_footer(rrd: bytes, with_header: bool) -> bytes:
         if kind == _END:
             break
         at += _MESSAGE.size + length
-    return rrd[0 if with_header else _FILE_HEADER : at]
+    return memoryview(rrd)[0 if with_header else _FILE_HEADER : at]
 
 
 def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:

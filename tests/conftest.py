@@ -25,7 +25,7 @@ A_FROM_B = RigidTransform.of(
 
 
 def standing(
-    body: Body, lengths: NDArray[np.float64] | None = None, arms_out: float = 50.0
+    body: Body, lengths: NDArray[np.float64] | None = None, arms_out: float = 50.0, legs_out: float = 14.0
 ) -> NDArray[np.float64]:
     """(J, 3) a person 2.6 m before K_A, turned 45° to both sensors, arms and legs apart."""
     lengths = body.nominal_lengths if lengths is None else lengths
@@ -37,7 +37,7 @@ def standing(
         if bone.startswith(("upper_arm", "forearm", "hand", "fingers")):
             angle = arms_out
         elif bone.startswith(("thigh", "shin")):
-            angle = 14.0
+            angle = legs_out
         side = -1.0 if bone.endswith("left") else 1.0
         turned = Rotation.from_euler("z", side * angle, degrees=True).apply(direction)
         at[joint] = at[body.parents[joint]] + lengths[joint] * turned

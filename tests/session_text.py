@@ -4,23 +4,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import rerun as rr
+from recordings.rrd_file import RrdFile
 
 
 def rows_of(path: Path, entity: str) -> int:
     """In how many frames an entity was logged; it may be in several parts in each."""
     frames: set[int] = set()
-    for chunk in rr.chunk.RrdReader(path).stream():
-        if chunk.entity_path == entity and not chunk.is_static:
-            frames.update(chunk.to_record_batch().column("frame").to_pylist())
+    with RrdFile(path) as file:
+        for of, batch in file.chunks(images=True):
+            if of == entity and "frame" in batch.schema.names:
+                frames.update(batch.column("frame").to_pylist())
     return len(frames)
 
 
 def events_of(path: Path) -> list[str]:
     """The texts of all events, in order."""
     texts: list[str] = []
-    for chunk in rr.chunk.RrdReader(path).stream():
-        if chunk.entity_path == "/events":
-            for row in chunk.to_record_batch().column("TextLog:text").to_pylist():
-                texts += row
+    with RrdFile(path) as file:
+        for of, batch in file.chunks(images=False):
+            if of == "/events":
+                for row in batch.column("TextLog:text").to_pylist():
+                    texts += row
     return texts

@@ -44,6 +44,7 @@ def test_a_pose_held_for_less_than_a_second_is_not_taken() -> None:
 def test_arms_hanging_down_are_no_start_up_pose() -> None:
     assert limbs_apart(Skeleton.of(KINECT_V1, standing(KINECT_V1)))
     assert not limbs_apart(Skeleton.of(KINECT_V1, standing(KINECT_V1, arms_out=5.0)))
+    assert not limbs_apart(Skeleton.of(KINECT_V1, standing(KINECT_V1, legs_out=-4.0)))  # feet together
     pairs = pairs_of(np.array([standing(KINECT_V1, arms_out=5.0)] * 60))
     _, how = find_start_up_pose(KINECT_V1, pairs)
     assert how.startswith("no start-up pose found; calmest window")

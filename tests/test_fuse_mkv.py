@@ -90,6 +90,20 @@ def test_depth_and_the_fused_skeleton_are_in_one_session(recorded: dict[str, Pat
         assert all((image == depth_image(frame)).all() for frame, image in images)
 
 
+@pytest.mark.parametrize("depth", ["none", "half"])
+def test_as_much_depth_is_kept_as_asked_for(recorded: dict[str, Path], tmp_path: Path, depth: str) -> None:
+    saved = tmp_path / "s.rrd"
+    assert fuse(recorded, "--save", saved, "--depth", depth) == 0
+    session = Session.open(saved)
+    images = list(session.depth("a"))
+    assert len(images) == (0 if depth == "none" else FRAMES)
+    assert all((image == depth_image(frame)[::2, ::2]).all() for frame, image in images)
+    assert all(
+        image.shape == (session.intrinsics_a.height, session.intrinsics_a.width) for _, image in images
+    )
+    assert duplex("replay", saved, "--verify", "--no-viewer") == 0
+
+
 def test_the_recordings_own_intrinsics_are_used(
     recorded: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -148,6 +148,20 @@ def test_without_anyone_there_is_no_skeleton_and_the_next_person_is_picked_up() 
     np.testing.assert_allclose(back.positions, elsewhere, atol=2 * FLOAT32)
 
 
+@pytest.mark.parametrize(("seconds", "forgotten"), [(0.5, False), (1.5, True)])
+def test_after_a_second_without_anyone_the_frame_before_is_forgotten(seconds: float, forgotten: bool) -> None:
+    body = KINECT_V2
+    lost = dict.fromkeys(("ElbowLeft", "WristLeft", "HandLeft", "HandTipLeft"), TrackingState.NOT_TRACKED)
+    back = pair_of(body, standing(body, arms_out=20.0), round(seconds * 1e9))
+    back = SkeletonPair(with_states(back.a, lost), with_states(back.b, lost), back.time_ns)
+    fuser = Fuser(flawless_calibration(body))
+    fuser.update(pair_of(body, standing(body, arms_out=80.0)))
+    found = fuser.update(back).positions
+    anew = Fuser(flawless_calibration(body)).update(back).positions
+    elbow = body.joint("ElbowLeft")
+    assert (np.linalg.norm(found[elbow] - anew[elbow]) < FLOAT32) == forgotten
+
+
 def test_a_repeated_frame_is_noticed_a_sensor_at_a_time() -> None:
     body = KINECT_V1
     fuser = Fuser(flawless_calibration(body))

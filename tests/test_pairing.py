@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.pairing import pair_recordings
-from devices.people import choose_person
+from devices.people import choose_person, with_successors
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import KINECT_V1
 from fusion.skeleton import Skeleton
@@ -93,6 +93,25 @@ def test_the_person_seen_longest_is_followed_unless_another_is_wanted() -> None:
         choose_person(frames, "9", "a.csv", "--person-a")
     with pytest.raises(DeviceError, match="no person in any"):
         choose_person([SensorFrame(0)], None, "a.csv", "--person-a")
+
+
+def test_whoever_comes_after_is_followed_under_the_same_id() -> None:
+    frames = [
+        *frames_at(list(range(7)), "2"),
+        SensorFrame(7),
+        *frames_at([8, 9, 10], "4"),
+        *frames_at([11], "5"),
+    ]
+    beside = frames_at([3], "3")[0].people | frames[3].people
+    frames[3] = SensorFrame(3, beside)  # someone else, at the same time
+    followed, others = with_successors(frames, "2")
+    assert others == ("4", "5")
+    assert [list(frame.people) for frame in followed] == [["2"]] * 3 + [["3", "2"]] + [["2"]] * 3 + [[]] + [
+        ["2"]
+    ] * 4
+    assert followed[9].people["2"] is frames[9].people["4"]
+    alone = frames_at([0, 1], "2")
+    assert with_successors(alone, "2") == (alone, ())
 
 
 def test_times_far_from_zero_pair_exactly() -> None:

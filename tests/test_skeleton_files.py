@@ -84,7 +84,7 @@ def test_csv_coordinates_that_are_no_numbers_count_as_not_tracked(tmp_path: Path
             lambda rows: ([HEADER], [rows[0], rows[1].replace(",0,", ",0,", 1).replace("0.", "zero.", 1)]),
             "x must",
         ),
-        (lambda rows: ([HEADER], ["now" + rows[0][1:]]), "row 1: time_us must be a whole number; got 'now'"),
+        (lambda rows: ([HEADER], ["now" + rows[0][1:]]), "line 2: time_us must be a whole number; got 'now'"),
         (lambda rows: ([HEADER], [rows[0].replace("tracked", "seen")]), "state 'seen' is none of"),
         (lambda rows: ([HEADER], [*rows, rows[0]]), "HipCenter of one person stands twice"),
         (lambda rows: ([HEADER], [*rows[:-1], rows[-1][:20]]), "line 61.*not 7 columns; the file is cut off"),
@@ -107,6 +107,19 @@ def test_a_csv_cut_off_anywhere_in_its_last_row_is_refused(tmp_path: Path, cut: 
         pytest.skip("cuts more than the last row")
     path.write_bytes(whole[:-cut])
     with pytest.raises(DeviceError, match=r"cut off|none of tracked"):
+        read(path)
+
+
+@pytest.mark.parametrize("cut", range(1, 25))
+def test_a_csv_without_states_cut_off_in_its_last_row_is_refused(tmp_path: Path, cut: int) -> None:
+    rows = [row.rsplit(",", 1)[0] for row in csv_rows(KINECT_V1)]
+    rows[-1] = rows[-1].rsplit(",", 1)[0] + ",2.42715"
+    rows[3] = rows[3].rsplit(",", 1)[0] + ",2.42715"
+    path = write_csv(tmp_path / "a.csv", rows, HEADER.rsplit(",", 1)[0])
+    path.write_bytes(path.read_bytes().rstrip(b"\n"))
+    read(path)  # whole, but for the newline, which some writers leave out
+    path.write_bytes(path.read_bytes()[:-cut])
+    with pytest.raises(DeviceError, match=r"cut off|number|unknown"):
         read(path)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import io
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
@@ -30,8 +31,18 @@ _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
 _GROUPS = {"bench": "Measure the method on this machine."}
 
 
+def script() -> None:
+    """The console script: :func:`main`, whose end no further Ctrl-C disturbs."""
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit(130)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # while Python shuts down it would be a traceback
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    """The console script.
+    """Carries out a command line.
 
     Args:
         arguments: What follows the program's name; those of the process where None.
@@ -102,4 +113,4 @@ def _mistakes() -> tuple[type[Exception], ...]:
 
 
 if __name__ == "__main__":
-    main()
+    script()

@@ -28,10 +28,9 @@ from viewer_app.errors import UsageError
 from viewer_app.live import run_live
 from viewer_app.live_display import LiveDisplay
 from viewer_app.live_session import LiveSession
-from viewer_app.live_summary import print_session
+from viewer_app.live_summary import check_saved, print_saved, print_session
 from viewer_app.options import DemoOptions
-from viewer_app.outputs import check_writable, whole_file
-from viewer_app.report import say_saved
+from viewer_app.outputs import check_writable, warn_of_little_room
 from viewer_app.run import warm_up
 from viewer_app.viewing import announce, choose_viewing, has_display, stay_for_visitors
 
@@ -56,8 +55,9 @@ def run(options: DemoOptions) -> None:
     viewing = choose_viewing(
         no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=save, live=True
     )
+    overwrite = options.force or save == _SAVED_WITHOUT_DISPLAY
     if save is not None:
-        check_writable(save, options.force or save == _SAVED_WITHOUT_DISPLAY)
+        check_writable(save, overwrite)
     body = BODIES[options.body]
     a, b, truth = simulated_pair(
         motion=options.motion,
@@ -65,7 +65,7 @@ def run(options: DemoOptions) -> None:
         body=body,
         angle_deg=options.angle,
         seconds=options.seconds,
-        depth=options.depth,
+        depth="off" if options.depth == "none" else options.depth,
     )
     start = truth.positions_at(0)
     nominal = Fuser(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
@@ -75,12 +75,15 @@ def run(options: DemoOptions) -> None:
         f"A simulated person ({escape(options.motion)}) before two Kinects {options.angle:.0f}° apart, "
         f"{options.seconds:g} s. Ctrl-C ends it."
     )
+    if save is not None:
+        warn_of_little_room(save, console)
     announce(viewing, console)
     with CtrlC() as ctrl_c:
         with ExitStack() as stack:
-            file = None if save is None else stack.enter_context(whole_file(save))
             session = stack.enter_context(
-                LiveSession(nominal, (a.name, b.name), blueprint, file=file, viewing=viewing)
+                LiveSession(
+                    nominal, (a.name, b.name), blueprint, file=save, overwrite=overwrite, viewing=viewing
+                )
             )
             sensors = stack.enter_context(TwoSensors(PacedSensor(a), PacedSensor(b)))
             ctrl_c.calls(sensors.stop)
@@ -105,7 +108,8 @@ def run(options: DemoOptions) -> None:
         if frames:
             _print_truth(console, fuser, frames, truth)
         if save is not None:
-            say_saved(console, save)
+            print_saved(console, save, session)
+        check_saved(session)
 
 
 def _print_truth(console: Console, fuser: Fuser, frames: list[RecordedFrame], truth: Truth) -> None:

@@ -51,7 +51,7 @@ def run(options: FuseOptions) -> None:
     skeletons = [pair.skeletons for pair in pairing.pairs]
     calibration = _calibrate(options.calibrate, body, skeletons)
 
-    fuser = Fuser(calibration, settings, *read.intrinsics)
+    fuser = Fuser(calibration, settings, *read.cameras(options.depth))
     warm_up(fuser, console)
     blueprint = session_blueprint(fuser, _whereabouts(skeletons), options.layout)
     with ExitStack() as viewer:
@@ -74,7 +74,7 @@ def run(options: FuseOptions) -> None:
             for warning in read.warnings:
                 session.event(warning, "WARN")
             frames = fuse_offline(shown, fuser, session)
-            log_depth(read, session, console)
+            log_depth(read, session, options.depth, console)
             session.finish()
             session.save()
         _summarise(console, options, FusionResult(pairing, calibration, settings, *_rows(frames, fuser)))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,12 +24,14 @@ from fusion.skeleton import Skeleton, SkeletonPair
 from fusion.viewing_plane import Intrinsics
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
+from viewer_app.images import Depth, with_depth, without_images
 from viewer_app.live_session import LiveSession
 from viewer_app.run import fuse_one
 
 _KEPT_FRAMES = 1_800
 """A minute at 30 fps: what the summary at the end speaks of."""
 _PROVISIONAL_PAIRS = 30
+_TURN = 0.0005  # seconds
 
 
 class Calibrator:
@@ -92,6 +96,22 @@ class Status:
     events: tuple[str, ...]
 
 
+@contextmanager
+def short_turns() -> Iterator[None]:
+    """Lets threads that write take shorter turns, so that they hold up the loop less.
+
+    A loop that has waited for a frame, or for a lock, goes on only when the thread that runs has had its
+    turn: Python's 5 ms are a sixth of a frame.
+    """
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(_TURN)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
+
+
+@short_turns()
 def run_live(
     sensors: TwoSensors,
     *,
@@ -100,6 +120,7 @@ def run_live(
     intrinsics: tuple[Intrinsics | None, Intrinsics | None],
     calibration: Calibration | None,
     recorder_for: Callable[[Fuser], Recorder | LiveSession],
+    depth: Depth = "full",
     truth_at: Callable[[int], NDArray[np.float64]] | None = None,
     go_on: Callable[[Status], bool] = lambda _: True,
 ) -> tuple[Fuser, list[RecordedFrame]]:
@@ -109,10 +130,11 @@ def run_live(
         sensors: Open.
         body: Of both sensors.
         settings: The method's choices.
-        intrinsics: Of the two depth cameras.
+        intrinsics: Of the two depth cameras, for depth images as `depth` leaves them.
         calibration: One to keep; None to find it while running.
         recorder_for: Makes the recorder, once.
-        truth_at: (J, 3) the true joints at a pair's time, where they are known.
+        depth: How much of the depth images is recorded.
+        truth_at: (J, 3) the true joints at a time of A's clock, where they are known.
         go_on: Asked after each frame; shows the status in passing.
 
     Returns:
@@ -123,22 +145,25 @@ def run_live(
     recorder = recorder_for(fuser)
     people = PersonChoice(), PersonChoice()
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
+    ahead_ns = 0
     for live in sensors.pairs():
-        pair = _with_people(live, people)
+        pair = with_depth(_with_people(live, people), depth)
         found = calibrator.watch(pair.skeletons)
         if found is not None:
             fuser = Fuser(found, settings, *intrinsics)
             recorder.calibrate(fuser)
         frame = fuse_one(fuser, pair)
         if truth_at is not None:
-            frame = replace(frame, truth=truth_at(pair.time_ns))
+            if pair.a is not None:  # A's own time: a pair's goes on where A's clock is reset
+                ahead_ns = pair.time_ns - pair.a.time_ns
+            frame = replace(frame, truth=truth_at(pair.time_ns - ahead_ns))
         events = tuple(event.message for event in sensors.events())
         recorder.record(frame)
         if found is not None:
             recorder.event(f"calibrated: {found.how}")
         for event in events:
             recorder.event(event, "WARN")
-        kept.append(replace(frame, pair=_without_images(pair)))
+        kept.append(replace(frame, pair=without_images(pair)))
         if not go_on(Status(frame, calibrator, sensors, events)):
             break
     for late in sensors.events():  # what happened after the last pair
@@ -164,10 +189,3 @@ def _with_people(live: LivePair, people: tuple[PersonChoice, PersonChoice]) -> F
         live.time_ns,
         live.skew_ns or 0,
     )
-
-
-def _without_images(pair: FramePair) -> FramePair:
-    def bare(frame: SensorFrame | None) -> SensorFrame | None:
-        return None if frame is None else SensorFrame(frame.time_ns, frame.people)
-
-    return replace(pair, a=bare(pair.a), b=bare(pair.b))

@@ -23,18 +23,19 @@ from devices.sensor_thread import SensorEvent
 from devices.two_sensors import TwoSensors
 from fusion.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser, FuserSettings
+from fusion.viewing_plane import NOMINAL_INTRINSICS, Intrinsics
 from recordings.calibration_file import calibration_to_json, read_calibration
 from viewer_app.blueprint import session_blueprint
 from viewer_app.coach import Coach
 from viewer_app.ctrl_c import CtrlC
 from viewer_app.errors import UsageError
+from viewer_app.images import thinned_camera
 from viewer_app.live import Status, run_live
 from viewer_app.live_display import LiveDisplay
 from viewer_app.live_session import LiveSession, Viewing
-from viewer_app.live_summary import print_session
+from viewer_app.live_summary import check_saved, print_saved, print_session
 from viewer_app.options import LiveOptions
-from viewer_app.outputs import check_outputs, whole_file
-from viewer_app.report import say_saved
+from viewer_app.outputs import check_outputs, warn_of_little_room, whole_file
 from viewer_app.run import warm_up
 from viewer_app.viewing import announce, choose_viewing
 
@@ -124,12 +125,19 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             with ctrl_c.raising():  # a body tracker may load its network for minutes
                 opened.enter_context(sensors)
             ctrl_c.calls(sensors.stop)
-            nominal = Fuser(nominal.calibration, settings, a.intrinsics, b.intrinsics)
+            cameras = _camera(options, a), _camera(options, b)
+            nominal = Fuser(nominal.calibration, settings, *cameras)
+            if options.save is not None:
+                warn_of_little_room(options.save, console)
             announce(viewing, console)
-            file = None if options.save is None else opened.enter_context(whole_file(options.save))
             blueprint = session_blueprint(nominal, _PERSON_AT, options.layout)
             session = opened.enter_context(
-                LiveSession(nominal, (a.name, b.name), blueprint, file=file, viewing=viewing)
+                LiveSession(
+                    *(nominal, (a.name, b.name), blueprint),
+                    file=options.save,
+                    overwrite=options.force,
+                    viewing=viewing,
+                )
             )
             coach = Coach(a.body, (nominal.intrinsics_a, nominal.intrinsics_b))
             display = opened.enter_context(
@@ -141,7 +149,8 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                     sensors,
                     body=a.body,
                     settings=settings,
-                    intrinsics=(a.intrinsics, b.intrinsics),
+                    intrinsics=cameras,
+                    depth=options.depth,
                     calibration=calibration,
                     recorder_for=lambda _: session,
                     # events are told at once, by the sensors: also while no frame comes
@@ -152,9 +161,10 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                 console.print(warning, style="yellow", highlight=False, markup=False)
         print_session(console, fuser, frames, sensors)
         if options.save is not None:
-            say_saved(console, options.save)
+            print_saved(console, options.save, session)
         if options.save_calibration is not None:
             _save_calibration(options.save_calibration, watch.settled)
+        check_saved(session)
 
 
 def _viewing(options: LiveOptions) -> Viewing | None:
@@ -226,6 +236,10 @@ def _settings(options: LiveOptions, serial: str, master: str | None) -> KinectSe
         color=None if options.color == "off" else options.color,
         sync="standalone" if master is None else "master" if serial == master else "subordinate",
     )
+
+
+def _camera(options: LiveOptions, sensor: Sensor) -> Intrinsics:
+    return thinned_camera(sensor.intrinsics or NOMINAL_INTRINSICS[sensor.body.name], options.depth)
 
 
 def _given_calibration(options: LiveOptions, sensor: Sensor) -> Calibration | None:

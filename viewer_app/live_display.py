@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from rich.console import Console
 from rich.live import Live
+from rich.markup import escape
 from rich.text import Text
 
 from viewer_app.coach import Advice, Coach, Situation, to_markdown
@@ -46,6 +47,7 @@ class LiveDisplay:
         self._shows = not quiet and not verbose and console.is_terminal
         self._said: dict[str, str] = {}
         self._page = ""
+        self._failure_told = False
         self._frames: deque[Status] = deque()
         self._next = -np.inf
 
@@ -69,6 +71,10 @@ class LiveDisplay:
         self._advise(status)
         for event in status.events:
             self._console.print(str(event), style="yellow", highlight=False, markup=False)
+        failure = self._session.failure
+        if failure is not None and not self._failure_told:
+            self._failure_told = True
+            self._console.print(f"[bold red]{escape(failure)}[/] The fusion goes on.", highlight=False)
         now = self._clock()
         if now >= self._next:
             self._next = now + _EVERY
@@ -94,7 +100,9 @@ class LiveDisplay:
             f"trust {trust[0]:.2f}/{trust[1]:.2f}",
             f"fuse {fuse:.0f} µs",
         ]
-        if self._session.saves:
+        if self._session.failure is not None:
+            parts.append("SAVING STOPPED")
+        elif self._session.saves:
             parts.append(f"saving {self._session.saved_bytes / 1e6:.1f} MB")
         for count, what in ((self._session.dropped, "not shown"), (self._session.lost, "NOT SAVED")):
             if count:

@@ -19,10 +19,10 @@ from fusion.fuser import Fuser
 from recordings import layout
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
-from recordings.rewriting import check_whole
 from viewer_app.errors import UsageError
+from viewer_app.images import has_images, without_images
 from viewer_app.rerun_process import Hub, start_window, start_window_on_pipe, stop
-from viewer_app.session_file import SessionFile, has_images, without_images
+from viewer_app.session_file import SessionFile
 from viewer_app.viewer_feed import Image, Item, Note, ViewerFeed
 
 _VIEWER_QUEUE = 60
@@ -62,10 +62,11 @@ class LiveSession:
         fuser: Whose settings, calibration and intrinsics the session keeps at first.
         sources: What the sensors are called, K_A first.
         blueprint: What the viewer shows.
-        file: The file to write; None for none.
+        file: The file to write; None for none. It can be read while it grows.
+        overwrite: Whether a file of that name may be replaced.
         viewing: The viewer; None for none.
         complete: Whether the viewer too gets every frame, and closing waits for that: for recordings, whose
-            frames stay in memory anyway.
+            frames stay in memory anyway. Their file is written to be read afterwards.
 
     Raises:
         UsageError: The viewer does not start.
@@ -78,6 +79,7 @@ class LiveSession:
         blueprint: rrb.Blueprint,
         *,
         file: Path | None = None,
+        overwrite: bool = False,
         viewing: Viewing | None = None,
         complete: bool = False,
     ) -> None:
@@ -85,7 +87,7 @@ class LiveSession:
         self._id = uuid4()
         self._complete = complete
         self._count = 0
-        self._whole = False
+        self._whole = self._saved = False
         self._start_ns: int | None = None
         self._path = file
         self._viewing = viewing or Viewing()
@@ -106,10 +108,13 @@ class LiveSession:
         elif self._viewing.window:
             self._feed = self._feed_into(start_window_on_pipe, restart=False)
         if file is not None:
-            stream = self._stream()
-            stream.set_sinks(rr.FileSink(str(file)), default_blueprint=blueprint)
             self._file = SessionFile(
-                stream, lambda of: Recorder(of, fuser, sources, depth_every=1), bounded=not complete
+                file,
+                self._stream,
+                lambda of: self._with_blueprint(of, Recorder(of, fuser, sources, depth_every=1)),
+                growing=not complete,
+                overwrite=overwrite,
+                on_failure=self._tell_failure,
             )
 
     def record(self, frame: RecordedFrame) -> None:
@@ -168,15 +173,30 @@ class LiveSession:
         return 0 if self._file is None else self._file.lost
 
     @property
+    def without_images(self) -> int:
+        """Frames that the file has without their images, because the disk was too slow for those."""
+        return 0 if self._file is None else self._file.without_images
+
+    @property
     def saves(self) -> bool:
-        """Whether there is a file."""
-        return self._path is not None
+        """Whether a file is being written."""
+        return self._file is not None and self._file.failure is None
+
+    @property
+    def failure(self) -> str | None:
+        """Why a live session's file lacks the end of it, in a sentence; None where it does not."""
+        return None if self._file is None else self._file.failure
+
+    @property
+    def saved(self) -> int:
+        """Frames in a live session's file."""
+        return 0 if self._file is None else self._file.saved
 
     @property
     def saved_bytes(self) -> int:
         """The file's size so far."""
         try:
-            return 0 if self._path is None else self._path.stat().st_size
+            return self._path.stat().st_size if self._path is not None and self.saved else 0
         except OSError:
             return 0
 
@@ -193,13 +213,11 @@ class LiveSession:
         """Writes what waits for the file, and closes it; what comes later only the viewer gets.
 
         Raises:
-            OSError: Not everything has reached the file.
+            OSError: Not everything of a recording has reached the file.
         """
-        if self._file is not None:
-            file, self._file = self._file, None
-            file.close(self._whole)
-            if self._whole and self._path is not None:
-                check_whole(self._path)
+        if self._file is not None and not self._saved:
+            self._saved = True
+            self._file.close(self._whole)
 
     def __enter__(self) -> LiveSession:
         """Is open already."""
@@ -216,6 +234,10 @@ class LiveSession:
                 if self._complete and failed is None:
                     self._feed.finish(_SHOWN_WITHIN)
                 self._feed.close(end_process=self._viewing.hub is not None)
+
+    def _tell_failure(self, why: str) -> None:
+        if self._feed is not None:
+            self._feed.offer(Note(why, "ERROR"))
 
     def _say(self, item: Item) -> None:
         for taker in (self._file, self._feed):
@@ -244,10 +266,15 @@ class LiveSession:
         return rr.RecordingStream(layout.APPLICATION_ID, recording_id=self._id)
 
     def _begin(self, stream: rr.RecordingStream) -> Recorder:
-        stream.send_blueprint(self._blueprint)
-        return Recorder(
-            stream, self._fuser, self._sources, depth_every=1, start_ns=self._start_ns, points=True
+        return self._with_blueprint(
+            stream,
+            Recorder(stream, self._fuser, self._sources, depth_every=1, start_ns=self._start_ns, points=True),
         )
+
+    def _with_blueprint(self, stream: rr.RecordingStream, recorder: Recorder) -> Recorder:
+        """The timeline it names must be there; it is active, or a viewer would show what it remembers."""
+        stream.send_blueprint(self._blueprint)
+        return recorder
 
 
 class _Window:

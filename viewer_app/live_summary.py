@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from rich.console import Console
 
 from devices.two_sensors import TwoSensors
 from fusion.fuser import Fuser
 from recordings.arrays import RecordedFrame, SessionArrays
-from viewer_app.report import method_figures, print_method
+from viewer_app.errors import UsageError
+from viewer_app.live_session import LiveSession
+from viewer_app.report import method_figures, print_method, say_saved
 
 
 def print_frames(console: Console, sensors: TwoSensors) -> None:
@@ -58,3 +61,27 @@ def print_session(
     rate = f", {(len(rows) - 1) / seconds:.1f} a second" if seconds > 0.0 else ""
     console.print(f"[bold]The last {seconds:.1f} s[/]: {len(rows)} frames{rate}.")
     print_method(console, fuser.calibration, method_figures(rows))
+
+
+def print_saved(console: Console, path: Path, session: LiveSession) -> None:
+    """Where the session is, if all of it is there."""
+    if session.saved == 0 and session.failure is None:
+        console.print(f"{path} was not written: no frame came.", highlight=False, markup=False)
+    elif session.failure is None:
+        say_saved(console, path)
+    for count, what in (
+        (session.lost, "not saved: the disk stood still"),
+        (session.without_images, "saved without their images, which came too fast for this machine"),
+    ):
+        if count:
+            console.print(f"[yellow]{count} frames are {what}.[/]", highlight=False)
+
+
+def check_saved(session: LiveSession) -> None:
+    """Ends a session whose saving stopped as a mistake does: with one line, and exit code 2.
+
+    Raises:
+        UsageError: It did.
+    """
+    if session.failure is not None:
+        raise UsageError(session.failure)

@@ -60,6 +60,8 @@ class FuseOptions:
     """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
     save_calibration: Path | None = None
     """Keep the sensors' placement and the bone lengths in a file."""
+    depth: Literal["none", "half", "full"] = "full"
+    """For an .mkv: its depth images in the session: none, every second pixel in both directions, or all."""
     force: bool = False
     """Overwrite files that exist."""
 
@@ -81,8 +83,8 @@ class DemoOptions:
     """Degrees between the two sensors."""
     body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
     """Whose body tracker is simulated."""
-    depth: Literal["off", "half", "full"] = "half"
-    """Depth images, and at which part of the sensor's resolution."""
+    depth: Literal["none", "half", "full"] = "half"
+    """Depth images: none, at half the sensor's resolution, or all of it."""
     save: Path | None = None
     """Keep the session as an .rrd file; without a display demo.rrd if not given."""
     no_viewer: bool = False
@@ -118,6 +120,8 @@ class LiveOptions:
     """Narrow and far, or wide and near."""
     fps: Literal[5, 15, 30] = 30
     """Frames a second."""
+    depth: Literal["none", "half", "full"] = "half"
+    """Depth images shown and saved: none, every second pixel in both directions, or all."""
     color: Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"] = "off"
     """Colour images, and at which resolution."""
     k4abt: Path | None = None

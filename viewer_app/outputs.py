@@ -7,11 +7,14 @@ import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from zlib import crc32
 
+from rich.console import Console
+from rich.markup import escape
+
+from recordings.growing import partial_beside
 from viewer_app.errors import UsageError
 
-_LEAST_FREE = 20_000_000  # bytes; a session takes 5 MB a minute
+_LITTLE_FREE = 500_000_000  # bytes; with depth images a session takes some 300 MB a minute
 
 
 def check_writable(path: Path, force: bool) -> None:
@@ -34,9 +37,17 @@ def check_writable(path: Path, force: bool) -> None:
         raise UsageError(f"No folder {path.parent} to write {path.name} into.")
     if not os.access(path.parent, os.W_OK):
         raise UsageError(f"The folder {path.parent} is not writable.")
+
+
+def warn_of_little_room(path: Path, console: Console) -> None:
+    """Says so where a session of unknown length may fill the disk; how much is enough, no one knows."""
     free = shutil.disk_usage(path.parent).free
-    if free < _LEAST_FREE:
-        raise UsageError(f"The disk of {path.parent} is full: {free / 1e6:.0f} MB are free. Make room first.")
+    if free < _LITTLE_FREE:
+        console.print(
+            f"[yellow]Only {free / 1e6:.0f} MB are free where {escape(str(path))} is saved.[/] When that is "
+            "full, saving stops and everything else goes on.",
+            highlight=False,
+        )
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path], force: bool) -> None:
@@ -60,12 +71,9 @@ def _real(path: Path) -> Path:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Gives a temporary name beside `path`, renamed to it when all went well and removed when not.
-
-    It has the file's own ending, in small letters: ezc3d adds that to any other.
-    """
+    """Gives a temporary name beside `path`, renamed to it when all went well and removed when not."""
     path = _real(path)
-    partial = path.with_name(f".{crc32(path.name.encode()):08x}.{os.getpid()}.partial{path.suffix.lower()}")
+    partial = partial_beside(path)
     try:
         yield partial
         partial.replace(path)

@@ -6,12 +6,14 @@ import threading
 import time
 from collections.abc import Iterable
 
+import numpy as np
 from rich.console import Console
 
 from devices.pairing import FramePair
 from fusion.fuser import Fuser
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
+from recordings.rvl import encode_depth
 from viewer_app.live_session import LiveSession
 
 _BLOCK = 1024  # frames written at a time, so that a viewer shows the work going on
@@ -24,6 +26,7 @@ def warm_up(fuser: Fuser, console: Console) -> None:
     notice.start()
     try:
         fuser.warm_up()
+        encode_depth(np.zeros((1, 1), dtype=np.uint16))
     finally:
         notice.cancel()
 

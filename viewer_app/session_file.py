@@ -1,44 +1,72 @@
-"""A session's file, written completely, on a thread of its own."""
+"""A session's file, written on a thread of its own."""
 
 from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 
 import rerun as rr
 
-from devices.pairing import FramePair
-from devices.sensor import SensorFrame
+from recordings.growing import GrowingFile
+from recordings.rewriting import check_whole
+from viewer_app.compact_copy import CompactCopy
+from viewer_app.images import has_images, without_images
 from viewer_app.viewer_feed import Item, Opening, write_items
 
 _KEEP_WITH_IMAGES = 60
 """Frames that wait with their images, at most: 90 MB."""
 _KEEP = 1800
 """Frames that wait, at most: a minute in which the disk takes nothing."""
-_BLOCK_SECONDS = 1.0  # frames are written together: by columns that takes less time and space
+_BLOCK_SECONDS = 0.5
+"""Frames are written together, for by columns that takes less time and space; a kill loses as many."""
 _FLUSH_WITHIN = 30.0
 
 
 class SessionFile:
     """Writes what it is offered; the offering never waits.
 
-    While the disk stands still, images are left out first, after a minute frames too; both are counted.
+    A live session's file can be read while it grows; it gets its name, and replaces one that had it, with the
+    first frames. A disk that is full stops its saving and nothing else: :attr:`failure` then says so. While
+    the disk stands still, images are left out first, after a minute frames too; both are counted.
 
     Args:
-        stream: With its file as sink.
+        path: The file.
+        open_stream: Makes a stream of the recording, without a sink.
         begin: Writes what is static.
-        bounded: Whether anything may be left out; a recording's fusion keeps all its frames anyway.
+        growing: Whether it is that of a live session. A recording's, whose fusion keeps all frames anyway, is
+            complete, or :meth:`close` raises; it is there before, but not to be read.
+        overwrite: Whether a live session may replace a file of that name.
+        on_failure: Told, on the thread, why saving stopped.
     """
 
-    def __init__(self, stream: rr.RecordingStream, begin: Opening, bounded: bool = True) -> None:
-        self._stream, self._begin, self._bounded = stream, begin, bounded
+    def __init__(
+        self,
+        path: Path,
+        open_stream: Callable[[], rr.RecordingStream],
+        begin: Opening,
+        *,
+        growing: bool = True,
+        overwrite: bool = False,
+        on_failure: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._path = path
+        self._open_stream, self._begin = open_stream, begin
+        self._growing, self._overwrite = growing, overwrite
+        self._on_failure = on_failure
         self._queue: deque[Item] = deque()
         self._more = threading.Condition()
         self._ending = self._whole = False
         self._error: BaseException | None = None
+        self.failure: str | None = None
+        """Why not everything is saved; None where it is."""
+        self.saved = 0
+        """Frames that are in the file."""
         self.lost = 0
-        """Frames left out."""
+        """Frames left out while the disk stood still."""
         self.without_images = 0
         """Frames whose images were left out."""
         self._thread = threading.Thread(target=self._run, name="session file")
@@ -46,17 +74,18 @@ class SessionFile:
 
     def offer(self, item: Item) -> None:
         """Takes an item, without waiting."""
-        with self._more:
-            if self._bounded and isinstance(item, tuple):
-                waiting = len(self._queue)
-                if waiting >= _KEEP:
-                    self.lost += 1
-                    return
-                number, frame = item
-                if waiting >= _KEEP_WITH_IMAGES and has_images(frame.pair):
-                    self.without_images += 1
-                    item = number, replace(frame, pair=without_images(frame.pair))
-            self._queue.append(item)
+        if self._ending or self.failure is not None or self._error is not None:
+            return
+        if self._growing and isinstance(item, tuple):
+            waiting = len(self._queue)
+            if waiting >= _KEEP:
+                self.lost += 1
+                return
+            number, frame = item
+            if waiting >= _KEEP_WITH_IMAGES and has_images(frame.pair):
+                self.without_images += 1
+                item = number, replace(frame, pair=without_images(frame.pair))
+        self._queue.append(item)
 
     @property
     def waiting(self) -> int:
@@ -70,43 +99,84 @@ class SessionFile:
             whole: Whether the session ended as it should, which is then written too.
 
         Raises:
-            Exception: What went wrong while writing.
+            OSError: Not everything of a recording has reached the file.
+            Exception: A fault of the program.
         """
         with self._more:
             self._ending, self._whole = True, whole
             self._more.notify()
         self._thread.join()
-        self._stream.flush(timeout_sec=_FLUSH_WITHIN)
-        self._stream.disconnect()
         if self._error is not None:
             raise self._error
 
     def _run(self) -> None:
         try:
-            recorder = self._begin(self._stream)
+            if self._growing:
+                self._write_growing()
+            else:
+                self._write_at_once()
+        except OSError as error:
+            if self._growing:
+                self._fail(error)
+            else:
+                self._error = error
+        except Exception as error:
+            self._error = error
+        finally:
+            self._queue.clear()
+
+    def _write_growing(self) -> None:
+        stream = self._open_stream()
+        with (
+            closing(GrowingFile(self._path, stream, self._overwrite)) as file,
+            closing(CompactCopy(self._path, self._open_stream(), self._begin)) as compact,
+        ):
+            recorder = self._begin(stream)
             ending = False
             while not ending:
-                with self._more:
-                    self._more.wait_for(lambda: self._ending, timeout=_BLOCK_SECONDS)
-                    ending = self._ending
-                    items = list(self._queue)
-                    self._queue.clear()
+                ending, items = self._take()
+                write_items(recorder, items)
+                compact.add(items)
+                frames = sum(isinstance(item, tuple) for item in items)
+                whole = ending and self._whole and self.saved + frames > 0
+                if whole:
+                    recorder.finish()
+                if file.begun or frames:
+                    file.write()
+                    self.saved += frames
+            file.close()
+            if whole:
+                compact.take_place()
+
+    def _write_at_once(self) -> None:
+        stream = self._open_stream()
+        stream.set_sinks(rr.FileSink(str(self._path)))
+        try:
+            recorder = self._begin(stream)
+            ending = False
+            while not ending:
+                ending, items = self._take()
                 write_items(recorder, items)
             if self._whole:
                 recorder.finish()
-        except Exception as error:
-            self._error = error
+            stream.flush(timeout_sec=_FLUSH_WITHIN)
+        finally:
+            stream.disconnect()
+        if self._whole:
+            check_whole(self._path)
 
+    def _take(self) -> tuple[bool, list[Item]]:
+        """Whether this is the end, and what was offered, after half a second at most."""
+        with self._more:
+            self._more.wait_for(lambda: self._ending, timeout=_BLOCK_SECONDS)
+            ending = self._ending
+        return ending, [self._queue.popleft() for _ in range(len(self._queue))]
 
-def has_images(pair: FramePair) -> bool:
-    """Whether a frame of the pair has an image."""
-    return any(f is not None and (f.depth is not None or f.color is not None) for f in (pair.a, pair.b))
-
-
-def without_images(pair: FramePair) -> FramePair:
-    """The pair with skeletons only."""
-
-    def bare(frame: SensorFrame | None) -> SensorFrame | None:
-        return None if frame is None else replace(frame, depth=None, color=None)
-
-    return replace(pair, a=bare(pair.a), b=bare(pair.b))
+    def _fail(self, error: OSError) -> None:
+        why = error.strerror or error
+        self.failure = (
+            f"{self._path} is not saved from frame {self.saved} on: {why}. What is before that can be read."
+            if self.saved
+            else f"{self._path} could not be written: {why}."
+        )
+        self._on_failure(self.failure)

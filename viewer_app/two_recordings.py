@@ -14,13 +14,14 @@ from rich.progress import track
 from devices.body_tracking import TrackerSettings
 from devices.mkv import MkvInfo, MkvRecording
 from devices.pairing import FramePair, Pairing, pair_recordings
-from devices.people import choose_person
+from devices.people import choose_person, with_successors
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.sources import one_person, open_source, recording_info, warnings_of, without_images
 from fusion.body import Body
 from fusion.viewing_plane import Intrinsics
 from recordings import layout
 from recordings.recorder import Recorder
+from viewer_app.images import Depth, thinned, thinned_camera
 from viewer_app.live_session import LiveSession
 from viewer_app.options import FuseOptions
 
@@ -46,6 +47,11 @@ class TwoRecordings:
     warnings: tuple[str, ...]
     images: tuple[Path | None, Path | None] = (None, None)
 
+    def cameras(self, depth: Depth) -> tuple[Intrinsics | None, Intrinsics | None]:
+        """The intrinsics, for depth images as they are logged."""
+        a, b = (None if camera is None else thinned_camera(camera, depth) for camera in self.intrinsics)
+        return a, b
+
 
 def read_two(options: FuseOptions, console: Console) -> TwoRecordings:
     """Reads both recordings, one after the other: only one body tracker is in the GPU's memory at once.
@@ -65,20 +71,27 @@ def read_two(options: FuseOptions, console: Console) -> TwoRecordings:
         )
     person_a = choose_person(frames_a, options.person_a, a.name, "--person-a")
     person_b = choose_person(frames_b, options.person_b, b.name, "--person-b")
+    said = [*warnings_of(a), *warnings_of(b)]
+    if options.person_a is None:
+        frames_a, renamed = with_successors(frames_a, person_a)
+        said += _said_of(a, person_a, renamed, "--person-a")
+    if options.person_b is None:
+        frames_b, renamed = with_successors(frames_b, person_b)
+        said += _said_of(b, person_b, renamed, "--person-b")
     pairing = pair_recordings(frames_a, frames_b, person_a, person_b)
-    said = [*warnings_of(a), *warnings_of(b), *clock_warnings(info_a, info_b, pairing.pairs)]
+    said += clock_warnings(info_a, info_b, pairing.pairs)
     images = (None if info_a is None else options.a, None if info_b is None else options.b)
     return TwoRecordings(a.body, pairing, (a.intrinsics, b.intrinsics), tuple(said), images)
 
 
-def log_depth(read: TwoRecordings, recorder: Recorder | LiveSession, console: Console) -> None:
+def log_depth(read: TwoRecordings, recorder: Recorder | LiveSession, depth: Depth, console: Console) -> None:
     """Logs the depth images of the pairs that are logged already, in a pass of its own over the files.
 
     One image is in memory at a time, however long the recordings are.
     """
     pairs = read.pairing.pairs
     for side, path in zip(layout.SIDES, read.images, strict=True):
-        if path is None:
+        if path is None or depth == "none":
             continue
         frames = enumerate(getattr(pair, side) for pair in pairs)
         number = {frame.time_ns: k for k, frame in frames if frame is not None}
@@ -94,7 +107,9 @@ def log_depth(read: TwoRecordings, recorder: Recorder | LiveSession, console: Co
             for frame in shown:
                 k = number.get(frame.time_ns)
                 if k is not None and frame.depth is not None:
-                    recorder.record_depth(side, k, pairs[k].time_ns - pairs[0].time_ns, frame.depth)
+                    recorder.record_depth(
+                        side, k, pairs[k].time_ns - pairs[0].time_ns, thinned(frame.depth, depth)
+                    )
 
 
 def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePair]) -> list[str]:
@@ -144,3 +159,13 @@ def _read(source: Sensor, person: str | None, console: Console) -> tuple[list[Se
             disable=not console.is_terminal,
         )
         return list(shown), info
+
+
+def _said_of(source: Sensor, person: str, others: tuple[str, ...], flag: str) -> list[str]:
+    if not others:
+        return []
+    named = ", ".join(map(repr, others[:5])) + (" …" if len(others) > 5 else "")
+    return [
+        f"{source.name}: person {named} is followed "
+        f"while {person!r} is not seen. {flag} {person} follows {person!r} alone."
+    ]

@@ -81,7 +81,7 @@ def _span(x, z, r, f, c, size):  # type: ignore[no-untyped-def]
     return max(0, int(np.floor(first))), min(size - 1, int(np.ceil(last)))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def cast(shapes, planes, fx, fy, cx, cy, z, label, cosine):  # type: ignore[no-untyped-def]
     """Fills z, label and cosine with what each pixel's ray meets first; see rendering.surface."""
     height, width = z.shape
