@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from devices.sensor import DeviceError
+from devices.sensor import ColorCamera, DeviceError
 from fusion.errors import FusionError
 from fusion.rigid import RigidTransform
 from fusion.viewing_plane import Intrinsics
@@ -51,13 +51,11 @@ class AzureCalibration:
 
     Attributes:
         depth: Intrinsics of the depth camera, pixels.
-        color: Intrinsics of the colour camera; None when it is off.
-        color_from_depth: From the depth camera's frame to the colour camera's, metres.
+        color: The colour camera; None when it is off.
     """
 
     depth: Intrinsics
-    color: Intrinsics | None
-    color_from_depth: RigidTransform
+    color: ColorCamera | None
 
 
 def depth_mode(name: str) -> CameraMode:
@@ -100,10 +98,12 @@ def read_calibration(text: str | bytes, depth: str, color: str | None = None) ->
         color_camera = cameras["CALIBRATION_CameraPurposePhotoVideo"]
         pose = color_camera["Rt"]
         rotation = [pose["Rotation"][row : row + 3] for row in (0, 3, 6)]
+        color_from_depth = RigidTransform.of(rotation, pose["Translation"])
         return AzureCalibration(
             depth=_intrinsics(depth_camera, depth_as),
-            color=None if color is None else _intrinsics(color_camera, COLOR_MODES[color]),
-            color_from_depth=RigidTransform.of(rotation, pose["Translation"]),
+            color=None
+            if color is None
+            else ColorCamera(_intrinsics(color_camera, COLOR_MODES[color]), color_from_depth),
         )
     except (ValueError, KeyError, IndexError, TypeError, FusionError) as fault:
         raise DeviceError(

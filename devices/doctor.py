@@ -12,11 +12,12 @@ from pathlib import Path
 from devices.body_tracking import INSTALL, TrackerSettings
 from devices.kinect_access import ConnectedKinect, connected_kinects, load_sdk
 from devices.kinect_choice import sync_master
-from devices.native_library import load_library
+from devices.native_library import load_library, loaded_file
 from devices.sensor import DeviceError
 from devices.usb import UDEV_ADVICE, usb_kinects
 
 _MODELS = ("dnn_model_2_0_op11.onnx", "dnn_model_2_0_lite_op11.onnx", "dnn_model_2_0.onnx")
+_DEPTH_ENGINE = "libdepthengine.so.2.0"
 _USB3_MEGABITS = 5000
 _CABLE_ADVICE = (
     "A 3.5 mm cable from one's sync out to the other's sync in makes them capture together, without "
@@ -53,6 +54,7 @@ def device_checks(tracker: TrackerSettings | None = None, root: Path = Path("/")
     tracker = tracker or TrackerSettings()
     return [
         _sdk(),
+        _depth_engine(root),
         _tracker_library(tracker),
         _tracker_network(tracker, root),
         _usb_permission(root),
@@ -77,6 +79,35 @@ def _sdk() -> Check:
     return Check("pyk4a and the Sensor SDK", True, getattr(sdk, "__file__", None) or "installed")
 
 
+def _depth_engine(root: Path) -> Check:
+    """What makes depth of the sensor's raw images, on this machine: a closed library that uses OpenGL."""
+    name = "depth engine"
+    if not sys.platform.startswith("linux"):
+        return Check(name, True, f"comes with the Sensor SDK on {sys.platform}")
+    if not os.environ.get("DISPLAY"):
+        return Check(
+            name,
+            False,
+            "DISPLAY is not set, and depth is computed with OpenGL, which needs an X display",
+            "Start from a desktop session, or log in at the machine and export DISPLAY=:0.",
+        )
+    libraries = root / "usr/lib/x86_64-linux-gnu"
+    folders = [libraries, libraries / "libk4a1.4", root / "usr/local/lib", root / "usr/lib"]
+    sdk = loaded_file("k4a")
+    if sdk is not None:
+        folders.insert(0, sdk.parent)
+    for folder in folders:
+        if (folder / _DEPTH_ENGINE).is_file():
+            return Check(name, True, f"{folder / _DEPTH_ENGINE}, display {os.environ['DISPLAY']}")
+    return Check(
+        name,
+        False,
+        f"{_DEPTH_ENGINE} is not where the SDK puts it",
+        "It comes with the SDK's package libk4a1.4; with Orbbec's wrapper, beside its libk4a.",
+        needed=False,  # the SDK may have a path of its own to it
+    )
+
+
 def _tracker_library(tracker: TrackerSettings) -> Check:
     try:
         library = load_library("k4abt", tracker.library, INSTALL)
@@ -93,8 +124,9 @@ def _tracker_network(tracker: TrackerSettings, root: Path) -> Check:
         advice = "" if tracker.model.is_file() else "Check the path, or leave it out."
         return Check(name, tracker.model.is_file(), str(tracker.model), advice)
     folders = [root / "usr/bin", root / "usr/lib/x86_64-linux-gnu", Path.cwd()]
-    if tracker.library is not None:
-        folders.insert(0, tracker.library.parent)
+    beside = tracker.library or loaded_file("k4abt")
+    if beside is not None:
+        folders.insert(0, beside.parent)
     if sys.platform == "win32":
         folders.append(Path("C:/Program Files/Azure Kinect Body Tracking SDK/tools"))
     for folder in folders:
@@ -115,7 +147,10 @@ def _usb_permission(root: Path) -> Check:
     if there:
         return Check(name, True, f"{len(there)} Kinect(s) on the bus may be opened")
     rules = [
-        rule for folder in ("etc", "lib") for rule in (root / folder / "udev/rules.d").glob("*k4a*.rules")
+        rule
+        for folder in ("etc", "lib", "usr/lib")
+        for of in ("k4a", "obsensor")
+        for rule in (root / folder / "udev/rules.d").glob(f"*{of}*.rules")
     ]
     if rules or os.geteuid() == 0:
         return Check(name, True, f"udev rule {rules[0].name}" if rules else "running as root")
@@ -178,12 +213,16 @@ def _gpu(tracker: TrackerSettings, root: Path) -> Check:
             pass
         else:
             return Check("GPU", True, "DirectML found", needed=False)
+    slow = "about one frame a second: record with k4arecorder now, duplex fuse a.mkv b.mkv later."
+    if tracker.processing == "cpu":
+        return Check(
+            "GPU", False, "none found; the tracker runs on the CPU", f"That gives {slow}", needed=False
+        )
     return Check(
         "GPU",
         False,
-        f"no NVIDIA driver found; the tracker is set to {tracker.processing}",
-        "On a CPU the tracker gives about one frame a second: record now, track later.",
-        needed=False,
+        f"no driver found, and the tracker is to run on {tracker.processing}",
+        f"Install NVIDIA's driver, or try --processing cpu, which gives {slow}",
     )
 
 

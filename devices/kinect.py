@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from devices.azure_calibration import COLOR_MODES, depth_mode
+from devices.azure_calibration import COLOR_MODES, CameraMode, depth_mode
 from devices.body_tracking import BodyTracker, TrackerSettings
 from devices.kinect_access import (
     capsule_pointer,
@@ -22,11 +22,11 @@ from devices.kinect_access import (
     load_sdk,
     open_kinect,
 )
-from devices.mkv_captures import decode_jpeg
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import ColorCamera, ColorImage, DeviceError, SensorFrame
 from devices.tracker_queue import TrackerQueue
 from devices.usb import usb_kinects
 from fusion.body import AZURE_KINECT, Body
+from fusion.rigid import RigidTransform
 from fusion.viewing_plane import Intrinsics
 
 LASER_GAP_US = 160
@@ -90,6 +90,7 @@ class KinectSensor:
         self.intrinsics: Intrinsics | None = None
         self.warnings: list[str] = []
         self.settings = settings or KinectSettings()
+        self._color: ColorCamera | None = None
         self._tracker = BodyTracker(tracker) if track else None
         self._device: Any = None
         self._sdk: Any = None
@@ -110,7 +111,13 @@ class KinectSensor:
             self._check_jack()
             self._call(self._device.start, "did not start its cameras", _START_ADVICE)
             calibration = self._call(lambda: self._device.calibration, "gives no calibration", _START_ADVICE)
-            self.intrinsics = self._intrinsics(calibration)
+            cameras, mode = self._sdk.CalibrationType, depth_mode(self.settings.depth_mode)
+            self.intrinsics = _intrinsics(calibration, cameras.DEPTH, mode)
+            if self.settings.color is not None:
+                self._color = ColorCamera(
+                    _intrinsics(calibration, cameras.COLOR, COLOR_MODES[self.settings.color]),
+                    RigidTransform.of(*calibration.get_extrinsic_parameters(cameras.DEPTH, cameras.COLOR)),
+                )
             if self._tracker is not None:
                 handle = calibration._calibration_handle
                 self._tracker.open(capsule_pointer(handle, b"pyk4a calibration handle"))
@@ -178,26 +185,19 @@ class KinectSensor:
                 f"sync in, or run both standalone."
             )
 
-    def _intrinsics(self, calibration: Any) -> Intrinsics:
-        camera = self._sdk.CalibrationType.DEPTH
-        matrix = np.asarray(calibration.get_camera_matrix(camera), dtype=np.float64)
-        lens = np.asarray(calibration.get_distortion_coefficients(camera), dtype=np.float64).ravel()
-        mode = depth_mode(self.settings.depth_mode)
-        (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
-        return Intrinsics(mode.width, mode.height, fx, fy, cx, cy, tuple(lens.tolist()))
-
     def _frame(self, capture: Any) -> SensorFrame | None:
         """The capture's images, copied so that the SDK has its memory back; None if one is missing."""
         depth, ir = capture.depth, capture.ir
         if depth is None or ir is None:
             return None
-        color = capture.color if self.settings.color is not None else None
+        jpeg = None if self._color is None else capture.color
+        color = None if jpeg is None or self._color is None else ColorImage.of(jpeg.tobytes(), self._color)
         now_ns, host_ns = time.perf_counter_ns(), int(capture.depth_system_timestamp_nsec)
         return SensorFrame(
             time_ns=1000 * int(capture.depth_timestamp_usec),
             depth=np.array(depth, dtype=np.uint16),
             ir=np.array(ir, dtype=np.uint16) if self.settings.infrared else None,
-            color=None if color is None else decode_jpeg(np.asarray(color)),
+            color=color,
             # The SDK's host time is this clock's; a wrapper that leaves it empty must not lead us astray.
             host_ns=host_ns if 0 <= now_ns - host_ns < 5_000_000_000 else now_ns,
         )
@@ -233,6 +233,13 @@ _START_ADVICE = (
     "Check its power supply and USB 3 port (two sensors need two USB controllers), that no other program "
     "uses it, and on Linux that libdepthengine and OpenGL are there: k4aviewer must show its depth."
 )
+
+
+def _intrinsics(calibration: Any, camera: Any, mode: CameraMode) -> Intrinsics:
+    matrix = np.asarray(calibration.get_camera_matrix(camera), dtype=np.float64)
+    lens = np.asarray(calibration.get_distortion_coefficients(camera), dtype=np.float64).ravel()
+    (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
+    return Intrinsics(mode.width, mode.height, fx, fy, cx, cy, tuple(lens.tolist()))
 
 
 def _configuration(sdk: Any, settings: KinectSettings) -> Any:

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.azure_calibration import COLOR_MODES, AzureCalibration, depth_mode, read_calibration
-from devices.mkv_captures import Capture, Captures, decode_jpeg
-from devices.sensor import DeviceError, SensorFrame
+from devices.mkv_captures import Capture, Captures
+from devices.sensor import ColorImage, DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT, Body
 from fusion.viewing_plane import Intrinsics
 
@@ -87,7 +87,7 @@ class MkvRecording:
 
         Args:
             path: The recording.
-            color: Whether to decode colour images (most of the time spent on a frame).
+            color: Whether to give colour images.
         """
         self.path = Path(path)
         self.name = self.path.name
@@ -242,12 +242,13 @@ class MkvRecording:
             self.warnings.append(f"{self.name} cannot be read to its end ({fault}).")
 
     def _frame(self, capture: Capture, info: MkvInfo) -> SensorFrame:
-        mode = depth_mode(info.depth_mode)
+        mode, camera = depth_mode(info.depth_mode), info.calibration.color
+        color = None if capture.color is None or camera is None else ColorImage.of(capture.color, camera)
         return SensorFrame(
             time_ns=info.start_offset_ns + capture.at_ns,
             depth=_image16(capture.depth, mode.width, mode.height),
             ir=None if capture.ir is None else _image16(capture.ir, mode.width, mode.height),
-            color=None if capture.color is None else decode_jpeg(capture.color),
+            color=color,
         )
 
     def _judge(self, given: int, last_ns: int, missing: int, info: MkvInfo) -> None:

@@ -6,10 +6,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
-
 
 @dataclass(eq=False)
 class Capture:
@@ -60,10 +56,3 @@ class Captures:
             newest = max(newest, at_ns)
             yield from self.complete(newest)
         yield from self.complete(math.inf)
-
-
-def decode_jpeg(data: bytes | NDArray[np.uint8]) -> NDArray[np.uint8] | None:
-    """(height, width, 3) uint8 RGB from a JPEG; None where it is damaged."""
-    encoded = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else data
-    image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
-    return None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)

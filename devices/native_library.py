@@ -44,6 +44,16 @@ def load_library(name: str, path: Path | None, advice: str) -> ctypes.CDLL:
     raise DeviceError(f"The library {path or name} cannot be loaded ({faults[-1]}). {advice}")
 
 
+def loaded_file(name: str) -> Path | None:
+    """Where a library lies that this process has loaded; None if it has not, or the system does not say."""
+    try:
+        lines = Path("/proc/self/maps").read_text(errors="replace").splitlines()
+    except OSError:
+        return None
+    files = (Path(columns[5]) for line in lines if len(columns := line.split(maxsplit=5)) == 6)
+    return next((file for file in files if file.name.startswith(f"lib{name}.so")), None)
+
+
 def _candidates(name: str) -> list[str]:
     if sys.platform == "win32":
         folders = [Path("C:/Program Files") / folder for folder in _WINDOWS_FOLDERS[name]]

@@ -10,12 +10,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 from fusion.viewing_plane import Intrinsics
 
 
 class DeviceError(Exception):
     """A source that cannot give frames: what happened, the value, the way out."""
+
+
+@dataclass(frozen=True, eq=False)
+class ColorCamera:
+    """The colour camera beside a depth camera.
+
+    Attributes:
+        intrinsics: In the mode it runs in.
+        color_from_depth: From the depth camera's frame, which is the sensor's, to the colour camera's.
+    """
+
+    intrinsics: Intrinsics
+    color_from_depth: RigidTransform
+
+
+@dataclass(frozen=True, eq=False)
+class ColorImage:
+    """A colour image as the camera compressed it.
+
+    Attributes:
+        jpeg: The file; it begins and ends as one does.
+        camera: Which camera took it.
+    """
+
+    jpeg: bytes
+    camera: ColorCamera
+
+    @staticmethod
+    def of(jpeg: bytes, camera: ColorCamera) -> ColorImage | None:
+        """An image of what a camera gave; None where that was cut off."""
+        whole = jpeg.startswith(b"\xff\xd8") and jpeg.rstrip(b"\0").endswith(b"\xff\xd9")
+        return ColorImage(jpeg, camera) if whole else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +59,7 @@ class SensorFrame:
         time_ns: Capture time on the sensor's own clock.
         people: The skeletons seen, by the tracker's person id; empty when no one is seen.
         depth: (height, width) uint16 millimetres, 0 where there is no reading; None without a depth image.
-        color: (height, width, 3) uint8 RGB; None without a colour image.
+        color: The colour image; None without one.
         ir: (height, width) uint16 active infrared, of the depth camera; None without one.
         host_ns: When the images reached this machine, on ``time.perf_counter_ns``, before any body
             tracking: what relates two sensors' clocks. None for a recording.
@@ -35,7 +68,7 @@ class SensorFrame:
     time_ns: int
     people: dict[str, Skeleton] = field(default_factory=dict)
     depth: NDArray[np.uint16] | None = None
-    color: NDArray[np.uint8] | None = None
+    color: ColorImage | None = None
     ir: NDArray[np.uint16] | None = None
     host_ns: int | None = None
 

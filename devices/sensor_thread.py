@@ -82,7 +82,7 @@ class SensorThread:
         self._keep, self._stall_s, self._retry_s = keep, stall_s, retry_s
         self._clock, self._wait = clock, wait
         self._lock = threading.Lock()
-        self._frames: deque[SensorFrame] = deque()
+        self._frames: deque[tuple[int, SensorFrame]] = deque()  # and when each came
         self._events: deque[SensorEvent] = deque(maxlen=_EVENTS_KEPT)
         self._state = SensorState.CLOSED
         self._received = self._dropped = self._returns = 0
@@ -188,8 +188,12 @@ class SensorThread:
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
-    def take(self) -> list[SensorFrame]:
+    def take(self) -> list[tuple[int, SensorFrame]]:
         """The frames that came since the last call, oldest first, ``keep`` at most; does not wait.
+
+        Returns:
+            Each with when it came, in ns on the thread's clock: a reader that was busy elsewhere learns what
+            it would have seen.
 
         Raises:
             Exception: What a sensor raised that is no ``DeviceError``: a fault of the program, not of the
@@ -272,12 +276,13 @@ class SensorThread:
 
     def _deliver(self, frame: SensorFrame) -> None:
         now_s = self._clock()
+        came_ns = round(now_s * 1e9)
         if frame.host_ns is None:
-            frame = replace(frame, host_ns=round(now_s * 1e9))
+            frame = replace(frame, host_ns=came_ns)
         with self._lock:
             self._last_s = now_s
             self._received += 1
-            self._frames.append(frame)
+            self._frames.append((came_ns, frame))
             if len(self._frames) > self._keep:
                 self._frames.popleft()
                 self._dropped += 1

@@ -140,7 +140,7 @@ def _numbers(table: pa.Table, column: str, kind: pa.DataType, path: Path) -> NDA
             except pa.ArrowInvalid:
                 wanted = "a whole number" if kind == pa.int64() else "a number"
                 raise DeviceError(
-                    f"{path}, line {row + 2}: {column} must be {wanted}; got {value!r}."
+                    f"{path}, line {row + 2}: {column} must be {wanted}; got {value[:40]!r}."
                 ) from None
         raise
 
@@ -153,7 +153,8 @@ def _states(table: pa.Table, path: Path) -> NDArray[np.uint8]:
         if value.lower() not in _STATES:
             row = int(np.flatnonzero(code == k)[0])
             raise DeviceError(
-                f"{path}, line {row + 2}: state {value!r} is none of tracked, inferred, not_tracked, 2, 1, 0."
+                f"{path}, line {row + 2}: state {value[:40]!r} is none of tracked, inferred, not_tracked, 2, "
+                f"1, 0."
             )
     return np.array([_STATES[value.lower()] for value in values], dtype=np.uint8)[code]
 

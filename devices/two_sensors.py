@@ -5,13 +5,29 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from devices.live_pairing import LivePair, LivePairing, PairingFigures, Side
-from devices.sensor import Sensor
+from devices.sensor import Sensor, SensorFrame
 from devices.sensor_thread import SensorEvent, SensorState, SensorThread
 
 _POLL_S = 0.01  # pairs that wait for nobody any more come out this much late at most
 _KEEP = 8  # frames a sensor: a quarter of a second in which the reader's machine did something else
+
+
+@dataclass(frozen=True)
+class StreamFigures:
+    """How two running sensors go, at one moment.
+
+    Attributes:
+        drift_ppm: By how many millionths B's clock runs faster than A's.
+        dropped: Frames of A and of B for which we were too slow, since the start.
+        unpaired: Frames of A and of B that found no partner, since the start.
+    """
+
+    drift_ppm: float
+    dropped: tuple[int, int]
+    unpaired: tuple[int, int]
 
 
 class TwoSensors:
@@ -68,6 +84,13 @@ class TwoSensors:
         """How pairing goes so far."""
         return self._pairing.figures
 
+    @property
+    def stream_figures(self) -> StreamFigures:
+        """What of it belongs on the timeline."""
+        figures = self._pairing.figures
+        unpaired = figures.alone_a, figures.alone_b + figures.unmatched_b
+        return StreamFigures(figures.drift_ppm, (self.a.dropped, self.b.dropped), unpaired)
+
     def __enter__(self) -> TwoSensors:
         """Opens both.
 
@@ -116,19 +139,23 @@ class TwoSensors:
         self._arrival.wait(wait_s)
         self._arrival.clear()
         now_ns, pairs = _ns(self._clock()), []
+        came: list[tuple[int, Side, SensorFrame]] = []
         for side, thread in self._sides():
             came_back, frames = thread.returns, thread.take()
             if came_back != self._returns[side]:
                 self._returns[side] = came_back
                 pairs += self._pairing.restart(side)
-            if thread.gone:
-                self._pairing.set_gone(side, True)
-            for frame in frames:
-                pairs += self._pairing.add(side, frame, now_ns)
+            came += [(at_ns, side, frame) for at_ns, frame in frames]
             events = thread.events()
             self._events += events
             for event in events:
                 self._tell(event)
+        # As they came, whenever they are asked for: else a pause here would look like a sensor's.
+        for at_ns, side, frame in sorted(came, key=lambda frame: frame[0]):
+            pairs += self._pairing.add(side, frame, at_ns)
+        for side, thread in self._sides():
+            if thread.gone:
+                self._pairing.set_gone(side, True)
         return pairs + self._pairing.poll(now_ns)
 
     def events(self) -> list[SensorEvent]:

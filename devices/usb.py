@@ -9,12 +9,13 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-# The depth camera of each: Azure Kinect DK; Orbbec Femto Mega, Femto Bolt.
+# The depth camera of each: Azure Kinect DK; Orbbec Femto Mega, Femto Bolt (ids as in OrbbecSDK's device lists
+# and udev rules; none of the three was seen on a bus of ours). A Femto Mega I has no USB.
 _DEPTH_CAMERAS = {("045e", "097c"), ("2bc5", "0669"), ("2bc5", "066b")}
 
 UDEV_ADVICE = (
-    "Copy 99-k4a.rules of the Azure Kinect Sensor SDK (scripts/) to /etc/udev/rules.d, then unplug the "
-    "sensor and plug it in again."
+    "Copy 99-k4a.rules of the Azure Kinect Sensor SDK (scripts/), for an Orbbec 99-obsensor-libusb.rules, to "
+    "/etc/udev/rules.d, then unplug the sensor and plug it in again."
 )
 
 

@@ -285,6 +285,6 @@ def body_of(joint_names: set[str]) -> Body:
     nearest = min(BODIES.values(), key=lambda b: sum(b.find(name) is None for name in joint_names))
     strangers = sorted(name for name in joint_names if nearest.find(name) is None)
     raise FusionError(
-        f"Unknown joint {', '.join(map(repr, strangers[:4]))}: the nearest body, {nearest.name}, has "
-        f"{', '.join(nearest.joints)}."
+        f"Unknown joint {', '.join(repr(name[:40]) for name in strangers[:4])}: the nearest body, "
+        f"{nearest.name}, has {', '.join(nearest.joints)}."
     )

@@ -51,7 +51,7 @@ def cloud_look(side: str) -> rr.Points3D:
 
 
 def camera(intrinsics: Intrinsics, side: str) -> rr.Pinhole:
-    """A depth camera's frustum, in its skeleton's colour."""
+    """A camera's frustum, in its skeleton's colour."""
     return rr.Pinhole(
         focal_length=(intrinsics.fx, intrinsics.fy),
         principal_point=(intrinsics.cx, intrinsics.cy),
@@ -92,20 +92,31 @@ BONE_LINES = rr.SeriesLines(
     widths=[1.0, 1.0, 2.5, 1.0],
 )
 
+_OF_BOTH = {
+    "stale": "stale",
+    "tracked_joints": "tracked by",
+    "dropped": "dropped of",
+    "unpaired": "without a partner, of",
+}
+"""Figures with a value a sensor."""
+
 QUALITY_LINES = {
     **{
         name: rr.SeriesLines(
             names=[f"{title} A", f"{title} B"],
             colors=[layout.SKELETON_COLORS["a"], layout.SKELETON_COLORS["b"]],
         )
-        for name, title in (("stale", "stale"), ("tracked_joints", "tracked by"))
+        for name, title in _OF_BOTH.items()
     },
     **{
         name: rr.SeriesLines(
-            names=name.replace("_mm", " (mm)").replace("_ms", " (ms)").replace("_", " "),
+            names=name.replace("_mm", " (mm)")
+            .replace("_ms", " (ms)")
+            .replace("_ppm", " (ppm)")
+            .replace("_", " "),
             colors=layout.SKELETON_COLORS["fused"],
         )
-        for name in layout.QUALITY_NAMES
-        if name not in ("stale", "tracked_joints")
+        for name in (*layout.QUALITY_NAMES, *layout.STREAM_NAMES)
+        if name not in _OF_BOTH
     },
 }

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
+from devices.two_sensors import StreamFigures
 from fusion.body import Body
 from fusion.bone_lengths import bone_lengths_of
 from fusion.fuser import FusedFrame
@@ -26,6 +27,8 @@ class RecordedFrame:
     fuse_ns: int
     truth: NDArray[np.float64] | None = None
     """(J, 3) where the joints really are, in K_A's frame; simulations only."""
+    streams: StreamFigures | None = None
+    """How the two streams go; live sensors only."""
 
 
 @dataclass(frozen=True, eq=False)

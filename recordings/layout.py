@@ -73,6 +73,11 @@ def depth(side: str) -> str:
     return f"/kinect_{side}/depth"
 
 
+def color(side: str) -> str:
+    """The colour camera: where it is, pinhole and image."""
+    return f"/kinect_{side}/color"
+
+
 def points(side: str) -> str:
     """The point cloud of a depth image, thinned out, in the sensor's own frame."""
     return f"/kinect_{side}/points"
@@ -99,6 +104,8 @@ QUALITY_NAMES = (
     "stale",
 )
 """What is logged under ``/quality``."""
+STREAM_NAMES = ("drift_ppm", "dropped", "unpaired")
+"""What is logged there too where two sensors run live."""
 
 Color = tuple[int, int, int]
 

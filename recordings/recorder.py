@@ -15,6 +15,7 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
+from devices.sensor import ColorImage
 from fusion.fuser import Fuser
 from fusion.skeleton import TrackingState
 from recordings import appearance, layout
@@ -26,9 +27,11 @@ from recordings.checksums import (
     properties_checksum,
     text_checksum,
 )
+from recordings.color import ColorLog
 from recordings.depth_points import thin_points
 from recordings.explained_trust import StateLanes, TrustMatrix, details, trust_colors
 from recordings.rvl import MEDIA_TYPE, encode_depth
+from recordings.stream_figures import StreamFiguresLog
 
 _MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
 """How often the matrix of trust is drawn anew: for eyes that wait, and for a file, where it spans 30 s."""
@@ -65,6 +68,7 @@ class Recorder:
         self._last: tuple[int, int] | None = None
         self._depth_every, self._points = depth_every, points
         self._cameras = {"a": fuser.intrinsics_a, "b": fuser.intrinsics_b}
+        self._color, self._figures = ColorLog(stream), StreamFiguresLog(stream)
         self._matrix = TrustMatrix(fuser.calibration.body, _MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS)
         self._lanes = StateLanes()
         self._log_static(fuser)
@@ -98,7 +102,7 @@ class Recorder:
         self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
         for stream in _streams(rows):
             self._stream.log(stream.entity, stream.archetype(**stream.of_frame(0)))
-        self._log_depth([frame], rows)
+        self._log_sensors([frame], rows)
         self._explain(rows)
         self._last = (int(rows.frame[0]), int(rows.time_ns[0]))
 
@@ -116,7 +120,7 @@ class Recorder:
         """
         rows = self._stack(frames, numbers)
         self.record_rows(rows)
-        self._log_depth(frames, rows)
+        self._log_sensors(frames, rows)
         return rows
 
     def record_rows(self, rows: SessionArrays, fused_crc: NDArray[np.uint32] | None = None) -> None:
@@ -149,6 +153,11 @@ class Recorder:
             cloud = thin_points(depth, self._cameras[side])
             self._stream.log(layout.points(side), rr.Points3D.from_fields(positions=cloud))
 
+    def record_color(self, side: str, frame: int, time_ns: int, color: ColorImage) -> None:
+        """Logs a colour image."""
+        self._set_time(frame, time_ns)
+        self._color.record(side, frame, color)
+
     def event(self, text: str, level: str = "INFO", at: tuple[int, int] | None = None) -> None:
         """Logs what happened, at the time of the last frame.
 
@@ -173,13 +182,18 @@ class Recorder:
         """Says that the session is whole; a reader takes one without this for cut off."""
         self._stream.send_property("end", rr.AnyValues(frames=self._frames))
 
-    def _log_depth(self, frames: Sequence[RecordedFrame], rows: SessionArrays) -> None:
+    def _log_sensors(self, frames: Sequence[RecordedFrame], rows: SessionArrays) -> None:
+        """What sensors give beside skeletons."""
         for frame, number, time_ns in zip(frames, rows.frame.tolist(), rows.time_ns.tolist(), strict=True):
+            if frame.streams is not None:
+                self._figures.record(number, time_ns, frame.streams)
             if self._depth_every == 0 or number % self._depth_every:
                 continue
             for side, seen in (("a", frame.pair.a), ("b", frame.pair.b)):
                 if seen is not None and seen.depth is not None:
                     self.record_depth(side, number, time_ns, seen.depth)
+                if seen is not None and seen.color is not None:
+                    self.record_color(side, number, time_ns, seen.color)
 
     def _set_time(self, frame: int, time_ns: int) -> None:
         self._stream.set_time(layout.FRAME, sequence=frame)

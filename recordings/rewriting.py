@@ -63,6 +63,10 @@ def rewrite(
                 if first <= frame < end:
                     time_ns = int(session.rows.time_ns[frame]) - start_ns
                     recorder.record_depth(side, frame - first, time_ns, image)
+            for frame, color in session.color(side):
+                if first <= frame < end:
+                    time_ns = int(session.rows.time_ns[frame]) - start_ns
+                    recorder.record_color(side, frame - first, time_ns, color)
         for event in session.events:
             if event.frame is not None and event.time_ns is not None and first <= event.frame < end:
                 recorder.event(event.text, event.level, (event.frame - first, event.time_ns - start_ns))

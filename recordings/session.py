@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.pairing import FramePair
-from devices.sensor import SensorFrame
+from devices.sensor import ColorImage, SensorFrame
 from fusion.body import BODIES, Body
 from fusion.calibration import Calibration
 from fusion.errors import FusionError
@@ -22,6 +22,7 @@ from fusion.viewing_plane import Intrinsics
 from recordings import layout
 from recordings.arrays import SessionArrays
 from recordings.checksums import frame_checksums, image_checksum, properties_checksum, text_checksum
+from recordings.color import read_color
 from recordings.errors import RecordingError
 from recordings.rrd_file import Columns, RrdFile, read_columns
 from recordings.rvl import decode_depth
@@ -223,6 +224,10 @@ class Session:
                     raise RecordingError(f"{self.path}: the depth image of frame {frame} is damaged.")
                 if frame < len(self):
                     yield frame, decode_depth(blob)
+
+    def color(self, side: str) -> Iterator[tuple[int, ColorImage]]:
+        """Colour images of a sensor, as :meth:`depth` gives depth images."""
+        return ((frame, image) for frame, image in read_color(self.path, side) if frame < len(self))
 
 
 def _images(file: RrdFile, entity: str) -> Iterator[tuple[int, bytes, int | None]]:

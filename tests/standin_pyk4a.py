@@ -10,6 +10,7 @@ import types
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 import pytest
 
@@ -18,6 +19,7 @@ _new_capsule.restype = ctypes.py_object
 _new_capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
 _CAPTURE_NAME = ctypes.c_char_p(b"pyk4a capture handle")
 _CALIBRATION_NAME = ctypes.c_char_p(b"pyk4a calibration handle")
+JPEG = cv2.imencode(".jpg", np.full((72, 128, 3), (40, 120, 200), np.uint8))[1].tobytes()
 
 
 class K4AException(Exception):  # noqa: N818
@@ -47,6 +49,7 @@ class Device:
     clock_usec: int = 1_000_000
     captures: int = 0
     interval_usec: int = 33_333
+    color: bool = False
     paced: bool = False  # captures come when they are due, by the machine's clock
     begun: float | None = None
     at: dict[int, Callable[[], object]] = field(default_factory=dict)  # what happens at which capture
@@ -80,7 +83,7 @@ class Capture:
         shape = (576, 640)
         self.depth = None if device.blind else np.full(shape, 2000 + device.captures, np.uint16)
         self.ir = np.full(shape, 900, np.uint16)
-        self.color = np.zeros(0, np.uint8)
+        self.color = np.frombuffer(JPEG, np.uint8).copy() if device.color else None
         self.depth_timestamp_usec = device.clock_usec
         self.depth_system_timestamp_nsec = 0
         self._bus = bus
@@ -117,11 +120,16 @@ class Calibration:
         self._calibration_handle = _new_capsule(ctypes.addressof(self._struct), _CALIBRATION_NAME, None)
 
     def get_camera_matrix(self, camera: int) -> np.ndarray:
-        assert camera == 0, "the depth camera"
+        if camera == 1:
+            return np.array([[610.0, 0.0, 640.0], [0.0, 611.0, 365.0], [0.0, 0.0, 1.0]])
         return np.array([[504.0, 0.0, 332.0], [0.0, 505.0, 348.0], [0.0, 0.0, 1.0]])
 
+    def get_extrinsic_parameters(self, source: int, target: int) -> tuple[np.ndarray, np.ndarray]:
+        assert (source, target) == (0, 1), "depth to colour"
+        return np.eye(3), np.array([-0.032, 0.0, 0.004])  # metres, as pyk4a makes of the SDK's millimetres
+
     def get_distortion_coefficients(self, camera: int) -> np.ndarray:
-        assert camera == 0, "the depth camera"
+        assert camera in (0, 1)
         return np.array([0.5, -0.02, 1e-5, -7e-5, -0.003, 0.9, 0.09, -0.01])
 
 

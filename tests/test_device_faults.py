@@ -251,6 +251,27 @@ def test_fusion_goes_on_with_the_sensor_that_is_left_and_takes_the_other_back() 
     assert "000456 is back" in told
 
 
+def test_a_pause_of_the_reader_is_not_one_of_the_sensors() -> None:
+    now = [100.0]
+    bench = _Bench(clock=lambda: now[0])
+
+    def put_and_wait() -> None:
+        received = bench.two.a.received + 1
+        bench.put(bench.a, bench.b)
+        end = time.monotonic() + PATIENCE_S
+        while min(bench.two.a.received, bench.two.b.received) < received:
+            assert time.monotonic() < end, "nothing came"
+
+    with bench.two as two:
+        put_and_wait()
+        assert len(two.poll()) == 1
+        for _ in range(8):  # as many as wait at most, over more time than a sensor may be silent
+            now[0] += 0.1
+            put_and_wait()
+        assert [pair.b is not None for pair in two.poll()] == [True] * 8
+        assert (two.a.dropped, two.b.dropped) == (0, 0)
+
+
 def test_a_sensor_that_does_not_open_closes_the_other() -> None:
     bench = _Bench()
     bench.a.open_faults = [DeviceError("No Kinect with serial 000123.")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -22,13 +23,18 @@ def _by_name(checks: list[Check]) -> dict[str, Check]:
 
 
 def plug_in(
-    root: Path, serial: str = "000123", product: str = "097c", speed: int = 5000, number: int = 7
+    root: Path,
+    serial: str = "000123",
+    product: str = "097c",
+    speed: int = 5000,
+    number: int = 7,
+    vendor: str = "045e",
 ) -> Path:
     """Puts a depth camera on a made-up machine's bus, as Linux shows it."""
     entry = root / "sys/bus/usb/devices" / f"2-{number}"
     entry.mkdir(parents=True)
     content = {
-        "idVendor": "045e",
+        "idVendor": vendor,
         "idProduct": product,
         "serial": serial,
         "busnum": "2",
@@ -54,14 +60,18 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    monkeypatch.delenv("DISPLAY", raising=False)
     checks = device_checks(TrackerSettings(library=tmp_path / "libk4abt.so"), tmp_path)
     named = _by_name(checks)
     for name in (
         "pyk4a and the Sensor SDK",
         "body tracker",
         "body tracker's network",
+        "depth engine",
         "USB permission",
         "two Kinects",
+        "GPU",
     ):
         assert not named[name].ok, name
         assert named[name].needed, name
@@ -69,10 +79,23 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
     assert "duplex-kinects[kinect]" in named["pyk4a and the Sensor SDK"].advice
 
 
-def test_a_machine_with_all_of_it_can_start(bus: Bus, standin: Standin, tmp_path: Path) -> None:
+def furnish(root: Path) -> None:
+    """Puts on a made-up machine what the sensors and the tracker need beside their libraries."""
+    for file in (
+        "usr/bin/dnn_model_2_0_op11.onnx",
+        "usr/lib/x86_64-linux-gnu/libk4a1.4/libdepthengine.so.2.0",
+        "proc/driver/nvidia/version",
+    ):
+        (root / file).parent.mkdir(parents=True)
+        (root / file).touch()
+
+
+def test_a_machine_with_all_of_it_can_start(
+    bus: Bus, standin: Standin, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("DISPLAY", ":0")
+    furnish(tmp_path)
     bus.devices = [Device("000123", jacks=(False, True)), Device("000456", jacks=(True, False))]
-    (tmp_path / "usr/bin").mkdir(parents=True)
-    (tmp_path / "usr/bin/dnn_model_2_0_op11.onnx").touch()
     for number, serial in enumerate(("000123", "000456")):
         plug_in(tmp_path, serial, number=number)
     checks = device_checks(TrackerSettings(library=standin.path), tmp_path)
@@ -80,6 +103,56 @@ def test_a_machine_with_all_of_it_can_start(bus: Bus, standin: Standin, tmp_path
     named = _by_name(checks)
     assert named["Kinect 000123"].detail == "sync in empty, sync out connected"
     assert named["Kinect 000456"].detail == "sync in connected, sync out empty"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere no display is asked for")
+@pytest.mark.parametrize(
+    ("lacks", "check", "needed"),
+    [
+        ("DISPLAY", "depth engine", True),
+        ("libdepthengine", "depth engine", False),
+        ("nvidia", "GPU", True),
+        ("onnx", "body tracker's network", True),
+    ],
+)
+@pytest.mark.usefixtures("bus")
+def test_one_thing_that_is_missing_is_the_one_that_fails(
+    standin: Standin, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, lacks: str, check: str, needed: bool
+) -> None:
+    monkeypatch.setenv("DISPLAY", "" if lacks == "DISPLAY" else ":0")
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    furnish(tmp_path)
+    for file in tmp_path.rglob("*"):
+        if lacks in str(file.relative_to(tmp_path)) and file.is_file():
+            file.unlink()
+    named = _by_name(device_checks(TrackerSettings(library=standin.path), tmp_path))
+    wanted = {"depth engine", "GPU", "body tracker's network", "body tracker"}
+    assert [name for name in named if name in wanted and not named[name].ok] == [check]
+    assert named[check].needed == needed
+    assert named[check].advice
+
+
+def test_a_tracker_on_the_cpu_needs_no_gpu(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    gpu = _by_name(device_checks(TrackerSettings(processing="cpu"), tmp_path))["GPU"]
+    assert (gpu.ok, gpu.needed) == (False, False)
+
+
+def test_an_orbbecs_udev_rule_counts_too(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    rules = tmp_path / "etc/udev/rules.d"
+    rules.mkdir(parents=True)
+    assert not _by_name(device_checks(root=tmp_path))["USB permission"].ok
+    (rules / "99-obsensor-libusb.rules").touch()
+    assert _by_name(device_checks(root=tmp_path))["USB permission"].ok
+
+
+@pytest.mark.parametrize(("vendor", "product"), [("045e", "097c"), ("2bc5", "066b"), ("2bc5", "0669")])
+def test_the_azure_kinect_and_its_successors_are_known(tmp_path: Path, vendor: str, product: str) -> None:
+    plug_in(tmp_path, product=product, vendor=vendor)
+    assert [kinect.serial for kinect in usb_kinects(tmp_path)] == ["000123"]
 
 
 def test_it_says_what_has_never_met_hardware(bus: Bus, tmp_path: Path) -> None:

@@ -6,17 +6,21 @@ import gc
 import itertools
 import sys
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
 from standin import Standin
-from standin_pyk4a import Bus, Device
+from standin_pyk4a import JPEG, Bus, Device
 
 from devices.body_tracking import TrackerSettings
 from devices.kinect import KinectSensor, KinectSettings
 from devices.kinect_access import ConnectedKinect, capsule_pointer, connected_kinects
 from devices.kinect_choice import NeedsChoiceError, choose_two, sync_master
-from devices.sensor import DeviceError, Interruptible
+from devices.sensor import ColorCamera, ColorImage, DeviceError, Interruptible
+from devices.sensor_thread import SensorThread
+from fusion.rigid import RigidTransform
+from fusion.viewing_plane import Intrinsics
 
 
 @pytest.fixture
@@ -84,6 +88,54 @@ def test_colour_off_asks_for_unsynchronised_images(two: Bus) -> None:
     off, on = two.configs
     assert (off.color_resolution, off.synchronized_images_only) == (0, False)
     assert (on.color_resolution, on.synchronized_images_only, on.color_format) == (2, True, 0)
+
+
+def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two: Bus) -> None:
+    for device in two.devices:
+        device.color = True
+    with _sensor(color="720P") as sensor:
+        (frame,) = itertools.islice(sensor.frames(), 1)
+    assert frame.color is not None
+    assert frame.color.jpeg == JPEG
+    lens = frame.color.camera.intrinsics
+    assert (lens.width, lens.height, lens.fx, lens.cy) == (1280, 720, 610, 365)
+    assert frame.color.camera.color_from_depth.translation.tolist() == [-0.032, 0.0, 0.004]
+
+
+def test_a_thousand_openings_of_sensor_and_tracker_leak_nothing(bus: Bus, standin: Standin) -> None:
+    bus.native, bus.devices = standin.library, [Device("000123")]
+    descriptors = Path("/proc/self/fd")
+
+    def cycle() -> None:
+        sensor = KinectSensor("000123", tracker=TrackerSettings(library=standin.path))
+        with SensorThread(sensor) as thread:
+            while thread.received == 0:
+                thread.arrival.wait(10.0)
+                thread.arrival.clear()
+
+    def held() -> tuple[int, int, object]:
+        gc.collect()
+        open_files = len(list(descriptors.iterdir())) if descriptors.is_dir() else 0
+        return threading.active_count(), open_files, standin.alive
+
+    cycle()
+    before = held()
+    for _ in range(1000):
+        cycle()
+    assert held() == before == (*before[:2], 0)
+    assert bus.open_serials == []
+
+
+@pytest.mark.usefixtures("two")
+def test_a_colour_image_that_is_cut_off_is_left_out() -> None:
+    camera = ColorCamera(Intrinsics(128, 72, 60, 60, 64, 36), RigidTransform.identity())
+    assert ColorImage.of(JPEG, camera) is not None
+    for damaged in (b"", JPEG[:-1], JPEG[1:], JPEG[: len(JPEG) // 2]):
+        assert ColorImage.of(damaged, camera) is None
+    with _sensor(color="720P") as sensor:  # whose captures have no colour here
+        (frame,) = itertools.islice(sensor.frames(), 1)
+    assert frame.color is None
+    assert frame.depth is not None
 
 
 @pytest.mark.parametrize(("sync", "jack"), [("master", "out"), ("subordinate", "in")])

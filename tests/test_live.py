@@ -88,6 +88,8 @@ def test_a_calibration_from_before_is_kept() -> None:
 class ResetSensors:
     """Two sensors, of which A's clock is set back by a second, and A then misses a frame."""
 
+    stream_figures = None
+
     def pairs(self) -> Iterator[LivePair]:
         truth = standing(KINECT_V1)
         for t in range(4):

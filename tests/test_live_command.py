@@ -4,26 +4,32 @@ from __future__ import annotations
 
 import ctypes
 import io
+import json
 import os
 import signal
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from session_text import events_of, rows_of
 from standin import Standin
-from standin_pyk4a import Bus, Device, make_module
-from test_doctor import plug_in
+from standin_pyk4a import JPEG, Bus, Device, make_module
+from test_doctor import furnish, plug_in
 
 from devices import doctor as device_doctor
 from devices import kinect
+from devices.pairing import Pairing
 from devices.usb import UsbKinect
 from fusion.body import AZURE_KINECT
 from fusion.calibration import nominal_calibration
-from fusion.fuser import Fuser
+from fusion.fuser import Fuser, FuserSettings
 from recordings.calibration_file import calibration_to_json
+from recordings.rrd_file import read_columns
 from recordings.session import Session
 from viewer_app.cli import main
+from viewer_app.report import FusionResult
+from viewer_app.report import report as report_of
 
 FRAME_S = 1 / 30
 
@@ -70,8 +76,9 @@ def test_two_sensors_become_a_session_and_a_summary(
     said = " ".join(capsys.readouterr().out.split())
     for words in ("Sync cable: B leads, A captures 160 µs later", "Paired", "Largest bone error", "Saved"):
         assert words in said
-    # a second at 30 fps; pairs at either end may lack one sensor
-    assert 20 <= rows_of(saved, "/fused/skeleton") <= 33
+    captures = min(device.captures for device in kinects.devices)
+    # the first and the last may lack the other sensor; a machine that is busy elsewhere drops some
+    assert 0.5 * captures <= rows_of(saved, "/fused/skeleton") <= captures + 2
     assert kinects.open_serials == []
     assert kinects.started == ["000123", "000456"], "the subordinate first"
     modes = [(config.wired_sync_mode, config.subordinate_delay_off_master_usec) for config in kinects.configs]
@@ -100,6 +107,65 @@ def test_as_much_depth_is_saved_as_asked_for(
     assert live(standin, tmp_path / "s.rrd", "--depth", depth, seconds=0.4) == 0
     session = Session.open(tmp_path / "s.rrd")
     assert {image.shape for side in "ab" for _, image in session.depth(side)} == ({shape} if shape else set())
+
+
+def test_colour_and_depth_of_one_moment_are_in_the_session(
+    kinects: Bus, standin: Standin, tmp_path: Path
+) -> None:
+    for device in kinects.devices:
+        device.color = True
+    saved, part, again = (tmp_path / name for name in ("s.rrd", "part.rrd", "again.rrd"))
+    assert live(standin, saved, "--color", "720P") == 0
+    session = Session.open(saved)
+    for side in ("a", "b"):
+        depths, colors = [frame for frame, _ in session.depth(side)], dict(session.color(side))
+        assert len(colors) >= 5
+        assert [*colors] == depths
+        image = next(iter(colors.values()))
+        assert image.jpeg == JPEG, "as the camera made it"
+        assert image.camera.intrinsics.width == 1280
+        assert image.camera.color_from_depth.translation.tolist() == [-0.032, 0.0, 0.004]
+    assert duplex("trim", saved, "--from", 0.2, "--save", part) == 0
+    trimmed = Session.open(part)
+    assert 0 < len(dict(trimmed.color("a"))) == len(dict(trimmed.depth("a"))) < len(dict(session.color("a")))
+    assert duplex("replay", saved, "--no-viewer", "--save", again) == 0
+    assert [*dict(Session.open(again).color("b"))] == [*dict(session.color("b"))]
+
+
+def test_colour_is_off_unless_asked_for(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    for device in kinects.devices:
+        device.color = True
+    assert live(standin, tmp_path / "s.rrd", seconds=0.4) == 0
+    assert rows_of(tmp_path / "s.rrd", "/kinect_a/color") == 0
+
+
+def test_skew_drift_and_drops_are_on_the_timeline(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    _, b = kinects.devices
+    b.interval_usec = 40_000
+    saved = tmp_path / "s.rrd"
+    assert live(standin, saved, seconds=1.5) == 0
+    for name in ("skew_ms", "drift_ppm", "dropped", "unpaired"):
+        assert rows_of(saved, f"/quality/{name}") >= 2, name
+    counted = read_columns(saved, lambda entity: entity == "/quality/unpaired").values
+    unpaired = counted["/quality/unpaired", "Scalars:scalars"][1]
+    # one of six frames of A has no partner
+    assert unpaired[-1, 0] >= rows_of(saved, "/fused/skeleton") // 6 - 2 > 0
+    assert (np.diff(unpaired, axis=0) >= 0).all()
+
+
+def test_a_report_has_what_that_of_fuse_has(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    assert len(kinects.devices) == 2
+    report = tmp_path / "report.json"
+    assert live(standin, tmp_path / "s.rrd", "--report", report) == 0
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert figures["frames"]["a"] >= figures["paired"] > 0
+    assert figures["streams"]["clock_resets"] == 0
+    rows = Session.open(tmp_path / "s.rrd").rows
+    of_fuse = report_of(
+        FusionResult(Pairing([], 0, 0, 0, 0), nominal_calibration(AZURE_KINECT), FuserSettings(), rows)
+    )
+    assert of_fuse.keys() <= figures.keys()
+    assert live(standin, tmp_path / "t.rrd", "--report", report) == 2, "it exists already"
 
 
 def test_without_a_cable_it_says_what_that_costs(
@@ -201,7 +267,7 @@ def test_one_device(bus: Bus, capsys: pytest.CaptureFixture[str]) -> None:
 def test_unplugged_mid_stream(
     kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _, b = kinects.devices
+    a, b = kinects.devices
     b.at[15] = lambda: setattr(b, "plugged", False)
     saved = tmp_path / "s.rrd"
     assert live(standin, saved, seconds=1.6) == 0
@@ -211,7 +277,7 @@ def test_unplugged_mid_stream(
     assert "unplugged" in told[0]
     assert "Going on without it" in told[0]
     # A gives frames to the end: some 48, of which 15 with B
-    assert rows_of(saved, "/fused/skeleton") >= 35
+    assert rows_of(saved, "/fused/skeleton") >= 0.7 * a.captures > 15
     assert kinects.open_serials == []
 
 
@@ -242,13 +308,13 @@ def test_both_unplugged_end_when_asked(
 def test_stream_stalls(
     kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _, b = kinects.devices
+    a, b = kinects.devices
     b.at[10] = lambda: setattr(b, "silent", True)
     saved = tmp_path / "s.rrd"
     assert live(standin, saved, seconds=2.8) == 0
     assert "000456 stalls: no frame for 2 s" in " ".join(capsys.readouterr().out.split())
     assert any("stalls" in text for text in events_of(saved))
-    assert rows_of(saved, "/fused/skeleton") >= 60, "A goes on"
+    assert rows_of(saved, "/fused/skeleton") >= 0.7 * a.captures > 10, "A goes on"
 
 
 def test_tracker_crashes_to_an_error_code(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
@@ -265,14 +331,14 @@ def test_tracker_crashes_to_an_error_code(kinects: Bus, standin: Standin, tmp_pa
 def test_one_sensor_5_fps_slower(
     kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _, b = kinects.devices
+    a, b = kinects.devices
     b.interval_usec = 40_000
     saved = tmp_path / "s.rrd"
     assert live(standin, saved, seconds=1.5) == 0
     said = capsys.readouterr().out
     # every frame of A is fused, five of six with B
     fused = rows_of(saved, "/fused/skeleton")
-    assert fused >= 38
+    assert fused >= 0.7 * a.captures
     pairs = int(said[said.index("Paired") :].split()[1])
     assert 0.6 <= pairs / fused < 1.0
     assert not any("000" in text for text in events_of(saved)), "no event of a sensor"
@@ -315,7 +381,8 @@ def test_the_doctor_of_a_bare_machine_fails(
     assert said[0].startswith("✗ pyk4a and the Sensor SDK: ")
     assert any(line.startswith(f"✗ body tracker: No library at {tmp_path}") for line in said)
     assert any(line.startswith("✓ viewer: rerun 0.") for line in said)
-    assert said[-1].startswith("duplex live cannot start: pyk4a and the Sensor SDK, body tracker")
+    assert said[-1].startswith("duplex live cannot start: pyk4a and the Sensor SDK, ")
+    assert ", body tracker, " in said[-1]
     assert all(line[:2] in ("✓ ", "✗ ", "– ") for line in said[:-1]), "one line each"
 
 
@@ -326,23 +393,20 @@ def test_the_doctor_says_0_where_live_starts(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    model = standin.path.with_name("dnn_model_2_0_op11.onnx")
-    model.touch()
-    try:
-        for number, device in enumerate(kinects.devices):
-            plug_in(tmp_path, device.serial, number=number)
-        checks = device_doctor.device_checks
-        monkeypatch.setattr("viewer_app.doctor_command.device_checks", lambda of: checks(of, tmp_path))
-        assert duplex("doctor", "--k4abt", standin.path) == 0
-        said = capsys.readouterr().out
-        assert "✓ two Kinects: 2 connected, 2 usable" in said
-        assert "✓ sync cable: from 000456 to 000123" in said
-        assert "never a real sensor" in said
-        assert said.endswith("duplex live can start.\n")
-        assert live(standin, tmp_path / "s.rrd", seconds=0.2) == 0
-        kinects.devices[0].jacks = (False, False)
-        assert duplex("doctor", "--k4abt", standin.path) == 1
-        assert "joins no sync out to a sync in" in capsys.readouterr().out
-        assert live(standin, tmp_path / "t.rrd", seconds=0.2) == 2
-    finally:
-        model.unlink()
+    monkeypatch.setenv("DISPLAY", ":0")
+    furnish(tmp_path)
+    for number, device in enumerate(kinects.devices):
+        plug_in(tmp_path, device.serial, number=number)
+    checks = device_doctor.device_checks
+    monkeypatch.setattr("viewer_app.doctor_command.device_checks", lambda of: checks(of, tmp_path))
+    assert duplex("doctor", "--k4abt", standin.path) == 0
+    said = capsys.readouterr().out
+    assert "✓ two Kinects: 2 connected, 2 usable" in said
+    assert "✓ sync cable: from 000456 to 000123" in said
+    assert "never a real sensor" in said
+    assert said.endswith("duplex live can start.\n")
+    assert live(standin, tmp_path / "s.rrd", seconds=0.2) == 0
+    kinects.devices[0].jacks = (False, False)
+    assert duplex("doctor", "--k4abt", standin.path) == 1
+    assert "joins no sync out to a sync in" in capsys.readouterr().out
+    assert live(standin, tmp_path / "t.rrd", seconds=0.2) == 2

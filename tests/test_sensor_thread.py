@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import DeviceError
 from devices.sensor_thread import SensorState, SensorThread
 
 
@@ -38,7 +38,7 @@ def thread(sensor: ScriptedSensor) -> Iterator[SensorThread]:
 def test_frames_come_in_order(sensor: ScriptedSensor, thread: SensorThread) -> None:
     sensor.put(frame_at(1), frame_at(2))
     _after(sensor)
-    assert [frame.time_ns for frame in thread.take()] == [1, 2]
+    assert [frame.time_ns for _, frame in thread.take()] == [1, 2]
     assert thread.take() == []
     assert (thread.received, thread.dropped) == (2, 0)
 
@@ -46,7 +46,7 @@ def test_frames_come_in_order(sensor: ScriptedSensor, thread: SensorThread) -> N
 def test_the_newest_frames_win_and_drops_are_counted(sensor: ScriptedSensor, thread: SensorThread) -> None:
     sensor.put(*(frame_at(index) for index in range(100)))
     _after(sensor)
-    assert [frame.time_ns for frame in thread.take()] == [98, 99]
+    assert [frame.time_ns for _, frame in thread.take()] == [98, 99]
     assert (thread.received, thread.dropped) == (100, 98)
 
 
@@ -73,7 +73,7 @@ def test_frames_get_their_time_of_arrival(sensor: ScriptedSensor) -> None:
     with SensorThread(sensor, clock=lambda: 42.5) as thread:
         sensor.put(frame_at(1), frame_at(2, host_ns=7))
         _after(sensor)
-        assert [frame.host_ns for frame in thread.take()] == [42_500_000_000, 7]
+        assert [frame.host_ns for _, frame in thread.take()] == [42_500_000_000, 7]
 
 
 def test_a_sensor_that_does_not_open_raises_in_the_reader() -> None:
@@ -132,7 +132,7 @@ def test_a_lost_sensor_is_reopened_until_it_is_back(sensor: ScriptedSensor) -> N
         sensor.put(unplugged())
         sensor.put(frame_at(2))
         _after(sensor)
-        assert [frame.time_ns for frame in thread.take()] == [1, 2]
+        assert [frame.time_ns for _, frame in thread.take()] == [1, 2]
         assert pauses == [1.5] * 4
         assert thread.returns == 1
         assert thread.state is SensorState.RUNNING
@@ -183,7 +183,7 @@ def test_a_source_that_ends_is_ended_not_lost(sensor: ScriptedSensor) -> None:
         sensor.put(None)
         assert thread.arrival.wait(PATIENCE_S)
         assert thread.state is SensorState.ENDED
-        assert [frame.time_ns for frame in thread.take()] == [1]
+        assert [frame.time_ns for _, frame in thread.take()] == [1]
     assert sensor.opened == 1
 
 
@@ -249,7 +249,7 @@ def test_a_thousand_openings_leak_nothing() -> None:
         sensor.put(frame_at(1), frame_at(2))
         with SensorThread(sensor) as thread:
             _after(sensor)
-            frames: list[SensorFrame] = thread.take()
+            frames = [frame for _, frame in thread.take()]
             assert len(frames) == 2
 
     cycle()

@@ -29,6 +29,11 @@ _FIGURES = (
     ("fuse_ms", "fusion (ms)"),
     ("skew_ms", "skew (ms)"),
 )
+_STREAM_FIGURES = (
+    ("drift_ppm", "B's clock against A's (ppm)"),
+    ("dropped", "frames dropped"),
+    ("unpaired", "frames without a partner"),
+)
 _NEAR = 1.7  # metres from the person: a standing adult fills the view
 _FRUSTUM = rr.Pinhole.from_fields().visualizer()
 """Of a depth camera, without the image's own points."""
@@ -36,19 +41,28 @@ _FROM_ABOVE = np.array([-0.35, -0.6, -0.7])
 """From behind K_A's left shoulder, looking down: y is down, z ahead."""
 
 
-def session_blueprint(fuser: Fuser, person_at: NDArray[np.float64], active: Layout) -> rrb.Blueprint:
+def session_blueprint(
+    fuser: Fuser,
+    person_at: NDArray[np.float64],
+    active: Layout,
+    *,
+    live: bool = False,
+    color: bool = False,
+) -> rrb.Blueprint:
     """All layouts, with one of them open.
 
     Args:
         fuser: Whose body, sensors and placement are shown.
         person_at: (3,) metres in K_A's frame: where to look.
         active: The layout that is open at first.
+        live: Whether two running sensors are shown, with figures of how their streams go.
+        color: Whether they give colour images.
     """
     body = fuser.calibration.body
     return rrb.Blueprint(
         rrb.Tabs(
-            _setup(fuser, person_at),
-            _inspect(body, person_at),
+            _setup(fuser, person_at, color),
+            _inspect(body, person_at, live),
             _report(body),
             active_tab=LAYOUTS.index(active),
         ),
@@ -64,8 +78,8 @@ def inspect_blueprint(body: Body, person_at: NDArray[np.float64]) -> rrb.Bluepri
     return session_blueprint(Fuser(nominal_calibration(body)), person_at, "inspect")
 
 
-def _setup(fuser: Fuser, person_at: NDArray[np.float64]) -> rrb.Container:
-    images = [
+def _setup(fuser: Fuser, person_at: NDArray[np.float64], color: bool) -> rrb.Container:
+    depths = [
         rrb.Spatial2DView(
             origin=layout.depth(side),
             contents=["$origin/**", layout.skeleton(side)],
@@ -74,6 +88,11 @@ def _setup(fuser: Fuser, person_at: NDArray[np.float64]) -> rrb.Container:
         )
         for side, camera in zip(layout.SIDES, (fuser.intrinsics_a, fuser.intrinsics_b), strict=True)
     ]
+    images: list[rrb.View | rrb.Container] = [*depths]
+    if color:
+        images = [
+            rrb.Tabs(_color_view(side), depth) for side, depth in zip(layout.SIDES, depths, strict=True)
+        ]
     b_at = fuser.calibration.a_from_b.translation
     if not b_at.any():  # nobody knows yet: where it should be, 90° round the person
         b_at = person_at + np.linalg.norm(person_at) * np.array([1.0, 0.0, 0.0])
@@ -91,7 +110,13 @@ def _setup(fuser: Fuser, person_at: NDArray[np.float64]) -> rrb.Container:
     )
 
 
-def _inspect(body: Body, person_at: NDArray[np.float64]) -> rrb.Container:
+def _color_view(side: str) -> rrb.Spatial2DView:
+    entity = layout.color(side)
+    contents = ["$origin/**", layout.skeleton(side)]
+    return rrb.Spatial2DView(origin=entity, contents=contents, name=f"Kinect {side.upper()}, colour")
+
+
+def _inspect(body: Body, person_at: NDArray[np.float64], live: bool) -> rrb.Container:
     away = person_at / max(float(np.linalg.norm(person_at)), 1e-6)
     beside = person_at - _NEAR * away + np.array([0.4, -0.2, 0.0])  # so that K_B shows too
     limbs = [f"{bone}_{side}" for bone in _LIMBS for side in ("left", "right")]
@@ -113,6 +138,7 @@ def _inspect(body: Body, person_at: NDArray[np.float64]) -> rrb.Container:
             ),
             rrb.Tabs(
                 *(_plot(*figure) for figure in _FIGURES),
+                *(_plot(*figure, legend=True) for figure in (_STREAM_FIGURES if live else ())),
                 rrb.StateTimelineView(
                     origin="/",
                     contents=[layout.state_lane(side, joint) for joint in prominent for side in layout.SIDES],

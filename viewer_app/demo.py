@@ -69,7 +69,7 @@ def run(options: DemoOptions) -> None:
     )
     start = truth.positions_at(0)
     nominal = Fuser(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
-    blueprint = session_blueprint(nominal, np.asarray(start.mean(axis=0)), options.layout)
+    blueprint = session_blueprint(nominal, np.asarray(start.mean(axis=0)), options.layout, live=True)
     warm_up(nominal, console)
     console.print(
         f"A simulated person ({escape(options.motion)}) before two Kinects {options.angle:.0f}° apart, "

@@ -59,8 +59,8 @@ def program_checks(root: Path = Path("/")) -> list[Check]:
 def _display() -> Check:
     if has_display():
         return Check("display", True, os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY") or "yes")
-    advice = "Use duplex live --save FILE.rrd and look at the file on another machine."
-    # live saves without one, so it can start
+    advice = "Use duplex live --save FILE.rrd --no-viewer and look at the file on another machine."
+    # live saves without one; what sensors need of a display is the depth engine's line
     return Check("display", False, "neither DISPLAY nor WAYLAND_DISPLAY is set", advice, needed=False)
 
 

@@ -40,6 +40,9 @@ def run(options: InfoOptions) -> None:
     if np.isfinite(session.calibration_residual):
         row("views differ by", f"{session.calibration_residual * 1e3:.0f} mm (median)")
     row("depth images", ", ".join(f"{side.upper()} {session.depth_count(side)}" for side in layout.SIDES))
+    colors = {side: sum(1 for _ in session.color(side)) for side in layout.SIDES}
+    if any(colors.values()):
+        row("colour images", ", ".join(f"{side.upper()} {count}" for side, count in colors.items()))
     row("size", f"{size / 1e6:.1f} MB, {size / max(seconds, 1e-9) * 60 / 1e6:.1f} MB a minute")
     row("events", len(session.events))
     row(

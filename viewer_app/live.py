@@ -152,7 +152,7 @@ def run_live(
         if found is not None:
             fuser = Fuser(found, settings, *intrinsics)
             recorder.calibrate(fuser)
-        frame = fuse_one(fuser, pair)
+        frame = replace(fuse_one(fuser, pair), streams=sensors.stream_figures)
         if truth_at is not None:
             if pair.a is not None:  # A's own time: a pair's goes on where A's clock is reset
                 ahead_ns = pair.time_ns - pair.a.time_ns

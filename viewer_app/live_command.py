@@ -33,9 +33,10 @@ from viewer_app.images import thinned_camera
 from viewer_app.live import Status, run_live
 from viewer_app.live_display import LiveDisplay
 from viewer_app.live_session import LiveSession, Viewing
-from viewer_app.live_summary import check_saved, print_saved, print_session
+from viewer_app.live_summary import check_saved, print_saved, print_session, session_report
 from viewer_app.options import LiveOptions
 from viewer_app.outputs import check_outputs, warn_of_little_room, whole_file
+from viewer_app.report import report_to_json
 from viewer_app.run import warm_up
 from viewer_app.viewing import announce, choose_viewing
 
@@ -62,7 +63,7 @@ def check(options: LiveOptions) -> None:
     """
     _viewing(options)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
-    check_outputs((options.save, options.save_calibration), read, options.force)
+    check_outputs((options.save, options.report, options.save_calibration), read, options.force)
     if options.seconds is not None and not 0.0 < options.seconds < float("inf"):
         raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
     if options.calibrate != "auto" and not Path(options.calibrate).exists():
@@ -130,7 +131,9 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             if options.save is not None:
                 warn_of_little_room(options.save, console)
             announce(viewing, console)
-            blueprint = session_blueprint(nominal, _PERSON_AT, options.layout)
+            blueprint = session_blueprint(
+                nominal, _PERSON_AT, options.layout, live=True, color=options.color != "off"
+            )
             session = opened.enter_context(
                 LiveSession(
                     *(nominal, (a.name, b.name), blueprint),
@@ -160,6 +163,10 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             for warning in sensor.warnings if isinstance(sensor, KinectSensor) else ():
                 console.print(warning, style="yellow", highlight=False, markup=False)
         print_session(console, fuser, frames, sensors)
+        if options.report is not None:
+            with whole_file(options.report) as partial:
+                figures = session_report(fuser, frames, sensors)
+                partial.write_text(report_to_json(figures), encoding="utf-8")
         if options.save is not None:
             print_saved(console, options.save, session)
         if options.save_calibration is not None:

@@ -12,7 +12,7 @@ from fusion.fuser import Fuser
 from recordings.arrays import RecordedFrame, SessionArrays
 from viewer_app.errors import UsageError
 from viewer_app.live_session import LiveSession
-from viewer_app.report import method_figures, print_method, say_saved
+from viewer_app.report import Figures, fusion_figures, method_figures, print_method, say_saved
 
 
 def print_frames(console: Console, sensors: TwoSensors) -> None:
@@ -46,6 +46,37 @@ def rows_since_calibration(fuser: Fuser, frames: Sequence[RecordedFrame]) -> Ses
     last = [frame for frame in frames if frame.fused.a_from_b.rotation is rotation]
     calibration = fuser.calibration
     return SessionArrays.stack(calibration.body, calibration.bone_lengths, last) if last else None
+
+
+def session_report(fuser: Fuser, frames: Sequence[RecordedFrame], sensors: TwoSensors) -> Figures:
+    """What ``duplex fuse --report`` writes, of a live session, and how its streams went.
+
+    As in the summary, frames are counted since the start, and the rest is of the last minute, whose length is
+    ``seconds``; without a fused frame there is no rest.
+    """
+    counted = sensors.figures
+    figures: Figures = {
+        "frames": {"a": sensors.a.received, "b": sensors.b.received},
+        "paired": counted.pairs,
+        "alone": {"a": counted.alone_a, "b": counted.alone_b},
+        "dropped": {"a": sensors.a.dropped, "b": sensors.b.dropped + counted.unmatched_b},
+        "streams": {
+            "too_slow_for": {"a": sensors.a.dropped, "b": sensors.b.dropped},
+            "unmatched_b": counted.unmatched_b,
+            "late": counted.late,
+            "repeated": counted.repeated,
+            "out_of_order": counted.reordered,
+            "clock_resets": counted.resets,
+            "lost_and_back": {"a": sensors.a.returns, "b": sensors.b.returns},
+            "clock_offset_ms": None if counted.offset_ns is None else counted.offset_ns * 1e-6,
+            "drift_ppm": counted.drift_ppm,
+        },
+    }
+    rows = rows_since_calibration(fuser, frames)
+    if rows is not None:
+        figures["seconds"] = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
+        figures |= fusion_figures(fuser.calibration, fuser.settings, rows)
+    return figures
 
 
 def print_session(

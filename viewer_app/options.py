@@ -142,6 +142,8 @@ class LiveOptions:
     """Keep the sensors' placement and the bone lengths in a file."""
     seconds: float | None = None
     """End after so many seconds; with Ctrl-C if not given."""
+    report: Path | None = None
+    """Write all figures of the summary as JSON."""
     save: Path | None = None
     """Keep the session as an .rrd file."""
     no_viewer: bool = False

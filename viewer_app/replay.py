@@ -67,6 +67,8 @@ def run(options: ReplayOptions) -> None:
             for side in layout.SIDES:
                 for frame, image in session.depth(side):
                     recorder.record_depth(side, frame, int(session.rows.time_ns[frame]), image)
+                for frame, color in session.color(side):
+                    recorder.record_color(side, frame, int(session.rows.time_ns[frame]), color)
         recorder.finish()
 
     rows = SessionArrays.stack(session.body, session.calibration.bone_lengths, frames)

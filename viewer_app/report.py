@@ -45,13 +45,23 @@ class FusionResult:
 
 def report(result: FusionResult) -> Figures:
     """The report as plain data; figures that do not exist are None."""
-    rows, pairing = result.rows, result.pairing
-    registration = result.calibration.registration
+    pairing = result.pairing
     figures: Figures = {
         "frames": {"a": pairing.frames_a, "b": pairing.frames_b},
         "paired": len(pairing.pairs) - pairing.alone_a - pairing.alone_b,
         "alone": {"a": pairing.alone_a, "b": pairing.alone_b},
         "dropped": {"a": pairing.dropped_a, "b": pairing.dropped_b},
+        **fusion_figures(result.calibration, result.settings, result.rows),
+    }
+    if result.exact is not None:
+        figures["compared_with_exact"] = _comparison(result.rows, result.exact)
+    return figures
+
+
+def fusion_figures(calibration: Calibration, settings: FuserSettings, rows: SessionArrays) -> Figures:
+    """What a report says of fused frames, wherever they came from."""
+    registration = calibration.registration
+    return {
         "stale": {"a": int(rows.stale_a.sum()), "b": int(rows.stale_b.sum())},
         "without_person": {
             "a": int((rows.states_a == 0).all(axis=1).sum()),
@@ -59,16 +69,16 @@ def report(result: FusionResult) -> Figures:
             "both": int(rows.predicted.all(axis=1).sum()),
         },
         "settings": {
-            "h": result.settings.h,
-            "solver": result.settings.solver,
-            "weights": result.settings.weights,
+            "h": settings.h,
+            "solver": settings.solver,
+            "weights": settings.weights,
         },
         "calibration": {
-            "how": result.calibration.how,
+            "how": calibration.how,
             "residual_mm": None
             if registration is None
             else {"median": registration.residual_median * 1e3, "rms": registration.residual_rms * 1e3},
-            "axes_angle_deg": math.degrees(result.calibration.axes_angle),
+            "axes_angle_deg": math.degrees(calibration.axes_angle),
             "rotation_sd_deg": None if registration is None else math.degrees(registration.rotation_sd),
             "frames": None if registration is None else registration.frames,
             "worst_joints_mm": {}
@@ -77,9 +87,6 @@ def report(result: FusionResult) -> Figures:
         },
         **method_figures(rows),
     }
-    if result.exact is not None:
-        figures["compared_with_exact"] = _comparison(rows, result.exact)
-    return figures
 
 
 def method_figures(rows: SessionArrays) -> Figures:
