@@ -53,6 +53,18 @@ def fused_checksums(fused: NDArray[np.float64]) -> NDArray[np.uint32]:
     return _checksums(fused)
 
 
+def joint_digests(fused: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """(T, J) a byte for each joint of (T, J, 3) S* in float64: which of a frame's joints is another.
+
+    Of 256 changes one goes unnoticed, which the frame's own checksum notices.
+    """
+    bits = np.where(np.isnan(fused), np.nan, fused).view(np.uint64)
+    mixed = (bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0xD6E8FEB86659FD93], np.uint64)).sum(
+        axis=2
+    )
+    return np.asarray(mixed >> np.uint64(56)).astype(np.uint8)
+
+
 def properties_checksum(properties: Mapping[str, Mapping[str, Any]]) -> int:
     """CRC-32 of names and values; an array and a list of its values are the same."""
 

@@ -15,7 +15,7 @@ from rich.progress import track
 from devices.pairing import Pairing
 from recordings import layout
 from recordings.arrays import RecordedFrame, SessionArrays
-from recordings.checksums import fused_checksums
+from recordings.checksums import fused_checksums, joint_digests
 from recordings.recorder import Recorder
 from recordings.session import Session
 from viewer_app.blueprint import inspect_blueprint
@@ -91,18 +91,19 @@ def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bo
         console.print(f"[bold]Verified[/]: S* of all {len(session)} frames is the recorded one, bit for bit.")
         return True
     t = int(differing[0])
+    recorded = session.rows.fused[t].astype(np.float32)
     visible = np.flatnonzero(
-        ~np.isclose(
-            fused.astype(np.float32), session.rows.fused.astype(np.float32), 0, 0, equal_nan=True
-        ).all(axis=2)
+        ~np.isclose(fused[t].astype(np.float32), recorded, 0, 0, equal_nan=True).all(axis=1)
     )
+    invisible = np.flatnonzero(joint_digests(fused[t : t + 1])[0] != session.joint_digests[t])
     apart = np.linalg.norm(fused - session.rows.fused, axis=2)
     one_missing = (np.isnan(fused) != np.isnan(session.rows.fused)).any()
+    where = f"frame {t}"
     if len(visible):
-        t, j = (int(k) for k in np.unravel_index(visible[0], apart.shape))
-        where = f"frame {t}, joint {session.body.joints[j]}, by {apart[t, j] * 1e3:.3g} mm"
-    else:
-        where = f"frame {t}, by less than the file's float32 shows"
+        j = int(visible[0])
+        where += f", joint {session.body.joints[j]}, by {apart[t, j] * 1e3:.3g} mm"
+    elif len(invisible):
+        where += f", joint {session.body.joints[invisible[0]]}, by less than the file's float32 shows"
     worst = "only one has an S* in some frame" if one_missing else f"at most {np.nanmax(apart) * 1e3:.3g} mm"
     # a joint without data follows the frame before, which a session trimmed at its beginning does not have
     settled = int(np.argmin(session.rows.predicted.any(axis=1)))
