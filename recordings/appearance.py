@@ -5,6 +5,8 @@ from __future__ import annotations
 import colorsys
 
 import rerun as rr
+from rerun.blueprint import Visualizer
+from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from fusion.body import Body
 from fusion.viewing_plane import Intrinsics
@@ -63,8 +65,8 @@ def camera(intrinsics: Intrinsics, side: str) -> rr.Pinhole:
     )
 
 
-def weight_lines(body: Body) -> rr.SeriesLines:
-    """Hues around the wheel; a joint and its mirror image share one, the right side is paler."""
+def weight_lines(body: Body, side: str) -> Visualizer:
+    """A sensor's weights; a joint and its mirror image share a hue, the right side is paler."""
     prominent = [body.joint(name) for name in layout.PROMINENT_JOINTS]
     hue = {joint: k // 2 / (len(prominent) // 2) for k, joint in enumerate(prominent)}
     colors = []
@@ -74,9 +76,10 @@ def weight_lines(body: Body) -> rr.SeriesLines:
             0.1 + hue.get(joint, first / len(body)), 0.85 if joint == first else 0.45, 0.9
         )
         colors.append((int(255 * rgb[0]), int(255 * rgb[1]), int(255 * rgb[2])))
-    return rr.SeriesLines(
+    look = rr.SeriesLines(
         names=body.joints, colors=colors, visible_series=[j in hue for j in range(len(body))]
     )
+    return _lines(look, layout.weight(side))
 
 
 DEPTH = rr.EncodedDepthImage.from_fields(colormap=rr.components.Colormap.Grayscale)
@@ -86,37 +89,51 @@ STATE_LANES = rr.StateConfiguration(
     values=layout.STATE_NAMES, labels=layout.STATE_NAMES, colors=layout.STATE_COLORS
 )
 
-BONE_LINES = rr.SeriesLines(
-    names=[*(layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")), "target"],
-    colors=[*(layout.SKELETON_COLORS[key] for key in ("a", "b", "fused")), layout.TARGET_COLOR],
-    widths=[1.0, 1.0, 2.5, 1.0],
-)
 
-_OF_BOTH = {
-    "stale": "stale",
-    "tracked_joints": "tracked by",
-    "dropped": "dropped of",
-    "unpaired": "without a partner, of",
-}
-"""Figures with a value a sensor."""
+def bone_lines(bone: str) -> Visualizer:
+    """A bone's length as in the paper's fig. 5."""
+    look = rr.SeriesLines(
+        names=[*(layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")), "target"],
+        colors=[*(layout.SKELETON_COLORS[key] for key in ("a", "b", "fused")), layout.TARGET_COLOR],
+        widths=[1.0, 1.0, 2.5, 1.0],
+    )
+    return _lines(look, layout.BONE_LENGTHS, bone)
 
-QUALITY_LINES = {
+
+def figure_lines(name: str) -> Visualizer:
+    """One of the figures of layout.QUALITY; its name ends in its unit where it has one."""
+    words = name.replace("_mm", " (mm)").replace("_ms", " (ms)").replace("_", " ")
+    return _lines(rr.SeriesLines(names=words, colors=layout.SKELETON_COLORS["fused"]), layout.FIGURES, name)
+
+
+def tracked_lines() -> Visualizer:
+    """How many joints each sensor tracks."""
+    look = rr.SeriesLines(
+        names=[f"tracked by {side.upper()}" for side in layout.SIDES],
+        colors=[layout.SKELETON_COLORS[side] for side in layout.SIDES],
+    )
+    return _lines(look, layout.OF_EACH_SENSOR, "tracked_joints")
+
+
+def _lines(look: rr.SeriesLines, component: str, field: str | None = None) -> Visualizer:
+    """Draws a component that is no Scalars, or one field of it."""
+    source = VisualizerComponentMapping(
+        "Scalars:scalars",
+        ComponentSourceKind.SourceComponent,
+        source_component=component,
+        selector=None if field is None else f".{field}",
+    )
+    return look.visualizer(mappings=[source])
+
+
+STREAM_LINES = {
+    "drift_ppm": rr.SeriesLines(names="drift (ppm)", colors=layout.SKELETON_COLORS["fused"]),
     **{
         name: rr.SeriesLines(
-            names=[f"{title} A", f"{title} B"],
-            colors=[layout.SKELETON_COLORS["a"], layout.SKELETON_COLORS["b"]],
+            names=[f"{title} {side.upper()}" for side in layout.SIDES],
+            colors=[layout.SKELETON_COLORS[side] for side in layout.SIDES],
         )
-        for name, title in _OF_BOTH.items()
-    },
-    **{
-        name: rr.SeriesLines(
-            names=name.replace("_mm", " (mm)")
-            .replace("_ms", " (ms)")
-            .replace("_ppm", " (ppm)")
-            .replace("_", " "),
-            colors=layout.SKELETON_COLORS["fused"],
-        )
-        for name in (*layout.QUALITY_NAMES, *layout.STREAM_NAMES)
-        if name not in _OF_BOTH
+        for name, title in (("dropped", "dropped of"), ("unpaired", "without a partner, of"))
     },
 }
+"""Of how two running sensors' streams go, by :data:`layout.STREAM_NAMES`."""

@@ -37,14 +37,14 @@ class SessionArrays:
 
     Attributes:
         body: Which joints these are.
-        bone_lengths: (J,) the target lengths; 0 at the root.
+        bone_lengths: (T, J) the target lengths each frame was fused with; 0 at the root.
         frame: (T,) number of the pair.
         time_ns: (T,) since the first pair.
         skew_ns: (T,) capture time of B less that of A.
         clock_a, clock_b: (T,) each sensor's own time, ns; layout.NO_FRAME where it gave no frame.
         positions_a, positions_b: (T, J, 3) float32, each in its sensor's frame.
         states_a, states_b: (T, J) uint8 tracking states.
-        weights_a, weights_b: (T, J) float32, eq. (11).
+        weights_a, weights_b: (T, J) float32, eq. (11), to 1/128: a session keeps what an eye can tell apart.
         misleading: (T, J) int32, the mis-leading joint of sec. 3, or -1.
         rotation, translation: (T, 3, 3) and (T, 3), K_A ← K_B.
         fused: (T, J, 3) float64, S* in K_A's frame.
@@ -91,7 +91,7 @@ class SessionArrays:
 
         Args:
             body: The body of all frames.
-            bone_lengths: (J,) metres.
+            bone_lengths: (J,) metres, or (T, J) where they change.
             frames: In time order, at least one.
             numbers: Of the frames; from 0 where None.
             start_ns: When the session began; with the first of these frames where None.
@@ -111,7 +111,7 @@ class SessionArrays:
         a, b = [p.a for p in pairs], [p.b for p in pairs]
         return SessionArrays(
             body=body,
-            bone_lengths=bone_lengths,
+            bone_lengths=np.broadcast_to(bone_lengths, (len(frames), len(body))),
             frame=np.array(range(len(frames)) if numbers is None else numbers, dtype=np.int64),
             time_ns=np.array([f.pair.time_ns for f in frames], dtype=np.int64) - start,
             skew_ns=np.array([f.pair.skew_ns for f in frames], dtype=np.int64),
@@ -121,8 +121,8 @@ class SessionArrays:
             positions_b=positions(b),
             states_a=states(a),
             states_b=states(b),
-            weights_a=np.array([f.weights_a for f in fused], dtype=np.float32),
-            weights_b=np.array([f.weights_b for f in fused], dtype=np.float32),
+            weights_a=_to_128ths([f.weights_a for f in fused]),
+            weights_b=_to_128ths([f.weights_b for f in fused]),
             misleading=np.array([f.misleading for f in fused], dtype=np.int32),
             rotation=np.array([f.a_from_b.rotation for f in fused]),
             translation=np.array([f.a_from_b.translation for f in fused]),
@@ -144,9 +144,7 @@ class SessionArrays:
     def __getitem__(self, frames: slice | NDArray[np.int64]) -> SessionArrays:
         """Some of the frames, with their numbers and times as they are."""
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
-        per_frame = {
-            n: v[frames] for n, v in kept.items() if n not in ("body", "bone_lengths") and v is not None
-        }
+        per_frame = {n: v[frames] for n, v in kept.items() if n != "body" and v is not None}
         return replace(self, **per_frame)
 
     @property
@@ -182,6 +180,10 @@ class SessionArrays:
         none = np.isnan(distance).all(axis=1)
         distance[none] = 0.0
         return np.where(none, np.nan, np.nanmedian(distance, axis=1))
+
+
+def _to_128ths(weights: list[NDArray[np.float64]]) -> NDArray[np.float32]:
+    return (np.round(np.array(weights) * 128.0) / 128.0).astype(np.float32)
 
 
 def _clock(frame: SensorFrame | None) -> int:

@@ -26,8 +26,8 @@ _STORED: tuple[tuple[str, Any], ...] = (
     ("positions_b", np.float32),
     ("states_a", np.uint8),
     ("states_b", np.uint8),
-    ("weights_a", np.float32),
-    ("weights_b", np.float32),
+    ("weights_a", np.float16),
+    ("weights_b", np.float16),
     ("misleading", np.int32),
     ("rotation", np.float64),
     ("translation", np.float64),
@@ -36,7 +36,7 @@ _STORED: tuple[tuple[str, Any], ...] = (
     ("iterations", np.int64),
     ("stale_a", np.uint8),
     ("stale_b", np.uint8),
-    ("fuse_ms", np.float64),
+    ("fuse_ms", np.float32),
 )
 
 

@@ -30,13 +30,11 @@ class Comparison:
     Attributes:
         body: Of both.
         first, second: Their frames, T of each, at the same capture times.
-        target: (2, J) metres, the bone lengths of each.
     """
 
     body: Body
     first: SessionArrays
     second: SessionArrays
-    target: NDArray[np.float64]
 
     @staticmethod
     def of(first: Session, second: Session) -> Comparison:
@@ -60,17 +58,16 @@ class Comparison:
                 f"{first.path} and {second.path} have {len(i)} frames of the same time, but S_A or S_B of "
                 f"frame {one.frame[t]} is another than that of frame {two.frame[t]}: not one capture."
             )
-        target = np.stack([first.calibration.bone_lengths, second.calibration.bone_lengths])
-        return Comparison(
-            first.body,
-            one,
-            two,
-            target,
-        )
+        return Comparison(first.body, one, two)
 
     def __len__(self) -> int:
         """The number of frames T."""
         return len(self.first)
+
+    @property
+    def target(self) -> NDArray[np.float64]:
+        """(2, J) metres, the bone lengths each was fused with at the end."""
+        return np.stack([self.first.bone_lengths[-1], self.second.bone_lengths[-1]])
 
     @cached_property
     def apart(self) -> NDArray[np.float64]:
@@ -91,8 +88,8 @@ class Comparison:
     @cached_property
     def bone_deviation(self) -> NDArray[np.float64]:
         """(2, J) metres, the largest difference of each bone from its length, by the joint at its far end."""
-        lengths = np.stack([bone_lengths_of(self.body, of.fused) for of in (self.first, self.second)])
-        return largest(np.abs(lengths - self.target[:, None]), axis=1)
+        off = [bone_lengths_of(self.body, of.fused) - of.bone_lengths for of in (self.first, self.second)]
+        return largest(np.abs(off), axis=1)
 
     @cached_property
     def swapped(self) -> NDArray[np.bool_]:

@@ -7,11 +7,14 @@ by the data that :func:`details` lays beside the joint.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import cv2
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from fusion.body import Body
@@ -23,34 +26,59 @@ _BINS = 150
 _BIN_NS = 200_000_000
 _BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _AXIS_HEIGHT = 6, 22, 170, 56  # pixels of the picture
 _BACKGROUND, _INK = (27, 27, 31), (214, 214, 220)
-_SMALL_AND_QUICK = (
-    cv2.IMWRITE_PNG_COMPRESSION, 6, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE,
-)  # fmt: skip
+_INKS = 16  # between background and ink: smooth letters
 _FONT, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.55
+
+
+def _palette() -> NDArray[np.uint8]:
+    """(_INKS + _SHADES + 2, 3) RGB: from background to ink, from B's colour to A's, and predicted."""
+
+    def between(first: layout.Color, last: layout.Color, steps: int) -> NDArray[np.float64]:
+        return np.linspace(np.array(first), np.array(last), steps)
+
+    from_b_to_a = between(layout.SKELETON_COLORS["b"], layout.SKELETON_COLORS["a"], _SHADES + 1)
+    ramps = (between(_BACKGROUND, _INK, _INKS), from_b_to_a, np.array([layout.PREDICTED_COLOR]))
+    return np.concatenate(ramps).astype(np.uint8)
+
+
+_PALETTE = _palette()
+_FROM_B, _FROM_A, _PREDICTED = _INKS, _INKS + _SHADES, _INKS + _SHADES + 1
 
 
 def trust_colors(rows: SessionArrays) -> NDArray[np.uint8]:
     """(T, J, 3) RGB: between A's colour and B's by the share each has in the joint; grey where predicted."""
-    a, b = (np.array(layout.SKELETON_COLORS[side], dtype=np.float64) for side in layout.SIDES)
+    return np.asarray(_PALETTE[_shades(rows)])
+
+
+def _shades(rows: SessionArrays) -> NDArray[np.uint8]:
+    """(T, J) the same as places in the palette."""
     total = rows.weights_a + rows.weights_b
-    share = np.where(total > 0.0, rows.weights_a / np.where(total > 0.0, total, 1.0), 0.0)[..., None]
-    share = np.round(share * _SHADES) / _SHADES
-    mixed = share * a + (1.0 - share) * b
-    return np.where(rows.predicted[..., None], np.array(layout.PREDICTED_COLOR), mixed).astype(np.uint8)
+    share = np.where(total > 0.0, rows.weights_a / np.where(total > 0.0, total, 1.0), 0.0)
+    return np.where(rows.predicted, _PREDICTED, _FROM_B + np.round(share * _SHADES)).astype(np.uint8)
 
 
-def details(rows: SessionArrays) -> dict[str, NDArray[Any]]:
-    """(T, J) each: what a person wants to read beside a joint of S* that is clicked."""
-    joints = np.array([*rows.body.joints, "none"])
-    states = np.array(layout.STATE_NAMES)
-    return {
-        "weight_a": rows.weights_a,
-        "weight_b": rows.weights_b,
-        "state_a": states[rows.states_a],
-        "state_b": states[rows.states_b],
-        "misleading_joint": joints[rows.misleading],
-        "view_difference_mm": np.round(rows.view_difference * 1e3, 0).astype(np.float32),
+def details(rows: SessionArrays) -> dict[str, pa.Array]:
+    """T · J values each: what a person wants to read beside a joint of S* that is clicked."""
+    weights = {
+        layout.weight(side): pa.array(of.astype(np.float16).ravel())
+        for side, of in (("a", rows.weights_a), ("b", rows.weights_b))
     }
+    states = {
+        layout.state(side): _named(of, layout.STATE_NAMES)
+        for side, of in (("a", rows.states_a), ("b", rows.states_b))
+    }
+    misleading = np.where(rows.misleading < 0, len(rows.body), rows.misleading)
+    return {
+        **weights,
+        **states,
+        "misleading_joint": _named(misleading, (*rows.body.joints, "none")),
+        "view_difference_mm": pa.array(np.round(rows.view_difference * 1e3).astype(np.float16).ravel()),
+        "predicted": pa.array(rows.predicted.ravel()),
+    }
+
+
+def _named(which: NDArray[Any], names: Sequence[str]) -> pa.DictionaryArray:
+    return pa.DictionaryArray.from_arrays(pa.array(which.ravel().astype(np.int8)), pa.array(names))
 
 
 class TrustMatrix:
@@ -64,7 +92,7 @@ class TrustMatrix:
     def __init__(self, body: Body, every_ns: int = 1_000_000_000) -> None:
         self._every_ns = every_ns
         self._frame = _frame_of_matrix(body)
-        self._bins = np.full((len(body), _BINS, 3), _BACKGROUND, dtype=np.uint8)
+        self._bins = np.zeros((len(body), _BINS), dtype=np.uint8)
         self._newest = -1  # bin
         self._next_ns = 0
 
@@ -74,51 +102,50 @@ class TrustMatrix:
         Returns:
             (index in `rows`, PNG file) whenever a new picture is due.
         """
-        for t, color in enumerate(trust_colors(rows)):
+        for t, shades in enumerate(_shades(rows)):
             now = int(rows.time_ns[t])
-            self._put(now // _BIN_NS, color)
+            self._put(now // _BIN_NS, shades)
             if now >= self._next_ns:
                 self._next_ns = now - now % self._every_ns + self._every_ns
                 yield t, self._picture(now)
 
-    def _put(self, number: int, color: NDArray[np.uint8]) -> None:
+    def _put(self, number: int, shades: NDArray[np.uint8]) -> None:
         moved = min(max(number - self._newest, 0), _BINS)
         if moved:
             self._bins = np.roll(self._bins, -moved, axis=1)
-            self._bins[:, _BINS - moved :] = _BACKGROUND
+            self._bins[:, _BINS - moved :] = 0
             self._newest = number
-        self._bins[:, -1] = color
+        self._bins[:, -1] = shades
 
     def _picture(self, now_ns: int) -> bytes:
         cells = self._bins.repeat(_ROW_HEIGHT, axis=0).repeat(_BIN_WIDTH, axis=1)
-        cells[_ROW_HEIGHT - 1 :: _ROW_HEIGHT] = _BACKGROUND  # a line between the joints
+        cells[_ROW_HEIGHT - 1 :: _ROW_HEIGHT] = 0  # a line between the joints
         height, width = cells.shape[:2]
         picture = self._frame.copy()
         picture[:height, _NAMES_WIDTH : _NAMES_WIDTH + width] = cells
         _text(picture, f"until {now_ns * 1e-9:.1f} s", _NAMES_WIDTH + 670, height + 47)
-        _, png = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), _SMALL_AND_QUICK)
-        return png.tobytes()
+        return _png(picture)
 
 
 def _frame_of_matrix(body: Body) -> NDArray[np.uint8]:
-    """What stays the same from picture to picture: names, time axis, legend."""
+    """What stays the same from picture to picture: names, time axis, legend; as places in the palette."""
     height, width = len(body) * _ROW_HEIGHT, _BINS * _BIN_WIDTH
-    picture = np.full((height + _AXIS_HEIGHT, _NAMES_WIDTH + width + 30, 3), _BACKGROUND, dtype=np.uint8)
+    picture = np.zeros((height + _AXIS_HEIGHT, _NAMES_WIDTH + width + 30), dtype=np.uint8)
     for joint, name in enumerate(body.joints):
         _text(picture, _in_words(name), 4, (joint + 1) * _ROW_HEIGHT - 6)
     seconds = _BINS * _BIN_NS * 1e-9
     for ago in np.arange(0.0, seconds + 1.0, 5.0):
         x = _NAMES_WIDTH + round(width * (1.0 - ago / seconds))
-        cv2.line(picture, (x, height), (x, height + 5), _INK, 1)
+        cv2.line(picture, (x, height), (x, height + 5), _INKS - 1, 1)
         label = "now" if ago == 0.0 else f"-{ago:.0f} s"
         _text(picture, label, x - 18, height + 21)
     left = _NAMES_WIDTH
-    for words, color in (
-        ("from A", layout.SKELETON_COLORS["a"]),
-        ("from B", layout.SKELETON_COLORS["b"]),
-        ("predicted", layout.PREDICTED_COLOR),
+    for words, shade in (
+        ("from A", _FROM_A),
+        ("from B", _FROM_B),
+        ("predicted", _PREDICTED),
     ):
-        picture[height + 33 : height + 48, left : left + 22] = color
+        picture[height + 33 : height + 48, left : left + 22] = shade
         _text(picture, words, left + 28, height + 47)
         left += 150
     return picture
@@ -158,4 +185,28 @@ def _in_words(joint: str) -> str:
 
 
 def _text(picture: NDArray[np.uint8], words: str, x: int, y: int) -> None:
-    cv2.putText(picture, words, (x, y), _FONT, _TEXT_SIZE, _INK, 1, cv2.LINE_AA)
+    letters = np.zeros_like(picture)
+    cv2.putText(letters, words, (x, y), _FONT, _TEXT_SIZE, 255, 1, cv2.LINE_AA)
+    np.maximum(picture, letters // (256 // _INKS), out=picture)
+
+
+def _png(picture: NDArray[np.uint8]) -> bytes:
+    """(height, width) places in the palette as a PNG file, a quarter of one without palette."""
+
+    def part(kind: bytes, content: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+        )
+
+    height, width = picture.shape
+    header = struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)  # 8 bits, with a palette
+    # a row that is the one above again, as most are, is stored as its difference from it: filter 2
+    same = (np.diff(picture, axis=0, prepend=np.uint8(255)) == 0).all(axis=1, keepdims=True)
+    filtered = np.concatenate([np.where(same, 2, 0), np.where(same, 0, picture)], axis=1).astype(np.uint8)
+    parts = (
+        (b"IHDR", header),
+        (b"PLTE", _PALETTE.tobytes()),
+        (b"IDAT", zlib.compress(filtered.tobytes())),
+        (b"IEND", b""),
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(part(kind, content) for kind, content in parts)

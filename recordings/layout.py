@@ -6,7 +6,7 @@ The layout is the same live and in a file. Positions are metres; the world is K_
 from __future__ import annotations
 
 APPLICATION_ID = "duplex_kinects"
-VERSION = 2
+VERSION = 3
 """Of this layout; goes up when a reader of the old one would misread the new one."""
 
 FRAME = "frame"
@@ -20,19 +20,21 @@ TRUTH_SKELETON = "/truth/skeleton"
 """Where the joints really are, in K_A's frame; simulations only."""
 CALIBRATION = "/calibration"
 """R, t and bone lengths in full precision, whenever a calibration takes effect."""
-FUSED_TRUST = "/fused/trust"
+BONES = "/bones"
+"""Lengths of every bone of S_A, S_B, S* and its target, a component a bone, for eyes: every second frame."""
+BONE_LENGTHS = "lengths"
+"""Component of :data:`BONES`: a struct with a field a bone, [S_A, S_B, S*, target] in metres."""
 QUALITY = "/quality"
+FIGURES, OF_EACH_SENSOR = "figures", "sensors"
+"""Components of :data:`QUALITY`: structs with one value a frame, and with A's and B's."""
 EVENTS = "/events"
 TRUST_MATRIX = "/trust_matrix"
 """Picture, joint × time: whose view made each joint of S* over the last seconds."""
 STATE_LANES = "/lanes"
 COACH = "/coach"
 """Text: what to do next while setting up."""
-PLACEMENT = "/kinect_b/placement"
-"""R and t again, as float64 data: the viewer's transform has float32."""
-CHECKS = "/checks"
-"""Checksums of each frame: a damaged file must not pass for a whole one."""
 NO_FRAME = -(2**63)
+"""A sensor's time where it gave no frame for the pair."""
 
 SIDES = ("a", "b")
 """The principal sensor K_A and the secondary K_B."""
@@ -48,24 +50,9 @@ def skeleton(side: str) -> str:
     return f"/kinect_{side}/skeleton"
 
 
-def states(side: str) -> str:
-    """Tracking states 0, 1, 2 a joint, as data."""
-    return f"/kinect_{side}/states"
-
-
 def state_lane(side: str, joint: str) -> str:
     """A joint's tracking state where it changes, for the joints that ever change."""
     return f"{STATE_LANES}/{joint.lower()}/{side}"
-
-
-def clock(side: str) -> str:
-    """The sensor's own time of each frame, as data; :data:`NO_FRAME` where it gave none for the pair."""
-    return f"/kinect_{side}/clock"
-
-
-def weights(side: str) -> str:
-    """w^A or w^B of eq. (11), one value a joint."""
-    return f"/kinect_{side}/weights"
 
 
 def depth(side: str) -> str:
@@ -83,29 +70,23 @@ def points(side: str) -> str:
     return f"/kinect_{side}/points"
 
 
-def bone(name: str) -> str:
-    """Length of a bone: S_A, S_B, S*, target."""
-    return f"/bones/{name}"
+def weight(side: str) -> str:
+    """Component of :data:`FUSED_SKELETON`: w^A or w^B of eq. (11), one value a joint."""
+    return f"weight_{side}"
 
 
-def quality(name: str) -> str:
-    """One figure a frame; the name ends in its unit where it has one."""
+def state(side: str) -> str:
+    """Component of :data:`FUSED_SKELETON`: the joint's tracking state, one of :data:`STATE_NAMES`."""
+    return f"state_{side}"
+
+
+def stream_figure(name: str) -> str:
+    """One of :data:`STREAM_NAMES`."""
     return f"{QUALITY}/{name}"
 
 
-QUALITY_NAMES = (
-    "fuse_ms",
-    "skew_ms",
-    "bone_error_mm",
-    "disagreement_mm",
-    "iterations",
-    "predicted_joints",
-    "tracked_joints",
-    "stale",
-)
-"""What is logged under ``/quality``."""
 STREAM_NAMES = ("drift_ppm", "dropped", "unpaired")
-"""What is logged there too where two sensors run live."""
+"""How two running sensors' streams go; logged where that changes."""
 
 Color = tuple[int, int, int]
 

@@ -1,39 +1,33 @@
 """Every log call. What never changes is logged once; frames go out one by one (live) or by columns (offline).
 
-Both ways give the same layout, because both come from the same list of what a frame is: :func:`_streams`.
+Both ways give the same layout, because both come from the same list of what a frame is:
+:mod:`recordings.frame_streams`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
 from devices.sensor import ColorImage
 from fusion.fuser import Fuser
-from fusion.skeleton import TrackingState
 from recordings import appearance, layout
 from recordings.arrays import RecordedFrame, SessionArrays
-from recordings.checksums import (
-    frame_checksums,
-    fused_checksums,
-    image_checksum,
-    properties_checksum,
-    text_checksum,
-)
+from recordings.checksums import image_checksum, properties_checksum, text_checksum
 from recordings.color import ColorLog
 from recordings.depth_points import thin_points
-from recordings.explained_trust import StateLanes, TrustMatrix, details, trust_colors
+from recordings.explained_trust import StateLanes, TrustMatrix
+from recordings.frame_streams import frame_streams
 from recordings.rvl import MEDIA_TYPE, encode_depth
 from recordings.stream_figures import StreamFiguresLog
 
-_MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
+_MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 15_000_000_000
 """How often the matrix of trust is drawn anew: for eyes that wait, and for a file, where it spans 30 s."""
 
 
@@ -89,9 +83,13 @@ class Recorder:
             "rotation": calibration.a_from_b.rotation.ravel(),
             "translation": calibration.a_from_b.translation,
             "bone_lengths": calibration.bone_lengths,
-            "residual_median": np.nan if registration is None else registration.residual_median,
-            "residual_rms": np.nan if registration is None else registration.residual_rms,
+            "pairs": 0 if registration is None else registration.frames,
         }
+        if registration is not None:
+            values |= {
+                name: getattr(registration, name)
+                for name in ("residual_median", "residual_rms", "joint_residuals", "rotation_sd")
+            }
         self._set_time(self._frames, self._last[1] if self._last else 0)
         check = properties_checksum({"calibration": {"frame": self._frames, **values}})
         self._stream.log(layout.CALIBRATION, rr.AnyValues(**values, calibration_crc32=check))
@@ -100,8 +98,8 @@ class Recorder:
         """Logs one frame at once, for live use."""
         rows = self._stack([frame], None)
         self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
-        for stream in _streams(rows):
-            self._stream.log(stream.entity, stream.archetype(**stream.of_frame(0)))
+        for stream in frame_streams(rows):
+            self._stream.log(stream.entity, *stream.of_first())
         self._log_sensors([frame], rows)
         self._explain(rows)
         self._last = (int(rows.frame[0]), int(rows.time_ns[0]))
@@ -130,11 +128,11 @@ class Recorder:
             rows: The frames.
             fused_crc: (T,) checksums of S* in float64, where `rows` have it from a file, in float32.
         """
-        times = [
-            rr.TimeColumn(layout.FRAME, sequence=rows.frame),
-            rr.TimeColumn(layout.TIME, duration=rows.time_ns.astype("timedelta64[ns]")),
-        ]
-        for stream in _streams(rows, fused_crc):
+        for stream in frame_streams(rows, fused_crc):
+            times = [
+                rr.TimeColumn(layout.FRAME, sequence=stream.rows.frame),
+                rr.TimeColumn(layout.TIME, duration=stream.rows.time_ns.astype("timedelta64[ns]")),
+            ]
             self._stream.send_columns(stream.entity, times, stream.columns())
         self._explain(rows)
         self._frames = max(self._frames, int(rows.frame[-1]) + 1)
@@ -244,13 +242,8 @@ class Recorder:
             once(layout.depth(side), appearance.camera(intrinsics, side))
             once(layout.depth(side), appearance.DEPTH)
             once(layout.points(side), appearance.cloud_look(side))
-            once(layout.weights(side), appearance.weight_lines(body))
         once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))
         once(layout.TRUTH_SKELETON, appearance.joint_look(body, "truth"))
-        for joint in body.bone_joints:
-            once(layout.bone(body.bones[joint]), appearance.BONE_LINES)
-        for name in layout.QUALITY_NAMES:
-            once(layout.quality(name), appearance.QUALITY_LINES[name])
 
     def _properties(
         self, fuser: Fuser, sources: tuple[str, str], about: Mapping[str, str | int]
@@ -274,105 +267,3 @@ class Recorder:
             "settings": asdict(fuser.settings),
             "intrinsics": {"a": camera(fuser.intrinsics_a), "b": camera(fuser.intrinsics_b)},
         }
-
-
-@dataclass(frozen=True)
-class _Stream:
-    """One entity's values over T frames: ``values[field]`` is (T, …), with `per_frame` instances a frame."""
-
-    entity: str
-    archetype: Any
-    values: dict[str, NDArray[Any]]
-    per_frame: int | None = None
-
-    def of_frame(self, t: int) -> dict[str, Any]:
-        return {name: values[t] for name, values in self.values.items()}
-
-    def columns(self) -> rr.ComponentColumnList:
-        if self.per_frame is None:
-            columns: rr.ComponentColumnList = self.archetype.columns(**self.values)
-            return columns
-        frames = len(next(iter(self.values.values())))
-        if self.archetype is rr.AnyValues:  # whose own way takes every value by itself, through Python
-            ends = np.arange(0, self.per_frame * (frames + 1), self.per_frame, dtype=np.int32)
-            rows = {
-                name: pa.ListArray.from_arrays(ends, pa.array(values.ravel()))
-                for name, values in self.values.items()
-            }
-            return rr.AnyValues.columns(**rows)
-        flat = {
-            name: values.reshape(-1, *values.shape[2:]) if values.ndim > 1 else values
-            for name, values in self.values.items()
-        }
-        columns = self.archetype.columns(**flat)
-        return columns.partition([self.per_frame] * frames)
-
-
-def _streams(rows: SessionArrays, fused_crc: NDArray[np.uint32] | None = None) -> Iterator[_Stream]:
-    """Everything that is logged a frame."""
-    joints = len(rows.body)
-    for side, positions, states, weights, clock in (
-        ("a", rows.positions_a, rows.states_a, rows.weights_a, rows.clock_a),
-        ("b", rows.positions_b, rows.states_b, rows.weights_b, rows.clock_b),
-    ):
-        yield _Stream(layout.skeleton(side), rr.Points3D, {"positions": positions}, joints)
-        yield _Stream(layout.states(side), rr.AnyValues, {"state": states}, joints)
-        yield _Stream(layout.weights(side), rr.Scalars, {"scalars": weights.astype(np.float64)}, joints)
-        yield _Stream(layout.clock(side), rr.AnyValues, {"captured_ns": clock[:, None]}, 1)
-    yield _Stream(
-        layout.kinect("b"), rr.Transform3D, {"mat3x3": rows.rotation, "translation": rows.translation}
-    )
-    # R row by row, then t
-    placement = np.concatenate([rows.rotation.reshape(-1, 9), rows.translation], axis=1)
-    yield _Stream(layout.PLACEMENT, rr.AnyValues, {"rotation_translation": placement}, 12)
-    if fused_crc is None:
-        fused_crc = fused_checksums(rows.fused)
-    checks = np.stack([frame_checksums(rows), fused_crc], axis=1)
-    yield _Stream(layout.CHECKS, rr.AnyValues, {"frame_crc32": checks}, 2)
-    yield _Stream(
-        layout.FUSED_SKELETON,
-        rr.Points3D,
-        {"positions": rows.fused.astype(np.float32), "colors": trust_colors(rows)},
-        joints,
-    )
-    yield _Stream(layout.FUSED_SKELETON, rr.AnyValues, details(rows), joints)
-    yield _Stream(
-        layout.FUSED_TRUST, rr.AnyValues, {"misleading": rows.misleading, "predicted": rows.predicted}, joints
-    )
-    if rows.truth is not None:
-        yield _Stream(
-            layout.TRUTH_SKELETON, rr.Points3D, {"positions": rows.truth.astype(np.float32)}, joints
-        )
-    lengths = rows.bone_length_of_each  # (3, T, J)
-    for joint in rows.body.bone_joints:
-        target = np.full(len(rows), rows.bone_lengths[joint])
-        yield _Stream(
-            layout.bone(rows.body.bones[joint]),
-            rr.Scalars,
-            {"scalars": np.round(np.stack([*lengths[:, :, joint], target], axis=1) / _FINEST) * _FINEST},
-            4,
-        )
-    for name, values in _quality(rows).items():
-        yield _Stream(
-            layout.quality(name), rr.Scalars, {"scalars": values.astype(np.float64)}, values.shape[1]
-        )
-
-
-def _quality(rows: SessionArrays) -> dict[str, NDArray[Any]]:
-    """(T, n) figures by name; the keys are layout.QUALITY_NAMES."""
-    return {
-        "fuse_ms": rows.fuse_ms[:, None],
-        "skew_ms": rows.skew_ns[:, None] * 1e-6,
-        "bone_error_mm": rows.bone_error[:, None] * 1e3,
-        "disagreement_mm": rows.disagreement[:, None] * 1e3,
-        "iterations": rows.iterations[:, None],
-        "predicted_joints": rows.predicted.sum(axis=1)[:, None],
-        "tracked_joints": np.stack(
-            [(of == TrackingState.TRACKED).sum(axis=1) for of in (rows.states_a, rows.states_b)], axis=1
-        ),
-        "stale": np.stack([rows.stale_a, rows.stale_b], axis=1),
-    }
-
-
-_FINEST = 2.0**-14
-"""Metres to which plotted bone lengths are rounded, 0.06 mm: round numbers compress. S* is not rounded."""

@@ -51,12 +51,7 @@ def rewrite(
             for begin in range(max(own.start, first), stop, _BLOCK):
                 block = slice(begin, min(begin + _BLOCK, stop))
                 rows = session.rows[block]
-                rows = replace(
-                    rows,
-                    frame=rows.frame - first,
-                    time_ns=rows.time_ns - start_ns,
-                    bone_lengths=fuser.calibration.bone_lengths,
-                )
+                rows = replace(rows, frame=rows.frame - first, time_ns=rows.time_ns - start_ns)
                 recorder.record_rows(rows, session.fused_checksums[block])
         for side in layout.SIDES:
             for frame, image in session.depth(side):

@@ -39,7 +39,10 @@ _ENTITY = b"rerun:entity_path"
 _IMAGE, _IMAGE_WITHIN = b"Encoded", 2048
 
 
-_DAMAGED = (pa.ArrowException, ValueError, TypeError, LookupError, AttributeError, OSError, MemoryError)
+_DAMAGED = (
+    *(pa.ArrowException, ValueError, TypeError, LookupError, AttributeError, OSError, MemoryError),
+    StopIteration,  # of a stream without a batch
+)
 """What unpacking bytes that make no sense can raise."""
 
 
@@ -271,9 +274,10 @@ def _take(
     for name, column in [*zip(names, batch.columns, strict=True)][1:]:
         if name == layout.FRAME:
             continue
-        dense = _dense(column)
-        if dense is not None and len(dense) == len(frames):
-            parts.setdefault((entity, name), []).append((frames, dense))
+        for field_name, of_field in _fields_of(name, column):
+            dense = _dense(of_field)
+            if dense is not None and len(dense) == len(frames):
+                parts.setdefault((entity, field_name), []).append((frames, dense))
 
 
 def _texts(batch: pa.RecordBatch) -> list[tuple[int | None, int | None, dict[str, Any]]]:
@@ -281,8 +285,8 @@ def _texts(batch: pa.RecordBatch) -> list[tuple[int | None, int | None, dict[str
         if name not in batch.schema.names:
             return [None] * batch.num_rows
         values = batch.column(name)
-        if pa.types.is_duration(values.type):
-            values = values.cast(pa.int64())
+        if pa.types.is_duration(values.type) or pa.types.is_timestamp(values.type):
+            values = values.cast(pa.int64())  # nanoseconds as Python's own times only pandas can make
         return list(values.to_pylist())
 
     rows = {name: column(name) for name in batch.schema.names[1:]}
@@ -292,8 +296,21 @@ def _texts(batch: pa.RecordBatch) -> list[tuple[int | None, int | None, dict[str
     ]
 
 
+def _fields_of(name: str, column: pa.Array) -> Iterator[tuple[str, pa.Array]]:
+    """A column of structs as ``name.field`` each; any other as it is."""
+    if not (pa.types.is_list(column.type) and pa.types.is_struct(column.type.value_type)):
+        yield name, column
+    elif column.null_count == 0 and column.values.null_count == 0:
+        for k, of_field in enumerate(column.values.type):
+            values = column.values.field(k)
+            yield f"{name}.{of_field.name}", pa.ListArray.from_arrays(column.offsets, values)
+
+
 def _dense(column: pa.Array) -> NDArray[Any] | None:
-    """(N, …) of a list column whose rows are of one length; None where they are not, or are no numbers."""
+    """(N, …) of a list column whose rows are of one length; None where they are not, or are no numbers.
+
+    Of names in a dictionary, their places in it.
+    """
     shape = [len(column)]
     if pa.types.is_list(column.type) or pa.types.is_large_list(column.type):
         lengths = np.unique(np.diff(np.asarray(column.offsets)))
@@ -306,6 +323,8 @@ def _dense(column: pa.Array) -> NDArray[Any] | None:
         column = column.flatten()
     if pa.types.is_duration(column.type):
         column = column.cast(pa.int64())
+    if pa.types.is_dictionary(column.type):
+        column = column.indices
     if column.null_count or not (pa.types.is_primitive(column.type)):
         return None
     values = np.asarray(column.to_numpy(zero_copy_only=False))

@@ -1,9 +1,23 @@
-"""A session read back as arrays: ``Session.open("walk.rrd").fused[100]`` in a notebook as in a test."""
+"""A session read back as arrays, in a notebook as in a test.
+
+>>> from recordings import Session
+>>> session = Session.open("walk.rrd")
+>>> session
+<Session walk.rrd: 120 frames, 4.0 s, kinect_v1>
+>>> session.fused.shape, session.skeleton_a.positions.shape, session.rotation.shape
+((120, 20, 3), (120, 20, 3), (120, 3, 3))
+>>> float(session.quality.bone_error.max()) < 1e-6  # metres: S* is kept in float32
+True
+>>> [frame for frame, image in session.depth("a")]  # read only now
+[0, 60]
+
+Everything is in SI units and in K_A's frame, but for what a sensor gave, which is in its own.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,42 +28,32 @@ from devices.pairing import FramePair
 from devices.sensor import ColorImage, SensorFrame
 from fusion.body import BODIES, Body
 from fusion.calibration import Calibration
-from fusion.errors import FusionError
 from fusion.fuser import Fuser, FuserSettings
-from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 from fusion.viewing_plane import Intrinsics
 from recordings import layout
 from recordings.arrays import SessionArrays
-from recordings.checksums import frame_checksums, image_checksum, properties_checksum, text_checksum
 from recordings.color import read_color
+from recordings.depth import read_depth
 from recordings.errors import RecordingError
-from recordings.rrd_file import Columns, RrdFile, read_columns
-from recordings.rvl import decode_depth
+from recordings.images import ImageReader
+from recordings.rrd_file import read_columns
+from recordings.series import QualitySeries, SkeletonSeries
+from recordings.stored_frames import frames_of
+from recordings.stored_settings import (
+    Event,
+    calibrations_of,
+    camera_of,
+    checked_properties,
+    events_of,
+    settings_of,
+)
 
-_BLOB = "EncodedDepthImage:blob"
 PERSON = "0"
 """The id of the one person of a session, as a source of pairs."""
 
 
-@dataclass(frozen=True)
-class Event:
-    """What happened.
-
-    Attributes:
-        frame: The frame it happened at; None where it happened before the first.
-        time_ns: Since the first pair; None likewise.
-        text: What.
-        level: INFO, WARN or ERROR.
-    """
-
-    frame: int | None
-    time_ns: int | None
-    text: str
-    level: str
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Session:
     """A recorded capture: what the sensors saw, what was made of it, and with which settings.
 
@@ -92,17 +96,15 @@ class Session:
                 frame.
         """
         path = Path(path)
-        found = read_columns(path, lambda entity: not entity.startswith("/bones/"))
-        about = _checked_properties(path, found)
+        found = read_columns(path, lambda entity: entity != layout.BONES)
+        about = checked_properties(path, found)
         name = about["session"]["body"][0]
         if name not in BODIES:
             raise RecordingError(f"{path} is of an unknown body {name!r}. Known: {', '.join(BODIES)}.")
-        calibrations, residuals = _calibrations(path, BODIES[name], found)
-        rows, checks, lost = _frames(BODIES[name], calibrations[-1][1].bone_lengths, found)
+        calibrations = calibrations_of(path, BODIES[name], found)
+        rows, checks, lost = frames_of(BODIES[name], calibrations, found)
         used = [number < max(len(rows), 1) for number, _ in calibrations]
         calibrations = [c for c, use in zip(calibrations, used, strict=True) if use]
-        about["calibration"] = {"residual_median": [residuals[len(calibrations) - 1]]}
-        rows = replace(rows, bone_lengths=calibrations[-1][1].bone_lengths)
         damage = found.damage
         end = about.get("end", {}).get("frames")
         if end is None:
@@ -118,13 +120,13 @@ class Session:
         return Session(
             path=path,
             rows=rows,
-            settings=_settings(about["settings"]),
+            settings=settings_of(about["settings"]),
             calibrations=tuple(calibrations),
-            intrinsics_a=_camera(cameras["a"]),
-            intrinsics_b=_camera(cameras["b"]),
+            intrinsics_a=camera_of(cameras["a"]),
+            intrinsics_b=camera_of(cameras["b"]),
             sources=(str(session["source_a"][0]), str(session["source_b"][0])),
             about=about,
-            events=_events(found),
+            events=events_of(found),
             fused_checksums=checks,
             frames_lost=lost,
             damage=damage,
@@ -134,6 +136,57 @@ class Session:
         """The number of frames T."""
         return len(self.rows)
 
+    def __repr__(self) -> str:
+        """In a line: its arrays are too many to be shown."""
+        seconds = (self.time_ns[-1] - self.time_ns[0]) * 1e-9
+        return f"<Session {self.path.name}: {len(self)} frames, {seconds:.1f} s, {self.body.name}>"
+
+    @property
+    def time_ns(self) -> NDArray[np.int64]:
+        """(T,) nanoseconds since the first pair."""
+        return self.rows.time_ns
+
+    @property
+    def skeleton_a(self) -> SkeletonSeries:
+        """S_A, of the principal sensor; its frame is the world's."""
+        of = self.rows
+        return SkeletonSeries(of.positions_a, of.states_a, of.weights_a, of.clock_a, of.stale_a)
+
+    @property
+    def skeleton_b(self) -> SkeletonSeries:
+        """S_B, of the secondary sensor, in that one's frame: :attr:`rotation` and :attr:`translation` lay it
+        into K_A's."""
+        of = self.rows
+        return SkeletonSeries(of.positions_b, of.states_b, of.weights_b, of.clock_b, of.stale_b)
+
+    @property
+    def fused(self) -> NDArray[np.float64]:
+        """(T, J, 3) metres, S* in K_A's frame, to float32; NaN where there is none."""
+        return self.rows.fused
+
+    @property
+    def bone_lengths(self) -> NDArray[np.float64]:
+        """(T, J) metres, the length each bone of S* was held to, by the joint at its far end; 0 at the root."""
+        return self.rows.bone_lengths
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        """(T, 3, 3) R: turns K_B's axes into K_A's."""
+        return self.rows.rotation
+
+    @property
+    def translation(self) -> NDArray[np.float64]:
+        """(T, 3) metres, t: where K_B stands in K_A's frame; renewed every frame."""
+        return self.rows.translation
+
+    @property
+    def quality(self) -> QualitySeries:
+        """How good each frame is."""
+        of = self.rows
+        return QualitySeries(
+            of.bone_error, of.disagreement, of.skew_ns, of.fuse_ms, of.iterations, of.predicted
+        )
+
     @property
     def body(self) -> Body:
         """Which joints these are."""
@@ -141,7 +194,7 @@ class Session:
 
     @property
     def calibration(self) -> Calibration:
-        """R, t and the bone lengths, the last where there were several; without its ``registration``."""
+        """R, t, the bone lengths and how well the views agreed; the last where there were several."""
         return self.calibrations[-1][1]
 
     @property
@@ -155,16 +208,6 @@ class Session:
         if len(self) < 2:
             return 30.0
         return float(1e9 / np.median(np.diff(self.rows.time_ns)))
-
-    @property
-    def calibration_residual(self) -> float:
-        """Metres by which the two views differed (median) when they were registered; NaN where not known."""
-        return float(self.about["calibration"].get("residual_median", [np.nan])[0])
-
-    def depth_count(self, side: str) -> int:
-        """How many depth images of a sensor the session has."""
-        with RrdFile(self.path) as file:
-            return sum(1 for _ in _images(file, layout.depth(side)))
 
     def fusers(self, settings: FuserSettings | None = None) -> Iterator[tuple[Fuser, slice]]:
         """The fuser of each calibration as it was before its first frame, and which frames are its own.
@@ -183,7 +226,7 @@ class Session:
         Args:
             depth: With the depth images the session has.
         """
-        images = {side: self.depth(side) if depth else iter(()) for side in layout.SIDES}
+        images = {side: iter(self.depth(side)) if depth else iter(()) for side in layout.SIDES}
         ahead = {side: next(images[side], None) for side in layout.SIDES}
         rows = self.rows
         for t in range(len(rows)):
@@ -206,41 +249,24 @@ class Session:
                 int(rows.skew_ns[t]),
             )
 
-    def depth(self, side: str) -> Iterator[tuple[int, NDArray[np.uint16]]]:
-        """Depth images of a sensor, read as they are asked for.
+    def depth(self, side: str, first: int = 0, end: int | None = None) -> ImageReader[NDArray[np.uint16]]:
+        """Depth images of a sensor, read as they are asked for; damaged ones are left out and counted.
 
         Args:
             side: ``a`` or ``b``.
+            first, end: Of frames `first` up to, without, `end`; to the last where None.
 
-        Yields:
-            The frame's number and its (height, width) millimetres, 0 without a reading.
-
-        Raises:
-            RecordingError: An image is damaged; those before it were given.
+        Returns:
+            To be iterated over: the frame's number and its (height, width) millimetres, 0 without a reading.
         """
-        with RrdFile(self.path) as file:
-            for frame, blob, check in _images(file, layout.depth(side)):
-                if check != image_checksum(frame, blob):
-                    raise RecordingError(f"{self.path}: the depth image of frame {frame} is damaged.")
-                if frame < len(self):
-                    yield frame, decode_depth(blob)
+        return read_depth(self.path, side, self._frames(first, end))
 
-    def color(self, side: str) -> Iterator[tuple[int, ColorImage]]:
+    def color(self, side: str, first: int = 0, end: int | None = None) -> ImageReader[ColorImage]:
         """Colour images of a sensor, as :meth:`depth` gives depth images."""
-        return ((frame, image) for frame, image in read_color(self.path, side) if frame < len(self))
+        return read_color(self.path, side, self._frames(first, end))
 
-
-def _images(file: RrdFile, entity: str) -> Iterator[tuple[int, bytes, int | None]]:
-    for of, batch in file.chunks(images=True):
-        names = batch.schema.names
-        if of != entity or layout.FRAME not in names or _BLOB not in names:
-            continue
-        checks = batch.column("crc32") if "crc32" in names else None
-        for k, frame in enumerate(batch.column(layout.FRAME).to_pylist()):
-            cell, check = batch.column(_BLOB)[k].values, None if checks is None else checks[k].as_py()
-            if not cell or not cell[0].is_valid or not check:
-                raise RecordingError(f"{entity[1:]}: the depth image of frame {frame} is damaged.")
-            yield frame, cell[0].values.to_numpy().tobytes(), check[0]
+    def _frames(self, first: int, end: int | None) -> range:
+        return range(first, len(self) if end is None else min(end, len(self)))
 
 
 def _sensor_frame(
@@ -254,145 +280,3 @@ def _sensor_frame(
         return None
     people = {PERSON: Skeleton.of(body, positions, states, int(clock))} if states.any() else {}
     return SensorFrame(int(clock), people, depth)
-
-
-def _checked_properties(path: Path, found: Columns) -> dict[str, dict[str, list[Any]]]:
-    about = found.properties
-    session = about.get("session", {})
-    if "layout_version" not in session:
-        if found.damage is not None:
-            raise RecordingError(f"{path} is damaged before its first frame: {found.damage}.")
-        raise RecordingError(
-            f"{path} is a Rerun recording, but no session of duplex-kinects: its properties are missing."
-        )
-    version, writer = session["layout_version"], session.get("written_by", ["another version"])
-    if version != [layout.VERSION]:
-        raise RecordingError(
-            f"{path} has layout {version[0]}, written by {writer[0]}; this version reads layout "
-            f"{layout.VERSION}. Open it with the version that wrote it."
-        )
-    written = {name: of for name, of in about.items() if name not in ("check", "end", "RecordingInfo")}
-    if about.get("check", {}).get("crc32") != [properties_checksum(written)]:
-        raise RecordingError(
-            f"{path}: the settings and calibration in it are damaged; they do not match their checksum."
-        )
-    return about
-
-
-def _calibrations(
-    path: Path, body: Body, found: Columns
-) -> tuple[list[tuple[int, Calibration]], list[float]]:
-    """Each with the frame it begins at, in order, and how far apart the views were (median)."""
-    at: dict[int, tuple[Calibration, float]] = {}
-    for frame, of in found.logged.get(layout.CALIBRATION, []):
-        check = of.pop("calibration_crc32", None)
-        if check != [properties_checksum({"calibration": {"frame": frame, **of}})]:
-            raise RecordingError(f"{path}: a calibration in it is damaged; it does not match its checksum.")
-        a_from_b = RigidTransform.of(np.reshape(of["rotation"], (3, 3)), of["translation"])
-        lengths = np.array(of["bone_lengths"], dtype=np.float64)
-        at[frame] = Calibration(body, a_from_b, lengths, str(of["how"][0])), float(of["residual_median"][0])
-    if 0 not in at:
-        raise RecordingError(
-            f"{path}: its calibration is missing" + (f"; {found.damage}." if found.damage else ".")
-        )
-    ordered = sorted(at.items())
-    return [(frame, calibration) for frame, (calibration, _) in ordered], [r for _, (_, r) in ordered]
-
-
-def _settings(of: dict[str, list[Any]]) -> FuserSettings:
-    known = {f.name for f in fields(FuserSettings)}
-    strangers = sorted(set(of) - known)
-    if strangers:
-        raise RecordingError(f"The session was made with settings unknown here: {', '.join(strangers)}.")
-    try:
-        return FuserSettings(**{name: value[0] for name, value in of.items()})
-    except FusionError as error:
-        raise RecordingError(f"The session's settings cannot be followed: {error}") from None
-
-
-def _camera(values: list[float]) -> Intrinsics:
-    width, height, fx, fy, cx, cy, *distortion = values
-    return Intrinsics(int(width), int(height), fx, fy, cx, cy, tuple(distortion))
-
-
-def _events(found: Columns) -> tuple[Event, ...]:
-    events = []
-    for frame, time, row in found.texts:
-        text, level, check = (row.get(k) or [None] for k in ("TextLog:text", "TextLog:level", "crc32"))
-        if isinstance(text[0], str) and check[0] == text_checksum(text[0], str(level[0])):
-            events.append(Event(frame, time, text[0], str(level[0])))
-    return tuple(events)
-
-
-def _frames(
-    body: Body, bone_lengths: NDArray[np.float64], found: Columns
-) -> tuple[SessionArrays, NDArray[np.uint32], int]:
-    """The frames before the first that is missing or damaged, their S* checksums, how many are lost."""
-    J = len(body)
-    stored: dict[str, tuple[tuple[str, str], tuple[int, ...], Any]] = {
-        "time_ns": ((layout.CHECKS, layout.TIME), (), np.int64),
-        "checks": ((layout.CHECKS, "frame_crc32"), (2,), np.uint32),
-        "placement": ((layout.PLACEMENT, "rotation_translation"), (12,), np.float64),
-        "fused": ((layout.FUSED_SKELETON, "Points3D:positions"), (J, 3), np.float32),
-        "predicted": ((layout.FUSED_TRUST, "predicted"), (J,), np.bool_),
-        "misleading": ((layout.FUSED_TRUST, "misleading"), (J,), np.int32),
-        "iterations": ((layout.quality("iterations"), "Scalars:scalars"), (1,), np.float64),
-        "skew_ms": ((layout.quality("skew_ms"), "Scalars:scalars"), (1,), np.float64),
-        "fuse_ms": ((layout.quality("fuse_ms"), "Scalars:scalars"), (1,), np.float64),
-        "stale": ((layout.quality("stale"), "Scalars:scalars"), (2,), np.float64),
-    }
-    for side in layout.SIDES:
-        stored |= {
-            f"positions_{side}": ((layout.skeleton(side), "Points3D:positions"), (J, 3), np.float32),
-            f"states_{side}": ((layout.states(side), "state"), (J,), np.uint8),
-            f"weights_{side}": ((layout.weights(side), "Scalars:scalars"), (J,), np.float64),
-            f"clock_{side}": ((layout.clock(side), "captured_ns"), (1,), np.int64),
-        }
-    truth = (layout.TRUTH_SKELETON, "Points3D:positions")
-    if truth in found.values:
-        stored["truth"] = (truth, (J, 3), np.float32)
-    written = 0
-    whole: int | None = None
-    at: dict[str, NDArray[Any]] = {}
-    for name, (key, shape, kind) in stored.items():
-        frames, values = found.values.get(key, (np.empty(0, np.int64), np.empty((0, *shape), kind)))
-        if values.shape[1:] != shape or values.dtype != kind:
-            frames, values = frames[:0], np.empty((0, *shape), kind)
-        order = np.argsort(frames, kind="stable")
-        frames = frames[order]
-        count = int(np.argmin(np.concatenate([frames, [-1]]) == np.arange(len(frames) + 1)))
-        written = max(written, count)
-        whole = count if whole is None else min(whole, count)
-        at[name] = values[order]
-    n = whole or 0
-    at = {name: values[:n] for name, values in at.items()}
-    with np.errstate(invalid="ignore"):  # damaged numbers are found below
-        rows = SessionArrays(
-            body=body,
-            bone_lengths=bone_lengths,
-            frame=np.arange(n),
-            time_ns=at["time_ns"],
-            skew_ns=np.rint(at["skew_ms"][:, 0] * 1e6).astype(np.int64),
-            clock_a=at["clock_a"][:, 0],
-            clock_b=at["clock_b"][:, 0],
-            positions_a=at["positions_a"],
-            positions_b=at["positions_b"],
-            states_a=at["states_a"],
-            states_b=at["states_b"],
-            weights_a=at["weights_a"].astype(np.float32),
-            weights_b=at["weights_b"].astype(np.float32),
-            misleading=at["misleading"],
-            rotation=at["placement"][:, :9].reshape(-1, 3, 3),
-            translation=at["placement"][:, 9:],
-            fused=at["fused"].astype(np.float64),
-            predicted=at["predicted"],
-            iterations=at["iterations"][:, 0].astype(np.int64),
-            stale_a=at["stale"][:, 0] != 0.0,
-            stale_b=at["stale"][:, 1] != 0.0,
-            fuse_ms=at["fuse_ms"][:, 0],
-            truth=at["truth"].astype(np.float64) if "truth" in at else None,
-        )
-    if n:
-        fits = frame_checksums(rows) == at["checks"][:, 0]
-        n = int(np.argmin(np.append(fits, False)))
-    return rows[:n], at["checks"][:n, 1], written - n

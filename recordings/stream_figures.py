@@ -29,10 +29,10 @@ class StreamFiguresLog:
         for name, values in of.items():
             before = self._last.get(name)
             if before is None:
-                self._stream.log(layout.quality(name), appearance.QUALITY_LINES[name], static=True)
+                self._stream.log(layout.stream_figure(name), appearance.STREAM_LINES[name], static=True)
             elif time_ns - before[0] < _AGAIN_NS and (values == before[1] or name == "drift_ppm"):
                 continue  # drift changes a little with every frame
             self._last[name] = time_ns, values
             self._stream.set_time(layout.FRAME, sequence=frame)
             self._stream.set_time(layout.TIME, duration=np.timedelta64(time_ns, "ns"))
-            self._stream.log(layout.quality(name), rr.Scalars(values))
+            self._stream.log(layout.stream_figure(name), rr.Scalars(values))

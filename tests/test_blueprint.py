@@ -13,7 +13,6 @@ from rerun.experimental import ViewerClient
 from fusion.body import KINECT_V2
 from fusion.calibration import Calibration
 from fusion.fuser import Fuser
-from recordings import layout
 from recordings.arrays import RecordedFrame
 from tests.conftest import A_FROM_B
 from tests.pictures import eventually, headless_viewer
@@ -50,17 +49,17 @@ def saved(path: Path, fuser: Fuser, made: list[RecordedFrame], active: Layout) -
 
 
 def expected(active: Layout) -> set[str]:
-    """Origins of the views that a layout shows before a tab is touched."""
-    bones = {layout.bone(KINECT_V2.bones[joint]) for joint in KINECT_V2.bone_joints}
+    """Names of the views that a layout shows before a tab is touched."""
+    bones = {f"{KINECT_V2.bones[joint].replace('_', ' ')} (m)" for joint in KINECT_V2.bone_joints}
     if active == "report":
         return bones
     if active == "setup":
         return {
-            *map(layout.depth, layout.SIDES), "/", layout.COACH, layout.EVENTS,
-            layout.quality("tracked_joints"),
+            "Kinect A", "Kinect B", "sensors, skeletons, points", "what to do next", "events",
+            "joints tracked by each sensor",
         }  # fmt: skip
-    limbs = {bone for bone in bones if bone.split("/")[-1].startswith(("upper_arm", "fore", "thigh", "shin"))}
-    return limbs | {"/", layout.TRUST_MATRIX, layout.quality("disagreement_mm")}
+    limbs = {bone for bone in bones if bone.startswith(("upper arm", "fore", "thigh", "shin"))}
+    return limbs | {"S_A brown, S_B blue, S* purple", "whose view made each joint", "S_A against S_B (mm)"}
 
 
 def ink(picture: NDArray[np.uint8]) -> float:
@@ -79,10 +78,10 @@ def test_no_view_of_a_layout_complains_or_is_empty(
 
         def all_drawn() -> bool:
             for view in viewer.get_state().views:
-                if view.origin not in expected(active) - drawn.keys():
+                if view.name not in expected(active) - drawn.keys():
                     continue
                 if ink_of(viewer, view.view_id, tmp_path) > 0.002:
-                    drawn[view.origin] = True
+                    drawn[view.name] = True
             return drawn.keys() >= expected(active)
 
         assert eventually(all_drawn, 30.0), f"empty: {sorted(expected(active) - drawn.keys())}"

@@ -122,7 +122,7 @@ def test_it_can_be_read_while_it_grows(tmp_path: Path) -> None:
     assert [frame for frame, _ in session.depth("a")] == list(range(20))
     with pytest.warns(rr.error_utils.RerunWarning, match="no footer"):  # and Rerun reads it all the same
         chunks = rr.chunk.RrdReader(path).stream().to_chunks()
-    assert sum(chunk.num_rows for chunk in chunks if chunk.entity_path == "/fused/skeleton") == 2 * 20 + 1
+    assert sum(chunk.num_rows for chunk in chunks if chunk.entity_path == "/fused/skeleton") == 20 + 1
     for number, frame in enumerate(frames[20:], 20):
         file.offer((number, frame))
     file.close(whole=True)
@@ -255,8 +255,8 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
 
 
 def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
-    path, limit = tmp_path / "s.rrd", 1_200_000  # a second's worth
-    arguments = ("--seconds", "4", "--depth", "none", "--no-viewer", "--save", str(path))
+    path, limit = tmp_path / "s.rrd", 850_000  # what is static, and some seconds
+    arguments = ("--seconds", "10", "--depth", "none", "--no-viewer", "--save", str(path))
     done = subprocess.run(
         [sys.executable, "-m", "viewer_app.cli", "demo", *arguments],
         capture_output=True,
@@ -266,11 +266,14 @@ def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
     )
     assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "File too large" in done.stderr
+    ours = [
+        line for line in done.stderr.splitlines() if "re_log_encoding" not in line
+    ]  # Rerun may say so too
+    assert len(ours) == 1
+    assert "File too large" in ours[0]
     said = " ".join(done.stdout.split())
     assert "The fusion goes on." in said
-    assert "of 120 (A) and 120 (B)" in said
+    assert "of 300 (A) and 300 (B)" in said
     saved = int(done.stderr.split("from frame ")[1].split()[0])
     assert frames_in(path) == saved > 0
 

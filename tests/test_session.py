@@ -1,7 +1,10 @@
 """What is read back is what was written; what is damaged says so."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -10,8 +13,10 @@ import rerun as rr
 from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
 from fusion.fuser import Fuser, FuserSettings
 from recordings import layout
+from recordings.arrays import RecordedFrame
 from recordings.checksums import frame_checksums, fused_checksums
 from recordings.errors import RecordingError
+from recordings.recorder import Recorder
 from recordings.rewriting import rewrite
 from recordings.session import Session
 from recordings.testing import FusedRun, assert_sessions_match, fused_run, record_fused
@@ -164,10 +169,13 @@ def test_files_that_are_no_sessions_are_named_in_one_line(tmp_path: Path) -> Non
 def test_another_layout_says_which_version_wrote_it(
     monkeypatch: pytest.MonkeyPatch, fused_run: FusedRun
 ) -> None:
-    monkeypatch.setattr(layout, "VERSION", 1)
+    this = layout.VERSION
+    monkeypatch.setattr(layout, "VERSION", this - 1)
     old = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1))
     monkeypatch.undo()
-    with pytest.raises(RecordingError, match=r"layout 1, written by duplex-kinects .*reads layout 2"):
+    with pytest.raises(
+        RecordingError, match=rf"layout {this - 1}, written by duplex-kinects .*reads layout {this}"
+    ):
         Session.open(old.path)
 
 
@@ -194,3 +202,38 @@ def test_sessions_that_match_and_that_do_not(fused_run: FusedRun) -> None:
     nudged = replace(one, fused_checksums=one.fused_checksums + np.uint32(1))
     with pytest.raises(AssertionError, match=r"frame 0: S\* differs"):
         assert_sessions_match(nudged, one, position_mm=0.0)
+
+
+def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path: Path) -> None:
+    pairs, first = frame_pairs(KINECT_V1, 12), calibration_of(KINECT_V1)
+    second = replace(first, bone_lengths=first.bone_lengths * 1.1)
+    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+    stream.save(tmp_path / "s.rrd")
+    fusers = [Fuser(first), Fuser(second)]
+    recorder = Recorder(stream, fusers[0], ("a", "b"))
+    for fuser, own in zip(fusers, (pairs[:5], pairs[5:]), strict=True):
+        if fuser is not fusers[0]:
+            recorder.calibrate(fuser)
+        recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in own])
+    recorder.finish()
+    stream.disconnect()
+    session = Session.open(tmp_path / "s.rrd")
+    np.testing.assert_array_equal(session.rows.bone_lengths[4], first.bone_lengths)
+    np.testing.assert_array_equal(session.rows.bone_lengths[5], second.bone_lengths)
+    # S* is kept in float32: at 4 m its ends are within half of 2⁻²² m on each axis
+    assert session.rows.bone_error.max() < 2 * np.sqrt(3) * 2.0**-23
+    trimmed = tmp_path / "t.rrd"
+    rewrite(session, trimmed, first=3, end=8)
+    np.testing.assert_array_equal(Session.open(trimmed).rows.bone_lengths, session.rows.bone_lengths[3:8])
+
+
+def test_a_session_opens_without_pandas(fused_run: FusedRun) -> None:
+    path = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1)).path
+    program = (
+        "import sys; sys.modules['pandas'] = None; "
+        "from recordings.session import Session; print(len(Session.open(sys.argv[1])))"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=False
+    )
+    assert said.stdout == "3\n", said.stderr

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.calibration import nominal_calibration
 from fusion.fuser import Fuser
-from recordings import layout
+from recordings import appearance, layout
 
 Layout = Literal["setup", "inspect", "report"]
 LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report")
@@ -100,7 +100,11 @@ def _setup(fuser: Fuser, person_at: NDArray[np.float64], color: bool) -> rrb.Con
     middle = places.mean(axis=0)
     size = float(np.linalg.norm(places - middle, axis=1).max())
     advice = rrb.TextDocumentView(origin=layout.COACH, name="what to do next")
-    seen = _plot("tracked_joints", "joints tracked by each sensor", legend=True)
+    seen = rrb.TimeSeriesView(
+        origin=layout.QUALITY,
+        name="joints tracked by each sensor",
+        overrides={layout.QUALITY: appearance.tracked_lines()},
+    )
     return rrb.Horizontal(
         rrb.Vertical(*images),
         _scene(middle + 1.9 * size * _FROM_ABOVE, middle, "sensors, skeletons, points"),
@@ -122,8 +126,9 @@ def _inspect(body: Body, person_at: NDArray[np.float64], live: bool) -> rrb.Cont
     limbs = [f"{bone}_{side}" for bone in _LIMBS for side in ("left", "right")]
     prominent = [body.joints[body.joint(name)] for name in layout.PROMINENT_JOINTS]
     trust_lines = rrb.TimeSeriesView(
-        origin=layout.weights("a"),
+        origin=layout.FUSED_SKELETON,
         name="trust in A, limbs",
+        overrides={layout.FUSED_SKELETON: appearance.weight_lines(body, "a")},
         axis_y=rrb.ScalarAxis(range=(-0.05, 1.05)),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
     )
@@ -138,7 +143,10 @@ def _inspect(body: Body, person_at: NDArray[np.float64], live: bool) -> rrb.Cont
             ),
             rrb.Tabs(
                 *(_plot(*figure) for figure in _FIGURES),
-                *(_plot(*figure, legend=True) for figure in (_STREAM_FIGURES if live else ())),
+                *(
+                    rrb.TimeSeriesView(origin=layout.stream_figure(name), name=title)
+                    for name, title in (_STREAM_FIGURES if live else ())
+                ),
                 rrb.StateTimelineView(
                     origin="/",
                     contents=[layout.state_lane(side, joint) for joint in prominent for side in layout.SIDES],
@@ -169,17 +177,21 @@ def _report(body: Body) -> rrb.Container:
 def _bone_plots(bones: Iterable[str], legend: bool = False) -> list[rrb.View]:
     return [
         rrb.TimeSeriesView(
-            origin=layout.bone(bone),
+            origin=layout.BONES,
             name=f"{bone.replace('_', ' ')} (m)",
             plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend and k == 0),
+            overrides={layout.BONES: appearance.bone_lines(bone)},
         )
         for k, bone in enumerate(bones)
     ]
 
 
-def _plot(name: str, title: str, legend: bool = False) -> rrb.TimeSeriesView:
+def _plot(name: str, title: str) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
-        origin=layout.quality(name), name=title, plot_legend=rrb.PlotLegend(visible=legend)
+        origin=layout.QUALITY,
+        name=title,
+        plot_legend=rrb.PlotLegend(visible=False),
+        overrides={layout.QUALITY: appearance.figure_lines(name)},
     )
 
 

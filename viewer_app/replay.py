@@ -71,7 +71,7 @@ def run(options: ReplayOptions) -> None:
                     recorder.record_color(side, frame, int(session.rows.time_ns[frame]), color)
         recorder.finish()
 
-    rows = SessionArrays.stack(session.body, session.calibration.bone_lengths, frames)
+    rows = SessionArrays.stack(session.body, session.rows.bone_lengths, frames)
     result = FusionResult(pairing_of(session), session.calibration, settings, rows)
     figures = report(result)
     if options.report is not None:

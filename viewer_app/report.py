@@ -95,10 +95,10 @@ def method_figures(rows: SessionArrays) -> Figures:
     disagreement = rows.disagreement * 1e3
     bones = {}
     for joint in rows.body.bone_joints:
-        of_bone: Figures = {"target_m": float(target[joint])}
+        of_bone: Figures = {"target_m": float(target[-1, joint])}
         for key, length in zip(("a", "b", "fused"), lengths[:, :, joint], strict=True):
             of_bone[key] = {"mean_m": _of(np.mean, length), "std_mm": _of(np.std, length * 1e3)}
-        of_bone["fused"]["max_error_mm"] = _of(np.max, np.abs(lengths[2, :, joint] - target[joint]) * 1e3)
+        of_bone["fused"]["max_error_mm"] = _of(np.max, np.abs(lengths[2, :, joint] - target[:, joint]) * 1e3)
         bones[rows.body.bones[joint]] = of_bone
     error = (lengths - target)[:, :, rows.body.bone_joints] * 1e3
     return {

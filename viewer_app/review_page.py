@@ -96,10 +96,6 @@ def _calibration(session: Session) -> str:
     lines = [
         line.replace("[bold]", "").replace("[/]", "") for line in calibration_in_words(session.calibration)
     ]
-    if np.isfinite(session.calibration_residual):
-        lines.append(
-            f"The views differed by {session.calibration_residual * 1e3:.0f} mm (median) after the fit."
-        )
     return "".join(f"<p>{escape(line.strip())}</p>" for line in lines)
 
 
@@ -119,7 +115,7 @@ def _bones(session: Session) -> str:
                 "S*": (lengths[2, :, j], "fused"),
             }
             plots.append(
-                line_plot(bone.replace("_", " "), "m", time, lines, level=float(rows.bone_lengths[j]))
+                line_plot(bone.replace("_", " "), "m", time, lines, level=float(rows.bone_lengths[-1, j]))
             )
     return (
         '<p class="note">As in the paper\'s fig. 5; dashed is the length measured in the start-up pose.</p>'
