@@ -9,18 +9,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.kernels import inner_kernel, kernel
 from fusion.paper_solver import solve_published
 from fusion.reliability import weigh_views
 from fusion.tree_elimination import BLOCKS
 from fusion.tree_solver import solve_tree
+from fusion.tree_steps import copy
 from fusion.viewing_plane import Intrinsics
 
-EXACT, PAPER = 0, 1
-"""Which solver."""
 TRUST, EQUAL = 0, 1
 """Which weights."""
 
@@ -41,7 +40,6 @@ class Model(NamedTuple):
     focal_a: NDArray[np.float64]  # (2,) pixels; the principal point does not matter to distances
     focal_b: NDArray[np.float64]
     h: float
-    solver: int
     weights: int
 
 
@@ -82,7 +80,6 @@ def new_model(
     rotation: NDArray[np.float64],
     intrinsics: tuple[Intrinsics, Intrinsics],
     h: float,
-    solver: int,
     weights: int,
 ) -> Model:
     """The model of one body, calibration and choice of settings."""
@@ -98,7 +95,6 @@ def new_model(
         focal_a=np.array([a.fx, a.fy]),
         focal_b=np.array([b.fx, b.fy]),
         h=h,
-        solver=solver,
         weights=weights,
     )
 
@@ -136,9 +132,9 @@ def new_result(frames: int, joints: int) -> Result:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fuse_frames(model, memory, result, time_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
-    """The method over consecutive pairs.
+    """The method over consecutive pairs, eq. (1) solved exactly.
 
     Args:
         model, memory: Of the fuser; the memory is carried on.
@@ -148,28 +144,57 @@ def fuse_frames(model, memory, result, time_ns, a, states_a, b, states_b):  # ty
         states_a, states_b: (T, J) uint8 tracking states; all 0 where the sensor sees no one.
     """
     for k in range(len(time_ns)):
-        result.counts[k, 1] = _repeats(a[k], states_a[k], memory.last_a, memory.last_states_a)
-        result.counts[k, 2] = _repeats(b[k], states_b[k], memory.last_b, memory.last_states_b)
-        if time_ns[k] - memory.before_ns[0] > FORGET_NS:
-            memory.before_ns[1] = 0
-        carry(model, memory, a[k], states_a[k], b[k], states_b[k])
-        result.translation[k] = memory.translation
-        weights_a, weights_b = result.weights_a[k], result.weights_b[k]
-        trust(model, memory, a[k], states_a[k], b[k], states_b[k], weights_a, weights_b, result.misleading[k])
-        anyone = blend(memory, a[k], weights_a, weights_b, result.predicted[k])
-        positions = result.positions[k]
-        result.counts[k, 0] = 0
-        if not anyone:
-            positions[:] = np.nan
-            continue
-        if memory.before_ns[1] == 0:
-            first_guess(model, memory)
-        result.counts[k, 0] = solve(model, memory, positions)
-        memory.before[:] = positions
-        memory.before_ns[0], memory.before_ns[1] = time_ns[k], 1
+        if prepare(model, memory, result, k, time_ns[k], a[k], states_a[k], b[k], states_b[k]):
+            positions = result.positions[k]
+            result.counts[k, 0], _, _, _ = solve_tree(
+                model.parents, model.order, model.rest, memory.targets, memory.weights, model.bone_lengths,
+                memory.before, memory.tree_work, positions,
+            )  # fmt: skip
+            _remember(memory, positions, time_ns[k])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
+def fuse_frames_as_published(model, memory, result, time_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+    """:func:`fuse_frames` with eqs. (3)–(9); apart from it, so that only what is used is compiled."""
+    for k in range(len(time_ns)):
+        if prepare(model, memory, result, k, time_ns[k], a[k], states_a[k], b[k], states_b[k]):
+            positions = result.positions[k]
+            copy(memory.before, positions)
+            result.counts[k, 0], _, _ = solve_published(
+                model.parents, memory.targets, memory.weights, model.bone_lengths, True, positions,
+                memory.paper_work,
+            )  # fmt: skip
+            _remember(memory, positions, time_ns[k])
+
+
+@inner_kernel
+def prepare(model, memory, result, k, time_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+    """Everything of frame k but its solution, which remains NaN. Whether there is anything to solve."""
+    result.counts[k, 0] = 0
+    result.counts[k, 1] = _repeats(a, states_a, memory.last_a, memory.last_states_a)
+    result.counts[k, 2] = _repeats(b, states_b, memory.last_b, memory.last_states_b)
+    if time_ns - memory.before_ns[0] > FORGET_NS:
+        memory.before_ns[1] = 0
+    carry(model, memory, a, states_a, b, states_b)
+    weights_a, weights_b = result.weights_a[k], result.weights_b[k]
+    trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, result.misleading[k])
+    anyone = blend(memory, a, weights_a, weights_b, result.predicted[k])
+    for c in range(3):
+        result.translation[k, c] = memory.translation[c]
+        for i in range(len(a)):
+            result.positions[k, i, c] = math.nan
+    if anyone and memory.before_ns[1] == 0:
+        first_guess(model, memory)
+    return anyone
+
+
+@inner_kernel
+def _remember(memory, positions, time_ns):  # type: ignore[no-untyped-def]
+    copy(positions, memory.before)
+    memory.before_ns[0], memory.before_ns[1] = time_ns, 1
+
+
+@inner_kernel
 def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-def]
     """Whether a sensor's skeleton is its last one again; remembers it. No skeleton repeats nothing."""
     same, anyone = True, False
@@ -184,7 +209,7 @@ def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-d
     return same and anyone
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def carry(model, memory, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
     """t = c_p − R c_q over the torso joints both have (sec. 4), else unchanged; then q' = R q + t."""
     R, t = model.rotation, memory.translation
@@ -205,7 +230,7 @@ def carry(model, memory, a, states_a, b, states_b):  # type: ignore[no-untyped-d
             memory.b_in_a[i, c] = R[c, 0] * x + R[c, 1] * y + R[c, 2] * z + t[c]
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def _project(positions, focal, pixels):  # type: ignore[no-untyped-def]
     """Into the sensor's own viewing plane; NaN behind the sensor."""
     for i in range(len(positions)):
@@ -217,7 +242,7 @@ def _project(positions, focal, pixels):  # type: ignore[no-untyped-def]
             pixels[i, 0] = pixels[i, 1] = math.nan
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
     """w_A and w_B, eqs. (10), (11), or half each; all of a view where the other has no position."""
     if model.weights == EQUAL:
@@ -236,7 +261,7 @@ def trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, mislead
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def blend(memory, a, weights_a, weights_b, predicted):  # type: ignore[no-untyped-def]
     """m_i and w_i of eq. (1): the weighted mean of the views, NaN and 0 for a joint without data."""
     anyone = False
@@ -255,7 +280,7 @@ def blend(memory, a, weights_a, weights_b, predicted):  # type: ignore[no-untype
     return anyone
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def first_guess(model, memory):  # type: ignore[no-untyped-def]
     """The targets as if they were the frame before; joints without one hang on their parents as at rest."""
     before, targets = memory.before, memory.targets
@@ -273,24 +298,3 @@ def first_guess(model, memory):  # type: ignore[no-untyped-def]
                 before[i, c] = targets[i, c]
             else:
                 before[i, c] = before[model.parents[i], c] + model.bone_lengths[i] * model.rest[i, c]
-
-
-@njit(cache=True, error_model="numpy")
-def solve(model, memory, positions):  # type: ignore[no-untyped-def]
-    """S* by the model's solver, warm-started from the frame before.
-
-    Returns:
-        Iterations.
-    """
-    if model.solver == PAPER:
-        positions[:] = memory.before
-        iterations, _, _ = solve_published(
-            model.parents, memory.targets, memory.weights, model.bone_lengths, True, positions,
-            memory.paper_work,
-        )  # fmt: skip
-        return iterations
-    iterations, _, _, _ = solve_tree(
-        model.parents, model.order, model.rest, memory.targets, memory.weights, model.bone_lengths,
-        memory.before, memory.tree_work, positions,
-    )  # fmt: skip
-    return iterations

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numba import typeof
 from numpy.typing import NDArray
 
 from fusion import frame
 from fusion.calibration import Calibration
 from fusion.errors import FusionError
+from fusion.first_run import tree_solver_compiled_meanwhile
 from fusion.reliability import PAPER_H
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
@@ -102,14 +104,30 @@ class Fuser:
             calibration.a_from_b.rotation,
             (self.intrinsics_a, self.intrinsics_b),
             self.settings.h,
-            frame.PAPER if self.settings.solver == "paper" else frame.EXACT,
             frame.EQUAL if self.settings.weights == "equal" else frame.TRUST,
         )
         self._memory = frame.new_memory(len(body), calibration.a_from_b.translation)
 
-    def warm_up(self) -> None:
-        """Compiles everything that :meth:`update` runs, without touching what this fuser remembers."""
-        Fuser(self.calibration, self.settings).update(SkeletonPair(None, None, 0))
+    def warm_up(self, meanwhile: Callable[[], object] = lambda: None) -> None:
+        """Compiles everything that :meth:`update` runs, without touching what this fuser remembers.
+
+        Args:
+            meanwhile: What else there is to compile: on a first run another process is at work too.
+        """
+        other = Fuser(self.calibration, self.settings)
+        if self.settings.solver == "paper":
+            meanwhile()
+        else:
+            with tree_solver_compiled_meanwhile():
+                meanwhile()
+                other._compile_preparation()
+        other.update(SkeletonPair(None, None, 0))
+
+    def _compile_preparation(self) -> None:
+        positions, states = self._nobody.positions, self._nobody.states
+        result = frame.new_result(1, len(states))
+        given = self._model, self._memory, result, 0, 0, positions, states, positions, states
+        frame.prepare.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
 
     def update(self, pair: SkeletonPair) -> FusedFrame:
         """Fuses the next pair.
@@ -148,7 +166,8 @@ class Fuser:
 
     def _run(self, time_ns: NDArray[np.int64], *views: NDArray[Any]) -> frame.Result:
         result = frame.new_result(len(time_ns), len(self._nobody.states))
-        frame.fuse_frames(self._model, self._memory, result, time_ns, *views)
+        fuse = frame.fuse_frames_as_published if self.settings.solver == "paper" else frame.fuse_frames
+        fuse(self._model, self._memory, result, time_ns, *views)
         return result
 
     def _fused(self, result: frame.Result, k: int, time_ns: int) -> FusedFrame:

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from fusion.errors import FusionError
+from fusion.kernels import inner_kernel, kernel
 from fusion.solver import MAX_ITERATIONS, Solution
 
 _STEP_TOLERANCE = 1e-5  # m: the paper's ‖d‖ < 1e-5
@@ -20,7 +20,7 @@ _SHORTEST = 2.0**-20  # of a full step: below it the line search gives up
 _NO_DATA = 1e-9  # of the mean weight: what keeps H of eq. (7) invertible for a joint without data
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def _evaluate(parents, targets, weights, lengths, at):  # type: ignore[no-untyped-def]
     """The data term of eq. (1), and its constraint c."""
     data = constraint = 0.0
@@ -36,7 +36,7 @@ def _evaluate(parents, targets, weights, lengths, at):  # type: ignore[no-untype
     return data, constraint
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def solve_published(parents, targets, weights, lengths, line_search, at, work):  # type: ignore[no-untyped-def]
     """Eqs. (3)–(9) from the joints in ``at`` (J, 3), which become S*.
 
@@ -73,7 +73,9 @@ def solve_published(parents, targets, weights, lengths, line_search, at, work): 
     iterations = 0
     while iterations < MAX_ITERATIONS:
         iterations += 1
-        slope[:] = 0.0
+        for i in range(joints):
+            for c in range(3):
+                slope[i, c] = 0.0
         for i in range(joints):
             p = parents[i]
             if p < 0:
@@ -114,7 +116,9 @@ def solve_published(parents, targets, weights, lengths, line_search, at, work): 
             if not line_search or tau <= _SHORTEST or data + abs(multiplier) * constraint <= merit:
                 break
             tau *= 0.5
-        at[:, :] = trial
+        for i in range(joints):
+            for c in range(3):
+                at[i, c] = trial[i, c]
         if math.sqrt(norm) < _STEP_TOLERANCE:
             return iterations, data, True
     return iterations, data, False

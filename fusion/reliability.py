@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from fusion.kernels import inner_kernel, kernel
 
 PAPER_H = 0.786
 """h of sec. 3: how much more a tracked position counts than an inferred one."""
@@ -19,7 +20,7 @@ PAPER_H = 0.786
 _TRACKED = 2  # fusion.skeleton.TrackingState.TRACKED
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def _nearest(i, pixels, usable, linked):  # type: ignore[no-untyped-def]
     """The nearest usable joint without a bone to i in a viewing plane: (squared distance, joint)."""
     least, nearest = math.inf, -1
@@ -32,7 +33,7 @@ def _nearest(i, pixels, usable, linked):  # type: ignore[no-untyped-def]
     return least, nearest
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def weigh_views(pixels_a, pixels_b, states_a, states_b, linked, h, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
     """:func:`reliability_weights` into arrays that are given: for the compiled loop over frames."""
     joints = len(pixels_a)

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from fusion.kernels import inner_kernel
 
 _JACOBI_SWEEPS = 12
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def tangent_basis(x: float, y: float, z: float) -> tuple[float, float, float, float, float, float]:
     """Two unit vectors normal to the unit vector (x, y, z) and to each other (Duff et al. 2017)."""
     sign = math.copysign(1.0, z)
@@ -21,7 +21,7 @@ def tangent_basis(x: float, y: float, z: float) -> tuple[float, float, float, fl
     return 1.0 + sign * x * x * a, sign * c, -sign * x, c, sign + y * y * a, -y
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def absolute_inverse_2x2(
     xx: float, xy: float, yy: float, floor: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -55,7 +55,7 @@ def absolute_inverse_2x2(
     return middle + spread * half, spread * xy, middle - spread * half, lowest, v1 / norm, v2 / norm
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def _rotation(app: float, aqq: float, apq: float) -> tuple[float, float]:
     """Cosine and sine of the Jacobi rotation that makes a_pq vanish."""
     if apq == 0.0:
@@ -66,7 +66,7 @@ def _rotation(app: float, aqq: float, apq: float) -> tuple[float, float]:
     return c, t * c
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def eigen_3x3(
     xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
 ) -> tuple[tuple[float, float, float], tuple[tuple[float, float, float], ...]]:

@@ -16,8 +16,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from fusion.kernels import inner_kernel
 from fusion.small_matrices import absolute_inverse_2x2, eigen_3x3, tangent_basis
 
 FLAT = 1e-10  # of the subtree's information: a smaller pivot is rounding, a direction the data leave free
@@ -39,7 +38,7 @@ GRADIENT = 11  # g_i
 BEST = 12  # the last good point while patience lasts: columns 0-2: x_i; 3: λ_i
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def misfit(info, target, at, i):  # type: ignore[no-untyped-def]
     """(x - m)ᵀ W (x - m) of one joint."""
     x, y, z = at[i, 0] - target[i, 0], at[i, 1] - target[i, 1], at[i, 2] - target[i, 2]
@@ -49,7 +48,7 @@ def misfit(info, target, at, i):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def pull(parents, order, work):  # type: ignore[no-untyped-def]
     """Gradient g_i = 2 W_i (x_i - m_i), forces F_i = g_i + Σ F_children, and bones e_i.
 
@@ -86,8 +85,8 @@ def pull(parents, order, work):  # type: ignore[no-untyped-def]
     return max(largest, math.sqrt(fx * fx + fy * fy + fz * fz) / step[root, 5])
 
 
-@njit(cache=True, error_model="numpy")
-def eliminate(parents, order, work, damping, convex):  # type: ignore[no-untyped-def]
+@inner_kernel
+def eliminate(parents, order, work, damping, compressed):  # type: ignore[no-untyped-def]
     """Leaves to root: each bone's step s_i as a function of its parent's d_p.
 
     With the children's terms summed into A_i = 2 W_i + Σ P_c and b_i = g_i + Σ r_c:
@@ -102,7 +101,7 @@ def eliminate(parents, order, work, damping, convex):  # type: ignore[no-untyped
     Args:
         parents, order, work: As in :func:`fusion.tree_solver.solve_tree`.
         damping: Added to the eigenvalues of M_i, as a share of the subtree's information.
-        convex: Leave out negative λ_i, which keeps every pivot positive.
+        compressed: The share of a negative λ_i that counts: 1.0, or 0.0, which keeps every pivot positive.
 
     Returns:
         (the first joint with a clearly negative pivot or -1, its eigenvector in T_i's basis: two numbers).
@@ -136,7 +135,7 @@ def eliminate(parents, order, work, damping, convex):  # type: ignore[no-untyped
         qx, qy, qz = xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz
         reduced_basis[i, 0], reduced_basis[i, 1], reduced_basis[i, 2] = px, py, pz
         reduced_basis[i, 3], reduced_basis[i, 4], reduced_basis[i, 5] = qx, qy, qz
-        curvature = (max(bone[i, 4], 0.0) if convex else bone[i, 4]) + damping * scale
+        curvature = max(bone[i, 4], 0.0) + compressed * min(bone[i, 4], 0.0) + damping * scale
         # M = Tᵀ A T + λ I, (2, 2), and its inverse
         i11, i12, i22, lowest, v1, v2 = absolute_inverse_2x2(
             ax * px + ay * py + az * pz + curvature,
@@ -166,7 +165,7 @@ def eliminate(parents, order, work, damping, convex):  # type: ignore[no-untyped
     return saddle, saddle_1, saddle_2
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def solve_root(A, b, scale):  # type: ignore[no-untyped-def]
     """The root's step -|A|⁻¹ b, with eigenvalues that are no more than rounding left out.
 
@@ -200,7 +199,7 @@ def solve_root(A, b, scale):  # type: ignore[no-untyped-def]
     return x, y, z, lowest, vx, vy, vz
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def substitute(parents, order, work, saddle):  # type: ignore[no-untyped-def]
     """Root to leaves: s_i = -M⁻¹ Tᵀ (b_i + A_i d_p), d_i = d_p + T s_i.
 
@@ -246,7 +245,7 @@ def substitute(parents, order, work, saddle):  # type: ignore[no-untyped-def]
     return slope, relative, longest
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def retract(parents, order, work):  # type: ignore[no-untyped-def]
     """The trial point x_i = x_p + l_i normalise(e_i + T_i s_i).
 
@@ -274,7 +273,7 @@ def retract(parents, order, work):  # type: ignore[no-untyped-def]
     return objective
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def measure_multipliers(order, work):  # type: ignore[no-untyped-def]
     """λ_i = -e_i·F_i / l_i²: exact at a stationary point, where its curvature is to be judged."""
     force, bone = work[FORCE], work[BONE]
@@ -284,7 +283,7 @@ def measure_multipliers(order, work):  # type: ignore[no-untyped-def]
         bone[i, 4] = -along / (bone[i, 3] * bone[i, 3])
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def update_multipliers(order, work):  # type: ignore[no-untyped-def]
     """λ_i = -e_i·(b_i + A_i d_i) / l_i²: from the force in the bone that the model predicts."""
     total, force, bone, step = work[REDUCED], work[FORCE], work[BONE], work[STEP]

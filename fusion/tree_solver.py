@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from fusion.errors import FusionError
+from fusion.kernels import kernel
 from fusion.solver import MAX_ITERATIONS, Solution
 from fusion.tree_elimination import (
     BEST,
@@ -33,7 +33,7 @@ from fusion.tree_elimination import (
     update_multipliers,
 )
 from fusion.tree_start import load, place
-from fusion.tree_steps import keep, leave_saddle, stretch
+from fusion.tree_steps import copy, leave_saddle, stretch
 
 MAX_SYSTEMS = 150
 """What bounds the work: some 0.3 ms."""
@@ -65,7 +65,7 @@ _LITTLE_LESS, _SHORT_CLIMB = 0.1, 3
 _LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def solve_tree(parents, order, rest, targets, weights, lengths, start, work, positions):  # type: ignore[no-untyped-def]
     """Eq. (1) for one frame: min Σ (x_i - m_i)ᵀ W_i (x_i - m_i) with |x_i - x_parent| = l_i for every bone.
 
@@ -109,12 +109,12 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     """
     if not load(targets, weights, lengths, order[0], work):
         return -1, 0, math.nan, False
-    objective = place(parents, order, rest, start, False, work, work[POSITION])
-    from_targets = place(parents, order, rest, start, True, work, work[TRIAL])
-    on_targets = from_targets < objective
-    if on_targets:
-        objective = from_targets
-        keep(TRIAL, POSITION, work)
+    objective, on_targets = math.inf, False
+    for k in range(2):
+        placed = place(parents, order, rest, start, k == 1, work, work[TRIAL])
+        if k == 0 or placed < objective:
+            objective, on_targets = placed, k == 1
+            copy(work[TRIAL], work[POSITION])
     root = order[0]
     step = work[STEP]
     iterations = systems = crawling = stationary_points = patience = climbs_lost = 0
@@ -133,12 +133,12 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             stationary_points += 1
             measure_multipliers(order, work)
         scale = step[root, 5]
-        saddle, s1, s2 = eliminate(parents, order, work, damping, False)
+        saddle, s1, s2 = eliminate(parents, order, work, damping, 1.0)
         x, y, z, lowest, vx, vy, vz = solve_root(work[REDUCED, root], work[FORCE, root], scale)
         if saddle < 0 and lowest < -SADDLE * scale:
             saddle = root
         if saddle >= 0:
-            eliminate(parents, order, work, damping, True)
+            eliminate(parents, order, work, damping, 0.0)
             x, y, z, _, _, _, _ = solve_root(work[REDUCED, root], work[FORCE, root], scale)
         step[root, 2], step[root, 3], step[root, 4] = x, y, z
         slope, relative, longest = substitute(parents, order, work, -1)
@@ -153,7 +153,8 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         if not restarted and systems >= _SECOND_START:
             restarted = True
             objective = place(parents, order, rest, start, not on_targets, work, work[POSITION])
-            work[BONE, :, 4] = 0.0
+            for i in range(len(order)):
+                work[BONE, i, 4] = 0.0
             damping, kick, last_step = 0.0, _KICK, math.inf
             crawling = stationary_points = patience = climbs_lost = 0
             less, longest_climb = _LESS, _PATIENCE
@@ -161,7 +162,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         systems += 1
         if saddle >= 0 and (relative < _NEAR_SADDLE or crawling == _CRAWLED):
             crawling = 0
-            eliminate(parents, order, work, damping, False)
+            eliminate(parents, order, work, damping, 1.0)
             step[root, 2], step[root, 3], step[root, 4] = vx, vy, vz
             slope = leave_saddle(parents, order, saddle, s1, s2, kick, work)
             relative = kick
@@ -170,7 +171,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             trial = stretch(parents, order, trial, work)
         if patience == 0:
             best, best_step, predicted = objective, relative, -0.5 * slope
-            keep(POSITION, BEST, work)
+            copy(work[POSITION], work[BEST])
             for i in range(len(order)):
                 work[BEST, i, 3] = work[BONE, i, 4]
         slack = _ROUNDING * best + _COORDINATE * math.sqrt(step[root, 5] * best)
@@ -190,7 +191,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
             else:
                 damping = max(_PATIENT_MORE * damping, _PATIENT_DAMPING)
         else:
-            keep(BEST, POSITION, work)
+            copy(work[BEST], work[POSITION])
             for i in range(len(order)):
                 work[BONE, i, 4] = work[BEST, i, 3]
             objective = best
@@ -205,15 +206,13 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
                 kick *= _SHORTER_KICK
             continue
         update_multipliers(order, work)
-        keep(TRIAL, POSITION, work)
+        copy(work[TRIAL], work[POSITION])
         objective = trial
         last_step = relative if saddle < 0 and damping == 0.0 else math.inf
     if patience > 0 and best < objective and not converged:
-        keep(BEST, POSITION, work)
+        copy(work[BEST], work[POSITION])
         objective = best
-    for i in range(len(order)):
-        for c in range(3):
-            positions[i, c] = work[POSITION, i, c]
+    copy(work[POSITION], positions)
     return iterations, systems, objective, converged
 
 

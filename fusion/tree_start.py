@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from fusion.kernels import inner_kernel
 from fusion.tree_elimination import BONE, INFORMATION, TARGET, misfit
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
     """Targets and information into the workspace; a joint without a finite target has no information."""
     target, info, bone = work[TARGET], work[INFORMATION], work[BONE]
@@ -33,7 +32,7 @@ def load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def place(parents, order, rest, start, from_targets, work, at):  # type: ignore[no-untyped-def]
     """A feasible skeleton into ``at``: directions of bones from a source, then the best translation.
 

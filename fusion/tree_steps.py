@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from fusion.kernels import inner_kernel
 from fusion.tree_elimination import STEP, retract, substitute
 
 _DOUBLINGS = 6
 
 
-@njit(cache=True, error_model="numpy")
-def keep(source, target, work):  # type: ignore[no-untyped-def]
-    """Copies the joints of one block to another."""
-    for i in range(work.shape[1]):
+@inner_kernel
+def copy(source, target):  # type: ignore[no-untyped-def]
+    """Copies (J, 3) positions: the first three columns of either."""
+    for i in range(len(source)):
         for c in range(3):
-            work[target, i, c] = work[source, i, c]
+            target[i, c] = source[i, c]
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def leave_saddle(parents, order, saddle, s1, s2, length, work):  # type: ignore[no-untyped-def]
     """A step along the direction of negative curvature that the joint ``saddle`` found, downhill if anything.
 
@@ -36,7 +35,7 @@ def leave_saddle(parents, order, saddle, s1, s2, length, work):  # type: ignore[
     return slope * scale
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def stretch(parents, order, trial, work):  # type: ignore[no-untyped-def]
     """Doubles a downhill step while the objective falls: a Gauss–Newton step is too short where curvature is
     negative. Returns the objective at the trial point."""
@@ -52,7 +51,7 @@ def stretch(parents, order, trial, work):  # type: ignore[no-untyped-def]
     return trial
 
 
-@njit(cache=True, error_model="numpy")
+@inner_kernel
 def scale_step(step, factor):  # type: ignore[no-untyped-def]
     """The step of every joint, times a factor."""
     for i in range(len(step)):

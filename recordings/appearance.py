@@ -12,7 +12,7 @@ from fusion.body import Body
 from fusion.viewing_plane import Intrinsics
 from recordings import layout
 
-_CLOUD_RADIUS = 0.006  # metres
+_CLOUD_RADIUS = 0.009  # metres
 _FRUSTUM_DEPTH = 0.25  # metres
 
 
@@ -62,6 +62,16 @@ def camera(intrinsics: Intrinsics, side: str) -> rr.Pinhole:
         camera_xyz=rr.ViewCoordinates.RDF,
         image_plane_distance=_FRUSTUM_DEPTH,
         color=layout.SKELETON_COLORS[side],
+    )
+
+
+def image_edge(intrinsics: Intrinsics) -> rr.Boxes2D:
+    """Where a depth image ends, also while there is none."""
+    return rr.Boxes2D(
+        array=[0, 0, intrinsics.width, intrinsics.height],
+        array_format=rr.Box2DFormat.XYWH,
+        colors=layout.PREDICTED_COLOR,
+        radii=rr.components.Radius.ui_points(0.5),
     )
 
 

@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 
 from recordings.arrays import SessionArrays
 
+FusedChecks = tuple[NDArray[np.uint32], NDArray[np.uint8]]
+"""(T,) :func:`fused_checksums` and (T, J) :func:`joint_digests`."""
+
 _STORED: tuple[tuple[str, Any], ...] = (
     ("frame", np.int64),
     ("time_ns", np.int64),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -10,12 +11,12 @@ from numpy.typing import NDArray
 from devices.point_cloud import depth_to_points, ray_table
 from fusion.viewing_plane import Intrinsics
 
-_STEP = 6
-"""Every so many pixels in both directions: 10 000 points of 640 × 576, 120 kB."""
+_POINTS = 10_000
+"""How many points to show at most, about: 120 kB."""
 
 
 def thin_points(depth: NDArray[np.uint16], camera: Intrinsics) -> NDArray[np.float32]:
-    """The points of every sixth pixel of a depth image.
+    """The points of every so many rows and columns of a depth image.
 
     Args:
         depth: (height, width) millimetres, 0 where there is no reading.
@@ -27,9 +28,11 @@ def thin_points(depth: NDArray[np.uint16], camera: Intrinsics) -> NDArray[np.flo
     Raises:
         DeviceError: The image has another size than the camera.
     """
-    return depth_to_points(depth[::_STEP, ::_STEP], _thin_rays(camera))
+    step, rays = _thin_rays(camera)
+    return depth_to_points(depth[::step, ::step], rays)
 
 
 @lru_cache(maxsize=4)
-def _thin_rays(camera: Intrinsics) -> NDArray[np.float32]:
-    return ray_table(camera)[::_STEP, ::_STEP]
+def _thin_rays(camera: Intrinsics) -> tuple[int, NDArray[np.float32]]:
+    step = max(1, round(math.sqrt(camera.width * camera.height / _POINTS)))
+    return step, ray_table(camera)[::step, ::step]

@@ -24,10 +24,10 @@ from recordings.arrays import SessionArrays
 _SHADES = 16  # more than an eye tells apart here; few colours compress well
 _BINS = 150
 _BIN_NS = 200_000_000
-_BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _AXIS_HEIGHT = 6, 22, 170, 56  # pixels of the picture
+_BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _AXIS_HEIGHT = 5, 20, 172, 52  # pixels of the picture
 _BACKGROUND, _INK = (27, 27, 31), (214, 214, 220)
 _INKS = 16  # between background and ink: smooth letters
-_FONT, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.55
+_FONT, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.6
 
 
 def _palette() -> NDArray[np.uint8]:
@@ -123,7 +123,7 @@ class TrustMatrix:
         height, width = cells.shape[:2]
         picture = self._frame.copy()
         picture[:height, _NAMES_WIDTH : _NAMES_WIDTH + width] = cells
-        _text(picture, f"until {now_ns * 1e-9:.1f} s", _NAMES_WIDTH + 670, height + 47)
+        _text(picture, f"until {now_ns * 1e-9:.1f} s", _NAMES_WIDTH + _BINS * _BIN_WIDTH - 140, height + 47)
         return _png(picture)
 
 

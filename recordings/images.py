@@ -39,7 +39,7 @@ class ImageReader(Generic[T]):
         self._path, self._entity, self._checked, self._decoded = path, entity, checked, decoded
         self._frames = frames
         self.damaged = 0
-        """How many images the last reading left out because their checksums do not fit."""
+        """How many images the last reading left out because they do not fit their checksums."""
 
     def __iter__(self) -> Iterator[tuple[int, T]]:
         """Reads the images one by one, up to the last frame that is wanted."""
@@ -66,3 +66,4 @@ class ImageReader(Generic[T]):
                         return
                     elif frame >= self._frames.start:
                         yield frame, raw
+            self.damaged += file.unread(self._entity)

@@ -6,7 +6,7 @@ The layout is the same live and in a file. Positions are metres; the world is K_
 from __future__ import annotations
 
 APPLICATION_ID = "duplex_kinects"
-VERSION = 3
+VERSION = 4
 """Of this layout; goes up when a reader of the old one would misread the new one."""
 
 FRAME = "frame"
@@ -27,12 +27,16 @@ BONE_LENGTHS = "lengths"
 QUALITY = "/quality"
 FIGURES, OF_EACH_SENSOR = "figures", "sensors"
 """Components of :data:`QUALITY`: structs with one value a frame, and with A's and B's."""
+JOINT_DIGESTS = "joint_digests"
+"""Component of :data:`QUALITY`: a byte a joint of S* in float64, which the file has in float32 only."""
 EVENTS = "/events"
 TRUST_MATRIX = "/trust_matrix"
 """Picture, joint × time: whose view made each joint of S* over the last seconds."""
 STATE_LANES = "/lanes"
 COACH = "/coach"
-"""Text: what to do next while setting up."""
+"""Text: what to do next while setting up; beneath it, what is drawn into the scene for that."""
+COACH_MARKS = ("spot", "sensor_a", "sensor_b", "better_b")
+"""Where to stand, which sensor has a problem, where B would see more."""
 NO_FRAME = -(2**63)
 """A sensor's time where it gave no frame for the pair."""
 
@@ -65,9 +69,19 @@ def color(side: str) -> str:
     return f"/kinect_{side}/color"
 
 
+def image_edge(side: str) -> str:
+    """Where the depth image ends."""
+    return f"{depth(side)}/edge"
+
+
 def points(side: str) -> str:
     """The point cloud of a depth image, thinned out, in the sensor's own frame."""
     return f"/kinect_{side}/points"
+
+
+def coach_mark(name: str) -> str:
+    """Lines that the coach draws into the scene, in K_A's frame."""
+    return f"{COACH}/{name}"
 
 
 def weight(side: str) -> str:

@@ -19,7 +19,8 @@ from devices.sensor import ColorImage
 from fusion.fuser import Fuser
 from recordings import appearance, layout
 from recordings.arrays import RecordedFrame, SessionArrays
-from recordings.checksums import image_checksum, properties_checksum, text_checksum
+from recordings.checksums import FusedChecks, image_checksum, properties_checksum, text_checksum
+from recordings.coach_page import CoachPage
 from recordings.color import ColorLog
 from recordings.depth_points import thin_points
 from recordings.explained_trust import StateLanes, TrustMatrix
@@ -84,12 +85,13 @@ class Recorder:
             "translation": calibration.a_from_b.translation,
             "bone_lengths": calibration.bone_lengths,
             "pairs": 0 if registration is None else registration.frames,
+            "residual_median": np.nan if registration is None else registration.residual_median,
+            "residual_rms": np.nan if registration is None else registration.residual_rms,
+            "rotation_sd": np.nan if registration is None else registration.rotation_sd,
+            "joint_residuals": np.full(len(calibration.body), np.nan)
+            if registration is None
+            else registration.joint_residuals,
         }
-        if registration is not None:
-            values |= {
-                name: getattr(registration, name)
-                for name in ("residual_median", "residual_rms", "joint_residuals", "rotation_sd")
-            }
         self._set_time(self._frames, self._last[1] if self._last else 0)
         check = properties_checksum({"calibration": {"frame": self._frames, **values}})
         self._stream.log(layout.CALIBRATION, rr.AnyValues(**values, calibration_crc32=check))
@@ -121,14 +123,14 @@ class Recorder:
         self._log_sensors(frames, rows)
         return rows
 
-    def record_rows(self, rows: SessionArrays, fused_crc: NDArray[np.uint32] | None = None) -> None:
+    def record_rows(self, rows: SessionArrays, checks: FusedChecks | None = None) -> None:
         """Logs frames that are arrays already, under the numbers and times they have.
 
         Args:
             rows: The frames.
-            fused_crc: (T,) checksums of S* in float64, where `rows` have it from a file, in float32.
+            checks: Of S*, where `rows` have it from a file, in float32.
         """
-        for stream in frame_streams(rows, fused_crc):
+        for stream in frame_streams(rows, checks):
             times = [
                 rr.TimeColumn(layout.FRAME, sequence=stream.rows.frame),
                 rr.TimeColumn(layout.TIME, duration=stream.rows.time_ns.astype("timedelta64[ns]")),
@@ -171,10 +173,11 @@ class Recorder:
             layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=text_checksum(text, level))
         )
 
-    def coach(self, markdown: str) -> None:
+    def coach(self, page: CoachPage) -> None:
         """Logs what to do next, at the time of the last frame."""
         self._set_time(*(self._last or (0, 0)))
-        self._stream.log(layout.COACH, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
+        for entity, what in page.entities():
+            self._stream.log(entity, what)
 
     def finish(self) -> None:
         """Says that the session is whole; a reader takes one without this for cut off."""
@@ -241,6 +244,7 @@ class Recorder:
             once(layout.skeleton(side), appearance.joint_look(body, side))
             once(layout.depth(side), appearance.camera(intrinsics, side))
             once(layout.depth(side), appearance.DEPTH)
+            once(layout.image_edge(side), appearance.image_edge(intrinsics))
             once(layout.points(side), appearance.cloud_look(side))
         once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))
         once(layout.TRUTH_SKELETON, appearance.joint_look(body, "truth"))

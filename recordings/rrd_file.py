@@ -100,6 +100,7 @@ class RrdFile:
 
     def __init__(self, path: Path) -> None:
         self.damage: str | None = None
+        self._unread: list[tuple[int, int]] = []
         self._path = path
         try:
             if path.is_dir():
@@ -155,9 +156,17 @@ class RrdFile:
                 chunk = _unpack(self._data[begin:end])
             except _DAMAGED:
                 self._wrong(f"the message at byte {begin} is damaged")
+                self._unread.append((begin, end))
                 continue
             if chunk is not None:
                 yield chunk
+
+    def unread(self, entity: str) -> int:
+        """How many of the chunks asked for could not be unpacked and seem to be of an entity."""
+        path = entity.encode()
+        return sum(
+            self._data.find(path, begin, min(begin + _IMAGE_WITHIN, end)) >= 0 for begin, end in self._unread
+        )
 
     def _wrong(self, what: str) -> None:
         self.damage = self.damage or what
@@ -206,6 +215,7 @@ def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:
     with pa.ipc.open_stream(payload) as stream:
         batch = stream.read_next_batch()
     batch.validate(full=True)
+    batch.schema.to_string()  # decodes the names of fields within fields, which no validation does
     if len(set(batch.schema.names)) != len(batch.schema.names):
         raise ValueError("two columns of one name")
     return (batch.schema.metadata or {})[_ENTITY].decode(), batch

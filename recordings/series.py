@@ -33,7 +33,7 @@ class QualitySeries:
 
     Attributes:
         bone_error: (T,) metres, the largest difference of a bone of S* from its length; NaN without S*.
-        disagreement: (T,) metres between p and R q + t, the median joint; NaN where no joint is in both views.
+        disagreement: (T,) metres between p and R q + t, the median joint; NaN where none is in both.
         skew_ns: (T,) capture time of B less that of A.
         fuse_ms: (T,) what the fusion took.
         iterations: (T,) of the solver.

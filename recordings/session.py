@@ -67,6 +67,7 @@ class Session:
         about: All properties as they were written, by group and name.
         events: In the order they were written.
         fused_checksums: (T,) of S* in float64; the file keeps float32.
+        joint_digests: (T, J) a byte for each joint, likewise.
         frames_lost: How many frames are known to have been written and cannot be read.
         damage: What is wrong with the file, in words; None where it is whole.
     """
@@ -81,6 +82,7 @@ class Session:
     about: dict[str, dict[str, list[Any]]]
     events: tuple[Event, ...]
     fused_checksums: NDArray[np.uint32]
+    joint_digests: NDArray[np.uint8]
     frames_lost: int
     damage: str | None
 
@@ -127,7 +129,8 @@ class Session:
             sources=(str(session["source_a"][0]), str(session["source_b"][0])),
             about=about,
             events=events_of(found),
-            fused_checksums=checks,
+            fused_checksums=checks[0],
+            joint_digests=checks[1],
             frames_lost=lost,
             damage=damage,
         )
@@ -166,7 +169,7 @@ class Session:
 
     @property
     def bone_lengths(self) -> NDArray[np.float64]:
-        """(T, J) metres, the length each bone of S* was held to, by the joint at its far end; 0 at the root."""
+        """(T, J) metres, the lengths bones of S* were held to, by the joint at the far end; 0 at the root."""
         return self.rows.bone_lengths
 
     @property

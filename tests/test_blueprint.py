@@ -14,6 +14,7 @@ from fusion.body import KINECT_V2
 from fusion.calibration import Calibration
 from fusion.fuser import Fuser
 from recordings.arrays import RecordedFrame
+from recordings.coach_page import CoachPage
 from tests.conftest import A_FROM_B
 from tests.pictures import eventually, headless_viewer
 from tests.test_live_session import BODY, frames
@@ -39,9 +40,7 @@ def seen() -> tuple[Fuser, list[RecordedFrame]]:
 def saved(path: Path, fuser: Fuser, made: list[RecordedFrame], active: Layout) -> Path:
     blueprint = session_blueprint(fuser, np.array([0.1, 0.1, 2.6]), active)
     with LiveSession(fuser, ("a", "b"), blueprint, file=path) as live:
-        live.coach(
-            "# Calibrate\n\n" + "- **Mend:** step into the view of sensor A, to 2.5 m from both sensors\n" * 6
-        )
+        live.coach(CoachPage("- **Mend:** step into the view of sensor A, to 2.5 m from both sensors\n" * 6))
         live.event("calibrated: known")
         for frame in made:
             live.record(frame)
@@ -52,7 +51,7 @@ def expected(active: Layout) -> set[str]:
     """Names of the views that a layout shows before a tab is touched."""
     bones = {f"{KINECT_V2.bones[joint].replace('_', ' ')} (m)" for joint in KINECT_V2.bone_joints}
     if active == "report":
-        return bones
+        return bones | {"how good"}
     if active == "setup":
         return {
             "Kinect A", "Kinect B", "sensors, skeletons, points", "what to do next", "events",

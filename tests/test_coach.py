@@ -18,19 +18,10 @@ from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, TrackingState
 from fusion.viewing_plane import NOMINAL_INTRINSICS
 from tests.conftest import A_FROM_B, FRAME_NS, pair_of, standing
-from viewer_app.coach import (
-    ANGLES,
-    FARTHEST,
-    HOLD,
-    MOVED,
-    Advice,
-    Coach,
-    Situation,
-    nearest,
-    to_markdown,
-    verdict,
-)
+from viewer_app.advice import ANGLES, Advice, to_markdown, verdict
+from viewer_app.coach import HOLD, MOVED, Coach, Situation
 from viewer_app.run import fuse_one
+from viewer_app.standing_spot import FARTHEST, nearest
 
 BODY = KINECT_V2
 CAMERA = NOMINAL_INTRINSICS[BODY.name]

@@ -268,7 +268,7 @@ def test_a_recording_is_never_overwritten_by_its_own_fusion(
 def test_without_a_display_and_without_save_it_says_what_to_do(
     recordings: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("viewer_app.viewing.has_display", lambda: False)
+    monkeypatch.setattr("viewer_app.viewing.why_no_window", lambda: "There is no display")
     assert duplex("fuse", *recordings) == 2
     assert "--save FILE.rrd" in one_line(capsys)
 

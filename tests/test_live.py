@@ -7,6 +7,7 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from session_text import rows_of
 
 from devices.live_pairing import LivePair
@@ -52,6 +53,30 @@ def test_a_paced_sensor_gives_each_frame_when_it_is_due() -> None:
             assert frame.host_ns == round(clock.now * 1e9)
             clock.now += 0.001  # the reader's work does not add up
     assert len(frames) == 15
+
+
+def test_a_paced_sensor_that_is_late_leaves_images_out_and_no_skeleton(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock, takes = Clock(), 0.08
+
+    def slow(z: NDArray[np.float32], *_: object) -> NDArray[np.uint16]:
+        clock.now += takes
+        return np.zeros(z.shape, dtype=np.uint16)
+
+    a, _, _ = simulated_pair(motion="still", seconds=3.0, body=KINECT_V1, depth="half")
+    without, _, _ = simulated_pair(motion="still", seconds=3.0, body=KINECT_V1)
+    monkeypatch.setattr("devices.simulated.sensor.depth_image", slow)
+    with PacedSensor(a, clock=clock, wait=clock.wait) as paced:
+        begun, frames = clock.now + takes, []
+        for frame in paced.frames():
+            frames.append(frame)
+            late = clock.now - begun - (frame.time_ns - frames[0].time_ns) * 1e-9
+            assert late < 1.0 / 30.0 + takes  # what is tolerated, and one image more
+    for frame, alone in zip(frames, without.frames(), strict=True):
+        assert all(frame.people[who].repeats(alone.people[who]) for who in alone.people)
+    assert sum(frame.depth is None for frame in frames) == a.images_left_out
+    assert 0 < a.images_left_out < len(frames)
 
 
 def test_a_paced_sensor_ends_when_it_is_interrupted() -> None:

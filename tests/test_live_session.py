@@ -85,7 +85,7 @@ def feed_into(command: list[str], fuser: Fuser, **options: object) -> ViewerFeed
         lambda: subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, bufsize=0, start_new_session=True
         ),
-        lambda: rr.RecordingStream("test"),
+        rr.RecordingStream("test"),
         lambda stream: Recorder(stream, fuser, ("a", "b")),
         **options,  # type: ignore[arg-type]
     )
@@ -158,7 +158,7 @@ def test_a_complete_feed_passes_every_frame_on(fuser: Fuser) -> None:
 
     feed = ViewerFeed(
         lambda: subprocess.Popen(HUNGRY, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0),
-        lambda: rr.RecordingStream("test"),
+        rr.RecordingStream("test"),
         lambda stream: Spy(stream, fuser, ("a", "b")),
         keep=None,
         restart=False,

@@ -15,7 +15,7 @@ from rerun.experimental import ViewerClient
 from recordings.errors import RecordingError
 from recordings.rvl import MEDIA_TYPE, decode_depth, encode_depth
 from tests.pictures import eventually
-from viewer_app.sinks import free_port
+from viewer_app.rerun_process import free_port
 
 
 def wall(height: int = 576, width: int = 640) -> NDArray[np.uint16]:

@@ -1,16 +1,23 @@
 """``duplex replay``, ``compare``, ``review``, ``export``, ``trim`` and ``info`` from the outside."""
 
 import json
+from dataclasses import replace
+from html import unescape
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from fusion.body import KINECT_V2
+from recordings.rewriting import rewrite
+from recordings.rvl import encode_depth
 from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
 from tests.frame_pairs import calibration_of, frame_pairs
+from tests.recalibrated import record_recalibrated
 from tests.test_fuse_command import REAL, duplex, one_line
+from viewer_app.replay import verify
 
 __all__ = ["fused_run"]  # a fixture
 
@@ -53,6 +60,24 @@ def test_a_difference_is_exit_code_1_with_frame_and_joint(
     assert duplex("replay", session, "--verify") == 1
     said = " ".join(capsys.readouterr().out.split())
     assert "S* differs from the recorded one in 89 of 90 frames, first at frame 0, joint" in said
+
+
+@pytest.mark.parametrize("seen", [False, True])
+def test_the_first_frame_that_differs_is_named_also_where_float32_does_not_show_it(
+    seen: bool, session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded = Session.open(session)
+    ((fuser, _),) = recorded.fusers()
+    fused = np.array([fuser.update(pair.skeletons).positions for pair in recorded.pairs()])
+    wrist, knee = KINECT_V2.joint("WristLeft"), KINECT_V2.joint("KneeRight")
+    fused[40, knee] += 0.01
+    assert verify(Console(width=300), recorded, fused) is False
+    assert "in 1 of 90 frames, first at frame 40, joint KneeRight, by 17.3 mm" in capsys.readouterr().out
+    fused[12, wrist, 1] = 0.0 if seen else np.nextafter(fused[12, wrist, 1], 9.0)
+    assert verify(Console(width=300), recorded, fused) is False
+    said = capsys.readouterr().out
+    assert "in 2 of 90 frames, first at frame 12, joint WristLeft, by" in said
+    assert ("by less than the file's float32 shows" in said) is not seen
 
 
 def test_verifying_other_settings_is_refused(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -160,6 +185,79 @@ def test_a_trimmed_session_is_a_session(
     capsys.readouterr()
     assert duplex("trim", session, "--from", "9", "--save", tmp_path / "none.rrd") == 2
     assert "runs from 0 to" in one_line(capsys)
+
+
+def test_a_trim_from_later_says_what_it_was_calibrated_on(session: Path, tmp_path: Path) -> None:
+    part = tmp_path / "part.rrd"
+    assert duplex("trim", session, "--from", "1.0", "--save", part) == 0
+    (event,) = Session.open(part).events
+    assert (event.frame, event.time_ns, event.text) == (0, 0, "calibrated: known truth")
+
+
+def test_a_trim_keeps_each_calibration_s_event_once(tmp_path: Path) -> None:
+    first = calibration_of(KINECT_V2)
+    second, third = replace(first, how="two"), replace(first, how="three")
+    pairs = frame_pairs(KINECT_V2, 30)
+    whole = record_recalibrated(tmp_path / "s.rrd", pairs, [(0, first), (10, second), (20, third)])
+    rewrite(whole, tmp_path / "part.rrd", None, 15, 28)
+    texts = [event.text for event in Session.open(tmp_path / "part.rrd").events]
+    assert texts == ["calibrated: two", "calibrated: three"]
+
+
+def verdict(said: str) -> list[str]:
+    """The lines of a calibration's verdict."""
+    words = ("the views differ by", "axes are")
+    return [" ".join(line.split()) for line in said.split("\n") if any(w in line for w in words)]
+
+
+def test_the_verdict_on_a_calibration_goes_with_the_session(
+    shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
+    folder, saved = shared / "real" / f"kinect_v2_90deg_{REAL[0]}", tmp_path / "s.rrd"
+    report, html = tmp_path / "r.json", tmp_path / "r.html"
+    fuse = ("fuse", folder / "a.csv", folder / "b.csv", "--no-viewer")
+    assert duplex(*fuse, "--save", saved, "--report", report) == 0
+    said = verdict(capsys.readouterr().out)
+    assert len(said) == 2
+    again, part = tmp_path / "again.rrd", tmp_path / "part.rrd"
+    assert duplex("replay", saved, "--no-viewer", "--save", again, "--report", tmp_path / "again.json") == 0
+    assert verdict(capsys.readouterr().out) == said
+    one, two = (json.loads(p.read_text(encoding="utf-8")) for p in (report, tmp_path / "again.json"))
+    assert one["calibration"] == two["calibration"]
+    assert duplex("trim", again, "--from", "1", "--save", part) == 0
+    for path in (saved, again, part):
+        capsys.readouterr()
+        assert duplex("review", path, "--no-viewer", "--html", html, "--force") == 0
+        assert verdict(capsys.readouterr().out) == said
+        page = unescape(html.read_text(encoding="utf-8"))
+        assert all(line in page for line in said)
+        assert duplex("info", path) == 0
+        assert [line.removeprefix("calibration ") for line in verdict(capsys.readouterr().out)] == said
+
+
+def test_a_damaged_image_is_left_out_and_said(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray(session.read_bytes())
+    at = data.find(encode_depth(dict(Session.open(session).depth("b"))[60])[200:260])
+    assert at > 0
+    data[at + 20] ^= 1
+    bad = tmp_path / "bad.rrd"
+    bad.write_bytes(data)
+    assert duplex("info", bad) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "depth images A 90, B 88" in said
+    assert "whole no: 1 damaged depth images of B" in said
+    for command, count in (
+        (("trim", bad, "--save", tmp_path / "t.rrd"), 1),
+        (("trim", bad, "--to", "1", "--save", tmp_path / "u.rrd"), 0),
+        (("replay", bad, "--no-viewer", "--save", tmp_path / "v.rrd"), 1),
+    ):
+        assert duplex(*command) == 0
+        assert ("1 damaged images were left out" in capsys.readouterr().out) is bool(count)
+        saved = Session.open(command[-1])
+        assert saved.depth("b").count() == saved.depth("a").count() - 1 - count  # one frame B did not deliver
 
 
 def test_info_says_what_is_in_it_and_what_is_missing(

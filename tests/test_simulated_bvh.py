@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +112,24 @@ def test_a_file_that_is_no_bvh_is_refused(tmp_path: Path) -> None:
         read_bvh(path)
     with pytest.raises(DeviceError, match=r"missing\.bvh"):
         read_bvh(tmp_path / "missing.bvh")
+
+
+@pytest.mark.parametrize(
+    ("cut", "what"),
+    [
+        (lambda text: "", "skeleton is cut off"),
+        (lambda text: text[:300], "skeleton is cut off"),
+        (lambda text: text[:-1500], "frames are cut off"),
+        (lambda text: text.replace("Time: 0.033333", "Time: 0"), "s a frame"),
+        (lambda text: text.replace("Time: 0.033333", "Time: nan"), "s a frame"),
+        (lambda text: text.replace("0 8.7 0", "0 nan 0"), "not finite"),
+    ],
+)
+def test_a_damaged_file_is_refused_at_once(tmp_path: Path, cut: Callable[[str], str], what: str) -> None:
+    path = write_bvh(tmp_path / "damaged.bvh")
+    path.write_text(cut(path.read_text()))
+    with pytest.raises(DeviceError, match=what):
+        read_bvh(path)
 
 
 @pytest.mark.parametrize("clip", ["02_01", "06_10"])

@@ -12,7 +12,7 @@ from devices.simulated.flesh import capsules
 from devices.simulated.movements import MOTIONS
 from devices.simulated.rendering import DepthErrors
 from devices.simulated.rig import Rig
-from devices.simulated.sensor import PERSON, SimulatedKinect, simulated_pair
+from devices.simulated.sensor import PERSON, SimulatedKinect, Truth, TruthAhead, simulated_pair
 from devices.simulated.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, BODIES, Body
 
@@ -161,6 +161,8 @@ def test_what_makes_no_sense_is_refused_with_the_way_out() -> None:
         simulated_pair(angle_deg=270.0)
     with pytest.raises(DeviceError, match="height"):
         simulated_pair(height=17.0)
+    with pytest.raises(DeviceError, match="seed"):
+        simulated_pair(seed=-1)
     with pytest.raises(DeviceError, match="half"):
         simulated_pair(depth="tiny")  # type: ignore[arg-type]
     with pytest.raises(DeviceError, match="distance"):
@@ -173,3 +175,16 @@ def test_b_is_not_a_copy_of_a() -> None:
     assert isinstance(a, SimulatedKinect)
     pair = next(zip(a.frames(), b.frames(), strict=True))
     assert not same(*pair)
+
+
+def test_the_truth_ahead_is_the_truth_a_second_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    a, _, truth = simulated_pair(motion="badminton", seconds=3.0)
+    times = [frame.time_ns for frame in a.frames()]
+    times[50:50] = [times[50] - 7_000_000]  # a pair without A's frame
+    exact = truth.positions_at(times)
+    asked: list[object] = []
+    real = Truth.positions_at
+    monkeypatch.setattr(Truth, "positions_at", lambda self, when: (asked.append(when), real(self, when))[1])
+    ahead = TruthAhead(truth)
+    np.testing.assert_array_equal([ahead(time) for time in times], exact)
+    assert len(asked) < len(times) / 10

@@ -112,7 +112,7 @@ def test_listening_to_others_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> No
 def test_options_that_contradict_are_one_line(
     options: dict[str, object], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("viewer_app.viewing.has_display", lambda: False)
+    monkeypatch.setattr("viewer_app.viewing.why_no_window", lambda: "There is no display")
     every = {"no_viewer": False, "web": False, "listen": None, "save": None, "live": True} | options
     with pytest.raises(UsageError, match=words):
         choose_viewing(**every)  # type: ignore[arg-type]

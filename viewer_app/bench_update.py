@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from devices.pairing import FramePair, pair_recordings
@@ -17,8 +16,10 @@ from fusion import frame
 from fusion.body import Body
 from fusion.calibration import Calibration, calibrate, find_start_up_pose
 from fusion.fuser import Fuser
+from fusion.kernels import kernel
 from fusion.skeleton import Skeleton, SkeletonPair
-from fusion.tree_solver import TreeSolver
+from fusion.tree_solver import TreeSolver, solve_tree
+from fusion.tree_steps import copy
 from fusion.viewing_plane import NOMINAL_INTRINSICS
 from viewer_app.bench_solvers import Problem
 
@@ -118,7 +119,7 @@ def time_stages(pairs: Sequence[SkeletonPair], calibration: Calibration) -> dict
     intrinsics = NOMINAL_INTRINSICS[body.name]
     model = frame.new_model(
         body, calibration.bone_lengths, calibration.a_from_b.rotation, (intrinsics, intrinsics),
-        Fuser(calibration).settings.h, frame.EXACT, frame.TRUST,
+        Fuser(calibration).settings.h, frame.TRUST,
     )  # fmt: skip
     result = frame.new_result(1, len(body))
 
@@ -133,7 +134,7 @@ def time_stages(pairs: Sequence[SkeletonPair], calibration: Calibration) -> dict
     return {stage: float(upto[k + 1] - upto[k]) for k, stage in enumerate(STAGES)}
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _some_stages(stages, model, memory, result, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
     """The first few stages of :func:`fusion.frame.fuse_frames` over all pairs."""
     weights_a, weights_b = result.weights_a[0], result.weights_b[0]
@@ -157,8 +158,11 @@ def _some_stages(stages, model, memory, result, a, states_a, b, states_b):  # ty
         if stages > 3 and anyone:
             if memory.before_ns[1] == 0:
                 frame.first_guess(model, memory)
-            frame.solve(model, memory, positions)
-            memory.before[:] = positions
+            solve_tree(
+                model.parents, model.order, model.rest, memory.targets, memory.weights, model.bone_lengths,
+                memory.before, memory.tree_work, positions,
+            )  # fmt: skip
+            copy(positions, memory.before)
             memory.before_ns[1] = 1
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
@@ -22,7 +23,6 @@ Layout = Literal["setup", "inspect", "report"]
 LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report")
 
 _LIMBS = ("upper_arm", "forearm", "thigh", "shin")  # of the paper's fig. 5
-_REPORT_COLUMNS = 5
 _FIGURES = (
     ("disagreement_mm", "S_A against S_B (mm)"),
     ("bone_error_mm", "S* bone error (mm)"),
@@ -34,11 +34,11 @@ _STREAM_FIGURES = (
     ("dropped", "frames dropped"),
     ("unpaired", "frames without a partner"),
 )
-_NEAR = 1.7  # metres from the person: a standing adult fills the view
-_FRUSTUM = rr.Pinhole.from_fields().visualizer()
-"""Of a depth camera, without the image's own points."""
-_FROM_ABOVE = np.array([-0.35, -0.6, -0.7])
-"""From behind K_A's left shoulder, looking down: y is down, z ahead."""
+_OVERVIEW, _HIGH = 2.1, 1.4
+"""In *setup*: from behind both sensors, times their distance from the person, and metres above."""
+_BEHIND, _ABOVE = 2.4, 0.4
+"""In *inspect*: metres behind the person and over their middle, who then stands before both sensors."""
+_FRUSTA = {"setup": 0.3, "inspect": 0.2}  # metres
 
 
 def session_blueprint(
@@ -62,7 +62,7 @@ def session_blueprint(
     return rrb.Blueprint(
         rrb.Tabs(
             _setup(fuser, person_at, color),
-            _inspect(body, person_at, live),
+            _inspect(fuser, person_at, live),
             _report(body),
             active_tab=LAYOUTS.index(active),
         ),
@@ -93,23 +93,25 @@ def _setup(fuser: Fuser, person_at: NDArray[np.float64], color: bool) -> rrb.Con
         images = [
             rrb.Tabs(_color_view(side), depth) for side, depth in zip(layout.SIDES, depths, strict=True)
         ]
-    b_at = fuser.calibration.a_from_b.translation
-    if not b_at.any():  # nobody knows yet: where it should be, 90° round the person
-        b_at = person_at + np.linalg.norm(person_at) * np.array([1.0, 0.0, 0.0])
-    places = np.array([np.zeros(3), b_at, person_at])
-    middle = places.mean(axis=0)
-    size = float(np.linalg.norm(places - middle, axis=1).max())
-    advice = rrb.TextDocumentView(origin=layout.COACH, name="what to do next")
+    forth = 0.5 * _place_of_b(fuser, person_at) - person_at  # to half-way between the sensors
     seen = rrb.TimeSeriesView(
         origin=layout.QUALITY,
         name="joints tracked by each sensor",
         overrides={layout.QUALITY: appearance.tracked_lines()},
+        axis_y=rrb.ScalarAxis(range=(0.0, len(fuser.calibration.body) + 1.0)),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftBottom),
     )
+    scene = _scene(
+        person_at + _OVERVIEW * forth - np.array([0.0, _HIGH, 0.0]),
+        person_at + 0.4 * forth,
+        "sensors, skeletons, points",
+        frustum=_FRUSTA["setup"],
+    )
+    advice = rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="what to do next")
     return rrb.Horizontal(
         rrb.Vertical(*images),
-        _scene(middle + 1.9 * size * _FROM_ABOVE, middle, "sensors, skeletons, points"),
-        rrb.Vertical(advice, seen, _events(), row_shares=[4, 2, 2]),
-        column_shares=[3, 5, 3],
+        rrb.Vertical(scene, rrb.Horizontal(advice, seen, _events()), row_shares=[7, 3]),
+        column_shares=[3, 8],
         name="setup",
     )
 
@@ -120,9 +122,19 @@ def _color_view(side: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(origin=entity, contents=contents, name=f"Kinect {side.upper()}, colour")
 
 
-def _inspect(body: Body, person_at: NDArray[np.float64], live: bool) -> rrb.Container:
-    away = person_at / max(float(np.linalg.norm(person_at)), 1e-6)
-    beside = person_at - _NEAR * away + np.array([0.4, -0.2, 0.0])  # so that K_B shows too
+def _place_of_b(fuser: Fuser, person_at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) metres in K_A's frame; while nobody knows, where it should be: 90° round the person."""
+    b_at = fuser.calibration.a_from_b.translation
+    if b_at.any():
+        return b_at
+    return np.asarray(person_at + np.linalg.norm(person_at) * np.array([1.0, 0.0, 0.0]))
+
+
+def _inspect(fuser: Fuser, person_at: NDArray[np.float64], live: bool) -> rrb.Container:
+    body = fuser.calibration.body
+    away = person_at - 0.5 * _place_of_b(fuser, person_at)
+    away /= max(float(np.linalg.norm(away)), 1e-6)
+    behind = person_at + _BEHIND * away - np.array([0.0, _ABOVE, 0.0])
     limbs = [f"{bone}_{side}" for bone in _LIMBS for side in ("left", "right")]
     prominent = [body.joints[body.joint(name)] for name in layout.PROMINENT_JOINTS]
     trust_lines = rrb.TimeSeriesView(
@@ -135,11 +147,12 @@ def _inspect(body: Body, person_at: NDArray[np.float64], live: bool) -> rrb.Cont
     return rrb.Horizontal(
         rrb.Vertical(
             _scene(
-                beside,
+                behind,
                 person_at,
                 "S_A brown, S_B blue, S* purple",
+                frustum=_FRUSTA["inspect"],
                 track=layout.FUSED_SKELETON,
-                hidden=[layout.points(side) for side in layout.SIDES],
+                hidden=[*(layout.points(side) for side in layout.SIDES), f"{layout.COACH}/**"],
             ),
             rrb.Tabs(
                 *(_plot(*figure) for figure in _FIGURES),
@@ -164,14 +177,19 @@ def _inspect(body: Body, person_at: NDArray[np.float64], live: bool) -> rrb.Cont
             rrb.Grid(*_bone_plots([bone for bone in limbs if bone in body.bones]), grid_columns=2),
             row_shares=[1, 1],
         ),
-        column_shares=[1, 1],
+        column_shares=[5, 6],
         name="inspect",
     )
 
 
 def _report(body: Body) -> rrb.Container:
     plots = _bone_plots((body.bones[joint] for joint in body.bone_joints), legend=True)
-    return rrb.Grid(*plots, grid_columns=_REPORT_COLUMNS, name="report")
+    return rrb.Grid(
+        *plots,
+        rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="how good"),
+        grid_columns=math.ceil(math.sqrt(len(plots) + 1)),
+        name="report",
+    )
 
 
 def _bone_plots(bones: Iterable[str], legend: bool = False) -> list[rrb.View]:
@@ -196,13 +214,16 @@ def _plot(name: str, title: str) -> rrb.TimeSeriesView:
 
 
 def _events() -> rrb.TextLogView:
-    return rrb.TextLogView(origin=layout.EVENTS, name="events")
+    """Without the entity's path, which is the same in every row."""
+    columns = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
+    return rrb.TextLogView(origin=layout.EVENTS, name="events", columns=columns)
 
 
 def _scene(
     eye: NDArray[np.float64],
     looks_at: NDArray[np.float64],
     name: str,
+    frustum: float,
     track: str | None = None,
     hidden: Sequence[str] = (),
 ) -> rrb.Spatial3DView:
@@ -212,7 +233,10 @@ def _scene(
         origin="/",
         contents=["$origin/**", *(f"- {entity}" for entity in left_out)],
         name=name,
-        overrides={layout.depth(side): _FRUSTUM for side in layout.SIDES},
+        overrides={
+            layout.depth(side): rr.Pinhole.from_fields(image_plane_distance=frustum).visualizer()
+            for side in layout.SIDES
+        },
         eye_controls=rrb.EyeControls3D(
             position=eye, look_target=looks_at, eye_up=(0.0, -1.0, 0.0), tracking_entity=track
         ),

@@ -9,7 +9,6 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,23 +18,15 @@ from fusion.calibration import Calibration
 from fusion.skeleton import Skeleton
 from fusion.viewing_plane import Intrinsics
 from recordings.arrays import RecordedFrame
-
-Level = Literal["INFO", "WARN"]
+from viewer_app.advice import Advice, placement
+from viewer_app.standing_spot import CAMERA_HEIGHT, FARTHEST, nearest, standing_spot
 
 UNSEEN = 1.0
 """Seconds without a person, after which it is said."""
-FARTHEST = {"kinect_v1": 4.0, "kinect_v2": 4.5, "azure_kinect": 3.9}
-"""Metres to which the makers promise a depth, by body (Azure: NFOV, not binned)."""
-TALL = 2.0
-"""Metres that must fit into the image: a tall adult, and some room."""
 CUT_OFF = 0.5
 """Share of the last second in which a foot is not tracked or outside the image."""
-ANGLES = (60.0, 120.0)
-"""Degrees between the sensors within which each sees most of what the other cannot."""
 HOLD = 3.0
 """Seconds to hold the start-up pose: the paper's few seconds."""
-GOOD, USABLE = 40.0, 80.0
-"""Millimetres (median) between the views, calibrated: real Kinects reach 25 to 60."""
 RATE = 0.8
 """Of the sensor's nominal frames a second."""
 SKEW = 0.5
@@ -43,26 +34,9 @@ SKEW = 0.5
 MOVED = 0.25
 """Metres that t drifts, eight seconds' median. People who walk about between two real Kinects shift the three
 seconds' median by up to 0.19; turning a sensor by 5° shifts it by 0.26 at 3 m."""
+WARM_UP = 2400.0
+"""Seconds until an Azure Kinect's distances stay the same (Tölgyessy et al. 2021: 40 to 50 minutes)."""
 _SECOND, _RATE_WINDOW, _MOVED_WINDOW = 1.0, 2.0, 8.0  # seconds
-
-
-@dataclass(frozen=True)
-class Advice:
-    """One thing to know or do.
-
-    Attributes:
-        topic: What it is about; an advice replaces the one before on its topic.
-        text: What to do, with figure and threshold in words.
-        level: Whether something is wrong.
-        figure: What was measured; NaN where there is no number to it.
-        threshold: What it is held against; likewise.
-    """
-
-    topic: str
-    text: str
-    level: Level = "INFO"
-    figure: float = math.nan
-    threshold: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -74,14 +48,12 @@ class Situation:
         settled: Whether it comes from a start-up pose or a file.
         held: Seconds for which the start-up pose has been held.
         dropped: Frames so far that the program was too slow for, of A and B.
-        warm: Whether the sensors have run long enough for stable depth; None where it does not matter.
     """
 
     calibration: Calibration
     settled: bool
     held: float
     dropped: tuple[int, int] = (0, 0)
-    warm: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -101,10 +73,18 @@ class Coach:
         body: What both sensors report.
         intrinsics: Of A's and B's depth camera.
         rate: Nominal frames a second.
+        warm_up: Seconds that the sensors must run before their distances stay the same.
     """
 
-    def __init__(self, body: Body, intrinsics: tuple[Intrinsics, Intrinsics], rate: float = 30.0) -> None:
-        self._body, self._intrinsics, self._rate = body, intrinsics, rate
+    def __init__(
+        self,
+        body: Body,
+        intrinsics: tuple[Intrinsics, Intrinsics],
+        rate: float = 30.0,
+        warm_up: float = 0.0,
+    ) -> None:
+        self.body, self.intrinsics = body, intrinsics
+        self._rate, self._warm_up = rate, warm_up
         self._feet = np.array([body.joint("ANKLE_LEFT"), body.joint("ANKLE_RIGHT")])
         self._views: tuple[deque[_View], deque[_View]] = (deque(), deque())
         self._seen_at: list[float | None] = [None, None]
@@ -113,6 +93,7 @@ class Coach:
         self._shifts: deque[tuple[float, NDArray[np.float64]]] = deque()
         self._began: float | None = None
         self._calibration: Calibration | None = None
+        self._overlap_of: tuple[Calibration | None, float] = (None, math.inf)
 
     def watch(self, frame: RecordedFrame, now: Situation) -> list[Advice]:
         """Takes the next frame.
@@ -124,9 +105,10 @@ class Coach:
         self._began = time if self._began is None else self._began
         self._remember(frame, now, time)
         advice = [
-            *self._sensors(time, now),
+            *self._sensors(time),
             *self._people(frame, time),
-            *self._placement(now.calibration),
+            *placement(now.calibration),
+            *self._overlap(now.calibration),
             *self._pose(now),
             *self._moved(now, time),
         ]
@@ -137,7 +119,7 @@ class Coach:
         for k, (sensor_frame, skeleton) in enumerate(((pair.a, skeletons.a), (pair.b, skeletons.b))):
             if skeleton is not None:
                 self._seen_at[k] = time
-            feet = skeleton is not None and self._feet_gone(skeleton, self._intrinsics[k])
+            feet = skeleton is not None and self._feet_gone(skeleton, self.intrinsics[k])
             self._views[k].append(_View(time, sensor_frame is not None, skeleton is not None, feet))
             while time - self._views[k][0].time > _RATE_WINDOW:
                 self._views[k].popleft()
@@ -163,7 +145,7 @@ class Coach:
         inside = (pixels >= 0.0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
         return not bool((skeleton.tracked[self._feet] & inside).all())
 
-    def _sensors(self, time: float, now: Situation) -> Iterator[Advice]:
+    def _sensors(self, time: float) -> Iterator[Advice]:
         assert self._began is not None
         if time - self._began < _RATE_WINDOW:
             return
@@ -177,16 +159,20 @@ class Coach:
                     "WARN",
                     came,
                     RATE * self._rate,
+                    side,
+                    f"{came:.0f} frames a second",
                 )
             dropped = self._drops[-1][1][k] - self._drops[0][1][k]
             if dropped > 0:
                 yield Advice(
                     f"drops {side}",
                     f"{dropped} frames of {side} came too fast for this machine in {_RATE_WINDOW:g} s (0 is "
-                    "good). Close other programs, or use --depth half.",
+                    "good). Close other programs.",
                     "WARN",
                     dropped,
                     0.0,
+                    side,
+                    "drops frames",
                 )
         if self._skews:
             skew, limit = float(np.median([ms for _, ms in self._skews])), SKEW * 1e3 / self._rate
@@ -199,8 +185,16 @@ class Coach:
                     skew,
                     limit,
                 )
-        if now.warm is False:
-            yield Advice("warm-up", "The sensors are still warming up: distances drift by some millimetres.")
+        run = time - self._began
+        if run < self._warm_up:
+            yield Advice(
+                "warm-up",
+                f"The sensors have run for {run / 60.0:.0f} min; for the first {self._warm_up / 60.0:.0f} "
+                "their distances drift by millimetres. Calibrate again after that if you need them.",
+                "INFO",
+                run,
+                self._warm_up,
+            )
 
     def _people(self, frame: RecordedFrame, time: float) -> Iterator[Advice]:
         assert self._began is not None
@@ -216,9 +210,11 @@ class Coach:
                         "WARN",
                         since,
                         UNSEEN,
+                        side,
+                        "sees no one",
                     )
                 continue
-            yield from self._distance(side, skeleton, self._intrinsics[k])
+            yield from self._distance(side, skeleton, self.intrinsics[k])
             lately = [view.feet_gone for view in self._views[k] if view.seen and time - view.time <= _SECOND]
             gone = float(np.mean(lately))
             if gone > CUT_OFF:
@@ -229,14 +225,16 @@ class Coach:
                     "WARN",
                     gone,
                     CUT_OFF,
+                    side,
+                    "feet cut off",
                 )
 
     def _distance(self, side: str, skeleton: Skeleton, camera: Intrinsics) -> Iterator[Advice]:
-        torso = skeleton.positions[list(self._body.torso), 2]
+        torso = skeleton.positions[list(self.body.torso), 2]
         if not np.isfinite(torso).any():
             return
         away = float(np.nanmean(torso))
-        near, far = nearest(camera), FARTHEST[self._body.name]
+        near, far = nearest(camera), FARTHEST[self.body.name]
         if away < near:
             yield Advice(
                 f"distance {side}",
@@ -245,6 +243,8 @@ class Coach:
                 "WARN",
                 away,
                 near,
+                side,
+                f"too close, {away:.1f} m",
             )
         elif away > far:
             yield Advice(
@@ -253,25 +253,26 @@ class Coach:
                 "WARN",
                 away,
                 far,
+                side,
+                f"too far, {away:.1f} m",
             )
 
-    def _placement(self, calibration: Calibration) -> Iterator[Advice]:
-        registration = calibration.registration
-        if registration is None:
-            return
-        angle = math.degrees(calibration.axes_angle)
-        low, high = ANGLES
-        if not low <= angle <= high:
-            wider = "apart" if angle < low else "together"
+    def _overlap(self, calibration: Calibration) -> Iterator[Advice]:
+        if calibration is not self._overlap_of[0]:
+            self._overlap_of = calibration, math.inf
+            if calibration.registration is not None:
+                far = FARTHEST[self.body.name]
+                spot = standing_spot(calibration.a_from_b, self.intrinsics, far, CAMERA_HEIGHT)
+                self._overlap_of = calibration, spot.room
+        if (room := self._overlap_of[1]) < 0.0:
             yield Advice(
-                "angle",
-                f"The sensors look {angle:.0f}° apart; between {low:.0f}° and {high:.0f}° (best: 90°) each "
-                f"sees what the other cannot. Move them further {wider} round the person.",
+                "overlap",
+                f"Nowhere do both sensors see a whole person with arms out: the best place lacks "
+                f"{-room:.1f} m (0 is enough). Turn both to the same place, 2.5 m from each.",
                 "WARN",
-                angle,
-                low if angle < low else high,
+                room,
+                0.0,
             )
-        yield verdict(calibration)
 
     def _pose(self, now: Situation) -> Iterator[Advice]:
         if now.settled:
@@ -301,38 +302,6 @@ class Coach:
                 "WARN",
                 shift,
                 MOVED,
+                "AB",
+                "moved? calibrate again",
             )
-
-
-def nearest(camera: Intrinsics) -> float:
-    """Metres from which on a tall person fits into the image's height."""
-    return TALL * camera.fy / camera.height
-
-
-def verdict(calibration: Calibration) -> Advice:
-    """How good a calibration is, in millimetres, and what limits it."""
-    registration = calibration.registration
-    if registration is None:
-        return Advice("calibration", f"Calibration: {calibration.how}; how well it fits is not known.")
-    apart = registration.residual_median * 1e3
-    word = "good" if apart < GOOD else "usable" if apart < USABLE else "poor"
-    worst = ", ".join(f"{name} {1e3 * off:.0f} mm" for name, off in registration.worst_joints(2))
-    limit = f"limited by {worst}" if worst else "no joint was seen by both"
-    if (uncertain := math.degrees(registration.rotation_sd)) > 2.0:
-        limit += f"; its rotation is certain to {uncertain:.1f}° only: step about while it is made"
-    return Advice(
-        "calibration",
-        f"Calibration {word}: the views differ by {apart:.0f} mm (good below {GOOD:.0f}, usable below "
-        f"{USABLE:.0f}); {limit}.",
-        "WARN" if word == "poor" else "INFO",
-        apart,
-        GOOD if word == "good" else USABLE,
-    )
-
-
-def to_markdown(advice: list[Advice]) -> str:
-    """The coach's page."""
-    if not advice:
-        return "## All is well\n"
-    marks = {"WARN": "**Mend:**", "INFO": ""}
-    return "\n\n".join(f"{marks[each.level]} {each.text}".strip() for each in advice) + "\n"

@@ -11,11 +11,14 @@ from rich.table import Table
 from recordings import layout
 from recordings.comparison import DIFFERENCE, LARGEST, Comparison, record_comparison
 from recordings.session import Session
+from viewer_app.display import has_display
 from viewer_app.errors import UsageError
+from viewer_app.file_window import written_and_shown
 from viewer_app.options import CompareOptions
 from viewer_app.outputs import check_outputs
 from viewer_app.replay import print_damage
-from viewer_app.sinks import has_display, open_stream
+
+_APPLICATION_ID = f"{layout.APPLICATION_ID}_compare"
 
 
 def run(options: CompareOptions) -> None:
@@ -33,7 +36,8 @@ def run(options: CompareOptions) -> None:
         print_damage(console, session)
     comparison = Comparison.of(*sessions)
     worst = comparison.worst(options.worst)
-    with open_stream(options.save, not options.no_viewer and has_display(), _blueprint()) as stream:
+    window = not options.no_viewer and has_display()
+    with written_and_shown(options.save, window, _blueprint(), _APPLICATION_ID) as stream:
         record_comparison(stream, comparison, worst)
     console.print(
         f"[bold]{len(comparison)}[/] frames in common, of {len(sessions[0])} and {len(sessions[1])}.",

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from devices.simulated.movements import MOTIONS
 from devices.simulated.paced import PacedSensor
-from devices.simulated.sensor import Truth, simulated_pair
+from devices.simulated.sensor import Truth, TruthAhead, simulated_pair
 from devices.two_sensors import TwoSensors
 from fusion.body import BODIES
 from fusion.calibration import nominal_calibration
@@ -24,6 +24,7 @@ from recordings.arrays import RecordedFrame, SessionArrays
 from viewer_app.blueprint import session_blueprint
 from viewer_app.coach import Coach
 from viewer_app.ctrl_c import CtrlC
+from viewer_app.display import has_display
 from viewer_app.errors import UsageError
 from viewer_app.live import run_live
 from viewer_app.live_display import LiveDisplay
@@ -32,7 +33,7 @@ from viewer_app.live_summary import check_saved, print_saved, print_session
 from viewer_app.options import DemoOptions
 from viewer_app.outputs import check_writable, warn_of_little_room
 from viewer_app.run import warm_up
-from viewer_app.viewing import announce, choose_viewing, has_display, stay_for_visitors
+from viewer_app.viewing import announce, choose_viewing, stay_for_visitors
 
 _SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
 
@@ -70,7 +71,7 @@ def run(options: DemoOptions) -> None:
     start = truth.positions_at(0)
     nominal = Fuser(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
     blueprint = session_blueprint(nominal, np.asarray(start.mean(axis=0)), options.layout, live=True)
-    warm_up(nominal, console)
+    warm_up(nominal, console, lambda: next(a.frames(), None))
     console.print(
         f"A simulated person ({escape(options.motion)}) before two Kinects {options.angle:.0f}° apart, "
         f"{options.seconds:g} s. Ctrl-C ends it."
@@ -96,7 +97,7 @@ def run(options: DemoOptions) -> None:
                 intrinsics=(a.intrinsics, b.intrinsics),
                 calibration=None,
                 recorder_for=lambda _: session,
-                truth_at=truth.positions_at,
+                truth_at=TruthAhead(truth),
                 go_on=show,
             )
             session.save()
@@ -105,6 +106,13 @@ def run(options: DemoOptions) -> None:
                 ctrl_c.calls(again.set)
                 stay_for_visitors(viewing, console, again)
         print_session(console, fuser, frames, sensors)
+        left_out = a.images_left_out + b.images_left_out
+        if left_out:
+            of = sensors.a.received + sensors.b.received
+            console.print(
+                f"To keep pace, {left_out} of {of} depth images were left out; a smaller --depth takes less.",
+                highlight=False,
+            )
         if frames:
             _print_truth(console, fuser, frames, truth)
         if save is not None:

@@ -15,8 +15,8 @@ from rich.text import Text
 
 from devices.body_tracking import TrackerSettings
 from devices.doctor import Check, device_checks
+from viewer_app.display import why_no_window
 from viewer_app.options import DoctorOptions
-from viewer_app.sinks import has_display
 
 _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program from a slow disk
 
@@ -57,11 +57,12 @@ def program_checks(root: Path = Path("/")) -> list[Check]:
 
 
 def _display() -> Check:
-    if has_display():
+    why_not = why_no_window()
+    if why_not is None:
         return Check("display", True, os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY") or "yes")
     advice = "Use duplex live --save FILE.rrd --no-viewer and look at the file on another machine."
     # live saves without one; what sensors need of a display is the depth engine's line
-    return Check("display", False, "neither DISPLAY nor WAYLAND_DISPLAY is set", advice, needed=False)
+    return Check("display", False, why_not, advice, needed=False)
 
 
 def _graphics(root: Path) -> Check:

@@ -19,7 +19,11 @@ from fusion.fuser import Fuser, FuserSettings
 from fusion.skeleton import SkeletonPair
 from recordings.arrays import RecordedFrame, SessionArrays
 from recordings.calibration_file import calibration_to_json, read_calibration
+from recordings.coach_page import CoachPage
+from viewer_app.advice import placement, verdict
 from viewer_app.blueprint import session_blueprint
+from viewer_app.coach import Situation
+from viewer_app.coach_scene import CoachScene
 from viewer_app.errors import UsageError
 from viewer_app.live_session import LiveSession
 from viewer_app.options import FuseOptions
@@ -68,6 +72,7 @@ def run(options: FuseOptions) -> None:
                 )
             )
             session.event(f"calibrated: {calibration.how}")
+            session.coach(_verdict(fuser))
             shown = track(
                 pairing.pairs, "fusing", console=console, transient=True, disable=not console.is_terminal
             )
@@ -79,6 +84,14 @@ def run(options: FuseOptions) -> None:
             session.save()
         _summarise(console, options, FusionResult(pairing, calibration, settings, *_rows(frames, fuser)))
         stay_for_visitors(viewing, console)
+
+
+def _verdict(fuser: Fuser) -> CoachPage:
+    """What the setup says of a recording: how well its two views fit, and what would have been better."""
+    calibration = fuser.calibration
+    scene = CoachScene(calibration.body, (fuser.intrinsics_a, fuser.intrinsics_b))
+    advice = list(placement(calibration)) or [verdict(calibration)]
+    return scene.page(advice, Situation(calibration, settled=True, held=0.0))
 
 
 def _rows(frames: list[RecordedFrame], fuser: Fuser) -> tuple[SessionArrays, SessionArrays | None]:

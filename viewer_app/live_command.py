@@ -26,7 +26,7 @@ from fusion.fuser import Fuser, FuserSettings
 from fusion.viewing_plane import NOMINAL_INTRINSICS, Intrinsics
 from recordings.calibration_file import calibration_to_json, read_calibration
 from viewer_app.blueprint import session_blueprint
-from viewer_app.coach import Coach
+from viewer_app.coach import WARM_UP, Coach
 from viewer_app.ctrl_c import CtrlC
 from viewer_app.errors import UsageError
 from viewer_app.images import thinned_camera
@@ -142,7 +142,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                     viewing=viewing,
                 )
             )
-            coach = Coach(a.body, (nominal.intrinsics_a, nominal.intrinsics_b))
+            coach = Coach(a.body, (nominal.intrinsics_a, nominal.intrinsics_b), options.fps, warm_up=WARM_UP)
             display = opened.enter_context(
                 LiveDisplay(console, session, coach, options.quiet, options.verbose)
             )

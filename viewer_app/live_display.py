@@ -12,7 +12,10 @@ from rich.live import Live
 from rich.markup import escape
 from rich.text import Text
 
-from viewer_app.coach import Advice, Coach, Situation, to_markdown
+from recordings.coach_page import CoachPage
+from viewer_app.advice import Advice
+from viewer_app.coach import Coach, Situation
+from viewer_app.coach_scene import CoachScene
 from viewer_app.live import Status
 from viewer_app.live_session import LiveSession
 
@@ -46,7 +49,8 @@ class LiveDisplay:
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._shows = not quiet and not verbose and console.is_terminal
         self._said: dict[str, str] = {}
-        self._page = ""
+        self._scene = CoachScene(coach.body, coach.intrinsics)
+        self._page: CoachPage | None = None
         self._failure_told = False
         self._frames: deque[Status] = deque()
         self._next = -np.inf
@@ -124,7 +128,7 @@ class LiveDisplay:
             (sensors.a.dropped, sensors.b.dropped),
         )
         advice = self._coach.watch(status.frame, situation)
-        page = to_markdown(advice)
+        page = self._scene.page(advice, situation, status.frame.fused)
         if page != self._page:
             self._page = page
             self._session.coach(page)

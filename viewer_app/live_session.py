@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fusion.fuser import Fuser
 from recordings import layout
 from recordings.arrays import RecordedFrame
+from recordings.coach_page import CoachPage
 from recordings.recorder import Recorder
 from viewer_app.errors import UsageError
 from viewer_app.images import has_images, without_images
@@ -44,12 +45,14 @@ class Viewing:
         hub: Where viewers connect to; None where there is only a window, which then outlives the program.
         depth_hz: Depth images a second and sensor at most, in the viewer.
         headless: Whether the window is drawn without a screen, for tests.
+        why_not: Why nothing is looked at, where something was to be.
     """
 
     window: bool = False
     hub: Hub | None = None
     depth_hz: float = _DEPTH_HZ
     headless: bool = False
+    why_not: str = ""
 
 
 class LiveSession:
@@ -153,9 +156,9 @@ class LiveSession:
         """Takes what happened, at the time of the last frame."""
         self._say(Note(text, level))
 
-    def coach(self, markdown: str) -> None:
+    def coach(self, page: CoachPage) -> None:
         """Takes what to do next, at the time of the last frame."""
-        self._say(Note(markdown, None))
+        self._say(page)
 
     def calibrate(self, fuser: Fuser) -> None:
         """Takes the fuser with which the frames that follow are made."""
@@ -256,7 +259,7 @@ class LiveSession:
     def _feed_into(self, start: Callable[[], subprocess.Popen[bytes]], restart: bool = True) -> ViewerFeed:
         return ViewerFeed(
             start,
-            self._stream,
+            self._stream(),
             self._begin,
             restart=restart,
             keep=None if self._complete else _VIEWER_QUEUE,

@@ -84,7 +84,8 @@ class DemoOptions:
     body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
     """Whose body tracker is simulated."""
     depth: Literal["none", "half", "full"] = "half"
-    """Depth images: none, at half the sensor's resolution, or all of it."""
+    """Depth images: none, at half the sensor's resolution, or all of it. Where the machine is too slow, as
+    most are for full, images are left out, skeletons never."""
     save: Path | None = None
     """Keep the session as an .rrd file; without a display demo.rrd if not given."""
     no_viewer: bool = False
@@ -155,9 +156,9 @@ class LiveOptions:
     layout: Literal["setup", "inspect", "report"] = "setup"
     """Which of the viewer's tabs is open at first."""
     quiet: bool = False
-    """No status line and no advice in the terminal."""
+    """No status line and no advice, only warnings."""
     verbose: bool = False
-    """Advice with its figures and thresholds."""
+    """Keep every status line."""
     force: bool = False
     """Overwrite files that exist."""
 

@@ -17,14 +17,16 @@ from recordings import layout
 from recordings.arrays import RecordedFrame, SessionArrays
 from recordings.checksums import fused_checksums, joint_digests
 from recordings.recorder import Recorder
+from recordings.rewriting import copy_images
 from recordings.session import Session
 from viewer_app.blueprint import inspect_blueprint
+from viewer_app.display import has_display
 from viewer_app.errors import UsageError
+from viewer_app.file_window import written_and_shown
 from viewer_app.options import ReplayOptions
 from viewer_app.outputs import check_outputs, whole_file
 from viewer_app.report import FusionResult, print_summary, report, report_to_json
 from viewer_app.run import fuse_offline
-from viewer_app.sinks import has_display, open_stream
 
 _CUT_WITHIN = 1e-6  # metres; float32 shows 2.4e-7 at 4 m
 
@@ -52,7 +54,9 @@ def run(options: ReplayOptions) -> None:
     print_damage(console, session)
     fusers = list(session.fusers(settings))
     window = not options.no_viewer and not options.verify and has_display()
-    with open_stream(options.save, window, inspect_blueprint(session.body, whereabouts(session))) as stream:
+    with written_and_shown(
+        options.save, window, inspect_blueprint(session.body, whereabouts(session))
+    ) as stream:
         about: dict[str, str | int] = {"first_frame": session.first_frame, "replay_of": session.path.name}
         recorder = Recorder(stream, fusers[0][0], session.sources, about=about)
         pairs = list(session.pairs())
@@ -63,12 +67,7 @@ def run(options: ReplayOptions) -> None:
                 recorder.calibrate(fuser)
             recorder.event(f"calibrated: {fuser.calibration.how}")
             frames += fuse_offline(pairs[own], fuser, recorder)
-        if options.save is not None:
-            for side in layout.SIDES:
-                for frame, image in session.depth(side):
-                    recorder.record_depth(side, frame, int(session.rows.time_ns[frame]), image)
-                for frame, color in session.color(side):
-                    recorder.record_color(side, frame, int(session.rows.time_ns[frame]), color)
+        damaged = 0 if options.save is None else copy_images(session, recorder, 0, len(session))
         recorder.finish()
 
     rows = SessionArrays.stack(session.body, session.rows.bone_lengths, frames)
@@ -80,6 +79,7 @@ def run(options: ReplayOptions) -> None:
     print_summary(console, result, figures)
     if options.save is not None:
         console.print(f"Saved {options.save}.", highlight=False, markup=False)
+        print_damaged_images(console, damaged)
     if options.verify and not verify(console, session, rows.fused):
         sys.exit(1)
 
@@ -144,3 +144,9 @@ def print_damage(console: Console, session: Session) -> None:
             f"{len(session)} frames could be read{lost}.",
             highlight=False,
         )
+
+
+def print_damaged_images(console: Console, count: int) -> None:
+    """Says how many images could not be copied, where there are any."""
+    if count:
+        console.print(f"[bold yellow]{count} damaged images[/] were left out.", highlight=False)

@@ -9,9 +9,11 @@ Everything listens on this machine's loopback address unless told otherwise, and
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import importlib.util
 import os
+import platform
 import signal
 import socket
 import subprocess
@@ -20,6 +22,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 from urllib.parse import quote
 
 from viewer_app.errors import UsageError
@@ -82,6 +85,7 @@ class Hub:
                 *("--server-memory-limit", _HUB_MEMORY, "-"),
             ],
             stdin=subprocess.PIPE,
+            dies_with_us=True,
         )
 
     def wait_until_listening(self, process: subprocess.Popen[bytes]) -> None:
@@ -110,8 +114,14 @@ def start_window_on_pipe() -> subprocess.Popen[bytes]:
     return _start([*_own(free_port()), "--expect-data-soon", "-"], stdin=subprocess.PIPE)
 
 
-def start_viewer(arguments: Sequence[str]) -> tuple[subprocess.Popen[bytes], int]:
+def start_viewer(
+    arguments: Sequence[str], stdin: int | IO[bytes] = subprocess.DEVNULL
+) -> tuple[subprocess.Popen[bytes], int]:
     """Starts a viewer that listens on a free port of the loopback address, and has a bounded memory.
+
+    Args:
+        arguments: What it shows, and how.
+        stdin: What it reads where the arguments have ``-``.
 
     Returns:
         The process and its port.
@@ -120,7 +130,7 @@ def start_viewer(arguments: Sequence[str]) -> tuple[subprocess.Popen[bytes], int
         UsageError: It does not start.
     """
     port = free_port()
-    viewer = _start([*_own(port), *arguments])
+    viewer = _start([*_own(port), *arguments], stdin)
     _wait_for(viewer, LOOPBACK, port, "Rerun's viewer")
     return viewer, port
 
@@ -155,9 +165,25 @@ def free_port(address: str = LOOPBACK) -> int:
         ) from None
 
 
-def _start(arguments: Sequence[str], stdin: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [*_program(), *arguments],
+_DIES_WITH_ITS_PARENT = """
+import ctypes, os, signal, sys
+ctypes.CDLL(None).prctl(1, signal.SIGKILL)
+if os.getppid() != int(sys.argv[1]):
+    sys.exit()
+os.execv(sys.argv[2], sys.argv[2:])
+"""
+"""PR_SET_PDEATHSIG, kept over exec: the kernel ends the process when the thread that started it ends. Popen's
+preexec_fn would do it without a second program, but may hang in a program with threads."""
+
+
+def _start(
+    arguments: Sequence[str], stdin: int | IO[bytes] = subprocess.DEVNULL, dies_with_us: bool = False
+) -> subprocess.Popen[bytes]:
+    command = [*_program(), *arguments]
+    if dies_with_us and platform.system() == "Linux":
+        command = [sys.executable, "-I", "-S", "-c", _DIES_WITH_ITS_PARENT, str(os.getpid()), *command]
+    process = subprocess.Popen(
+        command,
         env={**os.environ, "RERUN_ANALYTICS": "0"},
         stdin=stdin,
         stdout=subprocess.DEVNULL,
@@ -165,6 +191,9 @@ def _start(arguments: Sequence[str], stdin: int = subprocess.DEVNULL) -> subproc
         start_new_session=True,  # Ctrl-C is for us: we end it when everything is saved
         bufsize=0,
     )
+    if dies_with_us:
+        atexit.register(stop, process)  # on other systems, and where a thread outlives the interpreter
+    return process
 
 
 def _own(port: int) -> tuple[str, ...]:

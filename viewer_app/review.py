@@ -5,11 +5,12 @@ from __future__ import annotations
 from rich.console import Console
 
 from recordings.session import Session
+from viewer_app.display import has_display
+from viewer_app.file_window import show
 from viewer_app.options import ReviewOptions
 from viewer_app.outputs import check_outputs, whole_file
 from viewer_app.replay import pairing_of, print_damage
 from viewer_app.report import FusionResult, print_summary, report
-from viewer_app.sinks import has_display, open_file
 
 
 def run(options: ReviewOptions) -> None:
@@ -33,4 +34,4 @@ def run(options: ReviewOptions) -> None:
     if options.html is not None:
         console.print(f"Wrote {options.html}.", highlight=False, markup=False)
     if not options.no_viewer and has_display():
-        open_file(options.session)
+        show(options.session)

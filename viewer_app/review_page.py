@@ -93,10 +93,9 @@ def _verdict(session: Session, figures: dict[str, Any]) -> str:
 
 
 def _calibration(session: Session) -> str:
-    lines = [
-        line.replace("[bold]", "").replace("[/]", "") for line in calibration_in_words(session.calibration)
-    ]
-    return "".join(f"<p>{escape(line.strip())}</p>" for line in lines)
+    how, *verdict = calibration_in_words(session.calibration)
+    lines = [f"Calibrated on: {how}", *verdict]
+    return "".join(f"<p>{escape(line)}</p>" for line in lines)
 
 
 def _bones(session: Session) -> str:

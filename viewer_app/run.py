@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from rich.console import Console
@@ -19,13 +19,19 @@ from viewer_app.live_session import LiveSession
 _BLOCK = 1024  # frames written at a time, so that a viewer shows the work going on
 
 
-def warm_up(fuser: Fuser, console: Console) -> None:
-    """Compiles the kernels before the first frame needs them, with a word where that takes its time."""
+def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = lambda: None) -> None:
+    """Compiles the kernels before the first frame needs them, with a word where that takes its time.
+
+    Args:
+        fuser: Whose kernels.
+        console: For the word.
+        meanwhile: Runs what else there is to compile.
+    """
     notice = threading.Timer(1.0, console.print, ["Compiling the kernels; only the first run does this …"])
     notice.daemon = True
     notice.start()
     try:
-        fuser.warm_up()
+        fuser.warm_up(meanwhile)
         encode_depth(np.zeros((1, 1), dtype=np.uint16))
     finally:
         notice.cancel()

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from fusion.fuser import Fuser
 from recordings.arrays import RecordedFrame
+from recordings.coach_page import CoachPage
 from recordings.recorder import Recorder
 from viewer_app.errors import UsageError
 from viewer_app.rerun_process import stop
@@ -28,22 +29,19 @@ from viewer_app.rerun_process import stop
 
 @dataclass(frozen=True, eq=False)
 class Note:
-    """Something said beside the frames: an event, or the coach's page.
+    """An event.
 
     Attributes:
         text: What is said.
-        level: Of an event; None for the coach's page.
+        level: How bad it is.
     """
 
     text: str
-    level: str | None = "INFO"
+    level: str = "INFO"
 
     def write(self, recorder: Recorder) -> None:
         """Puts it where it belongs."""
-        if self.level is None:
-            recorder.coach(self.text)
-        else:
-            recorder.event(self.text, self.level)
+        recorder.event(self.text, self.level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +66,8 @@ class Image:
 
 
 Numbered = tuple[int, RecordedFrame]
-Item = Numbered | Note | Image | Fuser
-"""A frame, something said, or the fuser with whose calibration the frames that follow are made."""
+Item = Numbered | Note | CoachPage | Image | Fuser
+"""A frame, something said or drawn, or the fuser with whose calibration the frames that follow are made."""
 Opening = Callable[[rr.RecordingStream], Recorder]
 """Writes what is static, and gives the recorder to go on with."""
 
@@ -87,6 +85,9 @@ def write_items(recorder: Recorder, items: Sequence[Item]) -> None:
         if isinstance(item, Note | Image):
             write_run()
             item.write(recorder)
+        elif isinstance(item, CoachPage):
+            write_run()
+            recorder.coach(item)
         elif isinstance(item, Fuser):
             write_run()
             recorder.calibrate(item)
@@ -100,7 +101,8 @@ class ViewerFeed:
 
     Args:
         start: Starts the process, with a pipe as its standard input.
-        open_stream: Makes a recording stream without a sink; each process gets a stream of its own.
+        stream: Without a sink. All processes get the same one: Rerun never frees a stream's threads and
+            buffers, 5 MB each.
         begin: Writes what is static.
         keep: How many items wait at most, the oldest give way; None: all wait, nothing is left out.
         patience: Seconds without progress after which the process is replaced.
@@ -111,7 +113,7 @@ class ViewerFeed:
     def __init__(
         self,
         start: Callable[[], subprocess.Popen[bytes]],
-        open_stream: Callable[[], rr.RecordingStream],
+        stream: rr.RecordingStream,
         begin: Opening,
         *,
         keep: int | None = 60,
@@ -119,7 +121,7 @@ class ViewerFeed:
         restart: bool = True,
         retry: float = 0.5,
     ) -> None:
-        self._start, self._open_stream, self._begin = start, open_stream, begin
+        self._start, self._stream, self._begin = start, stream, begin
         self._patience, self._restart, self._retry = patience, restart, retry
         self._queue: deque[Item] = deque()
         self._keep = keep
@@ -179,6 +181,12 @@ class ViewerFeed:
         self._queue.popleft()
 
     def _run(self) -> None:
+        try:
+            self._feed_each()
+        finally:
+            self._stream.disconnect()
+
+    def _feed_each(self) -> None:
         while not self._stopping:
             if self.starts and self.process.poll() is None:
                 self._feed(self.process)
@@ -195,9 +203,8 @@ class ViewerFeed:
 
     def _feed(self, process: subprocess.Popen[bytes]) -> None:
         """Until the process is gone, stands still, or we stop."""
-        stream = self._open_stream()
-        encoded = rr.binary_stream(stream)
-        recorder = self._begin(stream)
+        encoded = rr.binary_stream(self._stream)
+        recorder = self._begin(self._stream)
         try:
             while not self._stopping:
                 if not self._send(process, encoded.read() or b""):
@@ -211,7 +218,7 @@ class ViewerFeed:
                     self._idle = self._idle and not items
                 write_items(recorder, items)
         finally:
-            stream.disconnect()
+            encoded.read()  # what is left would be reported as lost
 
     def _send(self, process: subprocess.Popen[bytes], data: bytes) -> bool:
         """Whether all went into the pipe. It is not broken off within a message, unless for good."""

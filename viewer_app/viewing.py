@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import ipaddress
-import os
-import platform
 import threading
 import webbrowser
 from pathlib import Path
 
 from rich.console import Console
 
+from viewer_app.display import has_display, why_no_window
 from viewer_app.errors import UsageError
 from viewer_app.live_session import Viewing
 from viewer_app.rerun_process import Hub
-
-
-def has_display() -> bool:
-    """Whether a window could open here."""
-    if platform.system() == "Linux":
-        return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    return True
 
 
 def choose_viewing(
@@ -33,7 +25,7 @@ def choose_viewing(
         live: Whether a loop runs at its own pace; then a window that is closed can be opened again.
 
     Returns:
-        None where there is none to open and the session is saved or not wanted.
+        None where none is wanted; one that says why it opens nothing where none can be.
 
     Raises:
         UsageError: The options contradict each other, or there is neither a display nor a file.
@@ -46,19 +38,24 @@ def choose_viewing(
         return None
     if web:
         return Viewing(hub=Hub.on_free_ports(web=True, address=listen))
-    if has_display():
+    why_not = why_no_window()
+    if why_not is None:
         return Viewing(window=True, hub=Hub.on_free_ports(web=False) if live else None)
     if save is None:
         raise UsageError(
-            "There is no display for the viewer's window, and no --save. Use --save FILE.rrd to keep the "
-            "session, --web to look at it in a browser, or --no-viewer for the summary alone."
+            f"{why_not}, and there is no --save. Use --save FILE.rrd to keep the session, --web to look at "
+            "it in a browser, or --no-viewer for the summary alone."
         )
-    return None
+    return Viewing(why_not=why_not)
 
 
 def announce(viewing: Viewing | None, console: Console) -> None:
     """Says where the viewer is, and who else can see it; opens the browser where there is one."""
-    hub = None if viewing is None else viewing.hub
+    if viewing is None:
+        return
+    if viewing.why_not:
+        console.print(f"{viewing.why_not}; the session is saved.", highlight=False, markup=False)
+    hub = viewing.hub
     if hub is None:
         return
     if hub.web_port is None:

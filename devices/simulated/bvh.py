@@ -146,17 +146,24 @@ def _read(path: Path) -> _Captured:
     except ImportError as error:
         raise DeviceError(f"Reading {path} needs bvhio: pip install 'duplex-kinects[mocap]'.") from error
     try:
+        _check_whole(path.read_text(encoding="utf-8"))
         container = bvhio.readAsBvh(str(path))
     except Exception as error:  # whatever its parser met
-        raise DeviceError(f"{path} cannot be read as BVH: {error!r}. Choose another file.") from error
+        raise DeviceError(
+            f"{path} cannot be read as BVH: {str(error)[:200]}. Choose another file."
+        ) from error
     if container.FrameCount < 4:
         raise DeviceError(f"{path} has {container.FrameCount} frames; a movement needs at least 4.")
+    if not 0.0 < float(container.FrameTime) < 1.0:
+        raise DeviceError(f"{path} has {container.FrameTime} s a frame; it must be above 0 and below 1.")
     found = _Captured({}, {}, {}, float(container.FrameTime))
     ours = np.array((1.0, -1.0, -1.0))  # y up, left +x, front +z → y down, left +x, front −z
 
     def visit(joint: Any, at: Array, turned: Array) -> None:
         local = np.array([tuple(key.Position) for key in joint.Keyframes]) * ours
         quaternions = np.array([tuple(key.Rotation) for key in joint.Keyframes])  # w, x, y, z
+        if not (np.isfinite(local).all() and np.isfinite(quaternions).all()):
+            raise DeviceError(f"{path} has values of {joint.Name} that are not finite. Choose another file.")
         rotation = Rotation.from_quat(quaternions[:, (1, 2, 3, 0)]).as_matrix() * np.outer(ours, ours)
         at = at + np.einsum("tij,tj->ti", turned, local)
         turned = turned @ rotation
@@ -172,6 +179,16 @@ def _read(path: Path) -> _Captured:
     count = container.FrameCount
     visit(container.Root, np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1)))
     return found
+
+
+def _check_whole(text: str) -> None:
+    """The reader waits for ever for what a file lacks that is cut off."""
+    skeleton, _, motion = text.partition("MOTION")
+    if not skeleton.strip() or skeleton.count("{") != skeleton.count("}"):
+        raise ValueError("its skeleton is cut off")
+    count = re.search(r"Frames:\s*(\d+)\s*\n\s*Frame Time:[^\n]*\n", motion)
+    if count is None or len(motion[count.end() :].splitlines()) < int(count[1]):
+        raise ValueError("its frames are cut off")
 
 
 def _segments(skeleton: _Captured, path: Path) -> tuple[dict[str, tuple[Array, Array]], Array]:

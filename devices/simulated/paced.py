@@ -1,4 +1,4 @@
-"""A source that gives its frames as fast as asked, slowed down to the pace of a real sensor."""
+"""A simulated sensor at the pace of a real one: slowed down, or relieved of images that take too long."""
 
 from __future__ import annotations
 
@@ -7,23 +7,26 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from devices.sensor import Sensor, SensorFrame
+from devices.sensor import SensorFrame
+from devices.simulated.sensor import SimulatedKinect
 from fusion.body import Body
 from fusion.viewing_plane import Intrinsics
 
+_LATE = 1.0 / 30.0  # seconds: a frame
+
 
 class PacedSensor:
-    """Gives each frame of another sensor when its capture time has come.
+    """Gives each frame of a simulated sensor when its capture time has come.
 
     Args:
-        sensor: Whose frames.
+        sensor: Whose frames. It is told to hurry while it does not keep pace.
         clock: Seconds; tests put their own.
         wait: Waits for an event at most so many seconds; tests put their own.
     """
 
     def __init__(
         self,
-        sensor: Sensor,
+        sensor: SimulatedKinect,
         *,
         clock: Callable[[], float] = time.perf_counter,
         wait: Callable[[threading.Event, float], bool] = threading.Event.wait,
@@ -65,6 +68,7 @@ class PacedSensor:
             if begun is None:
                 begun = self._clock() - at
             due = begun + at - self._clock()
+            self._sensor.hurried = due < -_LATE
             if self._stopping.is_set() or (due > 0.0 and self._wait(self._stopping, due)):
                 return
             yield replace(frame, host_ns=round(self._clock() * 1e9))

@@ -77,6 +77,8 @@ class Scene:
     def __post_init__(self) -> None:
         if not 0.5 <= self.height <= 2.5:
             raise DeviceError(f"A person's height is between 0.5 and 2.5 m; got {self.height}.")
+        if self.seed < 0:
+            raise DeviceError(f"A seed is 0 or more; got {self.seed}.")
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,27 @@ class Truth:
         return at if times.ndim else at[0]
 
 
+class TruthAhead:
+    """The truth at one pair's time after the other: a second of A's frames is computed at once.
+
+    Args:
+        truth: Of which.
+    """
+
+    def __init__(self, truth: Truth) -> None:
+        self._truth = truth
+        self._known: dict[int, NDArray[np.float64]] = {}
+
+    def __call__(self, time_ns: int) -> NDArray[np.float64]:
+        """(J, 3) as :meth:`Truth.positions_at`."""
+        if time_ns not in self._known:
+            rig = self._truth.rig
+            first = round(time_ns * 1e-9 / rig.frame_seconds)
+            times = [time_ns, *(rig.clock(0, rig.captured_at(0, first + k)) for k in range(1, _CHUNK))]
+            self._known = dict(zip(times, self._truth.positions_at(times), strict=True))
+        return self._known[time_ns]
+
+
 class SimulatedKinect:
     """One of the two sensors of a rig. Its frames come as fast as they are asked for.
 
@@ -118,6 +141,10 @@ class SimulatedKinect:
         errors: Of its body tracker; the real ones of the body where None.
         depth: Whether frames carry a depth image, and how large.
         depth_errors: Of that image.
+
+    Attributes:
+        hurried: While set, frames come without the image, which takes most of a frame's time.
+        images_left_out: How many so far.
     """
 
     def __init__(
@@ -140,6 +167,8 @@ class SimulatedKinect:
         self._scene, self._rig, self._which = scene, rig, which
         self._errors = TrackerErrors.of(scene.body) if errors is None else errors
         self._depth, self._depth_errors = depth, depth_errors or DepthErrors()
+        self.hurried = False
+        self.images_left_out = 0
 
     def __enter__(self) -> SimulatedKinect:
         """Nothing is to be opened."""
@@ -152,7 +181,7 @@ class SimulatedKinect:
         """The frames in capture order; every call begins again, with the same frames."""
         scene, rig, which = self._scene, self._rig, self._which
         # Streams of their own: dropping a frame or asking for depth changes no other error.
-        tracking, dropping, imaging = (np.random.default_rng([scene.seed, which, k]) for k in range(3))
+        tracking, dropping = (np.random.default_rng([scene.seed, which, k]) for k in range(2))
         sensor_from_world = rig.world_from_sensor(which).inverse()
         flesh = flesh_over(self.body) * (scene.height / anatomy.REFERENCE_HEIGHT)
         tracker = Tracker(self.body, self._errors, flesh, self._lens, rig.frame_seconds, tracking)
@@ -164,7 +193,10 @@ class SimulatedKinect:
             skeleton = tracker.report(joints, visibility(joints, shapes, flesh, self._lens), time_ns)
             dropped = dropping.random() < rig.dropped
             image = None
-            if self._depth != "off":
+            if self._depth != "off" and self.hurried:
+                self.images_left_out += 1
+            elif self._depth != "off":
+                imaging = np.random.default_rng([scene.seed, which, 2, frame])
                 z, _, cosine = surface(shapes, sensor_from_world, self._lens)
                 image = depth_image(z, cosine, self._depth_errors, imaging)
             if not dropped:

@@ -7,6 +7,8 @@ scale; jitter; left taken for right when the back is turned; a frame delivered t
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -215,7 +217,11 @@ class Tracker:
 def _hold(held, at, joints, order, parents, stretch):  # type: ignore[no-untyped-def]
     for joint in order:
         parent = parents[joint]
-        true = np.sqrt(np.sum((joints[joint] - joints[parent]) ** 2))
-        bone = at[joint] - held[parent]
-        given = np.sqrt(np.sum(bone**2))
-        held[joint] = held[parent] + bone * ((true + stretch * (given - true)) / max(given, 1e-6))
+        true = given = 0.0
+        for c in range(3):
+            true += (joints[joint, c] - joints[parent, c]) ** 2
+            given += (at[joint, c] - held[parent, c]) ** 2
+        true, given = math.sqrt(true), math.sqrt(given)
+        scale = (true + stretch * (given - true)) / max(given, 1e-6)
+        for c in range(3):
+            held[joint, c] = held[parent, c] + (at[joint, c] - held[parent, c]) * scale

@@ -1,0 +1,47 @@
+"""Claims about compiling on a first run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fusion import first_run
+from fusion.first_run import tree_solver_compiled_meanwhile
+
+COLD = """
+from fusion.body import AZURE_KINECT
+from fusion.calibration import nominal_calibration
+from fusion.fuser import Fuser
+from fusion.frame import prepare
+from fusion.tree_solver import solve_tree
+Fuser(nominal_calibration(AZURE_KINECT)).warm_up()
+print(*(sum(counts.values()) for counts in (solve_tree.stats.cache_hits, solve_tree.stats.cache_misses)))
+print(len(prepare.signatures))
+"""
+
+
+def test_another_process_compiles_the_solver_on_a_first_run(tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(Path.cwd()), "NUMBA_CACHE_DIR": str(tmp_path)}
+    cold = subprocess.run(
+        [sys.executable, "-c", COLD], capture_output=True, text=True, env=environment, check=True
+    )
+    # found on disk, not compiled here; and what is compiled beside it is what the loop over frames calls
+    assert cold.stdout.split() == ["1", "0", "1"]
+
+
+def test_where_no_process_starts_all_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(first_run, "_is_on_disk", lambda: False)
+    monkeypatch.setattr(sys, "executable", "/nonexistent")
+    with tree_solver_compiled_meanwhile():
+        pass
+
+
+def test_a_later_run_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    first_run.compile_tree_solver()
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process"))
+    with tree_solver_compiled_meanwhile():
+        pass
