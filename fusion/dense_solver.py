@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
 
 from fusion.body import Body
 from fusion.solver import MAX_ITERATIONS, Solution
@@ -37,20 +38,22 @@ class DenseSolver:
         bone_lengths: ArrayLike,
         start: ArrayLike | None = None,
     ) -> Solution:
-        """See :meth:`fusion.solver.Solver.solve`."""
-        w = np.asarray(weights, dtype=np.float64)
-        m = np.where(w[:, None] > 0.0, targets, 0.0)
+        """See :meth:`fusion.solver.Solver.solve`; weights may be (J, 3, 3) W, as the tree solver's."""
+        W = np.asarray(weights, dtype=np.float64)
+        if W.ndim == 1:
+            W = W[:, None, None] * np.eye(3)
+        m = np.where(np.trace(W, axis1=1, axis2=2)[:, None] > 0.0, targets, 0.0)
         lengths = np.asarray(bone_lengths, dtype=np.float64)
         before = None if start is None else np.asarray(start, dtype=np.float64)
 
         def objective(x: NDArray[np.float64]) -> float:
-            return float(np.sum(w * np.sum((x - m) ** 2, axis=1)))
+            return float(np.einsum("ji,jik,jk->", x - m, W, x - m))
 
-        x = min(self._starts(m, w, lengths, before), key=objective)
+        x = min(self._starts(m, np.trace(W, axis1=1, axis2=2), lengths, before), key=objective)
         f = objective(x)
         for iteration in range(1, MAX_ITERATIONS + 1):
-            gradient = 2.0 * w[:, None] * (x - m)
-            Z, H = self._tangents(x), self._lagrangian_hessian(x, gradient, w)
+            gradient = 2.0 * np.einsum("jik,jk->ji", W, x - m)
+            Z, H = self._tangents(x), self._lagrangian_hessian(x, gradient, W)
             s, slope = _downhill(Z.T @ H @ Z, Z.T @ gradient.ravel())
             tau = 1.0
             while True:
@@ -116,17 +119,17 @@ class DenseSolver:
         return C.reshape(len(body) - 1, -1)
 
     def _lagrangian_hessian(
-        self, x: NDArray[np.float64], gradient: NDArray[np.float64], w: NDArray[np.float64]
+        self, x: NDArray[np.float64], gradient: NDArray[np.float64], W: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """(3J, 3J) 2W + Σ λ_k (e_i − e_p)(e_i − e_p)ᵀ ⊗ I₃."""
+        """(3J, 3J) 2W + Σ λ_k (e_i − e_p)(e_i − e_p)ᵀ ⊗ I₃, W block-diagonal."""
         body = self._body
         C = self._constraint_jacobian(x)
         multipliers = np.linalg.lstsq(C.T, -gradient.ravel(), rcond=None)[0]
-        H = np.diag(2.0 * w)
+        coupling = np.zeros((len(body), len(body)))
         for k, joint in enumerate(body.bone_joints):
             ends = [joint, body.parents[joint]]
-            H[np.ix_(ends, ends)] += multipliers[k] * np.array([[1.0, -1.0], [-1.0, 1.0]])
-        return np.asarray(np.kron(H, np.eye(3)), dtype=np.float64)
+            coupling[np.ix_(ends, ends)] += multipliers[k] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        return np.asarray(block_diag(*(2.0 * W)) + np.kron(coupling, np.eye(3)), dtype=np.float64)
 
 
 def _downhill(H: NDArray[np.float64], gradient: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:

@@ -76,8 +76,7 @@ def reliability_weights(
     For joint i, j is the nearest joint in A's viewing plane that is neither i nor linked to it by a bone,
     k the same in B's. m = j where d_ij in A is below d_ik in B, else k. With d_A, d_B the distance of i and
     m in each plane, w̄_A = d_A / (d_A + d_B), eq. (10); times h where tracked and 1 - h where inferred, if
-    the states
-    differ; to the fourth power and normalised to w_A + w_B = 1, eq. (11).
+    the states differ; to the fourth power and normalised to w_A + w_B = 1, eq. (11).
 
     Only joints that both planes have can mislead: d needs both. A joint in one plane only gets weight 1
     there and 0 in the other; in neither, 0 and 0. Without a mis-leading joint, or with it on top of i in
@@ -97,20 +96,3 @@ def reliability_weights(
     misleading = np.empty(joints, dtype=np.int64)
     weigh_views(pixels_a, pixels_b, states_a, states_b, linked, h, weights_a, weights_b, misleading)
     return weights_a, weights_b, misleading
-
-
-def equal_weights(
-    pixels_a: NDArray[np.float64], pixels_b: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Half each view, as eq. (13); all of a view where the other has no position.
-
-    Args:
-        pixels_a, pixels_b: (J, 2) pixels, or (J, 3) positions; NaN where a view lacks the joint.
-
-    Returns:
-        (J,) w_A, (J,) w_B.
-    """
-    has_a = np.isfinite(pixels_a).all(axis=1)
-    has_b = np.isfinite(pixels_b).all(axis=1)
-    views = np.maximum(has_a.astype(np.float64) + has_b, 1.0)
-    return has_a / views, has_b / views

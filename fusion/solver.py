@@ -25,10 +25,10 @@ class Solution:
 
     Attributes:
         positions: (J, 3) metres, in the frame of the targets.
-        iterations: Steps to a better point.
+        iterations: Steps to a better point, from the start that led here.
         objective: Σ (x - m)ᵀ W (x - m) there, in m² times the unit of the weights.
         converged: Whether the solver's own criterion was met before the iterations ran out.
-        systems: Linear systems solved: the work, line searches included.
+        systems: Linear systems solved: the work, line searches and abandoned starts included.
     """
 
     positions: NDArray[np.float64]
@@ -57,6 +57,6 @@ class Solver(Protocol):
             start: (J, 3) joints near the solution, such as the frame before's; their bones need no lengths.
 
         Raises:
-            FusionError: A shape does not fit, or a number has no sense.
+            FusionError: A shape does not fit, or a bone length is not positive.
         """
         ...

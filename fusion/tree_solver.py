@@ -36,7 +36,7 @@ from fusion.tree_start import load, place
 from fusion.tree_steps import copy, leave_saddle, stretch
 
 MAX_SYSTEMS = 150
-"""What bounds the work: some 0.3 ms."""
+"""Linear systems from one start: what bounds the work, some 0.5 ms."""
 _STATIONARY = 3e-11  # m: tangential force over the information it acts on
 _LAST_STEP = 1e-4  # of the bone's length: an undamped step below it leaves an error of its square
 _SMALL_STEP = 1e-7  # m: where the force is zero too, a shorter step tells nothing new
@@ -59,7 +59,6 @@ _FIRST_DAMPING = 1e-5
 _MORE, _LESS, _NONE = 8.0, 0.03, 1e-9
 _PATIENCE = 8  # steps that may climb before the best point is taken up again
 _PATIENT_DAMPING, _PATIENT_MORE = 1e-8, 6.0
-_SECOND_START = 75  # linear systems: one problem in ten thousand needs more
 _CLIMBS = 4  # lost; a valley that bends so sharply is followed with less daring:
 _LITTLE_LESS, _SHORT_CLIMB = 0.1, 3
 _LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
@@ -87,10 +86,11 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     and is left along the curvature; so is a place where Gauss–Newton steps gain next to nothing.
 
     An iteration ends at a better point. The steps on the way there, each with a linear system of its own, are
-    its line search: those that more damping replaced, and those that were climbing. At most ``MAX_SYSTEMS``.
+    its line search: those that more damping replaced, and those that were climbing.
 
-    It starts from the better of ``start`` and the directions between targets, both with the bones' lengths;
-    and once more from the other after ``_SECOND_START`` linear systems.
+    It starts from the better of ``start`` and the directions between targets, both with the bones' lengths.
+    Where ``MAX_ITERATIONS`` or ``MAX_SYSTEMS`` run out, deep in a valley that is narrow and bends, it starts
+    afresh from the other: some ten in a million of the campaign's problems.
 
     Args:
         parents: (J,) int64, -1 for the root.
@@ -124,6 +124,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     last_step = math.inf
     best = best_step = predicted = 0.0
     converged = restarted = False
+    most_systems = MAX_SYSTEMS
     while True:
         stationary = pull(parents, order, work) <= _STATIONARY
         if not step[root, 5] > 0.0 or (stationary and last_step < _LAST_STEP):
@@ -148,15 +149,16 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         if saddle < 0 and stationary and settled:
             converged = True
             break
-        if iterations == MAX_ITERATIONS or systems == MAX_SYSTEMS:
-            break
-        if not restarted and systems >= _SECOND_START:
+        if iterations == MAX_ITERATIONS or systems == most_systems:
+            if restarted:
+                break
             restarted = True
+            most_systems = systems + MAX_SYSTEMS
             objective = place(parents, order, rest, start, not on_targets, work, work[POSITION])
             for i in range(len(order)):
                 work[BONE, i, 4] = 0.0
             damping, kick, last_step = 0.0, _KICK, math.inf
-            crawling = stationary_points = patience = climbs_lost = 0
+            iterations = crawling = stationary_points = patience = climbs_lost = 0
             less, longest_climb = _LESS, _PATIENCE
             continue
         systems += 1
@@ -259,17 +261,7 @@ class TreeSolver:
         bone_lengths: ArrayLike,
         start: ArrayLike | None = None,
     ) -> Solution:
-        """S* of one frame, eq. (1).
-
-        Args:
-            targets: (J, 3) m, metres: the joint's weighted mean over the views; NaN where it has no data.
-            weights: (J,) w ≥ 0, or (J, 3, 3) symmetric positive semidefinite W; 0: no data.
-            bone_lengths: (J,) metres, indexed by the joint at the bone's far end; the root's is ignored.
-            start: (J, 3) joints near the solution, such as the frame before's; their bones need no lengths.
-
-        Raises:
-            FusionError: A shape does not fit, or a bone length is not positive.
-        """
+        """See :meth:`fusion.solver.Solver.solve`; weights may be (J, 3, 3) W, positive semidefinite."""
         m = np.ascontiguousarray(targets, dtype=np.float64)
         W = np.ascontiguousarray(weights, dtype=np.float64)
         lengths = np.ascontiguousarray(bone_lengths, dtype=np.float64)

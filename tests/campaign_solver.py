@@ -108,11 +108,18 @@ def failures(problem: Problem, solution: Solution) -> list[str]:
     return wrong
 
 
-def slsqp(problem: Problem, start: NDArray[np.float64]) -> tuple[NDArray[np.float64], float, bool]:
-    """Eq. (1) by scipy, with all derivatives: (positions, objective, whether bones came right)."""
+def slsqp(
+    problem: Problem, start: NDArray[np.float64], information: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.float64], float, bool]:
+    """Eq. (1) by scipy, with all derivatives: (positions, objective, whether bones came right).
+
+    With (J, 3, 3) ``information`` W instead of the problem's weights.
+    """
     child = problem.body.bone_joints
     parent = problem.body.parent_indices[child]
-    weights = problem.weights[:, None] / problem.weights.max()
+    W = problem.weights[:, None, None] * np.eye(3) if information is None else information
+    scale = W.max()
+    W = W / scale
     targets = np.where(problem.weights[:, None] > 0, problem.targets, 0.0)
     rows = np.arange(len(child))
 
@@ -126,10 +133,13 @@ def slsqp(problem: Problem, start: NDArray[np.float64]) -> tuple[NDArray[np.floa
         result[rows, child], result[rows, parent] = bone, -bone
         return result.reshape(len(child), -1)
 
+    def pull(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (W @ (x.reshape(-1, 3) - targets)[:, :, None])[:, :, 0]
+
     found = minimize(
-        lambda x: float((weights * (x.reshape(-1, 3) - targets) ** 2).sum()),
+        lambda x: float(((x.reshape(-1, 3) - targets) * pull(x)).sum()),
         start.ravel(),
-        jac=lambda x: (2 * weights * (x.reshape(-1, 3) - targets)).ravel(),
+        jac=lambda x: 2 * pull(x).ravel(),
         constraints={"type": "eq", "fun": constraint, "jac": jacobian},
         method="SLSQP",
         options={"maxiter": 1000, "ftol": 1e-15},
@@ -137,7 +147,7 @@ def slsqp(problem: Problem, start: NDArray[np.float64]) -> tuple[NDArray[np.floa
     positions = found.x.reshape(-1, 3)
     return (
         positions,
-        float(found.fun * problem.weights.max()),
+        float(found.fun * scale),
         bone_error(problem, positions) < BONE_TOLERANCE,
     )
 

@@ -1,5 +1,10 @@
+from dataclasses import replace
+from typing import Literal
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
@@ -14,6 +19,9 @@ from tests.conftest import A_FROM_B, FRAME_NS, moving, pair_of, standing
 # float32 positions at up to 4 m from a sensor are exact to 2.4e-7 m in each coordinate; R and t of the torso
 # add as much again, and turning an error over the longest chain of a body triples it at most.
 FLOAT32 = 3e-6
+
+Weights = Literal["paper", "equal"]
+WEIGHTS: tuple[Weights, ...] = ("paper", "equal")
 
 
 def flawless_calibration(body: Body) -> Calibration:
@@ -95,11 +103,12 @@ def test_a_tracked_view_outweighs_an_inferred_one() -> None:
     )
 
 
-def test_a_joint_one_view_lost_takes_the_others() -> None:
+@pytest.mark.parametrize("weights", WEIGHTS)
+def test_a_joint_one_view_lost_takes_the_others(weights: Weights) -> None:
     body = KINECT_V2
     truth = standing(body)
     pair = pair_of(body, truth)
-    frame = Fuser(flawless_calibration(body)).update(
+    frame = Fuser(flawless_calibration(body), FuserSettings(weights=weights)).update(
         SkeletonPair(with_states(pair.a, {"WristLeft": TrackingState.NOT_TRACKED}), pair.b, 0)
     )
     wrist = body.joint("WristLeft")
@@ -224,3 +233,113 @@ def test_warming_up_leaves_no_trace() -> None:
     warm.warm_up()
     for pair in pairs:
         assert cold.update(pair).positions.tobytes() == warm.update(pair).positions.tobytes()
+
+
+def a_noisy_pair(body: Body, seed: int) -> SkeletonPair:
+    """Views that differ by 20 mm a coordinate, with an inferred joint in each and one that B lost."""
+    rng = np.random.default_rng(seed)
+    pair = noisy(pair_of(body, standing(body)), rng, 0.02)
+    i, j, k = rng.choice(len(body), 3, replace=False)
+    a = with_states(pair.a, {body.joints[i]: TrackingState.INFERRED})
+    b = with_states(
+        pair.b, {body.joints[j]: TrackingState.INFERRED, body.joints[k]: TrackingState.NOT_TRACKED}
+    )
+    return SkeletonPair(a, b, 0)
+
+
+def moved_by(skeleton: Skeleton | None, by: RigidTransform) -> Skeleton:
+    assert skeleton is not None
+    return Skeleton.of(skeleton.body, by.apply(skeleton.positions), skeleton.states, skeleton.time_ns)
+
+
+def fused_in_moved_frames(
+    pair: SkeletonPair, weights: Weights, by_a: RigidTransform, by_b: RigidTransform
+) -> tuple[np.ndarray, np.ndarray]:
+    """S* of a pair, moved; and S* of the pair whose views were moved, each sensor's with its own motion."""
+    assert pair.a is not None
+    chosen = FuserSettings(weights=weights)
+    calibration = flawless_calibration(pair.a.body)
+    other = replace(calibration, a_from_b=by_a @ calibration.a_from_b @ by_b.inverse())
+    plain = Fuser(calibration, chosen).update(pair)
+    moved = Fuser(other, chosen).update(SkeletonPair(moved_by(pair.a, by_a), moved_by(pair.b, by_b), 0))
+    return by_a.apply(plain.positions), moved.positions
+
+
+# Both runs round to float32, each in its own frame.
+TWICE = 2 * FLOAT32
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), angles=st.tuples(*[st.floats(-180.0, 180.0)] * 2))
+def test_a_sensor_turned_about_its_optical_axis_turns_the_skeleton_with_it(
+    seed: int, angles: tuple[float, float]
+) -> None:
+    """The motion that leaves all distances in a viewing plane as they are, and so eqs. (10), (11)."""
+    turns = [
+        RigidTransform.of(Rotation.from_euler("z", angle, degrees=True).as_matrix(), np.zeros(3))
+        for angle in angles
+    ]
+    expected, got = fused_in_moved_frames(a_noisy_pair(KINECT_V2, seed), "paper", *turns)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=TWICE)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-0.5, 0.5)] * 3))
+def test_with_equal_weights_any_motion_of_a_sensor_moves_the_skeleton_with_it(
+    seed: int, shift: tuple[float, float, float]
+) -> None:
+    centre = np.array([0.0, 0.0, 2.6])  # about which the person stays before the sensor
+    motions = []
+    for rotation in Rotation.random(2, rng=seed):
+        R = rotation.as_matrix()
+        motions.append(RigidTransform.of(R, centre - R @ centre + shift))
+    expected, got = fused_in_moved_frames(a_noisy_pair(KINECT_V2, seed), "equal", *motions)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=TWICE)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_the_order_of_joints_does_not_matter_to_the_skeleton(seed: int) -> None:
+    body = KINECT_V2
+    new = np.random.default_rng(seed).permutation(len(body))  # new[k]: the joint that stands at k now
+    place = np.argsort(new)
+    shuffled = replace(
+        body,
+        joints=tuple(body.joints[j] for j in new),
+        parents=tuple(-1 if body.parents[j] < 0 else int(place[body.parents[j]]) for j in new),
+        bones=tuple(body.bones[j] for j in new),
+        torso=tuple(int(place[j]) for j in body.torso),
+        rest=body.rest[new],
+        nominal_lengths=body.nominal_lengths[new],
+    )
+
+    def reordered(skeleton: Skeleton | None) -> Skeleton:
+        assert skeleton is not None
+        return Skeleton.of(shuffled, skeleton.positions[new], skeleton.states[new], skeleton.time_ns)
+
+    pair = a_noisy_pair(body, seed)
+    plain = Fuser(flawless_calibration(body)).update(pair)
+    other = Fuser(flawless_calibration(shuffled)).update(
+        SkeletonPair(reordered(pair.a), reordered(pair.b), 0)
+    )
+    # t sums the torso in another order, so no more than rounding in double precision differs; the solver's
+    # own criterion allows 1e-8 m (SAME in test_tree_solver)
+    np.testing.assert_allclose(other.positions, plain.positions[new], rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(other.misleading >= 0, plain.misleading[new] >= 0)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), weights=st.sampled_from(WEIGHTS))
+def test_a_weighted_mean_with_the_right_bones_is_the_skeleton(seed: int, weights: Weights) -> None:
+    body = KINECT_V2
+    pair = a_noisy_pair(body, seed)
+    assert pair.a is not None
+    assert pair.b is not None
+    chosen = FuserSettings(weights=weights)
+    first = Fuser(flawless_calibration(body), chosen).update(pair)
+    b_in_a = np.nan_to_num(first.a_from_b.apply(pair.b.positions))  # where B has no joint its weight is 0
+    mean = first.weights_a[:, None] * pair.a.positions + first.weights_b[:, None] * b_in_a
+    calibration = replace(flawless_calibration(body), bone_lengths=bone_lengths_of(body, mean))
+    frame = Fuser(calibration, chosen).update(pair)
+    # no step is needed: what remains is the rounding of a few metres, summed along the longest chain
+    np.testing.assert_allclose(frame.positions, mean, rtol=0, atol=1e-12)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion.body import BODIES, KINECT_V2
-from fusion.reliability import PAPER_H, equal_weights, reliability_weights
+from fusion.reliability import PAPER_H, reliability_weights
 
 
 def by_the_paper(pixels_a, pixels_b, states_a, states_b, linked, h):
@@ -104,13 +104,3 @@ def test_joints_on_one_spot_in_both_views_share_equally():
     weights_a, weights_b, _ = reliability_weights(pixels, pixels, tracked, tracked, KINECT_V2.linked)
     np.testing.assert_array_equal(weights_a, 0.5)
     np.testing.assert_array_equal(weights_b, 0.5)
-
-
-def test_equal_weights_fill_a_hole_from_the_other_view():
-    nan = np.nan
-    weights_a, weights_b = equal_weights(
-        np.array([[1.0, 2.0], [nan, nan], [1.0, 2.0], [nan, nan]]),
-        np.array([[1.0, 2.0], [1.0, 2.0], [nan, nan], [nan, nan]]),
-    )
-    np.testing.assert_array_equal(weights_a, [0.5, 0.0, 1.0, 0.0])
-    np.testing.assert_array_equal(weights_b, [0.5, 1.0, 0.0, 0.0])

@@ -59,7 +59,7 @@ def test_random_problems_end_stationary_with_exact_bones_within_fifty_iterations
     kinds, work, failed = run(2000, first=7_000_000)  # seeds no one has tuned on
     assert not failed, f"{dict(kinds)} at seeds {failed[:10]}"
     assert work[0].max() <= MAX_ITERATIONS
-    assert work[1].max() <= MAX_SYSTEMS
+    assert work[1].max() <= 2 * MAX_SYSTEMS  # of two starts
 
 
 @pytest.mark.parametrize(
@@ -70,6 +70,9 @@ def test_random_problems_end_stationary_with_exact_bones_within_fifty_iterations
         (8007907, "light weights far below the rounding of heavy ones"),
         (4020787, "a narrow valley that bends"),
         (8089239, "another"),
+        (12050107, "fifty steps along a bent valley: the second start finds it"),
+        (15026590, "wants patience rather than a second start"),
+        (15062504, "likewise"),
     ],
 )
 def test_problems_that_once_ran_out_of_iterations_converge(seed, what):

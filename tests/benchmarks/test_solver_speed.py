@@ -1,15 +1,20 @@
-"""What a frame's solve and weights cost. ``pytest tests/benchmarks --benchmark-only``."""
+"""What a frame costs: solve, weights, the whole update. ``pytest tests/benchmarks --benchmark-only``."""
 
 from __future__ import annotations
+
+from itertools import cycle
 
 import numpy as np
 import pytest
 
 from fusion.body import BODIES, KINECT_V1
+from fusion.fuser import Fuser
 from fusion.paper_solver import PaperSolver
 from fusion.reliability import reliability_weights
 from fusion.tree_solver import TreeSolver
 from tests.campaign_solver import slsqp
+from tests.conftest import FRAME_NS, moving, pair_of
+from tests.test_fuser import flawless_calibration, noisy
 from tests.test_tree_solver import ordinary_problem, solver_of
 
 
@@ -60,3 +65,12 @@ def test_weights(benchmark, body):
     pixels_a, pixels_b = rng.uniform(0, 500, (2, len(body), 2))
     states = np.full(len(body), 2, np.uint8)
     benchmark(reliability_weights, pixels_a, pixels_b, states, states, body.linked)
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
+def test_update(benchmark, body):
+    rng = np.random.default_rng(0)
+    truth = moving(body, 90)[45:]  # after the stillness at its start
+    pairs = cycle([noisy(pair_of(body, at, t * FRAME_NS), rng, 0.01) for t, at in enumerate(truth)])
+    fuser = Fuser(flawless_calibration(body))
+    benchmark(lambda: fuser.update(next(pairs)))
