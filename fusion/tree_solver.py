@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion.errors import FusionError
-from fusion.kernels import kernel
+from fusion.kernels import inner_kernel, kernel
 from fusion.solver import MAX_ITERATIONS, Solution
 from fusion.tree_elimination import (
     BEST,
@@ -32,7 +32,7 @@ from fusion.tree_elimination import (
     substitute,
     update_multipliers,
 )
-from fusion.tree_start import load, place
+from fusion.tree_start import BENT, BENT_AWAY, FROM_START, FROM_TARGETS, aim_at, load, place
 from fusion.tree_steps import copy, leave_saddle, stretch
 
 MAX_SYSTEMS = 150
@@ -49,6 +49,7 @@ _CRAWL, _CRAWLED = (
     0.01,
     5,
 )  # of the objective: so many smaller gains in a row, with a negative pivot, crawl too
+_BETTER = 1e-9  # relative: so much lower another start's end must be, to be taken
 _FLAT_MINIMUM = 4  # stationary points met; more of them have curvature of no more than rounding
 _KICK = 0.5  # of the bone's length: how far a saddle is left at once
 _SHORTER_KICK = 0.2  # after patience ran out
@@ -64,57 +65,15 @@ _LITTLE_LESS, _SHORT_CLIMB = 0.1, 3
 _LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
 
 
-@kernel
-def solve_tree(parents, order, rest, targets, weights, lengths, start, work, positions):  # type: ignore[no-untyped-def]
-    """Eq. (1) for one frame: min Σ (x_i - m_i)ᵀ W_i (x_i - m_i) with |x_i - x_parent| = l_i for every bone.
-
-    Each iteration, at joints x with the right bone lengths:
-
-    1. :func:`pull`, leaves to root: forces F_i = 2 W_i (x_i - m_i) + Σ F_children. Where every F_i is along
-       its bone, the point is stationary.
-    2. :func:`eliminate`, leaves to root, and :func:`solve_root`: the Newton step of each bone as a function
-       of its parent's. Where a pivot is negative the point is not near a minimum, and the elimination is
-       done again with the curvature of compressed bones (λ_i < 0) left out: Gauss–Newton.
-    3. :func:`substitute`, root to leaves: the steps.
-    4. :func:`retract`: x_i = x_parent + l_i normalise(e_i + T_i s_i), so that bones stay exact.
-    5. :func:`update_multipliers`: the forces that the step predicts give the next λ_i. (Forces measured at
-       the new point would hold the curvature's transient, which under unequal weights swamps the data.)
-
-    Globalisation: where the objective does not fall as predicted, up to ``_PATIENCE`` steps with growing
-    damping may still bring it below the last good point, around the bend of a narrow valley; else that point
-    is taken up again with more damping. A stationary point with a negative pivot is a saddle or a maximum
-    and is left along the curvature; so is a place where Gauss–Newton steps gain next to nothing.
-
-    An iteration ends at a better point. The steps on the way there, each with a linear system of its own, are
-    its line search: those that more damping replaced, and those that were climbing.
-
-    It starts from the better of ``start`` and the directions between targets, both with the bones' lengths.
-    Where ``MAX_ITERATIONS`` or ``MAX_SYSTEMS`` run out, deep in a valley that is narrow and bends, it starts
-    afresh from the other: some ten in a million of the campaign's problems.
-
-    Args:
-        parents: (J,) int64, -1 for the root.
-        order: (J,) int64, every parent before its children.
-        rest: (J, 3) direction of each bone where nothing better is known.
-        targets: (J, 3) m, metres; a joint whose target is not finite has no data.
-        weights: (J,) w ≥ 0 or (J, 3, 3) symmetric positive semidefinite W; 0 where there is no data.
-        lengths: (J,) l, metres, by the joint at the bone's far end; the root's is ignored.
-        start: (J, 3) joints to start from; NaN where there is none.
-        work: (BLOCKS, J, 6) scratch.
-        positions: (J, 3) out: the solution.
+@inner_kernel
+def descend(parents, order, work, objective):  # type: ignore[no-untyped-def]
+    """From the joints in POSITION, whose objective is given, to a minimum; see :func:`solve_tree`.
 
     Returns:
-        (iterations, systems, objective, converged), as in :class:`fusion.solver.Solution`; iterations are -1
-        where a bone length is not positive.
+        (iterations, systems, objective, converged).
     """
-    if not load(targets, weights, lengths, order[0], work):
-        return -1, 0, math.nan, False
-    objective, on_targets = math.inf, False
-    for k in range(2):
-        placed = place(parents, order, rest, start, k == 1, work, work[TRIAL])
-        if k == 0 or placed < objective:
-            objective, on_targets = placed, k == 1
-            copy(work[TRIAL], work[POSITION])
+    for i in range(len(order)):
+        work[BONE, i, 4] = 0.0
     root = order[0]
     step = work[STEP]
     iterations = systems = crawling = stationary_points = patience = climbs_lost = 0
@@ -123,8 +82,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     kick = _KICK
     last_step = math.inf
     best = best_step = predicted = 0.0
-    converged = restarted = False
-    most_systems = MAX_SYSTEMS
+    converged = False
     while True:
         stationary = pull(parents, order, work) <= _STATIONARY
         if not step[root, 5] > 0.0 or (stationary and last_step < _LAST_STEP):
@@ -149,18 +107,8 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         if saddle < 0 and stationary and settled:
             converged = True
             break
-        if iterations == MAX_ITERATIONS or systems == most_systems:
-            if restarted:
-                break
-            restarted = True
-            most_systems = systems + MAX_SYSTEMS
-            objective = place(parents, order, rest, start, not on_targets, work, work[POSITION])
-            for i in range(len(order)):
-                work[BONE, i, 4] = 0.0
-            damping, kick, last_step = 0.0, _KICK, math.inf
-            iterations = crawling = stationary_points = patience = climbs_lost = 0
-            less, longest_climb = _LESS, _PATIENCE
-            continue
+        if iterations == MAX_ITERATIONS or systems == MAX_SYSTEMS:
+            break
         systems += 1
         if saddle >= 0 and (relative < _NEAR_SADDLE or crawling == _CRAWLED):
             crawling = 0
@@ -214,7 +162,76 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     if patience > 0 and best < objective and not converged:
         copy(work[BEST], work[POSITION])
         objective = best
+    return iterations, systems, objective, converged
+
+
+@kernel
+def solve_tree(parents, order, rest, targets, weights, lengths, start, work, positions):  # type: ignore[no-untyped-def]
+    """Eq. (1) for one frame: min Σ (x_i - m_i)ᵀ W_i (x_i - m_i) with |x_i - x_parent| = l_i for every bone.
+
+    Each iteration, at joints x with the right bone lengths:
+
+    1. :func:`pull`, leaves to root: forces F_i = 2 W_i (x_i - m_i) + Σ F_children. Where every F_i is along
+       its bone, the point is stationary.
+    2. :func:`eliminate`, leaves to root, and :func:`solve_root`: the Newton step of each bone as a function
+       of its parent's. Where a pivot is negative the point is not near a minimum, and the elimination is
+       done again with the curvature of compressed bones (λ_i < 0) left out: Gauss–Newton.
+    3. :func:`substitute`, root to leaves: the steps.
+    4. :func:`retract`: x_i = x_parent + l_i normalise(e_i + T_i s_i), so that bones stay exact.
+    5. :func:`update_multipliers`: the forces that the step predicts give the next λ_i. (Forces measured at
+       the new point would hold the curvature's transient, which under unequal weights swamps the data.)
+
+    Globalisation: where the objective does not fall as predicted, up to ``_PATIENCE`` steps with growing
+    damping may still bring it below the last good point, around the bend of a narrow valley; else that point
+    is taken up again with more damping. A stationary point with a negative pivot is a saddle or a maximum
+    and is left along the curvature; so is a place where Gauss–Newton steps gain next to nothing.
+
+    An iteration ends at a better point. The steps on the way there, each with a linear system of its own, are
+    its line search: those that more damping replaced, and those that were climbing.
+
+    It starts from the better of ``start`` and the directions between targets, both with the bones' lengths.
+    From targets with a hole among them (:func:`~fusion.tree_start.aim_at`) it starts from two more places and
+    keeps the best end. Where ``MAX_ITERATIONS`` or ``MAX_SYSTEMS`` run out, deep in a valley that is narrow
+    and bends, it starts from each of the others: some ten in a million of the campaign's problems.
+
+    Args:
+        parents: (J,) int64, -1 for the root.
+        order: (J,) int64, every parent before its children.
+        rest: (J, 3) direction of each bone where nothing better is known.
+        targets: (J, 3) m, metres; a joint whose target is not finite has no data.
+        weights: (J,) w ≥ 0 or (J, 3, 3) symmetric positive semidefinite W; 0 where there is no data.
+        lengths: (J,) l, metres, by the joint at the bone's far end; the root's is ignored.
+        start: (J, 3) joints to start from; NaN where there is none.
+        work: (BLOCKS, J, 6) scratch.
+        positions: (J, 3) out: the solution.
+
+    Returns:
+        (iterations, systems, objective, converged), as in :class:`fusion.solver.Solution`; iterations are -1
+        where a bone length is not positive.
+    """
+    if not load(targets, weights, lengths, order[0], work):
+        return -1, 0, math.nan, False
+    objective = place(parents, order, rest, start, FROM_START, work, work[TRIAL])
+    on_targets = place(parents, order, rest, start, FROM_TARGETS, work, work[POSITION])
+    first = FROM_TARGETS
+    if objective <= on_targets:
+        first = FROM_START
+        copy(work[TRIAL], work[POSITION])
+    iterations, systems, objective, converged = descend(
+        parents, order, work, objective if first == FROM_START else on_targets
+    )
     copy(work[POSITION], positions)
+    if converged and (first == FROM_START or not aim_at(parents, order, work)):
+        return iterations, systems, objective, converged
+    for way in (BENT, BENT_AWAY, FROM_TARGETS, FROM_START):
+        if way == first or (converged and way < BENT):
+            continue
+        placed = place(parents, order, rest, start, way, work, work[POSITION])
+        steps, more, found, ended = descend(parents, order, work, placed)
+        systems += more
+        if (ended and not converged) or (ended == converged and found < objective * (1.0 - _BETTER)):
+            copy(work[POSITION], positions)
+            iterations, objective, converged = steps, found, ended
     return iterations, systems, objective, converged
 
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 
 from fusion.kernels import inner_kernel
-from fusion.tree_elimination import BONE, INFORMATION, TARGET, misfit
+from fusion.tree_elimination import BONE, INFORMATION, STEP, TARGET, misfit
+
+FROM_START, FROM_TARGETS, BENT, BENT_AWAY = 0, 1, 2, 3
+"""Where :func:`place` takes a bone's direction from."""
 
 
 @inner_kernel
@@ -33,38 +36,96 @@ def load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def place(parents, order, rest, start, from_targets, work, at):  # type: ignore[no-untyped-def]
+def aim_at(parents, order, work):  # type: ignore[no-untyped-def]
+    """Where each bone points, into STEP's columns 0-2: the target, or the mean of those next below it.
+
+    Column 3 is positive where there is any; column 4 is what lies between, as the sum of the squares of the
+    bones on the way, averaged over the ways.
+
+    Returns:
+        Whether a bone ends in a hole: a joint without data that has data below it.
+    """
+    target, info, bone, aim = work[TARGET], work[INFORMATION], work[BONE], work[STEP]
+    hole = False
+    for i in range(len(order)):
+        known = info[i, 0] + info[i, 3] + info[i, 5] > 0.0
+        for c in range(5):
+            aim[i, c] = 0.0
+        if known:
+            aim[i, 0], aim[i, 1], aim[i, 2], aim[i, 3] = target[i, 0], target[i, 1], target[i, 2], 1.0
+    for k in range(len(order) - 1, 0, -1):
+        i = order[k]
+        p = parents[i]
+        if aim[i, 3] == 0.0:
+            continue
+        if not info[i, 0] + info[i, 3] + info[i, 5] > 0.0:
+            hole = True
+            share = 1.0 / aim[i, 3]
+            aim[i, 0], aim[i, 1], aim[i, 2] = aim[i, 0] * share, aim[i, 1] * share, aim[i, 2] * share
+            aim[i, 3], aim[i, 4] = 1.0, aim[i, 4] * share
+        if not info[p, 0] + info[p, 3] + info[p, 5] > 0.0:
+            for c in range(4):
+                aim[p, c] += aim[i, c]
+            aim[p, 4] += aim[i, 4] + bone[i, 3] * bone[i, 3]
+    return hole
+
+
+@inner_kernel
+def bend(x, y, z, length, reach, sx, sy, sz):  # type: ignore[no-untyped-def]
+    """The direction of a bone whose far end lies ``reach`` from the point (x, y, z), to the side of s."""
+    distance = math.sqrt(x * x + y * y + z * z)
+    along = (length * length + distance * distance - reach * reach) / (2.0 * length * distance)
+    along = min(max(along, -1.0), 1.0)
+    x, y, z = x / distance, y / distance, z / distance
+    inside = sx * x + sy * y + sz * z
+    sx, sy, sz = sx - inside * x, sy - inside * y, sz - inside * z
+    norm = math.sqrt(sx * sx + sy * sy + sz * sz)
+    aside = math.sqrt(1.0 - along * along) / norm if norm > 0.0 else 0.0
+    return along * x + aside * sx, along * y + aside * sy, along * z + aside * sz
+
+
+@inner_kernel
+def place(parents, order, rest, start, way, work, at):  # type: ignore[no-untyped-def]
     """A feasible skeleton into ``at``: directions of bones from a source, then the best translation.
 
-    A bone takes its direction from the targets of its two ends (where asked, and where there are any),
-    else from ``start``, else from ``rest``. Where only the far end has a target, the bone points to it.
+    ``FROM_START``: a bone has its direction in ``start``, else in ``rest``. ``FROM_TARGETS``: it points from
+    its near end's target, or place, to where :func:`aim_at` says; as above where that says nothing. ``BENT``
+    and ``BENT_AWAY``: likewise, but before a hole it leaves the room that the bones beyond need, to the side
+    of its direction in ``start`` or ``rest``, or to the other.
 
     Returns:
         The objective.
     """
-    target, info, bone = work[TARGET], work[INFORMATION], work[BONE]
+    target, info, bone, aim = work[TARGET], work[INFORMATION], work[BONE], work[STEP]
     root = order[0]
     for c in range(3):
         at[root, c] = start[root, c] if math.isfinite(start[root, c]) else 0.0
-    if from_targets and info[root, 0] + info[root, 3] + info[root, 5] > 0.0:
-        for c in range(3):
-            at[root, c] = target[root, c]
+    if way != FROM_START:
+        aim_at(parents, order, work)
+        if info[root, 0] + info[root, 3] + info[root, 5] > 0.0:
+            for c in range(3):
+                at[root, c] = target[root, c]
     for k in range(1, len(order)):
         i = order[k]
         p = parents[i]
         length = bone[i, 3]
         norm = 0.0
-        x = y = z = 0.0
-        if from_targets and info[i, 0] + info[i, 3] + info[i, 5] > 0.0:
-            source = target if info[p, 0] + info[p, 3] + info[p, 5] > 0.0 else at
-            x, y, z = target[i, 0] - source[p, 0], target[i, 1] - source[p, 1], target[i, 2] - source[p, 2]
-            norm = math.sqrt(x * x + y * y + z * z)
-        if not norm > 1e-9 * length:
-            x, y, z = start[i, 0] - start[p, 0], start[i, 1] - start[p, 1], start[i, 2] - start[p, 2]
-            norm = math.sqrt(x * x + y * y + z * z)
+        x, y, z = start[i, 0] - start[p, 0], start[i, 1] - start[p, 1], start[i, 2] - start[p, 2]
+        norm = math.sqrt(x * x + y * y + z * z)
         if not (norm > 1e-9 * length and math.isfinite(norm)):
             x, y, z = rest[i, 0], rest[i, 1], rest[i, 2]
             norm = math.sqrt(x * x + y * y + z * z)
+        if way != FROM_START and aim[i, 3] > 0.0:
+            source = target if info[p, 0] + info[p, 3] + info[p, 5] > 0.0 else at
+            ax, ay, az = aim[i, 0] - source[p, 0], aim[i, 1] - source[p, 1], aim[i, 2] - source[p, 2]
+            distance = math.sqrt(ax * ax + ay * ay + az * az)
+            if distance > 1e-9 * length:
+                if way != FROM_TARGETS and aim[i, 4] > 0.0:
+                    side = 1.0 if way == BENT else -1.0
+                    reach = math.sqrt(aim[i, 4])
+                    ax, ay, az = bend(ax, ay, az, length, reach, side * x, side * y, side * z)
+                    distance = math.sqrt(ax * ax + ay * ay + az * az)
+                x, y, z, norm = ax, ay, az, distance
         scale = length / norm
         at[i, 0], at[i, 1], at[i, 2] = at[p, 0] + x * scale, at[p, 1] + y * scale, at[p, 2] + z * scale
     weight = x = y = z = 0.0

@@ -19,6 +19,7 @@ from tests.campaign_solver import (
     failures,
     projected_gradient,
     random_pose,
+    random_problem,
     run,
     slsqp,
 )
@@ -59,7 +60,7 @@ def test_random_problems_end_stationary_with_exact_bones_within_fifty_iterations
     kinds, work, failed = run(2000, first=7_000_000)  # seeds no one has tuned on
     assert not failed, f"{dict(kinds)} at seeds {failed[:10]}"
     assert work[0].max() <= MAX_ITERATIONS
-    assert work[1].max() <= 2 * MAX_SYSTEMS  # of two starts
+    assert work[1].max() <= 4 * MAX_SYSTEMS  # of four starts
 
 
 @pytest.mark.parametrize(
@@ -239,3 +240,14 @@ def test_the_checks_of_the_campaign_see_what_is_wrong():
     turned = solution.positions @ rotation(1).T
     assert projected_gradient(problem, turned) > 1e-3
     assert failures(problem, replace(solution, positions=off * np.nan)) == ["NaN"]
+
+
+@pytest.mark.parametrize("seed", [41000015, 41000048, 41000330, 41000405])
+def test_around_holes_the_end_is_no_worse_than_slsqps(seed: int) -> None:
+    """Problems on which one start from the targets ended in the worse of two bends of a hole."""
+    problem = random_problem(seed)
+    solution = solve(problem)
+    filled = np.where(np.isfinite(problem.targets), problem.targets, solution.positions)
+    _, objective, feasible = slsqp(problem, filled)
+    assert feasible
+    assert solution.objective < objective * (1.0 + 1e-6) + 1e-15
