@@ -78,7 +78,8 @@ def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
             if wanted(entity):
                 _take(entity, batch, found, parts)
         found.damage = file.damage
-    for key, pieces in parts.items():
+    while parts:  # one after the other, so that an hour is not held twice
+        key, pieces = parts.popitem()
         shape = pieces[0][1].shape[1:]
         fitting = [p for p in pieces if p[1].shape[1:] == shape and p[1].dtype == pieces[0][1].dtype]
         found.values[key] = (

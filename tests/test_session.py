@@ -237,3 +237,12 @@ def test_a_session_opens_without_pandas(fused_run: FusedRun) -> None:
         [sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=False
     )
     assert said.stdout == "3\n", said.stderr
+
+
+def test_checksums_do_not_depend_on_how_many_frames_are_looked_at_together(
+    fused_run: FusedRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = fused_run(full_of_faults(KINECT_V1), calibration_of(KINECT_V1)).rows
+    at_once = frame_checksums(rows)
+    monkeypatch.setattr("recordings.checksums._BLOCK", 9)
+    np.testing.assert_array_equal(frame_checksums(rows), at_once)
