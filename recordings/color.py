@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
@@ -14,8 +14,7 @@ from fusion.rigid import RigidTransform
 from fusion.viewing_plane import Intrinsics
 from recordings import appearance, layout
 from recordings.checksums import image_checksum
-from recordings.errors import RecordingError
-from recordings.rrd_file import RrdFile
+from recordings.images import ImageReader
 
 _BLOB, _CAMERA, _CHECK = "EncodedImage:blob", "camera", "crc32"
 
@@ -47,28 +46,21 @@ class ColorLog:
         )
 
 
-def read_color(path: Path, side: str) -> Iterator[tuple[int, ColorImage]]:
-    """The colour images of a session's sensor with the numbers of their frames, read as they are asked for.
+def read_color(path: Path, side: str, frames: range) -> ImageReader[ColorImage]:
+    """The colour images of a session's sensor."""
+    return ImageReader(path, layout.color(side), _checked, _decoded, frames)
 
-    Raises:
-        RecordingError: An image is damaged; those before it were given.
-    """
-    with RrdFile(path) as file:
-        for entity, batch in file.chunks(images=True):
-            names = batch.schema.names
-            if entity != layout.color(side) or layout.FRAME not in names or _BLOB not in names:
-                continue
-            for k, frame in enumerate(batch.column(layout.FRAME).to_pylist()):
-                try:
-                    jpeg = batch.column(_BLOB)[k].values[0].values.to_numpy().tobytes()
-                    values = np.array(batch.column(_CAMERA)[k].as_py(), dtype=np.float64)
-                    check = image_checksum(frame, jpeg + values.tobytes())
-                    whole = batch.column(_CHECK)[k].as_py() == [check]
-                except (LookupError, TypeError, ValueError, AttributeError):
-                    whole = False
-                if not whole:
-                    raise RecordingError(f"{path}: the colour image of frame {frame} is damaged.")
-                yield frame, ColorImage(jpeg, _camera(values))
+
+def _checked(batch: pa.RecordBatch, k: int, frame: int) -> tuple[tuple[bytes, NDArray[np.float64]], bool]:
+    jpeg = batch.column(_BLOB)[k].values[0].values.to_numpy().tobytes()
+    values = np.array(batch.column(_CAMERA)[k].as_py(), dtype=np.float64)
+    whole = batch.column(_CHECK)[k].as_py() == [image_checksum(frame, jpeg + values.tobytes())]
+    return (jpeg, values), whole
+
+
+def _decoded(raw: tuple[bytes, NDArray[np.float64]]) -> ColorImage:
+    jpeg, values = raw
+    return ColorImage(jpeg, _camera(values))
 
 
 def _values(camera: ColorCamera) -> NDArray[np.float64]:

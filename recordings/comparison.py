@@ -41,7 +41,7 @@ class Comparison:
         """Finds the frames of the same capture time, on the principal sensor's own clock.
 
         Raises:
-            RecordingError: Another body, or no frame in common.
+            RecordingError: Another body, no frame in common, or other skeletons S_A, S_B in one of them.
         """
         if first.body is not second.body:
             raise RecordingError(
@@ -52,11 +52,13 @@ class Comparison:
             raise RecordingError(
                 f"{first.path} and {second.path} have no frame of the same time: not one capture."
             )
-        return Comparison(
-            first.body,
-            first.rows[np.sort(i).astype(np.int64)],
-            second.rows[np.sort(j).astype(np.int64)],
-        )
+        one, two = first.rows[np.sort(i).astype(np.int64)], second.rows[np.sort(j).astype(np.int64)]
+        for t in np.flatnonzero(~_same_inputs(one, two))[:1]:
+            raise RecordingError(
+                f"{first.path} and {second.path} have {len(i)} frames of the same time, but S_A or S_B of "
+                f"frame {one.frame[t]} is another than that of frame {two.frame[t]}: not one capture."
+            )
+        return Comparison(first.body, one, two)
 
     def __len__(self) -> int:
         """The number of frames T."""
@@ -72,10 +74,16 @@ class Comparison:
         """(T, J) metres between the two S*; NaN where one has none."""
         return np.asarray(np.linalg.norm(self.first.fused - self.second.fused, axis=2))
 
+    @property
+    def one_missing(self) -> int:
+        """In how many frames only one of the two has an S*."""
+        present = [np.isfinite(of.fused).all(axis=(1, 2)) for of in (self.first, self.second)]
+        return int(np.count_nonzero(present[0] != present[1]))
+
     @cached_property
     def jitter(self) -> NDArray[np.float64]:
         """(2, J) metres: see :func:`jitter_of`."""
-        return np.stack([jitter_of(self.first.fused), jitter_of(self.second.fused)])
+        return np.stack([jitter_of(of.fused, of.frame) for of in (self.first, self.second)])
 
     @cached_property
     def bone_deviation(self) -> NDArray[np.float64]:
@@ -106,14 +114,19 @@ class Comparison:
         return found
 
 
-def jitter_of(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def jitter_of(positions: NDArray[np.float64], frame: NDArray[np.int64]) -> NDArray[np.float64]:
     """(J,) metres of (T, J, 3): the median length of the second difference over √6.
 
     White noise of that size on each frame gives such a second difference; slow movement gives nearly none.
+
+    Args:
+        positions: The joints.
+        frame: (T,) the frames' numbers: only where three follow on each other is there a difference.
     """
-    if len(positions) < 3:
+    following = frame[2:] - frame[:-2] == 2
+    if not following.any():
         return np.full(positions.shape[1], np.nan)
-    second = np.linalg.norm(positions[2:] - 2.0 * positions[1:-1] + positions[:-2], axis=2)
+    second = np.linalg.norm(positions[2:] - 2.0 * positions[1:-1] + positions[:-2], axis=2)[following]
     none = np.isnan(second).all(axis=0)
     second[:, none] = 0.0
     return np.where(none, np.nan, np.nanmedian(second, axis=0) / np.sqrt(6.0))
@@ -169,6 +182,15 @@ def record_comparison(
         stream.set_time(layout.TIME, duration=np.timedelta64(int(first.time_ns[t]), "ns"))
         text = f"{body.joints[j]} differs by {comparison.apart[t, j] * 1e3:.0f} mm"
         stream.log(layout.EVENTS, rr.TextLog(text, level="WARN"))
+
+
+def _same_inputs(one: SessionArrays, two: SessionArrays) -> NDArray[np.bool_]:
+    """(T,) whether the sensors gave the same, bit for bit, which a replay and a trim keep."""
+    same = np.ones(len(one), dtype=np.bool_)
+    for name in ("clock_b", "positions_a", "positions_b", "states_a", "states_b"):
+        a, b = (getattr(of, name).reshape(len(one), -1) for of in (one, two))
+        same &= ((a == b) | ((a != a) & (b != b))).all(axis=1)
+    return same
 
 
 def _moments(session: Session) -> NDArray[np.int64]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fusion.skeleton import TrackingState
 from recordings import layout
 from recordings.arrays import SessionArrays
-from recordings.checksums import frame_checksums, fused_checksums
+from recordings.checksums import FusedChecks, frame_checksums, fused_checksums, joint_digests
 from recordings.explained_trust import details, trust_colors
 
 _BONES_EVERY = 2  # frames, of the plots; S_A, S_B and S* themselves are there every frame
@@ -71,12 +71,12 @@ class FrameStream:
         return sent
 
 
-def frame_streams(rows: SessionArrays, fused_crc: NDArray[np.uint32] | None = None) -> Iterator[FrameStream]:
+def frame_streams(rows: SessionArrays, checks: FusedChecks | None = None) -> Iterator[FrameStream]:
     """Everything that is logged a frame.
 
     Args:
         rows: The frames, one or more.
-        fused_crc: (T,) checksums of S* in float64, where `rows` have it from a file, in float32.
+        checks: Of S*, where `rows` have it from a file, in float32.
     """
     joints = len(rows.body)
     for side, positions in (("a", rows.positions_a), ("b", rows.positions_b)):
@@ -98,7 +98,7 @@ def frame_streams(rows: SessionArrays, fused_crc: NDArray[np.uint32] | None = No
     if rows.truth is not None:
         truth = {"positions": rows.truth.astype(np.float32)}
         yield FrameStream(layout.TRUTH_SKELETON, rows, rr.Points3D, (truth, joints))
-    yield FrameStream(layout.QUALITY, rows, data=_quality(rows, fused_crc))
+    yield FrameStream(layout.QUALITY, rows, data=_quality(rows, checks))
     plotted = rows[np.flatnonzero(rows.frame % _BONES_EVERY == 0)]
     if len(plotted):
         yield FrameStream(layout.BONES, plotted, data={layout.BONE_LENGTHS: _bones(plotted)})
@@ -112,7 +112,8 @@ def _bones(rows: SessionArrays) -> pa.Array:
     return _struct({"of": np.tile(np.arange(len(lengths), dtype=np.uint8), len(rows)), **bones})
 
 
-def _quality(rows: SessionArrays, fused_crc: NDArray[np.uint32] | None) -> dict[str, pa.Array]:
+def _quality(rows: SessionArrays, checks: FusedChecks | None) -> dict[str, pa.Array]:
+    fused_crc, digests = checks or (fused_checksums(rows.fused), joint_digests(rows.fused))
     tracked = [(of == TrackingState.TRACKED).sum(axis=1) for of in (rows.states_a, rows.states_b)]
     return {
         layout.FIGURES: _struct(
@@ -124,7 +125,7 @@ def _quality(rows: SessionArrays, fused_crc: NDArray[np.uint32] | None) -> dict[
                 "iterations": rows.iterations.astype(np.uint16),
                 "predicted_joints": rows.predicted.sum(axis=1).astype(np.uint8),
                 "frame_crc32": frame_checksums(rows),
-                "fused_crc32": fused_checksums(rows.fused) if fused_crc is None else fused_crc,
+                "fused_crc32": fused_crc,
             }
         ),
         layout.OF_EACH_SENSOR: _struct(
@@ -134,6 +135,7 @@ def _quality(rows: SessionArrays, fused_crc: NDArray[np.uint32] | None) -> dict[
                 "stale": np.stack([rows.stale_a, rows.stale_b], axis=1),
             }
         ),
+        layout.JOINT_DIGESTS: _array(digests),
     }
 
 

@@ -127,8 +127,11 @@ class GrowingFile:
 
 
 def partial_beside(path: Path) -> Path:
-    """A hidden name in the same folder, which no other process takes, for what is to become `path`."""
-    return path.with_name(f".{crc32(path.name.encode()):08x}.{os.getpid()}.partial")
+    """A hidden name in the same folder, which no other process takes, for what is to become `path`.
+
+    It has the file's own ending, in small letters: ezc3d adds that to any other.
+    """
+    return path.with_name(f".{crc32(path.name.encode()):08x}.{os.getpid()}.partial{path.suffix.lower()}")
 
 
 def _write_whole(file: FileIO, block: bytes | memoryview, at: int) -> None:

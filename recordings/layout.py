@@ -6,7 +6,7 @@ The layout is the same live and in a file. Positions are metres; the world is K_
 from __future__ import annotations
 
 APPLICATION_ID = "duplex_kinects"
-VERSION = 3
+VERSION = 4
 """Of this layout; goes up when a reader of the old one would misread the new one."""
 
 FRAME = "frame"
@@ -27,6 +27,8 @@ BONE_LENGTHS = "lengths"
 QUALITY = "/quality"
 FIGURES, OF_EACH_SENSOR = "figures", "sensors"
 """Components of :data:`QUALITY`: structs with one value a frame, and with A's and B's."""
+JOINT_DIGESTS = "joint_digests"
+"""Component of :data:`QUALITY`: a byte a joint of S* in float64, which the file has in float32 only."""
 EVENTS = "/events"
 TRUST_MATRIX = "/trust_matrix"
 """Picture, joint × time: whose view made each joint of S* over the last seconds."""

@@ -19,7 +19,7 @@ from devices.sensor import ColorImage
 from fusion.fuser import Fuser
 from recordings import appearance, layout
 from recordings.arrays import RecordedFrame, SessionArrays
-from recordings.checksums import image_checksum, properties_checksum, text_checksum
+from recordings.checksums import FusedChecks, image_checksum, properties_checksum, text_checksum
 from recordings.coach_page import CoachPage
 from recordings.color import ColorLog
 from recordings.depth_points import thin_points
@@ -84,8 +84,13 @@ class Recorder:
             "rotation": calibration.a_from_b.rotation.ravel(),
             "translation": calibration.a_from_b.translation,
             "bone_lengths": calibration.bone_lengths,
+            "pairs": 0 if registration is None else registration.frames,
             "residual_median": np.nan if registration is None else registration.residual_median,
             "residual_rms": np.nan if registration is None else registration.residual_rms,
+            "rotation_sd": np.nan if registration is None else registration.rotation_sd,
+            "joint_residuals": np.full(len(calibration.body), np.nan)
+            if registration is None
+            else registration.joint_residuals,
         }
         self._set_time(self._frames, self._last[1] if self._last else 0)
         check = properties_checksum({"calibration": {"frame": self._frames, **values}})
@@ -118,14 +123,14 @@ class Recorder:
         self._log_sensors(frames, rows)
         return rows
 
-    def record_rows(self, rows: SessionArrays, fused_crc: NDArray[np.uint32] | None = None) -> None:
+    def record_rows(self, rows: SessionArrays, checks: FusedChecks | None = None) -> None:
         """Logs frames that are arrays already, under the numbers and times they have.
 
         Args:
             rows: The frames.
-            fused_crc: (T,) checksums of S* in float64, where `rows` have it from a file, in float32.
+            checks: Of S*, where `rows` have it from a file, in float32.
         """
-        for stream in frame_streams(rows, fused_crc):
+        for stream in frame_streams(rows, checks):
             times = [
                 rr.TimeColumn(layout.FRAME, sequence=stream.rows.frame),
                 rr.TimeColumn(layout.TIME, duration=stream.rows.time_ns.astype("timedelta64[ns]")),

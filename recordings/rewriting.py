@@ -21,11 +21,14 @@ _FLUSH_WITHIN = 60.0
 
 def rewrite(
     session: Session, path: Path, blueprint: Any = None, first: int = 0, end: int | None = None
-) -> None:
+) -> int:
     """Writes frames `first` up to, without, `end` of a session into a new file.
 
     The new session's frames count from 0 and its time starts with them; ``first_frame`` among its properties
     keeps where they came from.
+
+    Returns:
+        How many damaged images were left out.
 
     Raises:
         RecordingError: There is no such frame.
@@ -54,24 +57,38 @@ def rewrite(
                 block = slice(begin, min(begin + _BLOCK, stop))
                 rows = session.rows[block]
                 rows = replace(rows, frame=rows.frame - first, time_ns=rows.time_ns - start_ns)
-                recorder.record_rows(rows, session.fused_checksums[block])
-        for side in layout.SIDES:
-            for frame, image in session.depth(side):
-                if first <= frame < end:
-                    time_ns = int(session.rows.time_ns[frame]) - start_ns
-                    recorder.record_depth(side, frame - first, time_ns, image)
-            for frame, color in session.color(side):
-                if first <= frame < end:
-                    time_ns = int(session.rows.time_ns[frame]) - start_ns
-                    recorder.record_color(side, frame - first, time_ns, color)
-        for event in session.events:
-            if event.frame is not None and event.time_ns is not None and first <= event.frame < end:
+                recorder.record_rows(rows, (session.fused_checksums[block], session.joint_digests[block]))
+        damaged = copy_images(session, recorder, first, end)
+        kept = [e for e in session.events if e.frame is not None and first <= e.frame < end]
+        if segments[0][1].start < first:  # what it was calibrated on was said before
+            recorder.event(f"calibrated: {segments[0][0].calibration.how}", at=(0, 0))
+        for event in kept:
+            if event.frame is not None and event.time_ns is not None:
                 recorder.event(event.text, event.level, (event.frame - first, event.time_ns - start_ns))
         recorder.finish()
         stream.flush(timeout_sec=_FLUSH_WITHIN)
     finally:
         stream.disconnect()
     check_whole(path)
+    return damaged
+
+
+def copy_images(session: Session, recorder: Recorder, first: int, end: int) -> int:
+    """Logs the images of frames `first` up to, without, `end`, which are to count from 0.
+
+    Returns:
+        How many were damaged and left out.
+    """
+    damaged = 0
+    time_ns = (session.time_ns - session.time_ns[first]).tolist()
+    for side in layout.SIDES:
+        depth, color = session.depth(side, first, end), session.color(side, first, end)
+        for frame, image in depth:
+            recorder.record_depth(side, frame - first, time_ns[frame], image)
+        for frame, picture in color:
+            recorder.record_color(side, frame - first, time_ns[frame], picture)
+        damaged += depth.damaged + color.damaged
+    return damaged
 
 
 def check_whole(path: Path) -> None:

@@ -78,7 +78,8 @@ def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
             if wanted(entity):
                 _take(entity, batch, found, parts)
         found.damage = file.damage
-    for key, pieces in parts.items():
+    while parts:  # one after the other, so that an hour is not held twice
+        key, pieces = parts.popitem()
         shape = pieces[0][1].shape[1:]
         fitting = [p for p in pieces if p[1].shape[1:] == shape and p[1].dtype == pieces[0][1].dtype]
         found.values[key] = (
@@ -100,6 +101,7 @@ class RrdFile:
 
     def __init__(self, path: Path) -> None:
         self.damage: str | None = None
+        self._unread: list[tuple[int, int]] = []
         self._path = path
         try:
             if path.is_dir():
@@ -155,9 +157,17 @@ class RrdFile:
                 chunk = _unpack(self._data[begin:end])
             except _DAMAGED:
                 self._wrong(f"the message at byte {begin} is damaged")
+                self._unread.append((begin, end))
                 continue
             if chunk is not None:
                 yield chunk
+
+    def unread(self, entity: str) -> int:
+        """How many of the chunks asked for could not be unpacked and seem to be of an entity."""
+        path = entity.encode()
+        return sum(
+            self._data.find(path, begin, min(begin + _IMAGE_WITHIN, end)) >= 0 for begin, end in self._unread
+        )
 
     def _wrong(self, what: str) -> None:
         self.damage = self.damage or what

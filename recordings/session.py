@@ -1,4 +1,18 @@
-"""A session read back as arrays: ``Session.open("walk.rrd").fused[100]`` in a notebook as in a test."""
+"""A session read back as arrays, in a notebook as in a test.
+
+>>> from recordings import Session
+>>> session = Session.open("walk.rrd")
+>>> session
+<Session walk.rrd: 120 frames, 4.0 s, kinect_v1>
+>>> session.fused.shape, session.skeleton_a.positions.shape, session.rotation.shape
+((120, 20, 3), (120, 20, 3), (120, 3, 3))
+>>> float(session.quality.bone_error.max()) < 1e-6  # metres: S* is kept in float32
+True
+>>> [frame for frame, image in session.depth("a")]  # read only now
+[0, 60]
+
+Everything is in SI units and in K_A's frame, but for what a sensor gave, which is in its own.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +33,12 @@ from fusion.skeleton import Skeleton
 from fusion.viewing_plane import Intrinsics
 from recordings import layout
 from recordings.arrays import SessionArrays
-from recordings.checksums import image_checksum
 from recordings.color import read_color
+from recordings.depth import read_depth
 from recordings.errors import RecordingError
-from recordings.rrd_file import RrdFile, read_columns
-from recordings.rvl import decode_depth
+from recordings.images import ImageReader
+from recordings.rrd_file import read_columns
+from recordings.series import QualitySeries, SkeletonSeries
 from recordings.stored_frames import frames_of
 from recordings.stored_settings import (
     Event,
@@ -34,12 +49,11 @@ from recordings.stored_settings import (
     settings_of,
 )
 
-_BLOB = "EncodedDepthImage:blob"
 PERSON = "0"
 """The id of the one person of a session, as a source of pairs."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Session:
     """A recorded capture: what the sensors saw, what was made of it, and with which settings.
 
@@ -53,6 +67,7 @@ class Session:
         about: All properties as they were written, by group and name.
         events: In the order they were written.
         fused_checksums: (T,) of S* in float64; the file keeps float32.
+        joint_digests: (T, J) a byte for each joint, likewise.
         frames_lost: How many frames are known to have been written and cannot be read.
         damage: What is wrong with the file, in words; None where it is whole.
     """
@@ -67,6 +82,7 @@ class Session:
     about: dict[str, dict[str, list[Any]]]
     events: tuple[Event, ...]
     fused_checksums: NDArray[np.uint32]
+    joint_digests: NDArray[np.uint8]
     frames_lost: int
     damage: str | None
 
@@ -87,11 +103,10 @@ class Session:
         name = about["session"]["body"][0]
         if name not in BODIES:
             raise RecordingError(f"{path} is of an unknown body {name!r}. Known: {', '.join(BODIES)}.")
-        calibrations, residuals = calibrations_of(path, BODIES[name], found)
+        calibrations = calibrations_of(path, BODIES[name], found)
         rows, checks, lost = frames_of(BODIES[name], calibrations, found)
         used = [number < max(len(rows), 1) for number, _ in calibrations]
         calibrations = [c for c, use in zip(calibrations, used, strict=True) if use]
-        about["calibration"] = {"residual_median": [residuals[len(calibrations) - 1]]}
         damage = found.damage
         end = about.get("end", {}).get("frames")
         if end is None:
@@ -114,7 +129,8 @@ class Session:
             sources=(str(session["source_a"][0]), str(session["source_b"][0])),
             about=about,
             events=events_of(found),
-            fused_checksums=checks,
+            fused_checksums=checks[0],
+            joint_digests=checks[1],
             frames_lost=lost,
             damage=damage,
         )
@@ -123,6 +139,57 @@ class Session:
         """The number of frames T."""
         return len(self.rows)
 
+    def __repr__(self) -> str:
+        """In a line: its arrays are too many to be shown."""
+        seconds = (self.time_ns[-1] - self.time_ns[0]) * 1e-9
+        return f"<Session {self.path.name}: {len(self)} frames, {seconds:.1f} s, {self.body.name}>"
+
+    @property
+    def time_ns(self) -> NDArray[np.int64]:
+        """(T,) nanoseconds since the first pair."""
+        return self.rows.time_ns
+
+    @property
+    def skeleton_a(self) -> SkeletonSeries:
+        """S_A, of the principal sensor; its frame is the world's."""
+        of = self.rows
+        return SkeletonSeries(of.positions_a, of.states_a, of.weights_a, of.clock_a, of.stale_a)
+
+    @property
+    def skeleton_b(self) -> SkeletonSeries:
+        """S_B, of the secondary sensor, in that one's frame: :attr:`rotation` and :attr:`translation` lay it
+        into K_A's."""
+        of = self.rows
+        return SkeletonSeries(of.positions_b, of.states_b, of.weights_b, of.clock_b, of.stale_b)
+
+    @property
+    def fused(self) -> NDArray[np.float64]:
+        """(T, J, 3) metres, S* in K_A's frame, to float32; NaN where there is none."""
+        return self.rows.fused
+
+    @property
+    def bone_lengths(self) -> NDArray[np.float64]:
+        """(T, J) metres, the lengths bones of S* were held to, by the joint at the far end; 0 at the root."""
+        return self.rows.bone_lengths
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        """(T, 3, 3) R: turns K_B's axes into K_A's."""
+        return self.rows.rotation
+
+    @property
+    def translation(self) -> NDArray[np.float64]:
+        """(T, 3) metres, t: where K_B stands in K_A's frame; renewed every frame."""
+        return self.rows.translation
+
+    @property
+    def quality(self) -> QualitySeries:
+        """How good each frame is."""
+        of = self.rows
+        return QualitySeries(
+            of.bone_error, of.disagreement, of.skew_ns, of.fuse_ms, of.iterations, of.predicted
+        )
+
     @property
     def body(self) -> Body:
         """Which joints these are."""
@@ -130,7 +197,7 @@ class Session:
 
     @property
     def calibration(self) -> Calibration:
-        """R, t and the bone lengths, the last where there were several; without its ``registration``."""
+        """R, t, the bone lengths and how well the views agreed; the last where there were several."""
         return self.calibrations[-1][1]
 
     @property
@@ -144,16 +211,6 @@ class Session:
         if len(self) < 2:
             return 30.0
         return float(1e9 / np.median(np.diff(self.rows.time_ns)))
-
-    @property
-    def calibration_residual(self) -> float:
-        """Metres by which the two views differed (median) when they were registered; NaN where not known."""
-        return float(self.about["calibration"].get("residual_median", [np.nan])[0])
-
-    def depth_count(self, side: str) -> int:
-        """How many depth images of a sensor the session has."""
-        with RrdFile(self.path) as file:
-            return sum(1 for _ in _images(file, layout.depth(side)))
 
     def fusers(self, settings: FuserSettings | None = None) -> Iterator[tuple[Fuser, slice]]:
         """The fuser of each calibration as it was before its first frame, and which frames are its own.
@@ -172,7 +229,7 @@ class Session:
         Args:
             depth: With the depth images the session has.
         """
-        images = {side: self.depth(side) if depth else iter(()) for side in layout.SIDES}
+        images = {side: iter(self.depth(side)) if depth else iter(()) for side in layout.SIDES}
         ahead = {side: next(images[side], None) for side in layout.SIDES}
         rows = self.rows
         for t in range(len(rows)):
@@ -195,41 +252,24 @@ class Session:
                 int(rows.skew_ns[t]),
             )
 
-    def depth(self, side: str) -> Iterator[tuple[int, NDArray[np.uint16]]]:
-        """Depth images of a sensor, read as they are asked for.
+    def depth(self, side: str, first: int = 0, end: int | None = None) -> ImageReader[NDArray[np.uint16]]:
+        """Depth images of a sensor, read as they are asked for; damaged ones are left out and counted.
 
         Args:
             side: ``a`` or ``b``.
+            first, end: Of frames `first` up to, without, `end`; to the last where None.
 
-        Yields:
-            The frame's number and its (height, width) millimetres, 0 without a reading.
-
-        Raises:
-            RecordingError: An image is damaged; those before it were given.
+        Returns:
+            To be iterated over: the frame's number and its (height, width) millimetres, 0 without a reading.
         """
-        with RrdFile(self.path) as file:
-            for frame, blob, check in _images(file, layout.depth(side)):
-                if check != image_checksum(frame, blob):
-                    raise RecordingError(f"{self.path}: the depth image of frame {frame} is damaged.")
-                if frame < len(self):
-                    yield frame, decode_depth(blob)
+        return read_depth(self.path, side, self._frames(first, end))
 
-    def color(self, side: str) -> Iterator[tuple[int, ColorImage]]:
+    def color(self, side: str, first: int = 0, end: int | None = None) -> ImageReader[ColorImage]:
         """Colour images of a sensor, as :meth:`depth` gives depth images."""
-        return ((frame, image) for frame, image in read_color(self.path, side) if frame < len(self))
+        return read_color(self.path, side, self._frames(first, end))
 
-
-def _images(file: RrdFile, entity: str) -> Iterator[tuple[int, bytes, int | None]]:
-    for of, batch in file.chunks(images=True):
-        names = batch.schema.names
-        if of != entity or layout.FRAME not in names or _BLOB not in names:
-            continue
-        checks = batch.column("crc32") if "crc32" in names else None
-        for k, frame in enumerate(batch.column(layout.FRAME).to_pylist()):
-            cell, check = batch.column(_BLOB)[k].values, None if checks is None else checks[k].as_py()
-            if not cell or not cell[0].is_valid or not check:
-                raise RecordingError(f"{entity[1:]}: the depth image of frame {frame} is damaged.")
-            yield frame, cell[0].values.to_numpy().tobytes(), check[0]
+    def _frames(self, first: int, end: int | None) -> range:
+        return range(first, len(self) if end is None else min(end, len(self)))
 
 
 def _sensor_frame(

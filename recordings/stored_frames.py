@@ -11,20 +11,21 @@ from fusion.body import Body
 from fusion.calibration import Calibration
 from recordings import layout
 from recordings.arrays import SessionArrays
-from recordings.checksums import frame_checksums
+from recordings.checksums import FusedChecks, frame_checksums
 from recordings.rrd_file import Columns
 
 
 def frames_of(
     body: Body, calibrations: list[tuple[int, Calibration]], found: Columns
-) -> tuple[SessionArrays, NDArray[np.uint32], int]:
-    """The frames before the first that is missing or damaged, their S* checksums, how many are lost."""
+) -> tuple[SessionArrays, FusedChecks, int]:
+    """The frames before the first that is missing or damaged, checks of their S*, how many are lost."""
     J = len(body)
     stored: dict[str, tuple[tuple[str, str], tuple[int, ...], Any]] = {
         "time_ns": ((layout.QUALITY, layout.TIME), (), np.int64),
         "placement": ((layout.kinect("b"), "rotation_translation"), (12,), np.float64),
         "fused": ((layout.FUSED_SKELETON, "Points3D:positions"), (J, 3), np.float32),
         "predicted": ((layout.FUSED_SKELETON, "predicted"), (J,), np.bool_),
+        "joint_digests": ((layout.QUALITY, layout.JOINT_DIGESTS), (J,), np.uint8),
         "misleading": ((layout.FUSED_SKELETON, "misleading_joint"), (J,), np.int8),
     }
     figures: dict[str, Any] = {
@@ -92,7 +93,7 @@ def frames_of(
     if n:
         fits = frame_checksums(rows) == at["frame_crc32"][:, 0]
         n = int(np.argmin(np.append(fits, False)))
-    return rows[:n], at["fused_crc32"][:n, 0], written - n
+    return rows[:n], (at["fused_crc32"][:n, 0], at["joint_digests"][:n]), written - n
 
 
 def _targets(calibrations: list[tuple[int, Calibration]], frames: int) -> NDArray[np.float64]:

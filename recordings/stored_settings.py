@@ -12,6 +12,7 @@ from fusion.body import Body
 from fusion.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.fuser import FuserSettings
+from fusion.registration import Registration
 from fusion.rigid import RigidTransform
 from fusion.viewing_plane import Intrinsics
 from recordings import layout
@@ -60,24 +61,32 @@ def checked_properties(path: Path, found: Columns) -> dict[str, dict[str, list[A
     return about
 
 
-def calibrations_of(
-    path: Path, body: Body, found: Columns
-) -> tuple[list[tuple[int, Calibration]], list[float]]:
-    """Each with the frame it begins at, in order, and how far apart the views were (median)."""
-    at: dict[int, tuple[Calibration, float]] = {}
+def calibrations_of(path: Path, body: Body, found: Columns) -> list[tuple[int, Calibration]]:
+    """Each with the frame it begins at, in order."""
+    at: dict[int, Calibration] = {}
     for frame, of in found.logged.get(layout.CALIBRATION, []):
         check = of.pop("calibration_crc32", None)
         if check != [properties_checksum({"calibration": {"frame": frame, **of}})]:
             raise RecordingError(f"{path}: a calibration in it is damaged; it does not match its checksum.")
         a_from_b = RigidTransform.of(np.reshape(of["rotation"], (3, 3)), of["translation"])
         lengths = np.array(of["bone_lengths"], dtype=np.float64)
-        at[frame] = Calibration(body, a_from_b, lengths, str(of["how"][0])), float(of["residual_median"][0])
+        registration = None
+        if of["pairs"][0] > 0:
+            registration = Registration(
+                a_from_b,
+                float(of["residual_median"][0]),
+                float(of["residual_rms"][0]),
+                np.array(of["joint_residuals"], dtype=np.float64),
+                float(of["rotation_sd"][0]),
+                int(of["pairs"][0]),
+                body,
+            )
+        at[frame] = Calibration(body, a_from_b, lengths, str(of["how"][0]), registration)
     if 0 not in at:
         raise RecordingError(
             f"{path}: its calibration is missing" + (f"; {found.damage}." if found.damage else ".")
         )
-    ordered = sorted(at.items())
-    return [(frame, calibration) for frame, (calibration, _) in ordered], [r for _, (_, r) in ordered]
+    return sorted(at.items())
 
 
 def settings_of(of: dict[str, list[Any]]) -> FuserSettings:

@@ -70,23 +70,46 @@ def fused_run(tmp_path: Path) -> FusedRun:
     )
 
 
+_CAPTURED = {
+    "time_ns": "the time since the first pair",
+    "skew_ns": "the skew between A and B",
+    "clock_a": "the time of A",
+    "clock_b": "the time of B",
+    "positions_a": "S_A",
+    "positions_b": "S_B",
+    "states_a": "a tracking state of S_A",
+    "states_b": "a tracking state of S_B",
+}
+"""What two fusions of one capture share, by its name in :class:`recordings.arrays.SessionArrays`."""
+
+
 def assert_sessions_match(
     actual: Session | str | Path, expected: Session | str | Path, *, position_mm: float
 ) -> None:
-    """Fails where S* of two sessions of one capture differs, and says at which frame and joint.
+    """Fails where two sessions are not of one capture, or S* differs, and says at which frame and joint.
+
+    Of one capture are sessions whose frames have the same times and, to the bit, the same S_A and S_B.
 
     Args:
         actual, expected: Sessions or their files.
-        position_mm: How far a joint may be from the expected one; 0 asks for the same bits.
+        position_mm: How far a joint of S* may be from the expected one; 0 asks for the same bits.
 
     Raises:
-        AssertionError: Another body, another number of frames, S* missing in one of them, or too far apart.
+        AssertionError: Another body, another number of frames, other times, S_A or S_B, S* missing in one of
+            them, or too far apart.
+        ValueError: `position_mm` is negative or no number.
     """
+    if not 0.0 <= position_mm < np.inf:
+        raise ValueError(f"position_mm is {position_mm}: how far apart joints may be, 0 or more millimetres")
     one, two = (s if isinstance(s, Session) else Session.open(s) for s in (actual, expected))
     assert one.body is two.body, f"{one.path} is of {one.body.name}, {two.path} of {two.body.name}"
     assert len(one) == len(two), f"{one.path} has {len(one)} frames, {two.path} has {len(two)}"
     assert one.damage is None, f"{one.path}: {one.damage}"
     assert two.damage is None, f"{two.path}: {two.damage}"
+    for name, what in _CAPTURED.items():
+        got, wanted = getattr(one.rows, name), getattr(two.rows, name)
+        for t, *_ in np.argwhere((got != wanted) & ~((got != got) & (wanted != wanted)))[:1]:
+            raise AssertionError(f"frame {t}: {what} differs; the sessions are of different captures")
     for t in np.flatnonzero((np.isnan(one.rows.fused) != np.isnan(two.rows.fused)).any(axis=(1, 2)))[:1]:
         raise AssertionError(f"frame {t}: only one of the sessions has an S*")
     if position_mm == 0.0:

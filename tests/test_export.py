@@ -1,5 +1,6 @@
 """Each format read back by a library that is not ours."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,12 +8,15 @@ import pytest
 from numpy.typing import NDArray
 
 from fusion.body import BODIES, KINECT_V2, Body
+from fusion.rigid import RigidTransform
 from recordings.errors import RecordingError
 from recordings.export import writer_for
-from recordings.export.even_frames import even_frames
+from recordings.export.even_frames import EvenFrames, even_frames
+from recordings.rewriting import rewrite
 from recordings.session import Session
 from recordings.testing import record_fused
 from tests.frame_pairs import calibration_of, frame_pairs
+from tests.recalibrated import record_recalibrated
 
 GAP = (20, 21, 22)
 
@@ -108,21 +112,76 @@ def test_c3d_is_read_by_another_library(session: Session) -> None:
 
 
 def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(session: Session) -> None:
-    bvhio = pytest.importorskip("bvhio")
     path = exported(session, "s.bvh")
     even = even_frames(session.rows)
     body = session.body
-    root = bvhio.readAsHierarchy(str(path))
     header = path.read_text(encoding="utf-8")
     assert f"Frames: {len(even.index)}\nFrame Time: 0.033333" in header
-    for moment in (0, 15, GAP[1], 45, len(even.index) - 1):
-        index = even.index[moment]
-        index = GAP[0] - 1 if index in GAP else index  # the last pose is held
+    held = [GAP[0] - 1 if index in GAP else index for index in even.index]  # the last pose
+    np.testing.assert_allclose(bvh_joints(path, body), y_up(session.rows.fused[held]), atol=1e-4)
+
+
+def bvh_joints(path: Path, body: Body) -> NDArray[np.float64]:
+    """(N, J, 3) metres, as another library makes them of the file."""
+    bvhio = pytest.importorskip("bvhio")
+    root = bvhio.readAsHierarchy(str(path))
+    nodes = {node.Name: node for node, _, _ in root.layout()}
+    found = []
+    for moment in range(len(root.Keyframes)):
         root.loadPose(moment)
-        at = {node.Name: np.array(node.PositionWorld) for node, _, _ in root.layout()}
-        expected = 100.0 * y_up(session.rows.fused[index])
-        for joint, position in zip(body.joints, expected, strict=True):
-            np.testing.assert_allclose(at[joint], position, atol=0.01)  # cm
+        found.append([np.array(nodes[joint].PositionWorld) for joint in body.joints])
+    return np.array(found) / 100.0
+
+
+def test_bvh_has_the_frames_of_the_last_bone_lengths_and_says_so(tmp_path: Path) -> None:
+    first = calibration_of(KINECT_V2)
+    other = replace(first, bone_lengths=first.bone_lengths * 1.1)
+    moved = replace(other, a_from_b=RigidTransform.of(first.a_from_b.rotation, [2.3, 0.1, 2.6]))
+    session = record_recalibrated(
+        tmp_path / "s.rrd", frame_pairs(KINECT_V2, 30), [(0, first), (12, other), (20, moved)]
+    )
+    path = tmp_path / "s.bvh"
+    said = writer_for(path)(session, path)
+    assert "18 frames at an even 30 Hz; without the 12 frames before" in said
+    assert "duplex trim --to 0.383" in said  # between frames 11 and 12
+    np.testing.assert_allclose(bvh_joints(path, KINECT_V2), y_up(session.rows.fused[12:]), atol=1e-4)
+    rewrite(session, tmp_path / "before.rrd", None, 0, 12)
+    before = Session.open(tmp_path / "before.rrd")
+    assert "without" not in writer_for(path)(before, path)
+    np.testing.assert_allclose(bvh_joints(path, KINECT_V2), y_up(session.rows.fused[:12]), atol=1e-4)
+
+
+def paused(tmp_path: Path, frames: int) -> Session:
+    """Three frames at 30 Hz and one after a pause, so that there are so many moments of 30 Hz."""
+    pairs = frame_pairs(KINECT_V2, 4)
+    pairs[3] = replace(pairs[3], time_ns=round((frames - 1) * 1e9 / 30))
+    return record_fused(tmp_path / "paused.rrd", pairs, calibration_of(KINECT_V2))
+
+
+def test_c3d_holds_as_many_frames_as_it_can_count(tmp_path: Path) -> None:
+    ezc3d, c3d = pytest.importorskip("ezc3d"), pytest.importorskip("c3d")
+    session = paused(tmp_path, 65_535)
+    path = exported(session, "s.c3d")
+    points = ezc3d.c3d(str(path))["data"]["points"]
+    assert points.shape == (4, 25, 65_535)
+    last = 1e3 * session.rows.fused[3][:, [0, 2, 1]] * [1, 1, -1]
+    np.testing.assert_allclose(points[:3, :, -1].T, last, atol=1e-3)
+    with path.open("rb") as file:
+        assert c3d.Reader(file).last_frame == 65_535
+
+
+def test_c3d_refuses_what_its_readers_would_silently_lose(tmp_path: Path) -> None:
+    pytest.importorskip("ezc3d")
+    session = paused(tmp_path, 65_536)
+    with pytest.raises(RecordingError, match=r"holds 65535 frames, 36 min at 30 Hz; .* has 65536"):
+        exported(session, "s.c3d")
+    assert not (tmp_path / "s.c3d").exists()
+
+
+def test_an_even_rate_says_what_it_did_to_the_frames() -> None:
+    even = EvenFrames(30.0, np.array([0, 1, 1, -1, 4]))
+    assert even.in_words(5) == "5 frames at an even 30 Hz (1 repeated, 2 left out, 1 of nothing)"
+    assert EvenFrames(15.0, np.arange(3)).in_words(3) == "3 frames at an even 15 Hz"
 
 
 def test_a_pause_in_the_recording_is_a_gap_at_an_even_rate(tmp_path: Path) -> None:

@@ -7,10 +7,12 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
 from fusion.body import KINECT_V1
+from fusion.fuser import FuserSettings
 from recordings.testing import record_fused
 from tests.frame_pairs import calibration_of, frame_pairs
 
@@ -30,11 +32,20 @@ def example() -> str:
     return str(block)
 
 
-@pytest.mark.parametrize(("noise", "says"), [(0.02, "1 passed"), (0.03, "S* differs by more than 0.01 mm")])
-def test_the_example_passes_and_fails_as_it_should(noise: float, says: str, tmp_path: Path) -> None:
-    record_fused(
-        tmp_path / "expected.rrd", frame_pairs(KINECT_V1, 20, noise=noise), calibration_of(KINECT_V1)
-    )
+@pytest.mark.parametrize(
+    ("weights", "noise", "says"),
+    [
+        ("paper", 0.02, "1 passed"),
+        ("equal", 0.02, "S* differs by more than 0.01 mm"),
+        ("paper", 0.03, "different captures"),
+    ],
+)
+def test_the_example_passes_and_fails_as_it_should(
+    weights: Literal["paper", "equal"], noise: float, says: str, tmp_path: Path
+) -> None:
+    pairs = frame_pairs(KINECT_V1, 20, noise=noise)
+    settings = FuserSettings(weights=weights)
+    record_fused(tmp_path / "expected.rrd", pairs, calibration_of(KINECT_V1), settings)
     (tmp_path / "test_mine.py").write_text(_THEIR_OWN + example(), encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_mine.py"],

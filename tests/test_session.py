@@ -190,6 +190,15 @@ def test_sessions_that_match_and_that_do_not(fused_run: FusedRun) -> None:
     shorter = fused_run(pairs[:-1], calibration)
     with pytest.raises(AssertionError, match="frames"):
         assert_sessions_match(shorter, one, position_mm=1.0)
+    for name in ("time_ns", "skew_ns", "clock_b", "positions_a", "states_b"):
+        rows = getattr(one.rows, name).copy()
+        rows[12] += 1
+        moved = replace(one, rows=replace(one.rows, **{name: rows}))
+        with pytest.raises(AssertionError, match=r"frame 12: .* differs; .* different captures"):
+            assert_sessions_match(moved, one, position_mm=500.0)
+    for tolerance in (float("nan"), -1.0, float("inf")):
+        with pytest.raises(ValueError, match="position_mm is"):
+            assert_sessions_match(one, two, position_mm=tolerance)
     nudged = replace(one, fused_checksums=one.fused_checksums + np.uint32(1))
     with pytest.raises(AssertionError, match=r"frame 0: S\* differs"):
         assert_sessions_match(nudged, one, position_mm=0.0)
@@ -228,3 +237,12 @@ def test_a_session_opens_without_pandas(fused_run: FusedRun) -> None:
         [sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=False
     )
     assert said.stdout == "3\n", said.stderr
+
+
+def test_checksums_do_not_depend_on_how_many_frames_are_looked_at_together(
+    fused_run: FusedRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = fused_run(full_of_faults(KINECT_V1), calibration_of(KINECT_V1)).rows
+    at_once = frame_checksums(rows)
+    monkeypatch.setattr("recordings.checksums._BLOCK", 9)
+    np.testing.assert_array_equal(frame_checksums(rows), at_once)

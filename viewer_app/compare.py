@@ -12,9 +12,10 @@ from recordings import layout
 from recordings.comparison import DIFFERENCE, LARGEST, Comparison, record_comparison
 from recordings.session import Session
 from viewer_app.display import has_display
+from viewer_app.errors import UsageError
 from viewer_app.file_window import written_and_shown
 from viewer_app.options import CompareOptions
-from viewer_app.outputs import check_writable
+from viewer_app.outputs import check_outputs
 from viewer_app.replay import print_damage
 
 _APPLICATION_ID = f"{layout.APPLICATION_ID}_compare"
@@ -27,8 +28,9 @@ def run(options: CompareOptions) -> None:
         RecordingError, UsageError: With one line for the person who asked.
     """
     console = Console()
-    if options.save is not None:
-        check_writable(options.save, options.force)
+    if options.worst < 0:
+        raise UsageError(f"--worst {options.worst}: how many moments to list, 0 or more.")
+    check_outputs([options.save], [options.first, options.second], options.force)
     sessions = [Session.open(path) for path in (options.first, options.second)]
     for session in sessions:
         print_damage(console, session)
@@ -44,10 +46,13 @@ def run(options: CompareOptions) -> None:
     for name, values in sessions[0].about["settings"].items():
         other = sessions[1].about["settings"].get(name)
         if other != values:
-            console.print(f"  {name}: {values[0]} against {other[0] if other else '–'}", highlight=False)
+            other_value = other[0] if other else "–"
+            console.print(f"  {name}: {values[0]} against {other_value}", highlight=False, markup=False)
+    if comparison.one_missing:
+        console.print(f"Only one of them has an S* in {comparison.one_missing} frames.")
     console.print(_joint_table(comparison))
     console.print(_bone_table(comparison))
-    if not worst:
+    if not np.any(comparison.apart > 0.0) and not comparison.one_missing:
         console.print("S* is the same in every frame they share.")
     for t, j in worst:
         console.print(

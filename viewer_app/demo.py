@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from devices.simulated.movements import MOTIONS
@@ -72,7 +73,7 @@ def run(options: DemoOptions) -> None:
     blueprint = session_blueprint(nominal, np.asarray(start.mean(axis=0)), options.layout, live=True)
     warm_up(nominal, console, lambda: next(a.frames(), None))
     console.print(
-        f"A simulated person ({options.motion}) before two Kinects {options.angle:.0f}° apart, "
+        f"A simulated person ({escape(options.motion)}) before two Kinects {options.angle:.0f}° apart, "
         f"{options.seconds:g} s. Ctrl-C ends it."
     )
     if save is not None:

@@ -7,7 +7,7 @@ from rich.console import Console
 from recordings.export import writer_for
 from recordings.session import Session
 from viewer_app.options import ExportOptions
-from viewer_app.outputs import check_writable, whole_file
+from viewer_app.outputs import check_outputs, whole_file
 from viewer_app.replay import print_damage
 
 
@@ -19,9 +19,9 @@ def run(options: ExportOptions) -> None:
     """
     console = Console()
     write = writer_for(options.to, options.table)
-    check_writable(options.to, options.force)
+    check_outputs([options.to], [options.session], options.force)
     session = Session.open(options.session)
     print_damage(console, session)
     with whole_file(options.to) as partial:
-        write(session, partial)
-    console.print(f"Wrote {options.to}: {len(session)} frames.", highlight=False)
+        written = write(session, partial)
+    console.print(f"Wrote {options.to}: {written}.", highlight=False, markup=False, soft_wrap=True)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import math
+from typing import Any
 
-import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from recordings import layout
+from recordings.images import ImageReader
 from recordings.session import Session
 from viewer_app.options import InfoOptions
+from viewer_app.report import calibration_in_words
 
 
 def run(options: InfoOptions) -> None:
@@ -20,13 +22,13 @@ def run(options: InfoOptions) -> None:
         RecordingError: With one line for the person who asked.
     """
     session = Session.open(options.session)
-    rows, calibration = session.rows, session.calibration
+    rows = session.rows
     seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
     size = session.path.stat().st_size
     table = Table(show_header=False, box=None)
 
     def row(name: str, value: object) -> None:
-        table.add_row(f"[bold]{name}[/]", str(value))
+        table.add_row(f"[bold]{name}[/]", escape(str(value)))
 
     row("session", session.path)
     row("written by", f"{session.about['session']['written_by'][0]}, layout {layout.VERSION}")
@@ -35,19 +37,25 @@ def run(options: InfoOptions) -> None:
     row("frames", f"{len(session)} in {seconds:.2f} s, {session.frame_rate:.1f} a second")
     row("without S*", int(rows.predicted.all(axis=1).sum()))
     row("settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items()))
-    row("calibration", f"{calibration.how}; axes {math.degrees(calibration.axes_angle):.0f}° apart")
-    if np.isfinite(session.calibration_residual):
-        row("views differ by", f"{session.calibration_residual * 1e3:.0f} mm (median)")
-    row("depth images", ", ".join(f"{side.upper()} {session.depth_count(side)}" for side in layout.SIDES))
-    colors = {side: sum(1 for _ in session.color(side)) for side in layout.SIDES}
-    if any(colors.values()):
-        row("colour images", ", ".join(f"{side.upper()} {count}" for side, count in colors.items()))
+    for k, line in enumerate(calibration_in_words(session.calibration)):
+        row("" if k else "calibration", line)
+    images: dict[str, dict[str, ImageReader[Any]]] = {
+        "depth": {side: session.depth(side) for side in layout.SIDES},
+        "colour": {side: session.color(side) for side in layout.SIDES},
+    }
+    damage = [] if session.damage is None else [f"{session.damage}; {session.frames_lost} frames lost"]
+    for kind, of_sides in images.items():
+        counts = {side: reader.count() for side, reader in of_sides.items()}
+        if kind == "depth" or any(counts.values()):
+            row(f"{kind} images", ", ".join(f"{side.upper()} {count}" for side, count in counts.items()))
+        damage += [
+            f"{reader.damaged} damaged {kind} images of {side.upper()}"
+            for side, reader in of_sides.items()
+            if reader.damaged
+        ]
     row("size", f"{size / 1e6:.1f} MB, {size / max(seconds, 1e-9) * 60 / 1e6:.1f} MB a minute")
     row("events", len(session.events))
-    row(
-        "whole",
-        "yes" if session.damage is None else f"no: {session.damage}; {session.frames_lost} frames lost",
-    )
+    row("whole", f"no: {', '.join(damage)}" if damage else "yes")
     console = Console()
     console.print(table, highlight=False)
     for event in session.events:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 
 from devices.body_tracking import TrackerSettings
 from devices.kinect import LASER_GAP_US, KinectSensor, KinectSettings
@@ -121,7 +122,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
     watch = _Watch(console)
     with CtrlC() as ctrl_c:
         with ExitStack() as opened:
-            console.print(f"Opening {a.name} (A) and {b.name} (B) …", highlight=False)
+            console.print(f"Opening {a.name} (A) and {b.name} (B) …", highlight=False, markup=False)
             with ctrl_c.raising():  # a body tracker may load its network for minutes
                 opened.enter_context(sensors)
             ctrl_c.calls(sensors.stop)
@@ -189,7 +190,7 @@ class _Watch:
     def __call__(self, status: Status) -> bool:
         if self.settled is None and status.calibrator.settled:
             self.settled = status.calibrator.calibration
-            self._console.print(f"[bold]Calibrated[/]: {self.settled.how}.", highlight=False)
+            self._console.print(f"[bold]Calibrated[/]: {escape(self.settled.how)}.", highlight=False)
         return True
 
 

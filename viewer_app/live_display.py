@@ -74,7 +74,7 @@ class LiveDisplay:
             self._frames.popleft()
         self._advise(status)
         for event in status.events:
-            self._console.print(f"[yellow]{event}[/]", highlight=False)
+            self._console.print(str(event), style="yellow", highlight=False, markup=False)
         failure = self._session.failure
         if failure is not None and not self._failure_told:
             self._failure_told = True
@@ -140,7 +140,7 @@ class LiveDisplay:
         for topic, text in wrong.items():
             if topic not in self._said:
                 self._session.event(text, "WARN")
-                self._console.print(f"[yellow]{text}[/]", highlight=False)
+                self._console.print(text, style="yellow", highlight=False, markup=False)
         for topic in self._said.keys() - wrong.keys():
             self._session.event(f"{topic}: all right again")
         self._said = wrong

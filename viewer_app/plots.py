@@ -20,6 +20,7 @@ from recordings import layout
 _INK = "#010203"  # stands for the page's text colour until the SVG is written
 _MOST_POINTS = 1500  # a line has a pixel or so for each
 _TRUST_COLUMNS = 600
+_WIDE = 11.0  # inches, of a plot across the page
 Line = tuple[NDArray[Any], str]
 
 
@@ -30,9 +31,10 @@ def line_plot(
     lines: Mapping[str, Line],
     level: float | None = None,
     logarithmic: bool = False,
+    wide: bool = False,
 ) -> str:
     """Values over seconds; each line with the key of its skeleton's colour, and a dashed level."""
-    figure, axes = _figure(6.0, 2.4)
+    figure, axes = _figure(_WIDE if wide else 6.0, 2.4)
     for name, (values, key) in lines.items():
         at, thinned = _thinned(time, np.asarray(values, dtype=np.float64))
         axes.plot(at, thinned, color=_color(key), linewidth=1.6 if key == "fused" else 0.8, label=name)
@@ -44,13 +46,13 @@ def line_plot(
     axes.set_xlabel("s")
     axes.set_ylabel(unit)
     if len(lines) > 1:
-        axes.legend(fontsize=8, frameon=False, loc="upper right", ncols=len(lines), labelcolor=_INK)
-    return _svg(figure, f"{title}, {unit}, over time")
+        _legend(axes, len(lines))
+    return _svg(figure, f"{title}, {unit}, over time", wide)
 
 
 def bar_plot(unit: str, names: Sequence[str], bars: Mapping[str, Line]) -> str:
     """A group of bars a name."""
-    figure, axes = _figure(11.0, 3.2)
+    figure, axes = _figure(_WIDE, 3.2)
     at, width = np.arange(len(names)), 0.8 / len(bars)
     for k, (name, (values, key)) in enumerate(bars.items()):
         axes.bar(
@@ -62,24 +64,16 @@ def bar_plot(unit: str, names: Sequence[str], bars: Mapping[str, Line]) -> str:
         )
     axes.set_xticks(at, names, rotation=60, ha="right", fontsize=8)
     axes.set_ylabel(unit)
-    axes.legend(fontsize=8, frameon=False, labelcolor=_INK)
-    return _svg(figure, f"{', '.join(bars)}, {unit}, of each joint")
+    _legend(axes, len(bars))
+    return _svg(figure, f"{', '.join(bars)}, {unit}, of each joint", wide=True)
 
 
 def trust_map(time: NDArray[Any], names: Sequence[str], share: NDArray[Any]) -> str:
     """(T, J) share of A, a row a joint: A's colour, B's colour, and empty where neither."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    figure, axes = _figure(11.0, 0.16 * len(names) + 1.0)
-    blocks = np.array_split(np.arange(len(time)), min(len(time), _TRUST_COLUMNS))
-    counted = np.isfinite(share)
-    total = np.where(counted, share, 0.0)
-    mean = np.array(
-        [
-            np.where(n := counted[block].sum(axis=0), total[block].sum(axis=0) / np.maximum(n, 1), np.nan)
-            for block in blocks
-        ]
-    )
+    figure, axes = _figure(_WIDE, 0.16 * len(names) + 1.0)
+    mean = _columns_of_time(time, share)
     colors = LinearSegmentedColormap.from_list("trust", [_color("b"), "#b0b0b0", _color("a")])
     extent = (float(time[0]), float(time[-1]) or 1.0, len(names) - 0.5, -0.5)
     image = axes.imshow(
@@ -90,7 +84,41 @@ def trust_map(time: NDArray[Any], names: Sequence[str], share: NDArray[Any]) -> 
     bar = figure.colorbar(image, ax=axes, pad=0.01, ticks=[0.0, 0.5, 1.0])
     bar.ax.set_yticklabels(["B", "both", "A"], fontsize=8, color=_INK)
     bar.ax.tick_params(color=_INK)
-    return _svg(figure, "share of A in the trust, of each joint, over time")
+    return _svg(figure, "share of A in the trust, of each joint, over time", wide=True)
+
+
+def _columns_of_time(time: NDArray[Any], share: NDArray[Any]) -> NDArray[np.float64]:
+    """(columns, J) means of (T, J) over equal stretches of time; NaN where there is no frame near."""
+    if len(time) < 2:
+        return np.asarray(share, dtype=np.float64)
+    edges = np.linspace(time[0], time[-1], _TRUST_COLUMNS + 1)
+    column = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, _TRUST_COLUMNS - 1)
+    counted = np.isfinite(share)
+    total, count = np.zeros((2, _TRUST_COLUMNS, share.shape[1]))
+    np.add.at(total, column, np.where(counted, share, 0.0))
+    np.add.at(count, column, counted)
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    # where columns are narrower than frames, those between two frames take the nearer one
+    middle = (edges[:-1] + edges[1:]) / 2
+    after = np.clip(np.searchsorted(time, middle), 1, len(time) - 1)
+    nearest = np.where(middle - time[after - 1] <= time[after] - middle, after - 1, after)
+    empty = np.bincount(column, minlength=_TRUST_COLUMNS) == 0
+    near = np.abs(time[nearest] - middle) <= np.median(np.diff(time))
+    mean[empty & near] = share[nearest[empty & near]]
+    return np.asarray(mean)
+
+
+def _legend(axes: Any, columns: int) -> None:
+    """Above the plot, where no curve is."""
+    axes.legend(
+        fontsize=8,
+        frameon=False,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        borderaxespad=0.2,
+        ncols=columns,
+        labelcolor=_INK,
+    )
 
 
 def _figure(width: float, height: float) -> tuple[Any, Any]:
@@ -108,7 +136,7 @@ def _figure(width: float, height: float) -> tuple[Any, Any]:
     return figure, axes
 
 
-def _svg(figure: Any, label: str) -> str:
+def _svg(figure: Any, label: str, wide: bool = False) -> str:
     from matplotlib import rc_context
 
     out = io.StringIO()
@@ -122,7 +150,8 @@ def _svg(figure: Any, label: str) -> str:
     svg = re.sub(r'\bid="', f'id="{own}-', svg)
     svg = re.sub(r"url\(#", f"url(#{own}-", svg)
     svg = re.sub(r'href="#', f'href="#{own}-', svg)
-    return f'<figure role="img" aria-label="{label}">{svg}</figure>'
+    kind = ' class="wide"' if wide else ""
+    return f'<figure{kind} role="img" aria-label="{label}">{svg}</figure>'
 
 
 def _color(key: str) -> str:

@@ -9,20 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import track
 
 from devices.pairing import Pairing
 from recordings import layout
 from recordings.arrays import RecordedFrame, SessionArrays
-from recordings.checksums import fused_checksums
+from recordings.checksums import fused_checksums, joint_digests
 from recordings.recorder import Recorder
+from recordings.rewriting import copy_images
 from recordings.session import Session
 from viewer_app.blueprint import inspect_blueprint
 from viewer_app.display import has_display
 from viewer_app.errors import UsageError
 from viewer_app.file_window import written_and_shown
 from viewer_app.options import ReplayOptions
-from viewer_app.outputs import check_writable, whole_file
+from viewer_app.outputs import check_outputs, whole_file
 from viewer_app.report import FusionResult, print_summary, report, report_to_json
 from viewer_app.run import fuse_offline
 
@@ -41,8 +43,7 @@ def run(options: ReplayOptions) -> None:
         for name, value in (("h", options.h), ("solver", options.solver), ("weights", options.weights))
         if value is not None
     }
-    for path in filter(None, (options.save, options.report)):
-        check_writable(path, options.force)
+    check_outputs([options.save, options.report], [options.session], options.force)
     session = Session.open(options.session)
     settings = replace(session.settings, **changed)
     if options.verify and settings != session.settings:
@@ -66,12 +67,7 @@ def run(options: ReplayOptions) -> None:
                 recorder.calibrate(fuser)
             recorder.event(f"calibrated: {fuser.calibration.how}")
             frames += fuse_offline(pairs[own], fuser, recorder)
-        if options.save is not None:
-            for side in layout.SIDES:
-                for frame, image in session.depth(side):
-                    recorder.record_depth(side, frame, int(session.rows.time_ns[frame]), image)
-                for frame, color in session.color(side):
-                    recorder.record_color(side, frame, int(session.rows.time_ns[frame]), color)
+        damaged = 0 if options.save is None else copy_images(session, recorder, 0, len(session))
         recorder.finish()
 
     rows = SessionArrays.stack(session.body, session.rows.bone_lengths, frames)
@@ -83,6 +79,7 @@ def run(options: ReplayOptions) -> None:
     print_summary(console, result, figures)
     if options.save is not None:
         console.print(f"Saved {options.save}.", highlight=False, markup=False)
+        print_damaged_images(console, damaged)
     if options.verify and not verify(console, session, rows.fused):
         sys.exit(1)
 
@@ -94,18 +91,19 @@ def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bo
         console.print(f"[bold]Verified[/]: S* of all {len(session)} frames is the recorded one, bit for bit.")
         return True
     t = int(differing[0])
+    recorded = session.rows.fused[t].astype(np.float32)
     visible = np.flatnonzero(
-        ~np.isclose(
-            fused.astype(np.float32), session.rows.fused.astype(np.float32), 0, 0, equal_nan=True
-        ).all(axis=2)
+        ~np.isclose(fused[t].astype(np.float32), recorded, 0, 0, equal_nan=True).all(axis=1)
     )
+    invisible = np.flatnonzero(joint_digests(fused[t : t + 1])[0] != session.joint_digests[t])
     apart = np.linalg.norm(fused - session.rows.fused, axis=2)
     one_missing = (np.isnan(fused) != np.isnan(session.rows.fused)).any()
+    where = f"frame {t}"
     if len(visible):
-        t, j = (int(k) for k in np.unravel_index(visible[0], apart.shape))
-        where = f"frame {t}, joint {session.body.joints[j]}, by {apart[t, j] * 1e3:.3g} mm"
-    else:
-        where = f"frame {t}, by less than the file's float32 shows"
+        j = int(visible[0])
+        where += f", joint {session.body.joints[j]}, by {apart[t, j] * 1e3:.3g} mm"
+    elif len(invisible):
+        where += f", joint {session.body.joints[invisible[0]]}, by less than the file's float32 shows"
     worst = "only one has an S* in some frame" if one_missing else f"at most {np.nanmax(apart) * 1e3:.3g} mm"
     # a joint without data follows the frame before, which a session trimmed at its beginning does not have
     settled = int(np.argmin(session.rows.predicted.any(axis=1)))
@@ -142,7 +140,13 @@ def print_damage(console: Console, session: Session) -> None:
     if session.damage is not None:
         lost = f"; {session.frames_lost} more were written and are lost" if session.frames_lost else ""
         console.print(
-            f"[bold yellow]{session.path} is not whole[/]: {session.damage}. "
+            f"[bold yellow]{escape(str(session.path))} is not whole[/]: {escape(session.damage)}. "
             f"{len(session)} frames could be read{lost}.",
             highlight=False,
         )
+
+
+def print_damaged_images(console: Console, count: int) -> None:
+    """Says how many images could not be copied, where there are any."""
+    if count:
+        console.print(f"[bold yellow]{count} damaged images[/] were left out.", highlight=False)

@@ -141,8 +141,10 @@ def print_summary(console: Console, result: FusionResult, figures: Figures) -> N
 
 def print_method(console: Console, calibration: Calibration, figures: Figures) -> None:
     """What the method came to, for recorded and live sessions alike: calibration, bones, errors, time."""
-    for line in calibration_in_words(calibration):
-        console.print(line, highlight=False)
+    how, *verdict = calibration_in_words(calibration)
+    console.print(f"[bold]Calibration[/]: {escape(how)}", highlight=False)
+    for line in verdict:
+        console.print(f"  {line}", highlight=False, markup=False)
     console.print(_bone_table(figures))
     error, apart = figures["bone_error_mm"], figures["disagreement_mm"]
     console.print(
@@ -167,15 +169,15 @@ _FEWEST_FRAMES = 15  # half a second
 
 
 def calibration_in_words(calibration: Calibration) -> list[str]:
-    """The verdict on a calibration, a line each."""
+    """On what it was calibrated, and the verdict, a line each."""
     registration = calibration.registration
-    lines = [f"[bold]Calibration[/]: {escape(calibration.how)}."]
+    lines = [f"{calibration.how}."]
     angle = math.degrees(calibration.axes_angle)
     advice = (
         "" if 60.0 <= angle <= 120.0 else " (about 90° lets each sensor see most of what the other cannot)"
     )
     if registration is None:
-        return [*lines, f"  The sensors' axes are {angle:.0f}° apart{advice}."]
+        return [*lines, f"The sensors' axes are {angle:.0f}° apart{advice}."]
     median, rms = registration.residual_median * 1e3, registration.residual_rms * 1e3
     verdict = "good" if median < 40.0 else "usable" if median < 80.0 else "poor"
     if registration.frames < _FEWEST_FRAMES:
@@ -183,11 +185,11 @@ def calibration_in_words(calibration: Calibration) -> list[str]:
     worst = ", ".join(f"{name} {distance * 1e3:.0f} mm" for name, distance in registration.worst_joints())
     uncertain = math.degrees(registration.rotation_sd)
     lines.append(
-        f"  {verdict.capitalize()}: the views differ by {median:.0f} mm (median), {rms:.0f} mm (RMS), over "
+        f"{verdict.capitalize()}: the views differ by {median:.0f} mm (median), {rms:.0f} mm (RMS), over "
         f"{registration.frames} frames; worst: {worst}."
     )
     lines.append(
-        f"  The sensors' axes are {angle:.0f}° apart{advice}; "
+        f"The sensors' axes are {angle:.0f}° apart{advice}; "
         f"that rotation is certain to about {uncertain:.1f}°."
     )
     return lines

@@ -8,7 +8,7 @@ from recordings.session import Session
 from viewer_app.display import has_display
 from viewer_app.file_window import show
 from viewer_app.options import ReviewOptions
-from viewer_app.outputs import check_writable, whole_file
+from viewer_app.outputs import check_outputs, whole_file
 from viewer_app.replay import pairing_of, print_damage
 from viewer_app.report import FusionResult, print_summary, report
 
@@ -20,8 +20,7 @@ def run(options: ReviewOptions) -> None:
         RecordingError, UsageError: With one line for the person who asked.
     """
     console = Console()
-    if options.html is not None:
-        check_writable(options.html, options.force)
+    check_outputs([options.html], [options.session], options.force)
     session = Session.open(options.session)
     print_damage(console, session)
     result = FusionResult(pairing_of(session), session.calibration, session.settings, session.rows)
@@ -33,6 +32,6 @@ def run(options: ReviewOptions) -> None:
             partial.write_text(review_page(session, figures), encoding="utf-8")
     print_summary(console, result, figures)
     if options.html is not None:
-        console.print(f"Wrote {options.html}.", highlight=False)
+        console.print(f"Wrote {options.html}.", highlight=False, markup=False)
     if not options.no_viewer and has_display():
         show(options.session)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from html import escape
 from typing import Any
@@ -26,9 +27,12 @@ h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.5rem; }
 p.note { color: var(--quiet); }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 td, th { padding: .15rem .8rem; border-bottom: 1px solid var(--line); text-align: right; }
-td:first-child, th:first-child { text-align: left; }
-figure { margin: 0; max-width: 70rem; } figure svg { width: 100%; height: auto; }
-.grid { display: grid; grid-template-columns: repeat(auto-fit, minmax(28rem, 1fr)); gap: 1rem; }
+td:first-child, th:first-child, .words td, .words th { text-align: left; }
+.numbers td, .words td:first-child { white-space: nowrap; }
+.scroll, figure.wide { overflow-x: auto; }
+figure { margin: 0; } figure svg { width: 100%; height: auto; } figure.wide svg { min-width: 44rem; }
+.grid { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(28rem, 100%), 1fr)); gap: 1rem; }
+h1, p { overflow-wrap: anywhere; }
 strong.bad { color: #d7263d; }
 """
 
@@ -76,9 +80,10 @@ def _verdict(session: Session, figures: dict[str, Any]) -> str:
             f"{session.frames_lost} frames are known to be lost.</p>"
         )
     settings = ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items())
+    source_a, source_b = _without_folders(session.sources)
     return (
         f"{damage}<p>{len(session)} frames in {seconds:.1f} s, {escape(session.body.name)}; "
-        f"{escape(settings)}. A: {escape(session.sources[0])}. B: {escape(session.sources[1])}.</p>"
+        f"{escape(settings)}. A: {escape(source_a)}. B: {escape(source_b)}.</p>"
         f"<p>Largest bone error: S_A {_mm(figures['bone_error_mm']['a']['max'])}, "
         f"S_B {_mm(figures['bone_error_mm']['b']['max'])}, "
         f"<strong>S* {_mm(figures['bone_error_mm']['fused']['max'])}</strong>. "
@@ -88,14 +93,9 @@ def _verdict(session: Session, figures: dict[str, Any]) -> str:
 
 
 def _calibration(session: Session) -> str:
-    lines = [
-        line.replace("[bold]", "").replace("[/]", "") for line in calibration_in_words(session.calibration)
-    ]
-    if np.isfinite(session.calibration_residual):
-        lines.append(
-            f"The views differed by {session.calibration_residual * 1e3:.0f} mm (median) after the fit."
-        )
-    return "".join(f"<p>{escape(line.strip())}</p>" for line in lines)
+    how, *verdict = calibration_in_words(session.calibration)
+    lines = [f"Calibrated on: {how}", *verdict]
+    return "".join(f"<p>{escape(line)}</p>" for line in lines)
 
 
 def _bones(session: Session) -> str:
@@ -136,9 +136,9 @@ def _bone_table(figures: dict[str, Any]) -> str:
 def _jitter(session: Session) -> str:
     rows = session.rows
     jitter = {
-        "S_A": (jitter_of(rows.positions_a.astype(np.float64)) * 1e3, "a"),
-        "S_B": (jitter_of(rows.positions_b.astype(np.float64)) * 1e3, "b"),
-        "S*": (jitter_of(rows.fused) * 1e3, "fused"),
+        "S_A": (jitter_of(rows.positions_a.astype(np.float64), rows.frame) * 1e3, "a"),
+        "S_B": (jitter_of(rows.positions_b.astype(np.float64), rows.frame) * 1e3, "b"),
+        "S*": (jitter_of(rows.fused, rows.frame) * 1e3, "fused"),
     }
     note = "The median second difference over √6: the noise of one frame, where movement is slow."
     return f'<p class="note">{note}</p>' + bar_plot("mm", session.body.joints, jitter)
@@ -155,9 +155,13 @@ def _trust(session: Session) -> str:
 def _disagreement(session: Session, figures: dict[str, Any]) -> str:
     of, time = figures["disagreement_mm"], session.rows.time_ns * 1e-9
     plot = line_plot(
-        "S_A against S_B", "mm", time, {"median joint": (session.rows.disagreement * 1e3, "fused")}
+        "S_A against S_B, the median joint",
+        "mm",
+        time,
+        {"median joint": (session.rows.disagreement * 1e3, "fused")},
+        wide=True,
     )
-    return f"<p>Median {_mm(of['median'])}, 95 % {_mm(of['p95'])}.</p>" + f'<div class="grid">{plot}</div>'
+    return f"<p>Median {_mm(of['median'])}, 95 % {_mm(of['p95'])}.</p>{plot}"
 
 
 def _timing(session: Session, figures: dict[str, Any]) -> str:
@@ -177,14 +181,24 @@ def _events(session: Session) -> str:
     rows = [
         ("" if e.time_ns is None else f"{e.time_ns * 1e-9:.2f} s", e.level, e.text) for e in session.events
     ]
-    return _table(("time", "", "event"), rows) if rows else "<p>None.</p>"
+    return _table(("time", "", "event"), rows, "words") if rows else "<p>None.</p>"
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _without_folders(sources: tuple[str, str]) -> tuple[str, str]:
+    """What the sensors were called: of files the end of the path that tells them apart, and no more."""
+    a, b = (re.split(r"[/\\]", source) for source in sources)
+    for parts in range(1, min(len(a), len(b)) + 1):
+        if a[-parts:] != b[-parts:]:
+            return "/".join(a[-parts:]), "/".join(b[-parts:])
+    return a[-1], b[-1]
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "numbers") -> str:
     def line(cells: Sequence[str], tag: str) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
 
-    return f"<table>{line(head, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
+    lines = line(head, "th") + "".join(line(row, "td") for row in rows)
+    return f'<div class="scroll"><table class="{kind}">{lines}</table></div>'
 
 
 def _mm(value: float | None) -> str:

@@ -10,8 +10,8 @@ from recordings.session import Session
 from viewer_app.blueprint import inspect_blueprint
 from viewer_app.errors import UsageError
 from viewer_app.options import TrimOptions
-from viewer_app.outputs import check_writable, whole_file
-from viewer_app.replay import print_damage, whereabouts
+from viewer_app.outputs import check_outputs, whole_file
+from viewer_app.replay import print_damage, print_damaged_images, whereabouts
 
 
 def run(options: TrimOptions) -> None:
@@ -21,7 +21,7 @@ def run(options: TrimOptions) -> None:
         RecordingError, UsageError: With one line for the person who asked.
     """
     console = Console()
-    check_writable(options.save, options.force)
+    check_outputs([options.save], [options.session], options.force)
     session = Session.open(options.session)
     print_damage(console, session)
     time = session.rows.time_ns * 1e-9
@@ -33,7 +33,9 @@ def run(options: TrimOptions) -> None:
             f"{session.path} runs from 0 to {time[-1]:.3f} s."
         )
     with whole_file(options.save) as partial:
-        rewrite(session, partial, inspect_blueprint(session.body, whereabouts(session)), int(first), int(end))
+        blueprint = inspect_blueprint(session.body, whereabouts(session))
+        damaged = rewrite(session, partial, blueprint, int(first), int(end))
     console.print(
         f"Saved {options.save}: {end - first} of {len(session)} frames.", highlight=False, markup=False
     )
+    print_damaged_images(console, damaged)

@@ -16,7 +16,10 @@ from recordings.session import Session
 
 Table = Literal["long", "wide"]
 
-_WRITERS: MappingProxyType[str, Callable[[Session, Path], None]] = MappingProxyType(
+Writer = Callable[[Session, Path], str]
+"""Writes a session into a file and returns in words what it wrote."""
+
+_WRITERS: MappingProxyType[str, Writer] = MappingProxyType(
     {
         ".bvh": write_bvh,
         ".c3d": write_c3d,
@@ -28,7 +31,7 @@ _WRITERS: MappingProxyType[str, Callable[[Session, Path], None]] = MappingProxyT
 )
 
 
-def writer_for(path: Path, table: Table = "long") -> Callable[[Session, Path], None]:
+def writer_for(path: Path, table: Table = "long") -> Writer:
     """What writes a session into a file of this ending.
 
     Args:

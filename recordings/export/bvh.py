@@ -1,6 +1,9 @@
 """BVH, animation's skeleton file: the bones' rest pose, and a rotation a joint and frame.
 
-S* has bones of constant length, so BVH keeps it exactly. Where several bones leave a joint their angles vary,
+S* has bones of constant length, so BVH keeps it exactly, at an even rate: a recorded frame may stand twice or
+be left out, none is made up. A new calibration gives the bones new lengths, and one BVH has only one length a
+bone (programs disagree on what position channels of inner joints mean): the frames of the last one are
+written, and it is said how many were not. Where several bones leave a joint their angles vary,
 and one rotation cannot turn them all: there the joint takes the rotation that fits best, as an animator
 expects of a pelvis, and each bone gets a joint of its own in the same place for the rest. Centimetres, y up.
 """
@@ -36,17 +39,23 @@ class _Node:
     end: NDArray[np.float64] | None  # (3,) metres, the end site of a last joint
 
 
-def write_bvh(session: Session, path: Path) -> None:
+def write_bvh(session: Session, path: Path) -> str:
     """S* as a moving hierarchy. BVH knows no gaps: there the last pose is held.
 
+    Returns:
+        What was written, in words.
+
     Raises:
-        RecordingError: S* exists in no frame.
+        RecordingError: S* exists in no frame of the last bone lengths.
     """
-    even = even_frames(session.rows)
-    at = y_up(at_even_frames(session.rows.fused, even))  # (N, J, 3)
+    first = _first_of_last_lengths(session)
+    rows = session.rows[first:]
+    even = even_frames(rows)
+    at = y_up(at_even_frames(rows.fused, even))  # (N, J, 3)
     present = np.isfinite(at).all(axis=(1, 2))
     if not present.any():
-        raise RecordingError(f"{session.path} has no frame with an S*; there is nothing to export.")
+        since = f" from frame {first} on, where its bones got their last lengths" if first else ""
+        raise RecordingError(f"{session.path} has no frame with an S*{since}; there is nothing to export.")
     held = np.maximum.accumulate(np.where(present, np.arange(len(at)), -1))
     held[held < 0] = int(np.argmax(present))
     at = at[held]
@@ -58,6 +67,26 @@ def write_bvh(session: Session, path: Path) -> None:
     lines = [*_hierarchy(nodes), "MOTION", f"Frames: {len(at)}", f"Frame Time: {1.0 / even.rate:.9f}"]
     lines += [" ".join(f"{v:.6f}" for v in row) for row in motion]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    words = even.in_words(len(rows))
+    if not present.all():
+        words += f"; the last pose is held in {np.count_nonzero(~present)}"
+    if first:
+        between = session.rows.time_ns[first - 1 : first + 1].mean() * 1e-9
+        words += (
+            f"; without the {first} frames before, whose bones were calibrated to other lengths: cut them "
+            f"out with `duplex trim --to {between:.3f}` to export them"
+        )
+    return words
+
+
+def _first_of_last_lengths(session: Session) -> int:
+    """The frame from which on the bones have the lengths of the last calibration."""
+    first, last = session.calibrations[-1]
+    for number, calibration in reversed(session.calibrations):
+        if not np.array_equal(calibration.bone_lengths, last.bone_lengths):
+            break
+        first = number
+    return first
 
 
 def _rest(body: Body, lengths: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,7 @@
-"""C3D, biomechanics' marker file: millimetres, z up, an even rate; a gap is a point with residual -1."""
+"""C3D, biomechanics' marker file: millimetres, z up, an even rate; a gap is a point with residual -1.
+
+At an even rate a recorded frame may stand twice or be left out; none is made up.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,22 @@ from recordings.errors import RecordingError
 from recordings.export.even_frames import at_even_frames, even_frames
 from recordings.session import Session
 
+# Vendors count further in parameters of their own; ezc3d and all that is built on it read none of those
+_MOST_FRAMES = 65_535
 
-def write_c3d(session: Session, path: Path) -> None:
+
+def write_c3d(session: Session, path: Path) -> str:
     """S* as points labelled after the joints: x right, y forward, z up, as seen from K_A.
 
+    Args:
+        session: The session.
+        path: The file; ezc3d wants it to end in ``.c3d``.
+
+    Returns:
+        What was written, in words.
+
     Raises:
-        RecordingError: ``ezc3d`` is not installed.
+        RecordingError: ``ezc3d`` is not installed, or the session is too long for the format.
     """
     try:
         import ezc3d
@@ -24,6 +37,12 @@ def write_c3d(session: Session, path: Path) -> None:
             "Writing .c3d needs the package ezc3d: pip install 'duplex-kinects[export]'."
         ) from None
     even = even_frames(session.rows)
+    if len(even.index) > _MOST_FRAMES:
+        raise RecordingError(
+            f"A .c3d holds {_MOST_FRAMES} frames, {_MOST_FRAMES / even.rate / 60:.0f} min at "
+            f"{even.rate:.6g} Hz; {session.path} has {len(even.index)}. Export it in parts made with "
+            "`duplex trim`, or as .trc."
+        )
     at = at_even_frames(session.rows.fused, even) * 1e3  # (N, J, 3)
     N, J = at.shape[:2]
     points = np.full((4, J, N), np.nan)
@@ -41,3 +60,4 @@ def write_c3d(session: Session, path: Path) -> None:
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, J, N), dtype=bool)
     file["data"]["analogs"] = np.zeros((1, 0, N))
     file.write(str(path))
+    return even.in_words(len(session))

@@ -28,6 +28,18 @@ class EvenFrames:
     rate: float
     index: NDArray[np.int64]
 
+    def in_words(self, recorded: int) -> str:
+        """How many frames there are, and what the even rate made of the `recorded` ones."""
+        near = self.index[self.index >= 0]
+        stood = len(np.unique(near))
+        counts = {
+            "repeated": len(near) - stood,
+            "left out": recorded - stood,
+            "of nothing": len(self.index) - len(near),
+        }
+        made = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+        return f"{len(self.index)} frames at an even {self.rate:.6g} Hz" + (f" ({made})" if made else "")
+
 
 def even_frames(rows: SessionArrays) -> EvenFrames:
     """The nearest recorded frame to each moment k / rate since the first frame.

@@ -1,4 +1,7 @@
-"""Sessions as tables: CSV, Parquet and NumPy's .npz. Metres and seconds, K_A's frame."""
+"""Sessions as tables: CSV, Parquet and NumPy's .npz. Metres and seconds, K_A's frame.
+
+Each writer returns in words what it wrote.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +22,13 @@ _STATES = np.array(["not_tracked", "inferred", "tracked"])
 _FUSED_STATES = np.array(["fused", "predicted"])
 
 
-def write_long_csv(session: Session, path: Path) -> None:
+def write_long_csv(session: Session, path: Path) -> str:
     """A row a joint, skeleton and frame; empty cells where a joint has no position."""
     pyarrow.csv.write_csv(long_table(session), path)
+    return _frames(session)
 
 
-def write_wide_csv(session: Session, path: Path) -> None:
+def write_wide_csv(session: Session, path: Path) -> str:
     """A row a frame with S* alone: ``frame, time_s, <joint>_x, <joint>_y, <joint>_z, …``."""
     rows = session.rows
     columns: dict[str, pa.Array] = {"frame": pa.array(rows.frame), "time_s": pa.array(rows.time_ns * 1e-9)}
@@ -32,9 +36,10 @@ def write_wide_csv(session: Session, path: Path) -> None:
         for axis in range(3):
             columns[f"{joint}_{'xyz'[axis]}"] = pa.array(rows.fused[:, j, axis], from_pandas=True)
     pyarrow.csv.write_csv(pa.table(columns), path)
+    return _frames(session)
 
 
-def write_parquet(session: Session, path: Path) -> None:
+def write_parquet(session: Session, path: Path) -> str:
     """The rows of :func:`write_long_csv`; null where a joint has no position."""
     table = long_table(session)
     about = {
@@ -44,9 +49,10 @@ def write_parquet(session: Session, path: Path) -> None:
         "frame_rate": f"{session.frame_rate:.6g}",
     }
     pyarrow.parquet.write_table(table.replace_schema_metadata(about), path)
+    return _frames(session)
 
 
-def write_npz(session: Session, path: Path) -> None:
+def write_npz(session: Session, path: Path) -> str:
     """Every array of :class:`recordings.arrays.SessionArrays` under its name; joints and bones by name."""
     rows = session.rows
     arrays = {f.name: getattr(rows, f.name) for f in fields(SessionArrays) if f.name != "body"}
@@ -59,6 +65,11 @@ def write_npz(session: Session, path: Path) -> None:
             bones=np.array(rows.body.bones),
             parents=rows.body.parent_indices,
         )
+    return _frames(session)
+
+
+def _frames(session: Session) -> str:
+    return f"{len(session)} frames"
 
 
 def long_table(session: Session) -> pa.Table:

@@ -10,8 +10,12 @@ from recordings.export.even_frames import even_frames, y_up
 from recordings.session import Session
 
 
-def write_trc(session: Session, path: Path) -> None:
-    """S* as markers named after the joints. Times are the recorded ones; the header has their mean rate."""
+def write_trc(session: Session, path: Path) -> str:
+    """S* as markers named after the joints. Times are the recorded ones; the header has their mean rate.
+
+    Returns:
+        What was written, in words.
+    """
     rows = session.rows
     joints, rate = rows.body.joints, f"{even_frames(rows).rate:.6g}"
     T, J = len(rows), len(joints)
@@ -28,3 +32,4 @@ def write_trc(session: Session, path: Path) -> None:
         cells = ("" if np.isnan(v) else f"{v:.4f}" for v in values)
         lines.append(f"{t + 1}\t{time_ns * 1e-9:.6f}\t" + "\t".join(cells))
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return f"{T} frames at the times they were recorded, {rate} Hz in the mean"
