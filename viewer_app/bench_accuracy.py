@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -25,25 +24,11 @@ from devices.simulated.movements import MOTIONS
 from devices.simulated.realism import statistics
 from devices.skeleton_files import SkeletonRecording
 from fusion.body import BODIES
+from viewer_app.accuracy_tables import table_by, tables_of_methods
 from viewer_app.accuracy_trials import METHODS, Outcome, Trial, run_trials
 from viewer_app.errors import UsageError
 from viewer_app.options import BenchAccuracyOptions
 from viewer_app.outputs import check_writable, whole_file
-
-_COLUMNS: dict[str, tuple[str, float, int]] = {
-    "mpjpe": ("MPJPE mm", 1e3, 1),
-    "p95": ("95 % mm", 1e3, 0),
-    "hidden_one": ("hidden in one view mm", 1e3, 0),
-    "hidden_both": ("hidden in both mm", 1e3, 0),
-    "bone_error": ("largest bone error mm", 1e3, 0),
-    "bone_deviation": ("bone deviation mm", 1e3, 1),
-    "jitter": ("jitter, still mm", 1e3, 1),
-    "acceleration": ("acceler. error mm/frame²", 1e3, 1),
-    "swapped": ("L/R swapped %", 1e2, 1),
-    "lag": ("lag frames", 1.0, 2),
-    "fuse_us": ("µs a frame", 1.0, 0),
-}
-"""By figure: the column's title, the factor to its unit, digits."""
 
 
 def run(options: BenchAccuracyOptions) -> None:
@@ -88,13 +73,12 @@ def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[st
         f"{options.seeds} seeds, {options.seconds:g} s each, measured after the start-up pose.",
         highlight=False,
     )
-    console.print(_table_of_methods(outcomes))
-    console.print(_wins(outcomes), highlight=False)
-    for title, of in (
-        ("movement", lambda trial: trial.motion),
-        ("angle °", lambda trial: f"{trial.angle:g}"),
+    for table in (
+        *tables_of_methods(outcomes),
+        table_by("movement", lambda trial: trial.motion, outcomes),
+        table_by("angle °", lambda trial: f"{trial.angle:g}", outcomes),
     ):
-        console.print(_table_by(title, of, outcomes))
+        console.print(table)
     if options.picture is not None:
         _draw(outcomes, options.picture)
     return {
@@ -111,77 +95,6 @@ def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[st
             for o in outcomes
         ],
     }
-
-
-def _over_seeds(outcomes: Iterable[Outcome], name: str) -> list[float]:
-    """A figure for each seed, averaged over movements and angles."""
-    by_seed: dict[int, list[float]] = {}
-    for outcome in outcomes:
-        value = outcome.figures[name]
-        if np.isfinite(value):
-            by_seed.setdefault(outcome.trial.seed, []).append(value)
-    return [float(np.mean(values)) for values in by_seed.values()]
-
-
-def _table_of_methods(outcomes: list[Outcome]) -> Table:
-    table = Table(
-        title="Methods on identical input: mean over movements and angles ± deviation over seeds",
-        title_justify="left",
-    )
-    table.add_column("method")
-    for title, _, _ in _COLUMNS.values():
-        table.add_column(title, justify="right")
-    best = {name: _best(outcomes, name) for name in _COLUMNS}
-    for method in METHODS:
-        of_method = [o for o in outcomes if o.method == method]
-        cells = []
-        for name, (_, scale, digits) in _COLUMNS.items():
-            values = np.array(_over_seeds(of_method, name)) * scale
-            if values.size == 0:
-                cells.append("–")
-                continue
-            text = f"{values.mean():.{digits}f}"
-            if values.size > 1 and name != "fuse_us":
-                text += f"±{values.std(ddof=1):.{digits}f}"
-            cells.append(f"[bold]{text}[/]" if best[name] == method else text)
-        table.add_row(method, *cells)
-    return table
-
-
-def _best(outcomes: list[Outcome], name: str) -> str:
-    def mean(method: str) -> float:
-        values = _over_seeds((o for o in outcomes if o.method == method), name)
-        return abs(float(np.mean(values))) if values else np.inf
-
-    return min(METHODS, key=mean)
-
-
-def _wins(outcomes: list[Outcome]) -> str:
-    """Paired by recording: how often ours is nearer to the truth than each other method."""
-    ours = {o.trial: o.figures["mpjpe"] for o in outcomes if o.method == "ours"}
-    shares = []
-    for method in METHODS[:-1]:
-        others = [o for o in outcomes if o.method == method]
-        share = np.mean([ours[o.trial] < o.figures["mpjpe"] for o in others])
-        shares.append(f"{method} {share:.0%}")
-    return f"Ours has the smaller MPJPE in so many of the same recordings: {', '.join(shares)}."
-
-
-def _table_by(title: str, of: Callable[[Trial], str], outcomes: list[Outcome]) -> Table:
-    table = Table(title=f"MPJPE in mm by {title.split()[0]}", title_justify="left")
-    table.add_column(title)
-    for method in METHODS:
-        table.add_column(method, justify="right")
-    for group in dict.fromkeys(of(o.trial) for o in outcomes):
-        means = [
-            float(np.mean([o.figures["mpjpe"] for o in outcomes if o.method == m and of(o.trial) == group]))
-            for m in METHODS
-        ]
-        table.add_row(
-            group,
-            *(f"[bold]{v * 1e3:.1f}[/]" if v == min(means) else f"{v * 1e3:.1f}" for v in means),
-        )
-    return table
 
 
 def _draw(outcomes: list[Outcome], path: Path) -> None:

@@ -1,0 +1,67 @@
+"""``duplex bench accuracy``: what it prints and writes is what was measured."""
+
+import io
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from viewer_app.accuracy_tables import clearly_best, over_seeds, table_by, tables_of_methods
+from viewer_app.accuracy_trials import METHODS, Outcome, Trial
+
+FIGURES = ("mpjpe", "p95", "hidden_one", "hidden_both", "bone_error", "bone_deviation", "jitter",
+           "acceleration", "swapped", "lag", "fuse_us")  # fmt: skip
+
+
+def made_up(size: dict[str, float] | None = None) -> list[Outcome]:
+    """Two movements, two angles, three seeds; all figures of a method as large as ``size`` says."""
+    random = np.random.default_rng(0)
+    return [
+        Outcome(
+            Trial(motion, angle, seed),
+            method,
+            {name: (size or {}).get(method, 1.0) + random.uniform(0.0, 0.2) for name in FIGURES},
+        )
+        for motion in ("basketball", "still")
+        for angle in (45.0, 135.0)
+        for seed in range(3)
+        for method in METHODS
+    ]
+
+
+def printed(outcomes: list[Outcome]) -> str:
+    console = Console(file=io.StringIO(), width=80)
+    for table in (*tables_of_methods(outcomes), table_by("movement", lambda trial: trial.motion, outcomes)):
+        console.print(table)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def test_the_tables_can_be_read_at_80_columns() -> None:
+    assert "…" not in printed(made_up(dict.fromkeys(METHODS, 100.0)))
+    text = printed(made_up(dict.fromkeys(METHODS, 0.4)))
+    assert "…" not in text
+    assert max(len(line) for line in text.splitlines()) <= 80
+    for method in METHODS:
+        rows = [
+            line.split(method)[1].split() for line in text.splitlines() if line.startswith(f"  {method} ")
+        ]
+        distances, movement = rows
+        assert all(cell.count("±") == 1 for cell in (*distances[:-1], *movement))
+        assert (len(distances), len(movement)) == (6, 5)
+
+
+def test_a_trial_counts_only_where_every_method_has_the_figure() -> None:
+    outcomes = made_up()
+    for outcome in outcomes:
+        outcome.figures["lag"] = 1.0 if outcome.trial.motion == "still" else 5.0
+        if outcome.method == "B alone" and outcome.trial.motion == "basketball":
+            outcome.figures["lag"] = np.nan
+    for method in METHODS:
+        assert over_seeds(outcomes, method, "lag").tolist() == [1.0, 1.0, 1.0]
+    assert "lag 6 of 12" in " ".join(printed(outcomes).split())
+
+
+@pytest.mark.parametrize(("lead", "best"), [(0.0, None), (0.5, "Kalman")])
+def test_only_a_difference_beyond_its_spread_is_bold(lead: float, best: str | None) -> None:
+    assert clearly_best(made_up({"Kalman": 1.0 - lead}), "mpjpe") == best
