@@ -1,6 +1,7 @@
 """``duplex bench accuracy``: what it prints and writes is what was measured."""
 
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from rich.console import Console
 
 from viewer_app.accuracy_tables import clearly_best, over_seeds, table_by, tables_of_methods
 from viewer_app.accuracy_trials import METHODS, Outcome, Trial
+from viewer_app.cli import main
 
 FIGURES = ("mpjpe", "p95", "hidden_one", "hidden_both", "bone_error", "bone_deviation", "jitter",
            "acceleration", "swapped", "lag", "fuse_us")  # fmt: skip
@@ -65,3 +67,35 @@ def test_a_trial_counts_only_where_every_method_has_the_figure() -> None:
 @pytest.mark.parametrize(("lead", "best"), [(0.0, None), (0.5, "Kalman")])
 def test_only_a_difference_beyond_its_spread_is_bold(lead: float, best: str | None) -> None:
     assert clearly_best(made_up({"Kalman": 1.0 - lead}), "mpjpe") == best
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--seeds", "0"), "--seeds must be 1 or more; got 0"),
+        (("--set", "real", "--seeds", "0"), "--seeds must be 1 or more; got 0"),
+        (("--seconds", "nan"), "--seconds must be a positive number; got nan"),
+        (("--seconds", "inf"), "--seconds must be a positive number; got inf"),
+        (("--set", "real", "--picture", "x.png"), "--picture draws the methods"),
+        (("--recordings", "real"), "add --set real"),
+        (("--motions", "walk", "fly"), "got fly"),
+        (("--angles", "nan"), "between 0 and 180 degrees; got nan"),
+        (("--seconds", "1"), "leave less than a second after the start-up pose"),
+    ],
+)
+def test_what_cannot_be_measured_is_one_line_and_exit_code_2(
+    arguments: tuple[str, ...],
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main(["bench", "accuracy", *arguments])
+    said = capsys.readouterr().err
+    assert stop.value.code == 2
+    assert said.startswith("duplex: ")
+    assert said.count("\n") == 1
+    assert words in said
+    assert not list(tmp_path.iterdir())

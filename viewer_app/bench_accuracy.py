@@ -38,6 +38,7 @@ def run(options: BenchAccuracyOptions) -> None:
         DeviceError, FusionError, UsageError: With one line for the person who asked.
     """
     console = Console()
+    _check(options)
     for path in filter(None, (options.json, options.picture)):
         check_writable(path, options.force)
     if options.set == "real":
@@ -49,13 +50,25 @@ def run(options: BenchAccuracyOptions) -> None:
             partial.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
+def _check(options: BenchAccuracyOptions) -> None:
+    """Finds out before the work what cannot be done."""
+    if options.seeds < 1:
+        raise UsageError(f"--seeds must be 1 or more; got {options.seeds}.")
+    if not 0.0 < options.seconds < float("inf"):
+        raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
+    if options.set == "real":
+        if options.picture is not None:
+            raise UsageError("--picture draws the methods: leave out --set real, or choose --json.")
+        return
+    if options.recordings is not None:
+        raise UsageError("--recordings are compared with the simulator only: add --set real.")
+    if not options.motions or not options.angles:
+        raise UsageError("At least one of --motions and one of --angles is needed.")
+    if unknown := [motion for motion in options.motions if motion not in MOTIONS]:
+        raise UsageError(f"Movements must be among {', '.join(MOTIONS)}; got {', '.join(unknown)}.")
+
+
 def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[str, Any]:
-    unknown = [motion for motion in options.motions if motion not in MOTIONS]
-    if unknown or not options.motions or not options.angles or options.seeds < 1:
-        raise UsageError(
-            f"Movements must be among {', '.join(MOTIONS)}, with at least one angle and one seed"
-            + (f"; got {', '.join(unknown)}." if unknown else ".")
-        )
     trials = [
         Trial(motion, angle, seed)
         for motion in options.motions
