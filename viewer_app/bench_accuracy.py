@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -16,8 +17,8 @@ from devices.people import choose_person
 from devices.simulated.comparison import (
     COUNTERPARTS,
     Figure,
-    azure_figures,
     figures,
+    published_figures,
     simulated_statistics,
 )
 from devices.simulated.movements import MOTIONS
@@ -152,34 +153,56 @@ def _draw(outcomes: list[Outcome], path: Path) -> None:
 
 
 def _compare_with_real(console: Console, options: BenchAccuracyOptions) -> dict[str, Any]:
-    seeds = range(options.seeds)
     compared: dict[str, list[Figure]] = {}
     for name, setting in COUNTERPARTS.items():
         with console.status(f"simulating {name}"):
-            if name == "azure_squat":
-                compared[name] = azure_figures(simulated_statistics(setting, seeds))
-            elif options.recordings is not None:
-                folder = options.recordings / name
+            folder = None if options.recordings is None else options.recordings / name
+            real = None
+            if folder is not None and name != "azure_squat":  # of which no recording is at hand
                 real = statistics(*_views(folder / "a.csv", folder / "b.csv"))
-                compared[name] = figures(
-                    real, simulated_statistics(setting, seeds), standing=setting.motion == "still"
-                )
+            simulated = simulated_statistics(setting, range(options.seeds))
+            if real is not None:
+                compared[name] = figures(real, simulated, standing=setting.motion == "still")
+            compared[f"{name}, published"] = published_figures(name, simulated)
     for name, found in compared.items():
-        table = Table(title=name.replace("_", " "), title_justify="left")
-        for column in ("figure", "real", "simulated", "ratio", "within 1.5"):
-            table.add_column(column, justify="left" if column == "figure" else "right")
-        for figure in found:
-            table.add_row(*figure.printed(), "yes" if figure.within(1.5) else "[bold]no[/]")
-        console.print(table)
+        _print_figures(console, name.replace("_", " "), found)
     if options.recordings is None:
         console.print("With --recordings FOLDER, real pairs FOLDER/NAME/a.csv and b.csv are compared too.")
     return {
         name: [
-            {"figure": f.name, "real": [f.low, f.high], "simulated": f.simulated, "ratio": f.ratio}
+            {"figure": f.name, "reason": f.reason, "within_1.5": f.within(1.5) if f.known else None}
+            | {
+                key: value if np.isfinite(value) else None
+                for key, value in (
+                    ("real_low", f.low),
+                    ("real_high", f.high),
+                    ("simulated", f.simulated),
+                    ("ratio", f.ratio),
+                )
+            }
             for f in found
         ]
         for name, found in compared.items()
     }
+
+
+def _print_figures(console: Console, title: str, found: list[Figure]) -> None:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for column in ("figure", "real", "simulated", "ratio", "within 1.5"):
+        table.add_column(column, justify="left" if column == "figure" else "right", no_wrap=True)
+    known = [figure for figure in found if figure.known]
+    for figure in found:
+        verdict = ("yes" if figure.within(1.5) else "[bold]no[/]") if figure.known else "–"
+        table.add_row(*figure.printed(), verdict)
+    console.print(table)
+    within = sum(figure.within(1.5) for figure in known)
+    ratios = [figure.ratio for figure in known if figure.ratio > 0.0]
+    farthest = f"; farthest ratio {max(ratios, key=lambda ratio: abs(np.log(ratio))):.2f}" if ratios else ""
+    console.print(f"{within} of {len(known)} figures within 1.5{farthest}.", highlight=False)
+    for figure in found:
+        if figure.reason and not (figure.known and np.isfinite(figure.ratio) and figure.within(1.5)):
+            console.print(f"{figure.name.replace('_', ' ')}: {figure.reason}.", highlight=False)
+    console.print()
 
 
 def _views(path_a: Path, path_b: Path) -> tuple[list[Any], list[Any]]:
