@@ -1,13 +1,17 @@
 """``duplex bench accuracy``: what it prints and writes is what was measured."""
 
 import io
+import json
+import re
+from contextlib import redirect_stdout
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from rich.console import Console
 
-from viewer_app.accuracy_tables import clearly_best, over_seeds, table_by, tables_of_methods
+from viewer_app.accuracy_tables import clearly_best, over_seeds, table_by, tables_of_methods, wins
 from viewer_app.accuracy_trials import METHODS, Outcome, Trial
 from viewer_app.cli import main
 
@@ -99,3 +103,75 @@ def test_what_cannot_be_measured_is_one_line_and_exit_code_2(
     assert said.count("\n") == 1
     assert words in said
     assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A small benchmark's folder, and what it printed."""
+    folder = tmp_path_factory.mktemp("bench")
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as said:
+        patch.chdir(folder)
+        patch.setenv("COLUMNS", "80")
+        main(
+            [
+                "bench",
+                "accuracy",
+                "--motions",
+                "arms",
+                "--angles",
+                "90",
+                "--seeds",
+                "2",
+                "--seconds",
+                "5",
+                "--json",
+                "a.json",
+                "--picture",
+                "a.png",
+            ]
+        )
+    return folder, said.getvalue()
+
+
+def test_a_benchmark_writes_every_figure_of_every_method_on_every_recording(
+    measured: tuple[Path, str],
+) -> None:
+    folder, _ = measured
+    document = json.loads((folder / "a.json").read_text(encoding="utf-8"))
+    rows = document["trials"]
+    assert [(row["motion"], row["angle_deg"], row["seed"], row["method"]) for row in rows] == [
+        ("arms", 90.0, seed, method) for seed in (0, 1) for method in METHODS
+    ]
+    for row in rows:
+        assert set(FIGURES) < set(row)
+        assert 0.0 < row["mpjpe"] < row["p95"]
+    ours, published = ([row for row in rows if row["method"] == method] for method in ("ours", "paper"))
+    for one, other in zip(ours, published, strict=True):
+        assert one["bone_deviation"] < 1e-9 < other["bone_deviation"]
+    picture = cv2.imread(str(folder / "a.png"))
+    assert picture is not None
+    assert picture.std() > 10.0  # of 255: not an empty page
+
+
+def test_what_a_benchmark_prints_is_what_it_wrote(measured: tuple[Path, str]) -> None:
+    folder, said = measured
+    rows = json.loads((folder / "a.json").read_text(encoding="utf-8"))["trials"]
+    assert "…" not in said
+    mpjpe = {m: np.array([row["mpjpe"] for row in rows if row["method"] == m]) for m in METHODS}
+    line = next(line for line in said.splitlines() if line.startswith("  arms "))
+    assert line.split()[1:] == [f"{1e3 * mpjpe[m].mean():.1f}" for m in METHODS]
+    shares = said.splitlines()[said.splitlines().index(line) + 1]
+    assert re.findall(r"\d+%", shares) == [f"{np.mean(mpjpe['ours'] < mpjpe[m]):.0%}" for m in METHODS[:-1]]
+    for method in METHODS:
+        row = next(line for line in said.splitlines() if line.startswith(f"  {method} "))
+        spread = 1e3 * mpjpe[method].std(ddof=1)
+        assert f" {1e3 * mpjpe[method].mean():.1f}±{spread:.1f} " in row
+
+
+def test_wins_are_counted_recording_by_recording() -> None:
+    outcomes = made_up()
+    for outcome in outcomes:
+        nearer = outcome.trial.motion == "still" and outcome.trial.seed > 0  # 4 of 12 recordings
+        outcome.figures["mpjpe"] = {"ours": 1.0, "Kalman": 2.0 if nearer else 0.9}.get(outcome.method, 3.0)
+    assert wins(outcomes, "Kalman") == pytest.approx(4 / 12)
+    assert wins(outcomes, "mean") == 1.0

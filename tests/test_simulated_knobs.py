@@ -22,8 +22,8 @@ HIDING = replace(NONE, seen_share=0.35)
 # (what else must be on, the knob, from, to, the figure, how many times larger it becomes at least or at most)
 #
 # Where the figure is in the knob's own unit it becomes larger as the knob does: 2 for a factor of 4 leaves
-# room for chance in 12 s. Where the figure holds more than this error, 1.2 is more than chance: all else is drawn
-# alike, as every frame draws the same number of values.
+# room for chance in 12 s. Where the figure holds more than this error, 1.2 is more than chance: all else is
+# drawn alike, as every frame draws the same number of values.
 TABLE: list[tuple[TrackerErrors, str, Any, Any, str, float]] = [
     (NONE, "view_bias", 0.005, 0.02, "view_rms", 2.0),
     (NONE, "skin", 0.1, 0.4, "view_rms", 2.0),
