@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from devices.simulated.comparison import PUBLISHED, REASONS
+from devices.simulated.realism import PairStatistics
+from devices.simulated.tracker_errors import JointGroups
 from viewer_app.accuracy_tables import clearly_best, over_seeds, table_by, tables_of_methods, wins
 from viewer_app.accuracy_trials import METHODS, Outcome, Trial
 from viewer_app.cli import main
@@ -175,3 +178,26 @@ def test_wins_are_counted_recording_by_recording() -> None:
         outcome.figures["mpjpe"] = {"ours": 1.0, "Kalman": 2.0 if nearer else 0.9}.get(outcome.method, 3.0)
     assert wins(outcomes, "Kalman") == pytest.approx(4 / 12)
     assert wins(outcomes, "mean") == 1.0
+
+
+def test_set_real_says_which_published_figures_are_out_and_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    middling = {name: float(np.mean(of_it)) for name, of_it in PUBLISHED["azure_squat"].items()}
+    jitter = dict.fromkeys(JointGroups.__dataclass_fields__, 0.004)
+    simulated = PairStatistics(**middling, jitter=jitter, swapped=0.166, swap_frames=20.0)
+    monkeypatch.setattr("viewer_app.bench_accuracy.simulated_statistics", lambda *_: simulated)
+    monkeypatch.setenv("COLUMNS", "80")
+    main(["bench", "accuracy", "--set", "real", "--json", str(tmp_path / "r.json")])
+    said = capsys.readouterr().out
+    assert "…" not in said
+    assert max(len(line) for line in said.splitlines()) <= 80
+    assert "13 of 13 figures within 1.5" in said
+    plain = " ".join(said.split())
+    for (setting, figure), reason in REASONS.items():
+        assert f"{figure.replace('_', ' ')}: {reason}." in plain, setting
+    document = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
+    assert list(document) == [f"{name}, published" for name in PUBLISHED]
+    (swapped,) = (f for f in document["kinect_v2_90deg_walk, published"] if f["figure"] == "swapped")
+    assert swapped["ratio"] == pytest.approx(0.166 / 0.076)
+    assert swapped["within_1.5"] is False
