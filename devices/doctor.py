@@ -44,17 +44,20 @@ class Check:
     needed: bool = True
 
 
-def device_checks(tracker: TrackerSettings | None = None, root: Path = Path("/")) -> list[Check]:
+def device_checks(
+    tracker: TrackerSettings | None = None, root: Path = Path("/"), *, x_answers: bool = True
+) -> list[Check]:
     """All that live capture needs of devices and their libraries, in the order to put it right.
 
     Args:
         tracker: How the tracker would run: its library and network are looked for.
         root: Where the file system starts; tests put their own there.
+        x_answers: Whether the X display answers, where DISPLAY names one.
     """
     tracker = tracker or TrackerSettings()
     return [
         _sdk(),
-        _depth_engine(root),
+        _depth_engine(root, x_answers),
         _tracker_library(tracker),
         _tracker_network(tracker, root),
         _usb_permission(root),
@@ -79,16 +82,18 @@ def _sdk() -> Check:
     return Check("pyk4a and the Sensor SDK", True, getattr(sdk, "__file__", None) or "installed")
 
 
-def _depth_engine(root: Path) -> Check:
+def _depth_engine(root: Path, x_answers: bool) -> Check:
     """What makes depth of the sensor's raw images, on this machine: a closed library that uses OpenGL."""
     name = "depth engine"
     if not sys.platform.startswith("linux"):
         return Check(name, True, f"comes with the Sensor SDK on {sys.platform}")
-    if not os.environ.get("DISPLAY"):
+    display = os.environ.get("DISPLAY")
+    if not display or not x_answers:
+        what = f"The display {display} (DISPLAY) does not answer" if display else "DISPLAY is not set"
         return Check(
             name,
             False,
-            "DISPLAY is not set, and depth is computed with OpenGL, which needs an X display",
+            f"{what}, and depth is computed with OpenGL, which needs an X display",
             "Start from a desktop session, or log in at the machine and export DISPLAY=:0.",
         )
     libraries = root / "usr/lib/x86_64-linux-gnu"
@@ -98,7 +103,7 @@ def _depth_engine(root: Path) -> Check:
         folders.insert(0, sdk.parent)
     for folder in folders:
         if (folder / _DEPTH_ENGINE).is_file():
-            return Check(name, True, f"{folder / _DEPTH_ENGINE}, display {os.environ['DISPLAY']}")
+            return Check(name, True, f"{folder / _DEPTH_ENGINE}, display {display}")
     return Check(
         name,
         False,

@@ -27,6 +27,7 @@ from fusion.fuser import Fuser, FuserSettings
 from recordings.calibration_file import calibration_to_json
 from recordings.rrd_file import read_columns
 from recordings.session import Session
+from viewer_app import display
 from viewer_app.cli import main
 from viewer_app.report import FusionResult
 from viewer_app.report import report as report_of
@@ -394,12 +395,19 @@ def test_the_doctor_says_0_where_live_starts(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setenv("DISPLAY", ":77")
     furnish(tmp_path)
     for number, device in enumerate(kinects.devices):
         plug_in(tmp_path, device.serial, number=number)
     checks = device_doctor.device_checks
-    monkeypatch.setattr("viewer_app.doctor_command.device_checks", lambda of: checks(of, tmp_path))
+    monkeypatch.setattr(
+        "viewer_app.doctor_command.device_checks", lambda of, **more: checks(of, tmp_path, **more)
+    )
+    if sys.platform.startswith("linux"):
+        monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")  # windows open there; depth is made with X
+        assert duplex("doctor", "--k4abt", standin.path) == 1
+        assert "cannot start: depth engine.\n" in capsys.readouterr().out
+    monkeypatch.setattr(display, "_answers", lambda name, within: name == ":77" and within > 0.0)
     assert duplex("doctor", "--k4abt", standin.path) == 0
     said = capsys.readouterr().out
     assert "✓ two Kinects: 2 connected, 2 usable" in said
