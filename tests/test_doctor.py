@@ -171,6 +171,22 @@ def test_one_kinect_is_not_enough(bus: Bus, tmp_path: Path) -> None:
     assert "k4aviewer" in named["Kinect at place 1"].advice
 
 
+def test_of_three_kinects_two_must_be_chosen_as_for_live(bus: Bus, tmp_path: Path) -> None:
+    bus.devices = [Device("1"), Device("2", jacks=(False, True)), Device("3", jacks=(True, False))]
+    named = _by_name(device_checks(root=tmp_path))
+    assert (named["two Kinects"].ok, named["two Kinects"].needed) == (False, True)
+    assert (
+        named["two Kinects"].advice == "3 Kinects are connected: 1, 2, 3. Choose two: --kinect-a, --kinect-b."
+    )
+    named = _by_name(device_checks(root=tmp_path, choice=("3", "2", None)))
+    assert named["two Kinects"].ok
+    assert named["sync cable"].detail == "from 2 to 3"
+    named = _by_name(device_checks(root=tmp_path, choice=(None, "1", "2")))
+    assert (named["sync cable"].ok, named["sync cable"].needed) == (False, True)
+    named = _by_name(device_checks(root=tmp_path, choice=("9", "2", None)))
+    assert "No Kinect with serial 9" in named["two Kinects"].advice
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux restricts USB devices")
 @pytest.mark.usefixtures("forbidden")
 def test_missing_usb_permission_names_the_rule(tmp_path: Path) -> None:

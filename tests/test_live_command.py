@@ -415,6 +415,11 @@ def test_the_doctor_says_0_where_live_starts(
     assert "never a real sensor" in said
     assert said.endswith("duplex live can start.\n")
     assert live(standin, tmp_path / "s.rrd", seconds=0.2) == 0
+    kinects.devices.append(Device("000789"))
+    assert duplex("doctor", "--k4abt", standin.path) == 1
+    assert "cannot start: two Kinects.\n" in capsys.readouterr().out
+    assert duplex("doctor", "--k4abt", standin.path, "--kinect-a", "000123", "--kinect-b", "000456") == 0
+    kinects.devices.pop().plugged = False
     kinects.devices[0].jacks = (False, False)
     assert duplex("doctor", "--k4abt", standin.path) == 1
     assert "joins no sync out to a sync in" in capsys.readouterr().out

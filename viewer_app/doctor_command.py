@@ -25,7 +25,9 @@ def run(options: DoctorOptions) -> None:
     """Carries out the command; exits with 1 if ``duplex live`` could not start."""
     console = Console()
     tracker = TrackerSettings(library=options.k4abt, processing=options.processing)
-    checks = [*device_checks(tracker, x_answers=why_no_x() is None), *program_checks()]
+    choice = options.kinect_a, options.kinect_b, options.principal
+    devices = device_checks(tracker, choice=choice, x_answers=why_no_x() is None)
+    checks = [*devices, *program_checks()]
     for check in checks:
         console.print(line(check), soft_wrap=True)
     missing = [check.name for check in checks if check.needed and not check.ok]
