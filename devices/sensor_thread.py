@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from devices.sensor import DeviceError, Interruptible, Sensor, SensorFrame
+from devices.sensor import CountsMissed, DeviceError, Interruptible, Sensor, SensorFrame
 
 _EVENTS_KEPT = 100
 
@@ -79,6 +79,7 @@ class SensorThread:
         """
         self.sensor = sensor
         self.arrival = arrival or threading.Event()
+        self._counts = sensor if isinstance(sensor, CountsMissed) else None
         self._keep, self._stall_s, self._retry_s = keep, stall_s, retry_s
         self._clock, self._wait = clock, wait
         self._lock = threading.Lock()
@@ -99,8 +100,8 @@ class SensorThread:
 
     @property
     def dropped(self) -> int:
-        """How many frames the reader was too slow for."""
-        return self._dropped
+        """How many frames we were too slow for: this thread's reader, or the thread for the sensor itself."""
+        return self._dropped + (0 if self._counts is None else self._counts.missed)
 
     @property
     def returns(self) -> int:

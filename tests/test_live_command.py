@@ -155,6 +155,22 @@ def test_skew_drift_and_drops_are_on_the_timeline(kinects: Bus, standin: Standin
     assert (np.diff(unpaired, axis=0) >= 0).all()
 
 
+def test_frames_lost_before_a_slow_tracker_are_told(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, b = kinects.devices
+    b.at[5] = lambda: setattr(b, "clock_usec", b.clock_usec + 40 * b.interval_usec)
+    saved, report = tmp_path / "s.rrd", tmp_path / "report.json"
+    assert live(standin, saved, "--report", report) == 0
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert figures["streams"]["too_slow_for"]["b"] >= 40
+    assert figures["dropped"]["b"] >= 40
+    said = " ".join(capsys.readouterr().out.split())
+    assert "frames of B we were too slow for 4" in said
+    counted = read_columns(saved, lambda entity: entity == "/quality/dropped").values
+    assert counted["/quality/dropped", "Scalars:scalars"][1][-1, 1] >= 40
+
+
 def test_a_report_has_what_that_of_fuse_has(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
     assert len(kinects.devices) == 2
     report = tmp_path / "report.json"
