@@ -149,7 +149,10 @@ class SensorThread:
             raise
         if not opened:
             self.close(0.0)
-            raise DeviceError(f"{self.sensor.name} did not open in {within_s:g} s. Plug it in anew, retry.")
+            raise DeviceError(
+                f"{self.sensor.name} did not open in {within_s:g} s: its body tracker is still loading, or "
+                f"its driver hangs. Try again; if it is the same, unplug it and plug it in again first."
+            )
         self._raise_fault()
         return self
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from session_text import events_of, rows_of
 from standin import Standin
 from standin_pyk4a import JPEG, Bus, Device, make_module
@@ -20,6 +21,7 @@ from test_doctor import furnish, plug_in
 from devices import doctor as device_doctor
 from devices import kinect
 from devices.pairing import Pairing
+from devices.sensor_thread import SensorThread
 from devices.usb import UsbKinect
 from fusion.body import AZURE_KINECT
 from fusion.calibration import nominal_calibration
@@ -29,6 +31,8 @@ from recordings.rrd_file import read_columns
 from recordings.session import Session
 from viewer_app import display
 from viewer_app.cli import main
+from viewer_app.live_command import two_kinects
+from viewer_app.options import LiveOptions
 from viewer_app.report import FusionResult
 from viewer_app.report import report as report_of
 
@@ -153,6 +157,24 @@ def test_skew_drift_and_drops_are_on_the_timeline(kinects: Bus, standin: Standin
     # one of six frames of A has no partner
     assert unpaired[-1, 0] >= rows_of(saved, "/fused/skeleton") // 6 - 2 > 0
     assert (np.diff(unpaired, axis=0) >= 0).all()
+
+
+@pytest.mark.parametrize(("processing", "within_s"), [("gpu", 120.0), ("tensorrt", 900.0)])
+@pytest.mark.usefixtures("kinects")
+def test_tensorrt_has_time_to_build_its_engine(
+    processing: str, within_s: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given: list[float] = []
+
+    def open_thread(thread: SensorThread, within_s: float) -> SensorThread:
+        given.extend((within_s, thread.sensor.settings.start_s))
+        return thread
+
+    monkeypatch.setattr(SensorThread, "open", open_thread)
+    options = LiveOptions(kinect_a="000123", kinect_b="000456", processing=processing)
+    with two_kinects(options, Console()):
+        assert given == [within_s] * 4
+    assert ("TensorRT builds its engine; minutes" in capsys.readouterr().out) == (processing == "tensorrt")
 
 
 def test_frames_lost_before_a_slow_tracker_are_told(
