@@ -61,6 +61,7 @@ class SensorThread:
         *,
         keep: int = 4,
         stall_s: float = 2.0,
+        first_s: float = 120.0,
         retry_s: float = 1.0,
         arrival: threading.Event | None = None,
         clock: Callable[[], float] = time.perf_counter,
@@ -72,6 +73,8 @@ class SensorThread:
             sensor: What to run.
             keep: Most frames that wait for the reader.
             stall_s: After how long without a frame the sensor counts as stalled.
+            first_s: The same for the first frame since it was opened: a body tracker's first result takes
+                long, and a subordinate waits for its master.
             retry_s: How often a lost sensor is tried again.
             arrival: Set at every frame and change of state; two sensors may share one, to wait for either.
             clock: Seconds, for stalls and ``host_ns``; tests put their own.
@@ -80,7 +83,8 @@ class SensorThread:
         self.sensor = sensor
         self.arrival = arrival or threading.Event()
         self._counts = sensor if isinstance(sensor, CountsMissed) else None
-        self._keep, self._stall_s, self._retry_s = keep, stall_s, retry_s
+        self._keep, self._retry_s = keep, retry_s
+        self._stall_s, self._first_s = stall_s, first_s
         self._clock, self._wait = clock, wait
         self._lock = threading.Lock()
         self._frames: deque[tuple[int, SensorFrame]] = deque()  # and when each came
@@ -89,6 +93,7 @@ class SensorThread:
         self._received = self._dropped = self._returns = 0
         self._last_s = 0.0
         self._told, self._stall_told, self._left_behind = "", False, False
+        self._first = self._first_told = False
         self._fault: BaseException | None = None
         self._stopping, self._settled = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
@@ -112,7 +117,7 @@ class SensorThread:
     def state(self) -> SensorState:
         """What the sensor is doing now."""
         with self._lock:
-            silent = self._clock() - self._last_s > self._stall_s
+            silent = self._clock() - self._last_s > (self._first_s if self._first else self._stall_s)
             return SensorState.STALLED if self._state is SensorState.RUNNING and silent else self._state
 
     @property
@@ -214,16 +219,23 @@ class SensorThread:
         """What happened since the last call: lost, back, stalled, running again."""
         stalled = self.state is SensorState.STALLED
         if stalled and not self._stall_told:
-            self._tell(
-                f"{self.sensor.name} stalls: no frame for {self._stall_s:g} s. Check its cable and power."
-            )
+            silent_s = self._first_s if self._first else self._stall_s
+            self._tell(f"{self.sensor.name} stalls: no frame for {silent_s:g} s. Check its cable and power.")
         elif self._stall_told and self.state is SensorState.RUNNING:
             self._tell(f"{self.sensor.name} gives frames again.")
         self._stall_told = stalled
+        if self._is_waiting_for_its_first() and not self._first_told:
+            self._first_told = True
+            self._tell(f"{self.sensor.name}: waiting for the body tracker's first result.")
         with self._lock:
             told = list(self._events)
             self._events.clear()
         return told
+
+    def _is_waiting_for_its_first(self) -> bool:
+        with self._lock:
+            running = self._state is SensorState.RUNNING
+            return running and self._first and self._clock() - self._last_s > self._stall_s
 
     def _raise_fault(self) -> None:
         if self._fault is not None:
@@ -274,6 +286,7 @@ class SensorThread:
         with self._lock:
             self._state, self._last_s, self._told = SensorState.RUNNING, self._clock(), ""
             self._returns += came_back
+            self._first, self._first_told = True, False
         if came_back:
             self._tell(f"{self.sensor.name} is back.")
         self.arrival.set()
@@ -284,7 +297,7 @@ class SensorThread:
         if frame.host_ns is None:
             frame = replace(frame, host_ns=came_ns)
         with self._lock:
-            self._last_s = now_s
+            self._last_s, self._first = now_s, False
             self._received += 1
             self._frames.append((came_ns, frame))
             if len(self._frames) > self._keep:

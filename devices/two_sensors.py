@@ -61,14 +61,20 @@ class TwoSensors:
             first: Which one to start first: the subordinate, if there is a sync cable.
             stall_s: After how long without a frame a sensor counts as stalled.
             retry_s: How often a lost sensor is tried again.
-            open_s: How long opening one may take: its body tracker loads a network.
+            open_s: How long opening one may take, and its first frame: its body tracker loads a network.
             tell: Told of every event at once, also while no pair comes; on the thread that asks for pairs.
             clock: Seconds; tests put their own.
         """
         self._arrival = threading.Event()
         self.a, self.b = (
             SensorThread(
-                sensor, keep=_KEEP, stall_s=stall_s, retry_s=retry_s, arrival=self._arrival, clock=clock
+                sensor,
+                keep=_KEEP,
+                stall_s=stall_s,
+                first_s=open_s,
+                retry_s=retry_s,
+                arrival=self._arrival,
+                clock=clock,
             )
             for sensor in (a, b)
         )
