@@ -161,6 +161,12 @@ class SensorThread:
         self._raise_fault()
         return self
 
+    def end(self) -> None:
+        """Makes the thread end, without waiting for that: frames to come are not wanted, nor counted."""
+        self._stopping.set()
+        if self._thread is not None and isinstance(self.sensor, Interruptible):
+            self.sensor.interrupt()
+
     def close(self, within_s: float = 3.0) -> bool:
         """Ends the thread and closes the sensor; closing twice is harmless.
 
@@ -170,12 +176,10 @@ class SensorThread:
         Returns:
             Whether the sensor was closed in that time.
         """
+        self.end()
         thread, self._thread = self._thread, None
         if thread is None:
             return True
-        self._stopping.set()
-        if isinstance(self.sensor, Interruptible):
-            self.sensor.interrupt()
         try:
             with suppress(RuntimeError):  # Ctrl-C came before it could start
                 thread.join(within_s)

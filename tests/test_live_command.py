@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from test_doctor import furnish, plug_in
 
 from devices import doctor as device_doctor
 from devices import kinect
+from devices.body_tracking import BodyTracker
 from devices.pairing import Pairing
 from devices.sensor_thread import SensorThread
 from devices.usb import UsbKinect
@@ -366,6 +368,34 @@ def test_tracker_crashes_to_an_error_code(kinects: Bus, standin: Standin, tmp_pa
     told = events_of(saved)
     assert any("The body tracker failed (status 1)" in text for text in told)
     assert any("is back" in text for text in told)
+
+
+def test_tracker_hangs_at_close(
+    kinects: Bus,
+    standin: Standin,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert len(kinects.devices) == 2
+    release, hung, close = threading.Event(), [], BodyTracker.close
+
+    def hang(tracker: BodyTracker) -> None:
+        if tracker._library is not None and not hung:  # that of the one that closes first
+            hung.append(tracker)
+            release.wait(60.0)
+        close(tracker)
+
+    monkeypatch.setattr(BodyTracker, "close", hang)
+    saved, report = tmp_path / "s.rrd", tmp_path / "report.json"
+    assert live(standin, saved, "--report", report, seconds=0.5) == 0
+    assert "does not close; it is left behind" in " ".join(capsys.readouterr().out.split())
+    assert rows_of(saved, "/fused/skeleton") > 0
+    release.set()
+    for thread in threading.enumerate():
+        if thread.name.startswith("sensor "):
+            thread.join(60.0)
+    assert kinects.open_serials == []
 
 
 def test_one_sensor_5_fps_slower(
