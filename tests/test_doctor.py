@@ -76,7 +76,7 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
         assert not named[name].ok, name
         assert named[name].needed, name
     assert all(check.advice for check in checks if not check.ok)
-    assert "duplex-kinects[kinect]" in named["pyk4a and the Sensor SDK"].advice
+    assert "pip install '.[kinect]'" in named["pyk4a and the Sensor SDK"].advice
 
 
 def furnish(root: Path) -> None:
@@ -137,6 +137,8 @@ def test_a_tracker_on_the_cpu_needs_no_gpu(monkeypatch: pytest.MonkeyPatch, tmp_
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     gpu = _by_name(device_checks(TrackerSettings(processing="cpu"), tmp_path))["GPU"]
     assert (gpu.ok, gpu.needed) == (False, False)
+    assert "hardly ever pair" in gpu.advice
+    assert "duplex fuse" in gpu.advice
 
 
 def test_an_orbbecs_udev_rule_counts_too(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -229,7 +229,7 @@ def test_a_tracker_that_is_missing_leaves_the_sensor_closed(two: Bus, tmp_path: 
 
 def test_without_pyk4a_the_way_to_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyk4a", None)
-    with pytest.raises(DeviceError, match=r"pyk4a.*duplex-kinects\[kinect\]"):
+    with pytest.raises(DeviceError, match=r"pyk4a.*pip install '\.\[kinect\]'"):
         connected_kinects()
 
 
