@@ -230,7 +230,10 @@ def _gpu(tracker: TrackerSettings, root: Path) -> Check:
             pass
         else:
             return Check("GPU", True, "DirectML found", needed=False)
-    slow = "about one frame a second: record with k4arecorder now, duplex fuse a.mkv b.mkv later."
+    slow = (
+        "about one frame a second, and two sensors' hardly ever pair: record with k4arecorder now, "
+        "duplex fuse a.mkv b.mkv later."
+    )
     if tracker.processing == "cpu":
         return Check(
             "GPU", False, "none found; the tracker runs on the CPU", f"That gives {slow}", needed=False

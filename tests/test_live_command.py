@@ -22,6 +22,7 @@ from test_doctor import furnish, plug_in
 from devices import doctor as device_doctor
 from devices import kinect
 from devices.body_tracking import BodyTracker
+from devices.live_pairing import LivePairing
 from devices.pairing import Pairing
 from devices.sensor_thread import SensorThread
 from devices.usb import UsbKinect
@@ -159,6 +160,48 @@ def test_skew_drift_and_drops_are_on_the_timeline(kinects: Bus, standin: Standin
     # one of six frames of A has no partner
     assert unpaired[-1, 0] >= rows_of(saved, "/fused/skeleton") // 6 - 2 > 0
     assert (np.diff(unpaired, axis=0) >= 0).all()
+
+
+def _pairing_settings(monkeypatch: pytest.MonkeyPatch, **options: object) -> dict[str, object]:
+    """What ``two_kinects`` makes the pairing with."""
+    given: dict[str, object] = {}
+
+    def pairing(interval_ns: int, **more: object) -> LivePairing:
+        given.update(interval_ns=interval_ns, **more)
+        return LivePairing(interval_ns, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("viewer_app.live_command.LivePairing", pairing)
+    two_kinects(LiveOptions(**options), Console())  # type: ignore[arg-type]
+    return given
+
+
+@pytest.mark.usefixtures("kinects")
+@pytest.mark.parametrize(("principal", "b_later_ns"), [("000456", 160_000), ("000123", -160_000)])
+def test_b_captures_later_where_a_leads_and_earlier_where_it_follows(
+    principal: str, b_later_ns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the cable leads from 000456 to 000123
+    assert _pairing_settings(monkeypatch, principal=principal)["sync_delay_ns"] == b_later_ns
+
+
+@pytest.mark.parametrize(("fps", "wait_ms", "gone_ms"), [(5, 200, 800), (15, 100, 500), (30, 100, 500)])
+def test_pairing_has_the_patience_that_the_rate_needs(
+    kinects: Bus, monkeypatch: pytest.MonkeyPatch, fps: int, wait_ms: int, gone_ms: int
+) -> None:
+    for device in kinects.devices:
+        device.jacks = (False, False)
+    given = _pairing_settings(monkeypatch, principal="000123", fps=fps)
+    assert given["sync_delay_ns"] is None
+    assert given["interval_ns"] == round(1e9 / fps)
+    assert (given["max_wait_ns"], given["gone_after_ns"]) == (wait_ms * 1_000_000, gone_ms * 1_000_000)
+
+
+@pytest.mark.usefixtures("kinects")
+def test_on_a_cpu_it_says_that_pairs_are_rare(capsys: pytest.CaptureFixture[str]) -> None:
+    two_kinects(LiveOptions(principal="000123", processing="cpu"), Console())
+    said = " ".join(capsys.readouterr().out.split())
+    assert "hardly ever pair" in said
+    assert "duplex fuse a.mkv b.mkv" in said
 
 
 @pytest.mark.parametrize(("processing", "within_s"), [("gpu", 120.0), ("tensorrt", 900.0)])

@@ -97,6 +97,13 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
     tracker = TrackerSettings(
         processing=options.processing, smoothing=options.smoothing, library=options.k4abt
     )
+    if options.processing == "cpu":
+        console.print(
+            "A CPU tracks about one frame a second, and A's and B's hardly ever pair: for a fused session "
+            "record with k4arecorder, then duplex fuse a.mkv b.mkv.",
+            style="yellow",
+            highlight=False,
+        )
     if options.processing == "tensorrt":
         console.print("TensorRT builds its engine; minutes the first time.")
     a, b = (KinectSensor(serial, _settings(options, serial, master), tracker) for serial in serials)
