@@ -209,14 +209,14 @@ class SensorThread:
             it would have seen.
 
         Raises:
-            Exception: What a sensor raised that is no ``DeviceError``: a fault of the program, not of the
-                sensor.
+            DeviceError: The sensor raised something else: a fault of the program or of a driver, which no
+                opening anew mends.
         """
         with self._lock:
             frames = list(self._frames)
             self._frames.clear()
         if self._fault is not None and not isinstance(self._fault, DeviceError):
-            raise self._fault
+            self._raise_fault()
         return frames
 
     def events(self) -> list[SensorEvent]:
@@ -242,9 +242,16 @@ class SensorThread:
             return running and self._first and self._clock() - self._last_s > self._stall_s
 
     def _raise_fault(self) -> None:
-        if self._fault is not None:
-            self.close()
+        if self._fault is None:
+            return
+        self.close()
+        if not isinstance(self._fault, Exception) or isinstance(self._fault, DeviceError):
             raise self._fault
+        what = f"{type(self._fault).__name__}: {self._fault}".rstrip(": ")
+        raise DeviceError(
+            f"{self.sensor.name} failed within its driver or this program ({what}). What was saved stays "
+            f"readable. Start again; if it comes back, report it."
+        ) from self._fault
 
     def _run(self, stopping: threading.Event, settled: threading.Event) -> None:
         ran = False

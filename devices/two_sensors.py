@@ -128,7 +128,7 @@ class TwoSensors:
         """Pairs as they come, until both sources have ended or :meth:`stop`; waits while both are gone.
 
         Raises:
-            Exception: A fault of the program inside a sensor.
+            DeviceError: A fault of the program or of a driver inside a sensor.
         """
         while not self._stopped:
             ended = all(thread.state is SensorState.ENDED for thread in (self.a, self.b))
@@ -146,7 +146,7 @@ class TwoSensors:
         """The pairs that are complete now, after waiting for a frame at most ``wait_s``.
 
         Raises:
-            Exception: A fault of the program inside a sensor.
+            DeviceError: A fault of the program or of a driver inside a sensor.
         """
         self._arrival.wait(wait_s)
         self._arrival.clear()

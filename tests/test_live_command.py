@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import io
 import json
 import os
@@ -411,6 +412,25 @@ def test_tracker_crashes_to_an_error_code(kinects: Bus, standin: Standin, tmp_pa
     told = events_of(saved)
     assert any("The body tracker failed (status 1)" in text for text in told)
     assert any("is back" in text for text in told)
+
+
+def test_driver_raises_what_no_one_expects(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def oddity() -> None:
+        raise RuntimeError("driver oddity")
+
+    kinects.devices[0].at[20] = oddity
+    saved = tmp_path / "s.rrd"
+    assert live(standin, saved, seconds=20.0) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(
+        "duplex: 000123 failed within its driver or this program (RuntimeError: driver oddity)"
+    )
+    assert said.count("\n") == 1
+    assert rows_of(saved, "/fused/skeleton") >= 5
+    assert kinects.open_serials == []
+    gc.collect()  # the error's traceback holds the last capture
 
 
 def test_tracker_hangs_at_close(

@@ -216,8 +216,9 @@ def test_a_fault_of_the_program_reaches_the_reader(sensor: ScriptedSensor, threa
     thread.arrival.clear()
     sensor.put(ZeroDivisionError("a bug"))
     assert thread.arrival.wait(PATIENCE_S)
-    with pytest.raises(ZeroDivisionError, match="a bug"):
+    with pytest.raises(DeviceError, match=r"000123 failed .*\(ZeroDivisionError: a bug\)") as told:
         thread.take()
+    assert isinstance(told.value.__cause__, ZeroDivisionError)
 
 
 def test_closing_a_waiting_sensor_does_not_hang(sensor: ScriptedSensor) -> None:
