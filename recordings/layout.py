@@ -6,7 +6,7 @@ The layout is the same live and in a file. Positions are metres; the world is K_
 from __future__ import annotations
 
 APPLICATION_ID = "duplex_kinects"
-VERSION = 4
+VERSION = 5
 """Of this layout; goes up when a reader of the old one would misread the new one."""
 
 FRAME = "frame"

@@ -19,7 +19,7 @@ from devices.sensor import ColorImage
 from fusion.fuser import Fuser
 from recordings import appearance, layout
 from recordings.arrays import RecordedFrame, SessionArrays
-from recordings.checksums import FusedChecks, image_checksum, properties_checksum, text_checksum
+from recordings.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.coach_page import CoachPage
 from recordings.color import ColorLog
 from recordings.depth_points import thin_points
@@ -167,12 +167,10 @@ class Recorder:
             level: How bad: INFO, WARN or ERROR.
             at: Number and time (ns since the first pair) of the frame meant, where it is not the last.
         """
-        at = at or self._last
-        if at is not None:
-            self._set_time(*at)
-        self._stream.log(
-            layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=text_checksum(text, level))
-        )
+        at = at or self._last or (self._frames, 0)
+        self._set_time(*at)
+        check = event_checksum(at, text, level)
+        self._stream.log(layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=check))
 
     def coach(self, page: CoachPage) -> None:
         """Logs what to do next, at the time of the last frame."""
