@@ -7,41 +7,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 
 from devices.sensor import CountsMissed, DeviceError, Interruptible, Sensor, SensorFrame
+from devices.sensor_state import SensorEvent, SensorState
 
 _EVENTS_KEPT = 100
-
-
-class SensorState(Enum):
-    """What a sensor is doing."""
-
-    CLOSED = "closed"
-    OPENING = "opening"
-    RUNNING = "running"
-    STALLED = "stalled"
-    """Open, but without a frame for too long."""
-    LOST = "lost"
-    """Failed; it is opened again and again until it comes back."""
-    ENDED = "ended"
-    """A source that ends, at its end."""
-
-
-@dataclass(frozen=True)
-class SensorEvent:
-    """Something to tell the person at the screen.
-
-    Attributes:
-        sensor: The sensor's name.
-        message: What happened, and the way out.
-        at_s: When, on the thread's clock.
-    """
-
-    sensor: str
-    message: str
-    at_s: float
 
 
 class SensorThread:
@@ -73,8 +44,7 @@ class SensorThread:
             sensor: What to run.
             keep: Most frames that wait for the reader.
             stall_s: After how long without a frame the sensor counts as stalled.
-            first_s: The same for the first frame since it was opened: a body tracker's first result takes
-                long, and a subordinate waits for its master.
+            first_s: The same for the first one since opening: a body tracker's first result takes long.
             retry_s: How often a lost sensor is tried again.
             arrival: Set at every frame and change of state; two sensors may share one, to wait for either.
             clock: Seconds, for stalls and ``host_ns``; tests put their own.
@@ -228,18 +198,16 @@ class SensorThread:
         elif self._stall_told and self.state is SensorState.RUNNING:
             self._tell(f"{self.sensor.name} gives frames again.")
         self._stall_told = stalled
-        if self._is_waiting_for_its_first() and not self._first_told:
+        with self._lock:
+            running = self._state is SensorState.RUNNING
+            waits = running and self._first and self._clock() - self._last_s > self._stall_s
+        if waits and not self._first_told:
             self._first_told = True
             self._tell(f"{self.sensor.name}: waiting for the body tracker's first result.")
         with self._lock:
             told = list(self._events)
             self._events.clear()
         return told
-
-    def _is_waiting_for_its_first(self) -> bool:
-        with self._lock:
-            running = self._state is SensorState.RUNNING
-            return running and self._first and self._clock() - self._last_s > self._stall_s
 
     def _raise_fault(self) -> None:
         if self._fault is None:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from devices.live_pairing import LivePair, LivePairing, PairingFigures, Side
 from devices.sensor import Sensor, SensorFrame
-from devices.sensor_thread import SensorEvent, SensorState, SensorThread
+from devices.sensor_state import SensorEvent, SensorState
+from devices.sensor_thread import SensorThread
 
 _POLL_S = 0.01  # pairs that wait for nobody any more come out this much late at most
 _CLOSE_S = 3.0  # for both together

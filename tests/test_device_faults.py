@@ -26,7 +26,7 @@ from devices.kinect_access import connected_kinects
 from devices.kinect_choice import choose_two
 from devices.live_pairing import LivePair, LivePairing
 from devices.sensor import DeviceError
-from devices.sensor_thread import SensorState
+from devices.sensor_state import SensorState
 from devices.two_sensors import TwoSensors
 from devices.usb import usb_kinects
 

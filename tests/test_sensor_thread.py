@@ -14,7 +14,8 @@ import pytest
 from scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 
 from devices.sensor import DeviceError
-from devices.sensor_thread import SensorState, SensorThread
+from devices.sensor_state import SensorState
+from devices.sensor_thread import SensorThread
 
 
 def _after(sensor: ScriptedSensor) -> None:

@@ -19,7 +19,7 @@ from devices.kinect_access import ConnectedKinect, connected_kinects
 from devices.kinect_choice import NeedsChoiceError, choose_two, sync_master
 from devices.live_pairing import LivePairing, Side
 from devices.sensor import Sensor
-from devices.sensor_thread import SensorEvent
+from devices.sensor_state import SensorEvent
 from devices.two_sensors import TwoSensors
 from fusion.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser, FuserSettings
