@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections import deque
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ _KEEP_WITH_IMAGES = 60
 """Frames that wait with their images, at most: 90 MB."""
 _KEEP = 1800
 """Frames that wait, at most: a minute in which the disk takes nothing."""
+_LATER = 10  # of -20 to 19: a file can wait, what is looked at not
 _BLOCK_SECONDS = 0.5
 """Frames are written together, for by columns that takes less time and space; a kill loses as many."""
 _FLUSH_WITHIN = 30.0
@@ -110,6 +112,8 @@ class SessionFile:
             raise self._error
 
     def _run(self) -> None:
+        if self._growing:
+            _give_way()
         try:
             if self._growing:
                 self._write_growing()
@@ -180,3 +184,9 @@ class SessionFile:
             else f"{self._path} could not be written: {why}."
         )
         self._on_failure(self.failure)
+
+
+def _give_way() -> None:
+    """Lets the sensors, the fusion and the viewer go before this thread, and before those it starts."""
+    with suppress(AttributeError, OSError):  # there is no such thing but on Linux
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LATER)
