@@ -21,7 +21,7 @@ from viewer_app.coach import HOLD, Situation
 from viewer_app.standing_spot import CAMERA_HEIGHT, FARTHEST, StandingSpot, standing_spot
 
 _RING = 0.3  # metres, radius
-_UNDER = 0.25  # metres
+_UNDER = 1.5  # metres
 _ANKLE = 0.08  # metres above the floor
 _THERE = 0.4  # metres from the spot within which one stands on it
 _FLOOR_OVER = 60  # frames
@@ -101,9 +101,10 @@ class CoachScene:
             ),
             axis=-1,
         )
-        # the words stand beside the first line: below the ring, which would cross them
+        # the words stand beside the first line: below ring and point clouds, which would cross them
         under = np.array([place.x, floor + _UNDER, place.z])
-        lines = _line(np.stack((under, under))), _line(ring)
+        post = np.array([[place.x, floor, place.z], under])
+        lines = _line(np.stack((under, under))), _line(ring), _line(post)
         if now.held > 0.0:
             return Mark(lines, f"hold still: {math.ceil(max(0.0, HOLD - now.held))} s", "do")
         if person is None:
