@@ -23,6 +23,7 @@ from fusion.fuser import Fuser, FuserSettings
 from recordings.arrays import SessionArrays
 from tests import conftest
 from tests.conftest import FRAME_NS, moving, pair_of, standing
+from viewer_app import demo
 from viewer_app.cli import main
 from viewer_app.live import Calibrator, run_live, short_turns
 from viewer_app.run import fuse_one
@@ -246,3 +247,19 @@ def test_the_threads_turns_are_given_back() -> None:
     with short_turns():
         assert sys.getswitchinterval() < 0.001  # what logging may hold up the loop by
     assert sys.getswitchinterval() == before
+
+
+def test_what_a_demo_saves_replaces_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(demo, "has_display", lambda: False)
+    precious = tmp_path / "demo.rrd"
+    precious.write_text("precious")
+    with pytest.raises(SystemExit) as stopped:
+        main(["demo", "--seconds", "0.3", "--depth", "none", "--no-viewer", "--save", "demo.rrd"])
+    assert stopped.value.code == 2
+    assert "demo.rrd exists already" in capsys.readouterr().err
+    main(["demo", "--seconds", "0.3", "--depth", "none"])
+    assert precious.read_text() == "precious"
+    assert rows_of(tmp_path / "demo-2.rrd", "/fused/skeleton") > 0
