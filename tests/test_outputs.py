@@ -10,9 +10,14 @@ from viewer_app.outputs import free_name, whole_file
 
 def test_a_file_that_came_meanwhile_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "s.rrd"
-    with pytest.raises(UsageError, match=r"another program meanwhile.*s-2\.rrd"), whole_file(path) as partial:
-        partial.write_text("ours")
-        path.write_text("theirs")
+
+    def both_write() -> None:
+        with whole_file(path) as partial:
+            partial.write_text("ours")
+            path.write_text("theirs")
+
+    with pytest.raises(UsageError, match=r"another program meanwhile.*s-2\.rrd"):
+        both_write()
     assert path.read_text() == "theirs"
     assert (tmp_path / "s-2.rrd").read_text() == "ours"
     assert len(list(tmp_path.iterdir())) == 2
@@ -21,9 +26,14 @@ def test_a_file_that_came_meanwhile_is_left_alone(tmp_path: Path) -> None:
 def test_a_file_that_was_there_is_replaced_when_all_went_well(tmp_path: Path) -> None:
     path = tmp_path / "s.rrd"
     path.write_text("before")
-    with pytest.raises(ZeroDivisionError), whole_file(path) as partial:
-        partial.write_text("half")
-        _ = 1 / 0
+
+    def fail_half_way() -> None:
+        with whole_file(path) as partial:
+            partial.write_text("half")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail_half_way()
     assert path.read_text() == "before"
     with whole_file(path) as partial:
         partial.write_text("after")
