@@ -11,12 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fusion.body import KINECT_V1, KINECT_V2
+from devices.sensor import DeviceError
+from fusion.body import KINECT_V1, KINECT_V2, Body
 from fusion.calibration import Calibration
 from fusion.fuser import Fuser
+from fusion.skeleton import SkeletonPair
 from tests.conftest import A_FROM_B, FRAME_NS, moving, pair_of
 from viewer_app import bench_speed, bench_update, cli
 from viewer_app.bench_solvers import random_frames, time_solvers
+from viewer_app.errors import UsageError
 from viewer_app.options import BenchSpeedOptions
 
 
@@ -105,3 +108,50 @@ def test_help_imports_nothing_heavy() -> None:
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "bench" in answer
     assert answer.strip().endswith("heavy:")
+
+
+def recorded_in(folder: Path) -> tuple[Path, Path]:
+    pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 60))]
+    files = folder / "a.csv", folder / "b.csv"
+    for file, side in zip(files, "ab", strict=True):
+        bench_speed._write_csv(file, KINECT_V1, pairs, side)
+    return files
+
+
+def test_writing_is_timed_with_the_recording_where_one_is_given(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    class TimedError(Exception):
+        pass
+
+    def time_writing(body: Body, pairs: list[SkeletonPair]) -> None:
+        raise TimedError(body.name, len(pairs))
+
+    for name, value in (("_COLD_FRAMES", 2), ("_SECONDS", 5.0), ("BODIES", {"kinect_v2": KINECT_V2})):
+        monkeypatch.setattr(bench_speed, name, value)
+    monkeypatch.setattr(bench_speed, "time_solvers", lambda problems: [])
+    monkeypatch.setattr(bench_speed, "time_writing", time_writing)
+    with pytest.raises(TimedError) as timed:
+        bench_speed.run(BenchSpeedOptions(recording=recorded_in(tmp_path)))
+    assert timed.value.args == (KINECT_V1.name, 60)
+
+
+@pytest.mark.parametrize("wrong", ["recording", "json"])
+def test_what_is_asked_for_wrongly_is_said_before_the_first_timing(
+    wrong: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(bench_speed, "time_solvers", lambda problems: pytest.fail("timed"))
+    monkeypatch.setattr(bench_speed, "BODIES", {})
+    a, b = recorded_in(tmp_path)
+    if wrong == "recording":
+        b.write_text("no recording")
+        options = BenchSpeedOptions(recording=(a, b))
+    else:  # as on a file system that is full, or read-only in a way that permissions do not tell
+
+        def full(**_: object) -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(bench_speed.tempfile, "TemporaryFile", full)
+        options = BenchSpeedOptions(tmp_path / "speed.json", (a, b))
+    with pytest.raises((DeviceError, UsageError)):
+        bench_speed.run(options)
