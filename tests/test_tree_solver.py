@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V1, KINECT_V2, Body
 from fusion.errors import FusionError
+from fusion.kernels import kernel
 from fusion.solver import MAX_ITERATIONS
 from fusion.tree_solver import MAX_SYSTEMS, TreeSolver
+from fusion.tree_start import bend
 from tests.campaign_solver import (
     Problem,
     bone_error,
@@ -240,6 +242,64 @@ def test_the_checks_of_the_campaign_see_what_is_wrong():
     turned = solution.positions @ rotation(1).T
     assert projected_gradient(problem, turned) > 1e-3
     assert failures(problem, replace(solution, positions=off * np.nan)) == ["NaN"]
+
+
+@pytest.mark.parametrize("weight", [np.nan, np.inf])
+@pytest.mark.parametrize("shape", [(), (3, 3)])
+def test_weight_that_is_not_finite_is_refused(weight, shape):
+    problem = ordinary_problem(7)
+    weights = np.ones((len(problem.body), *shape))
+    weights[4] = weight
+    with pytest.raises(FusionError, match="finite"):
+        solver_of(problem.body).solve(problem.targets, weights, problem.lengths)
+
+
+def beyond_numbers() -> Problem:
+    """The objective overflows wherever it starts, so that it never converges; no holes."""
+    problem = ordinary_problem(8)
+    targets = problem.targets.copy()
+    targets[4] = 1e200
+    return replace(problem, targets=targets, start=ordinary_problem(9).targets)
+
+
+def test_what_is_too_far_away_for_a_number_has_not_converged():
+    solution = solve(beyond_numbers())
+    assert not np.isfinite(solution.objective)
+    assert not solution.converged
+
+
+def test_without_a_hole_there_are_two_starts_only():
+    assert solve(beyond_numbers()).systems <= 2 * MAX_SYSTEMS
+
+
+@pytest.mark.parametrize(
+    ("parents", "order", "rest"),
+    [
+        ([-1, 0], [0, 7], np.ones((2, 3))),
+        ([-1, 0], [0, -1], np.ones((2, 3))),
+        ([-1, 0], [0, 1], np.zeros((2, 3))),
+        ([-1, 0], [0, 1], [[0.0, 0.0, 0.0], [0.0, np.nan, 1.0]]),
+    ],
+)
+def test_what_is_no_tree_or_has_no_directions_is_refused(parents, order, rest):
+    with pytest.raises(FusionError, match=r"in order|at rest"):
+        TreeSolver(parents, order, rest)
+
+
+@kernel
+def bent(x, y, z, length, reach, sx, sy, sz):
+    return bend(x, y, z, length, reach, sx, sy, sz)
+
+
+@pytest.mark.parametrize("side", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (-0.6, 0.0, 0.0), (0.2, 0.5, -0.1)])
+def test_a_bone_before_a_hole_leaves_the_room_that_the_next_one_needs(side):
+    """Also where the side given is none: on the line to the target, or nothing at all."""
+    at = np.array([0.4, 0.0, 0.0])  # 0.3, 0.4, 0.5: the bone is at a right angle to it
+    ends = [np.array(bent(*at, 0.3, 0.5, *(sign * np.array(side)))) for sign in (1.0, -1.0)]
+    for direction in ends:
+        assert np.linalg.norm(direction) == pytest.approx(1.0, rel=1e-14)
+        assert np.linalg.norm(at - 0.3 * direction) == pytest.approx(0.5, rel=1e-14)
+    np.testing.assert_allclose(ends[0], -ends[1], rtol=0, atol=1e-14)  # one to each side
 
 
 @pytest.mark.parametrize("seed", [41000015, 41000048, 41000330, 41000405])
