@@ -72,15 +72,12 @@ def descend(parents, order, work, objective):  # type: ignore[no-untyped-def]
     """
     for i in range(len(order)):
         work[BONE, i, 4] = 0.0
-    root = order[0]
-    step = work[STEP]
+    root, step = order[0], work[STEP]
     iterations = systems = crawling = stationary_points = patience = climbs_lost = 0
     less, longest_climb, damping_before = _LESS, _PATIENCE, 0.0
-    damping = 0.0
-    kick = _KICK
-    last_step = math.inf
+    damping, kick = 0.0, _KICK
+    last_step, converged = math.inf, False
     best = best_step = predicted = 0.0
-    converged = False
     while True:
         stationary = pull(parents, order, work) <= _STATIONARY
         if not step[root, 5] > 0.0 or (stationary and last_step < _LAST_STEP):
@@ -190,7 +187,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     It starts from the better of ``start`` and the directions between targets, both with the bones' lengths.
     From targets with a hole among them (:func:`~fusion.tree_start.aim_at`) it starts from two more places and
     keeps the best end. Where ``MAX_ITERATIONS`` or ``MAX_SYSTEMS`` run out, deep in a valley that is narrow
-    and bends, it starts from each of the others: some ten in a million of the campaign's problems.
+    and bends, it starts from the others too: some ten in a million of the campaign's problems.
 
     Args:
         parents: (J,) int64, -1 for the root.
@@ -211,13 +208,10 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         return -1, 0, math.nan, False
     objective = place(parents, order, rest, start, FROM_START, work, work[TRIAL])
     on_targets = place(parents, order, rest, start, FROM_TARGETS, work, work[POSITION])
-    first = FROM_TARGETS
-    if objective <= on_targets:
-        first = FROM_START
+    first = FROM_START if objective <= on_targets else FROM_TARGETS
+    if first == FROM_START:
         copy(work[TRIAL], work[POSITION])
-    iterations, systems, objective, converged = descend(
-        parents, order, work, objective if first == FROM_START else on_targets
-    )
+    iterations, systems, objective, converged = descend(parents, order, work, min(objective, on_targets))
     copy(work[POSITION], positions)
     hole = (first == FROM_TARGETS or not converged) and aim_at(parents, order, work)
     if converged and not hole:
