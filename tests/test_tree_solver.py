@@ -108,13 +108,24 @@ def test_solution_moves_with_the_world(seed, shift):
     R = rotation(seed)
     moved = replace(problem, targets=problem.targets @ R.T + shift)
     expected = solve(problem).positions @ R.T + shift
-    np.testing.assert_allclose(solve(moved).positions, expected, rtol=0, atol=SAME)
+    solution = solve(moved)
+    np.testing.assert_allclose(solution.positions, expected, rtol=0, atol=SAME)
+    assert failures(moved, solution) == []
 
 
 @settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 10_000))
-def test_order_of_joints_does_not_matter(seed):
-    problem = ordinary_problem(seed)
+@given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-5, 5)] * 3))
+def test_hard_problems_are_solved_wherever_the_world_is(seed, shift):
+    """Not to the same end: of several minima, rounding may choose which."""
+    problem = random_problem(72_000_000 + seed)
+    R = rotation(seed)
+    start = None if problem.start is None else problem.start @ R.T + shift
+    moved = replace(problem, targets=problem.targets @ R.T + shift, start=start)
+    assert failures(moved, solve(moved)) == []
+
+
+def shuffled(problem: Problem, seed: int):
+    """The solution with the joints in another order that keeps the tree; in the order of the problem."""
     body = problem.body
     new = np.random.default_rng(seed).permutation(len(body))  # new[k]: the joint that stands at k now
     place = np.argsort(new)
@@ -122,9 +133,26 @@ def test_order_of_joints_does_not_matter(seed):
     order = [int(place[body.root])]
     for joint in order:
         order.extend(np.flatnonzero(parents == joint)[::-1].tolist())
+    start = None if problem.start is None else problem.start[new]
     other = TreeSolver(parents, order, body.rest[new])
-    shuffled = other.solve(problem.targets[new], problem.weights[new], problem.lengths[new])
-    np.testing.assert_allclose(shuffled.positions, solve(problem).positions[new], rtol=0, atol=SAME)
+    solution = other.solve(problem.targets[new], problem.weights[new], problem.lengths[new], start)
+    return replace(solution, positions=solution.positions[place])
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_order_of_joints_does_not_matter(seed):
+    problem = ordinary_problem(seed)
+    solution = shuffled(problem, seed)
+    np.testing.assert_allclose(solution.positions, solve(problem).positions, rtol=0, atol=SAME)
+    assert failures(problem, solution) == []
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_hard_problems_are_solved_in_any_order_of_joints(seed):
+    problem = random_problem(73_000_000 + seed)
+    assert failures(problem, shuffled(problem, seed)) == []
 
 
 @settings(max_examples=40, deadline=None)
