@@ -41,7 +41,8 @@ def tree_solver_compiled_meanwhile() -> Iterator[None]:
 
 def _is_on_disk() -> bool:
     folder = Path(solve_tree.stats.cache_path)  # type: ignore[attr-defined]
-    return any(folder.glob(f"*{solve_tree.__name__}-*.nbi"))
+    python = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
+    return any(folder.glob(f"*{solve_tree.__name__}-*.{python}.nbi"))
 
 
 def _start() -> subprocess.Popen[bytes] | None:

@@ -20,9 +20,7 @@ from fusion.tree_solver import solve_tree
 from fusion.tree_steps import copy
 from fusion.viewing_plane import Intrinsics
 
-TRUST, EQUAL = 0, 1
-"""Which weights."""
-
+TRUST, EQUAL = 0, 1  # which weights
 FORGET_NS = 1_000_000_000
 """After so long without a person the next one starts afresh."""
 
@@ -56,6 +54,7 @@ class Memory(NamedTuple):
     b_in_a: NDArray[np.float64]  # (J, 3) q'
     pixels_a: NDArray[np.float64]  # (J, 2)
     pixels_b: NDArray[np.float64]
+    usable: NDArray[np.bool_]  # (J,)
     targets: NDArray[np.float64]  # (J, 3) m
     weights: NDArray[np.float64]  # (J,) w
     tree_work: NDArray[np.float64]
@@ -112,6 +111,7 @@ def new_memory(joints: int, translation: NDArray[np.float64]) -> Memory:
         b_in_a=np.empty((joints, 3)),
         pixels_a=np.empty((joints, 2)),
         pixels_b=np.empty((joints, 2)),
+        usable=np.empty(joints, dtype=np.bool_),
         targets=np.empty((joints, 3)),
         weights=np.empty(joints),
         tree_work=np.zeros((BLOCKS, joints, 6)),
@@ -257,7 +257,7 @@ def trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, mislead
     _project(b, model.focal_b, memory.pixels_b)
     weigh_views(
         memory.pixels_a, memory.pixels_b, states_a, states_b, model.linked, model.h,
-        weights_a, weights_b, misleading,
+        memory.usable, weights_a, weights_b, misleading,
     )  # fmt: skip
 
 

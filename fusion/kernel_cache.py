@@ -7,7 +7,10 @@ go unnoticed.
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
+import tempfile
 from contextlib import suppress
 from pathlib import Path
 
@@ -26,3 +29,23 @@ def drop_stale_kernels(package: Path) -> None:
         for entry in os.scandir(package / "__pycache__"):
             if entry.name.endswith(".nbi") and entry.stat().st_mtime_ns <= newest:
                 Path(entry).unlink(missing_ok=True)  # the index; without it its kernels are made anew
+
+
+def ensure_cache_folder() -> None:
+    """Where numba finds no folder to keep kernels in, gives it one for as long as this process runs.
+
+    That is so in a read-only installation of someone without a writable home, where ``njit(cache=True)``
+    would fail. Processes that this one starts use the folder too.
+    """
+    from numba import config, njit
+
+    try:
+        njit(cache=True)(_probe)  # compiles nothing, but looks for a folder
+    except RuntimeError:
+        folder = tempfile.mkdtemp(prefix="duplex-kernels-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = folder  # type: ignore[attr-defined]
+
+
+def _probe() -> None:
+    """What a folder is looked for."""

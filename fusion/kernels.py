@@ -10,7 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from numba import njit
+from numba import njit as njit
+
+from fusion.kernel_cache import ensure_cache_folder
+
+ensure_cache_folder()  # whoever takes njit from here has one
 
 _Kernel = Callable[..., Any]
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}

@@ -34,10 +34,9 @@ def _nearest(i, pixels, usable, linked):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def weigh_views(pixels_a, pixels_b, states_a, states_b, linked, h, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
-    """:func:`reliability_weights` into arrays that are given: for the compiled loop over frames."""
+def weigh_views(pixels_a, pixels_b, states_a, states_b, linked, h, usable, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
+    """:func:`reliability_weights` into arrays that are given; ``usable`` is (J,) scratch."""
     joints = len(pixels_a)
-    usable = np.empty(joints, dtype=np.bool_)
     for i in range(joints):
         usable[i] = math.isfinite(pixels_a[i, 0] + pixels_a[i, 1] + pixels_b[i, 0] + pixels_b[i, 1])
     for i in range(joints):
@@ -93,6 +92,6 @@ def reliability_weights(
     """
     joints = len(pixels_a)
     weights_a, weights_b = np.empty(joints), np.empty(joints)
-    misleading = np.empty(joints, dtype=np.int64)
-    weigh_views(pixels_a, pixels_b, states_a, states_b, linked, h, weights_a, weights_b, misleading)
+    misleading, usable = np.empty(joints, dtype=np.int64), np.empty(joints, dtype=np.bool_)
+    weigh_views(pixels_a, pixels_b, states_a, states_b, linked, h, usable, weights_a, weights_b, misleading)
     return weights_a, weights_b, misleading

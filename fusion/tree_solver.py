@@ -45,10 +45,8 @@ _ROUNDING = 1e-14  # relative: two objectives nearer than this are the same
 # most 2 ε √(f Σw); step[root, 5] is 6 Σw.
 _COORDINATE = 8e-16
 _NEAR_SADDLE = 0.01  # of the bone's length: a shorter step, with a negative pivot, crawls along a saddle
-_CRAWL, _CRAWLED = (
-    0.01,
-    5,
-)  # of the objective: so many smaller gains in a row, with a negative pivot, crawl too
+# of the objective: so many smaller gains in a row, with a negative pivot, crawl too
+_CRAWL, _CRAWLED = 0.01, 5
 _BETTER = 1e-9  # relative: so much lower another start's end must be, to be taken
 _FLAT_MINIMUM = 4  # stationary points met; more of them have curvature of no more than rounding
 _KICK = 0.5  # of the bone's length: how far a saddle is left at once
@@ -74,19 +72,16 @@ def descend(parents, order, work, objective):  # type: ignore[no-untyped-def]
     """
     for i in range(len(order)):
         work[BONE, i, 4] = 0.0
-    root = order[0]
-    step = work[STEP]
+    root, step = order[0], work[STEP]
     iterations = systems = crawling = stationary_points = patience = climbs_lost = 0
     less, longest_climb, damping_before = _LESS, _PATIENCE, 0.0
-    damping = 0.0
-    kick = _KICK
-    last_step = math.inf
+    damping, kick = 0.0, _KICK
+    last_step, converged = math.inf, False
     best = best_step = predicted = 0.0
-    converged = False
     while True:
         stationary = pull(parents, order, work) <= _STATIONARY
         if not step[root, 5] > 0.0 or (stationary and last_step < _LAST_STEP):
-            converged = True
+            converged = math.isfinite(objective)
             break
         if stationary:
             stationary_points += 1
@@ -105,7 +100,7 @@ def descend(parents, order, work, objective):  # type: ignore[no-untyped-def]
             longest < _SMALL_STEP or -slope <= _ROUNDING * objective or stationary_points > _FLAT_MINIMUM
         )
         if saddle < 0 and stationary and settled:
-            converged = True
+            converged = math.isfinite(objective)
             break
         if iterations == MAX_ITERATIONS or systems == MAX_SYSTEMS:
             break
@@ -192,7 +187,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     It starts from the better of ``start`` and the directions between targets, both with the bones' lengths.
     From targets with a hole among them (:func:`~fusion.tree_start.aim_at`) it starts from two more places and
     keeps the best end. Where ``MAX_ITERATIONS`` or ``MAX_SYSTEMS`` run out, deep in a valley that is narrow
-    and bends, it starts from each of the others: some ten in a million of the campaign's problems.
+    and bends, it starts from the others too: some ten in a million of the campaign's problems.
 
     Args:
         parents: (J,) int64, -1 for the root.
@@ -207,24 +202,22 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
 
     Returns:
         (iterations, systems, objective, converged), as in :class:`fusion.solver.Solution`; iterations are -1
-        where a bone length is not positive.
+        where a bone length is not positive, or a weight not finite.
     """
     if not load(targets, weights, lengths, order[0], work):
         return -1, 0, math.nan, False
     objective = place(parents, order, rest, start, FROM_START, work, work[TRIAL])
     on_targets = place(parents, order, rest, start, FROM_TARGETS, work, work[POSITION])
-    first = FROM_TARGETS
-    if objective <= on_targets:
-        first = FROM_START
+    first = FROM_START if objective <= on_targets else FROM_TARGETS
+    if first == FROM_START:
         copy(work[TRIAL], work[POSITION])
-    iterations, systems, objective, converged = descend(
-        parents, order, work, objective if first == FROM_START else on_targets
-    )
+    iterations, systems, objective, converged = descend(parents, order, work, min(objective, on_targets))
     copy(work[POSITION], positions)
-    if converged and (first == FROM_START or not aim_at(parents, order, work)):
+    hole = (first == FROM_TARGETS or not converged) and aim_at(parents, order, work)
+    if converged and not hole:
         return iterations, systems, objective, converged
     for way in (BENT, BENT_AWAY, FROM_TARGETS, FROM_START):
-        if way == first or (converged and way < BENT):
+        if way == first or (way >= BENT and not hole) or (way < BENT and converged):
             continue
         placed = place(parents, order, rest, start, way, work, work[POSITION])
         steps, more, found, ended = descend(parents, order, work, placed)
@@ -250,11 +243,10 @@ class TreeSolver:
             rest: (J, 3) direction parent → joint where nothing better is known; not zero but for the root.
 
         Raises:
-            FusionError: The shapes differ, or a joint stands before its parent in ``order``.
+            FusionError: The shapes differ, it is no tree in this order, or ``rest`` has no direction.
         """
         self.parents = np.array(parents, dtype=np.int64)
-        self.order = np.array(order, dtype=np.int64)
-        self.rest = np.array(rest, dtype=np.float64)
+        self.order, self.rest = np.array(order, dtype=np.int64), np.array(rest, dtype=np.float64)
         joints = len(self.parents)
         if self.order.shape != (joints,) or self.rest.shape != (joints, 3):
             raise FusionError(
@@ -263,11 +255,16 @@ class TreeSolver:
             )
         seen = {-1}
         for joint in self.order.tolist():
+            if not 0 <= joint < joints:
+                raise FusionError(f"Joint {joint} in order; a tree of {joints} joints has 0 to {joints - 1}.")
             if self.parents[joint] not in seen:
                 raise FusionError(f"Joint {joint} stands before its parent {self.parents[joint]} in order.")
             seen.add(joint)
         if seen != set(range(-1, joints)) or np.count_nonzero(self.parents == -1) != 1:
             raise FusionError("A tree needs each joint once in order, and one root (parent -1).")
+        for joint in self.order[1:].tolist():
+            if not 0.0 < np.linalg.norm(self.rest[joint]) < np.inf:
+                raise FusionError(f"Joint {joint} needs a direction at rest; got {self.rest[joint]}.")
         self._work = np.zeros((BLOCKS, joints, 6))
         self._no_start = np.full((joints, 3), np.nan)
 
@@ -284,12 +281,8 @@ class TreeSolver:
         lengths = np.ascontiguousarray(bone_lengths, dtype=np.float64)
         near = self._no_start if start is None else np.ascontiguousarray(start, dtype=np.float64)
         joints = len(self.parents)
-        if (
-            m.shape != (joints, 3)
-            or near.shape != (joints, 3)
-            or lengths.shape != (joints,)
-            or (W.shape != (joints,) and W.shape != (joints, 3, 3))
-        ):
+        fit = m.shape == near.shape == (joints, 3) and lengths.shape == (joints,)
+        if not fit or W.shape not in ((joints,), (joints, 3, 3)):
             raise FusionError(
                 f"The tree has {joints} joints; targets are {m.shape}, weights {W.shape}, bone lengths "
                 f"{lengths.shape}, start {near.shape}."
@@ -299,5 +292,8 @@ class TreeSolver:
             self.parents, self.order, self.rest, m, W, lengths, near, self._work, positions
         )
         if iterations < 0:
-            raise FusionError(f"Every bone needs a length > 0 m; got {lengths[self.order[1:]].min()}.")
+            bones = lengths[self.order[1:]]
+            if ((bones > 0.0) & (bones < np.inf)).all():
+                raise FusionError(f"Weights must be finite, and 0 without data; the largest is {W.max()}.")
+            raise FusionError(f"Every bone needs a length > 0 m; got {bones.min()}.")
         return Solution(positions, iterations, objective, converged, systems)

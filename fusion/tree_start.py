@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from fusion.kernels import inner_kernel
+from fusion.small_matrices import tangent_basis
 from fusion.tree_elimination import BONE, INFORMATION, STEP, TARGET, misfit
 
 FROM_START, FROM_TARGETS, BENT, BENT_AWAY = 0, 1, 2, 3
@@ -13,7 +14,11 @@ FROM_START, FROM_TARGETS, BENT, BENT_AWAY = 0, 1, 2, 3
 
 @inner_kernel
 def load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
-    """Targets and information into the workspace; a joint without a finite target has no information."""
+    """Targets and information into the workspace; a joint without a finite target has no information.
+
+    Returns:
+        Whether all weights are finite, and all bones have a length.
+    """
     target, info, bone = work[TARGET], work[INFORMATION], work[BONE]
     for i in range(targets.shape[0]):
         if weights.ndim == 1:
@@ -22,6 +27,8 @@ def load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
         else:
             xx, xy, xz = weights[i, 0, 0], weights[i, 0, 1], weights[i, 0, 2]
             yy, yz, zz = weights[i, 1, 1], weights[i, 1, 2], weights[i, 2, 2]
+        if not math.isfinite(xx + xy + xz + yy + yz + zz):
+            return False
         x, y, z = targets[i, 0], targets[i, 1], targets[i, 2]
         if not (math.isfinite(x + y + z) and xx + yy + zz > 0.0):
             x = y = z = xx = xy = xz = yy = yz = zz = 0.0
@@ -80,7 +87,10 @@ def bend(x, y, z, length, reach, sx, sy, sz):  # type: ignore[no-untyped-def]
     inside = sx * x + sy * y + sz * z
     sx, sy, sz = sx - inside * x, sy - inside * y, sz - inside * z
     norm = math.sqrt(sx * sx + sy * sy + sz * sz)
-    aside = math.sqrt(1.0 - along * along) / norm if norm > 0.0 else 0.0
+    if not norm > 1e-9 * abs(inside):  # s says no side: any, and the other for -s
+        sx, sy, sz, _, _, _ = tangent_basis(x, y, z)
+        norm = math.copysign(1.0, inside)
+    aside = math.sqrt(1.0 - along * along) / norm
     return along * x + aside * sx, along * y + aside * sy, along * z + aside * sz
 
 

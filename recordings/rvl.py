@@ -10,9 +10,9 @@ from __future__ import annotations
 import struct
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from fusion.kernels import njit
 from recordings.errors import RecordingError
 
 MEDIA_TYPE = "application/rvl"

@@ -6,12 +6,14 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from fusion import first_run
 from fusion.first_run import tree_solver_compiled_meanwhile
 
+PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
 COLD = """
 from fusion.body import AZURE_KINECT
 from fusion.calibration import nominal_calibration
@@ -38,6 +40,15 @@ def test_where_no_process_starts_all_goes_on(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(sys, "executable", "/nonexistent")
     with tree_solver_compiled_meanwhile():
         pass
+
+
+def test_only_what_this_interpreter_compiled_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(first_run, "solve_tree", Mock(__name__="solve_tree", stats=Mock(cache_path=tmp_path)))
+    (tmp_path / "tree_solver.solve_tree-163.py27.nbi").touch()
+    (tmp_path / f"tree_solver.solve_tree-163.{PYTHON}x.nbi").touch()
+    assert not first_run._is_on_disk()
+    (tmp_path / f"tree_solver.solve_tree-163.{PYTHON}.nbi").touch()
+    assert first_run._is_on_disk()
 
 
 def test_a_later_run_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> None:

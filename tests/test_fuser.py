@@ -1,17 +1,21 @@
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba.core import event
+from numba.core.runtime import _nrt_python, rtsys
 from scipy.spatial.transform import Rotation
 
+from fusion import frame
 from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
 from fusion.bone_lengths import bone_lengths_of
 from fusion.calibration import Calibration, calibrate
 from fusion.errors import FusionError
 from fusion.fuser import FusedFrame, Fuser, FuserSettings
+from fusion.kernels import kernel
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 from tests.conftest import A_FROM_B, FRAME_NS, moving, pair_of, standing
@@ -224,6 +228,48 @@ def test_a_sequence_is_bit_for_bit_the_pairs_one_by_one() -> None:
         assert (single.iterations, single.stale_a, single.stale_b) == (
             of_sequence.iterations, of_sequence.stale_a, of_sequence.stale_b,
         )  # fmt: skip
+
+
+def test_a_frame_allocates_nothing() -> None:
+    """Calls allocate what a call needs, however many frames it fuses."""
+    _nrt_python.memsys_enable_stats()
+    pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 20))]
+    fuser = Fuser(flawless_calibration(KINECT_V1))
+    allocated = []
+    try:
+        for some in (pairs[:1], pairs[:1], pairs):
+            before = rtsys.get_allocation_stats()
+            fuser.fuse_sequence(some)
+            after = rtsys.get_allocation_stats()
+            allocated.append((after.alloc - before.alloc, after.mi_alloc - before.mi_alloc))
+    finally:
+        _nrt_python.memsys_disable_stats()
+    assert allocated[1] > (0, 0)  # they are counted
+    assert allocated[2] == allocated[1]
+
+
+@pytest.mark.parametrize(
+    ("solver", "name"), [("exact", "fuse_frames"), ("paper", "fuse_frames_as_published")]
+)
+def test_no_frame_after_warming_up_compiles(solver: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    fresh: Any = kernel(getattr(frame, name).py_func)  # as in a process that begins
+    monkeypatch.setattr(frame, name, fresh)
+    pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 8))]
+    pairs += [
+        SkeletonPair(None, None, 8 * FRAME_NS),
+        SkeletonPair(pairs[0].a, None, 9 * FRAME_NS),
+        SkeletonPair(None, pairs[0].b, 10 * FRAME_NS),
+        replace(a_noisy_pair(KINECT_V1, 0), time_ns=11 * FRAME_NS),
+    ]
+    fuser = Fuser(flawless_calibration(KINECT_V1), FuserSettings(solver=solver))
+    fuser.warm_up()
+    assert len(fresh.signatures) == 1
+    with event.install_recorder("numba:compile") as compiling:
+        for pair in pairs:
+            fuser.update(pair)
+        fuser.fuse_sequence(pairs)
+    assert compiling.buffer == []
+    assert len(fresh.signatures) == 1  # one found on disk here is one to compile elsewhere
 
 
 def test_warming_up_leaves_no_trace() -> None:

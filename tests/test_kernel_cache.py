@@ -1,6 +1,7 @@
 """Claims about compiled kernels on disk."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -59,3 +60,29 @@ def test_only_kernels_older_than_a_source_go(tmp_path: Path) -> None:
     os.utime(tmp_path / "source.py", ns=(2, 2))
     drop_stale_kernels(tmp_path)
     assert sorted(path.name for path in cache.iterdir()) == ["module.pyc", "new.nbi"]
+
+
+def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path: Path) -> None:
+    """Files stand where folders would be made: that stops root too, whom no permission does."""
+    for package in ("fusion", "devices", "recordings"):
+        shutil.copytree(package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    for source in [*tmp_path.rglob("__init__.py")]:
+        (source.parent / "__pycache__").touch()
+    (tmp_path / "home").touch()
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    for name in ("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA", "USERPROFILE"):
+        environment[name] = str(tmp_path / "home")
+    code = (
+        "import recordings.rvl, devices.simulated.rendering, devices.simulated.tracker\n"
+        "import os, pathlib\n"
+        "folder = pathlib.Path(os.environ['NUMBA_CACHE_DIR'])\n"
+        "print(recordings.rvl.__file__, folder.is_dir(), folder)"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=environment
+    )
+    assert run.returncode == 0, run.stderr
+    source, there, folder = run.stdout.split()
+    assert source.startswith(str(tmp_path))
+    assert there == "True"
+    assert not Path(folder).exists()  # it goes with the process

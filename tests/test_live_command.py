@@ -33,7 +33,7 @@ from fusion.fuser import Fuser, FuserSettings
 from recordings.calibration_file import calibration_to_json
 from recordings.rrd_file import read_columns
 from recordings.session import Session
-from viewer_app import display
+from viewer_app import display, live_command
 from viewer_app.cli import main
 from viewer_app.live_command import two_kinects
 from viewer_app.options import LiveOptions
@@ -93,6 +93,22 @@ def test_two_sensors_become_a_session_and_a_summary(
     modes = [(config.wired_sync_mode, config.subordinate_delay_off_master_usec) for config in kinects.configs]
     assert modes == [(2, 160), (1, 0)]
     assert [path.name for path in tmp_path.iterdir()] == ["live.rrd"]
+
+
+@pytest.mark.usefixtures("kinects")
+def test_it_warms_up_before_the_first_frame(
+    standin: Standin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class WarmedUpError(Exception):
+        pass
+
+    def warm_up(*_: object) -> None:
+        raise WarmedUpError
+
+    monkeypatch.setattr(live_command, "warm_up", warm_up)
+    monkeypatch.setattr(Fuser, "update", lambda *_: pytest.fail("a frame"))
+    with pytest.raises(WarmedUpError):
+        live(standin, tmp_path / "x.rrd")
 
 
 def test_options_reach_the_sensors_and_the_tracker(kinects: Bus, standin: Standin, tmp_path: Path) -> None:

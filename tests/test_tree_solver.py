@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V1, KINECT_V2, Body
 from fusion.errors import FusionError
+from fusion.kernels import kernel
 from fusion.solver import MAX_ITERATIONS
 from fusion.tree_solver import MAX_SYSTEMS, TreeSolver
+from fusion.tree_start import bend
 from tests.campaign_solver import (
     Problem,
     bone_error,
@@ -106,13 +108,24 @@ def test_solution_moves_with_the_world(seed, shift):
     R = rotation(seed)
     moved = replace(problem, targets=problem.targets @ R.T + shift)
     expected = solve(problem).positions @ R.T + shift
-    np.testing.assert_allclose(solve(moved).positions, expected, rtol=0, atol=SAME)
+    solution = solve(moved)
+    np.testing.assert_allclose(solution.positions, expected, rtol=0, atol=SAME)
+    assert failures(moved, solution) == []
 
 
 @settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 10_000))
-def test_order_of_joints_does_not_matter(seed):
-    problem = ordinary_problem(seed)
+@given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-5, 5)] * 3))
+def test_hard_problems_are_solved_wherever_the_world_is(seed, shift):
+    """Not to the same end: of several minima, rounding may choose which."""
+    problem = random_problem(72_000_000 + seed)
+    R = rotation(seed)
+    start = None if problem.start is None else problem.start @ R.T + shift
+    moved = replace(problem, targets=problem.targets @ R.T + shift, start=start)
+    assert failures(moved, solve(moved)) == []
+
+
+def shuffled(problem: Problem, seed: int):
+    """The solution with the joints in another order that keeps the tree; in the order of the problem."""
     body = problem.body
     new = np.random.default_rng(seed).permutation(len(body))  # new[k]: the joint that stands at k now
     place = np.argsort(new)
@@ -120,9 +133,26 @@ def test_order_of_joints_does_not_matter(seed):
     order = [int(place[body.root])]
     for joint in order:
         order.extend(np.flatnonzero(parents == joint)[::-1].tolist())
+    start = None if problem.start is None else problem.start[new]
     other = TreeSolver(parents, order, body.rest[new])
-    shuffled = other.solve(problem.targets[new], problem.weights[new], problem.lengths[new])
-    np.testing.assert_allclose(shuffled.positions, solve(problem).positions[new], rtol=0, atol=SAME)
+    solution = other.solve(problem.targets[new], problem.weights[new], problem.lengths[new], start)
+    return replace(solution, positions=solution.positions[place])
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_order_of_joints_does_not_matter(seed):
+    problem = ordinary_problem(seed)
+    solution = shuffled(problem, seed)
+    np.testing.assert_allclose(solution.positions, solve(problem).positions, rtol=0, atol=SAME)
+    assert failures(problem, solution) == []
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_hard_problems_are_solved_in_any_order_of_joints(seed):
+    problem = random_problem(73_000_000 + seed)
+    assert failures(problem, shuffled(problem, seed)) == []
 
 
 @settings(max_examples=40, deadline=None)
@@ -240,6 +270,64 @@ def test_the_checks_of_the_campaign_see_what_is_wrong():
     turned = solution.positions @ rotation(1).T
     assert projected_gradient(problem, turned) > 1e-3
     assert failures(problem, replace(solution, positions=off * np.nan)) == ["NaN"]
+
+
+@pytest.mark.parametrize("weight", [np.nan, np.inf])
+@pytest.mark.parametrize("shape", [(), (3, 3)])
+def test_weight_that_is_not_finite_is_refused(weight, shape):
+    problem = ordinary_problem(7)
+    weights = np.ones((len(problem.body), *shape))
+    weights[4] = weight
+    with pytest.raises(FusionError, match="finite"):
+        solver_of(problem.body).solve(problem.targets, weights, problem.lengths)
+
+
+def beyond_numbers() -> Problem:
+    """The objective overflows wherever it starts, so that it never converges; no holes."""
+    problem = ordinary_problem(8)
+    targets = problem.targets.copy()
+    targets[4] = 1e200
+    return replace(problem, targets=targets, start=ordinary_problem(9).targets)
+
+
+def test_what_is_too_far_away_for_a_number_has_not_converged():
+    solution = solve(beyond_numbers())
+    assert not np.isfinite(solution.objective)
+    assert not solution.converged
+
+
+def test_without_a_hole_there_are_two_starts_only():
+    assert solve(beyond_numbers()).systems <= 2 * MAX_SYSTEMS
+
+
+@pytest.mark.parametrize(
+    ("parents", "order", "rest"),
+    [
+        ([-1, 0], [0, 7], np.ones((2, 3))),
+        ([-1, 0], [0, -1], np.ones((2, 3))),
+        ([-1, 0], [0, 1], np.zeros((2, 3))),
+        ([-1, 0], [0, 1], [[0.0, 0.0, 0.0], [0.0, np.nan, 1.0]]),
+    ],
+)
+def test_what_is_no_tree_or_has_no_directions_is_refused(parents, order, rest):
+    with pytest.raises(FusionError, match=r"in order|at rest"):
+        TreeSolver(parents, order, rest)
+
+
+@kernel
+def bent(x, y, z, length, reach, sx, sy, sz):
+    return bend(x, y, z, length, reach, sx, sy, sz)
+
+
+@pytest.mark.parametrize("side", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (-0.6, 0.0, 0.0), (0.2, 0.5, -0.1)])
+def test_a_bone_before_a_hole_leaves_the_room_that_the_next_one_needs(side):
+    """Also where the side given is none: on the line to the target, or nothing at all."""
+    at = np.array([0.4, 0.0, 0.0])  # 0.3, 0.4, 0.5: the bone is at a right angle to it
+    ends = [np.array(bent(*at, 0.3, 0.5, *(sign * np.array(side)))) for sign in (1.0, -1.0)]
+    for direction in ends:
+        assert np.linalg.norm(direction) == pytest.approx(1.0, rel=1e-14)
+        assert np.linalg.norm(at - 0.3 * direction) == pytest.approx(0.5, rel=1e-14)
+    np.testing.assert_allclose(ends[0], -ends[1], rtol=0, atol=1e-14)  # one to each side
 
 
 @pytest.mark.parametrize("seed", [41000015, 41000048, 41000330, 41000405])

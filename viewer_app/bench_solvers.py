@@ -6,6 +6,7 @@ import importlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,14 @@ from scipy.optimize import minimize
 
 from fusion.body import KINECT_V1, Body
 from fusion.bone_lengths import bone_lengths_of
+from fusion.dense_solver import DenseSolver
 from fusion.paper_solver import PaperSolver
 from fusion.tree_solver import TreeSolver
 
 _STIFFNESS = 1e2  # of a bone in Ceres, where a joint has √w ≤ 1; stiffer, Ceres takes more steps or fails
 _NOISE = 0.01  # metres
+_SLOW_FRAMES = 50  # for the solvers that take milliseconds
+_FEASIBLE = 1e-9  # m: bones off by less buy an objective lower by less than anyone sees
 
 
 @dataclass(frozen=True)
@@ -41,10 +45,11 @@ class Timing:
         frames: How many it solved.
         median_us, p99_us, max_us: Microseconds a frame.
         iterations: Median.
+        systems: Median of the linear systems solved: line searches and abandoned starts included.
         bone_error_mm: The largest of all frames.
-        excess: Median of the objective over that of the exact optimum, less 1; negative where wrong bones
-            leave the data better than any skeleton with right ones could.
-        off_mm: The largest distance of a joint from the exact optimum.
+        excess: Median of the objective over the optimum's, less 1; negative where wrong bones leave the data
+            better than any skeleton with right ones could. None where no other solver looked for the optimum.
+        off_mm: The largest distance of a joint from the optimum; None likewise.
     """
 
     name: str
@@ -53,12 +58,14 @@ class Timing:
     p99_us: float
     max_us: float
     iterations: float
+    systems: float
     bone_error_mm: float
-    excess: float
-    off_mm: float
+    excess: float | None
+    off_mm: float | None
 
 
-Solve = Callable[[Problem], tuple[NDArray[np.float64], int]]
+Solve = Callable[[Problem], tuple[NDArray[np.float64], int, int]]
+"""(J, 3) joints, iterations, linear systems."""
 
 
 def random_frames(count: int, body: Body = KINECT_V1, seed: int = 0) -> list[Problem]:
@@ -79,12 +86,13 @@ def random_frames(count: int, body: Body = KINECT_V1, seed: int = 0) -> list[Pro
 def time_solvers(problems: Sequence[Problem]) -> list[Timing]:
     """All solvers on the same frames; the slow ones on the first few only."""
     body = problems[0].body
-    best = [exact(body)(p)[0] for p in problems]
+    few = problems[:_SLOW_FRAMES]
+    best = [optimum(problem) for problem in few]
     timings = [
         time_solver("exact", exact(body), problems, best),
         time_solver("paper's scheme (numba)", published(body), problems, best),
-        time_solver("SLSQP, all derivatives", slsqp(analytic=True), problems[:50], best),
-        time_solver("SLSQP, none given", slsqp(analytic=False), problems[:3], best),
+        time_solver("SLSQP, all derivatives", slsqp(analytic=True), few, best),
+        time_solver("SLSQP, none given", slsqp(analytic=False), few, best),
     ]
     ceres = stiff_ceres()
     if ceres is not None:
@@ -93,20 +101,21 @@ def time_solvers(problems: Sequence[Problem]) -> list[Timing]:
 
 
 def time_solver(
-    name: str, solve: Solve, problems: Sequence[Problem], best: Sequence[NDArray[np.float64]]
+    name: str, solve: Solve, problems: Sequence[Problem], best: Sequence[NDArray[np.float64]] = ()
 ) -> Timing:
-    """One solver on some frames, against the optima known."""
+    """One solver on some frames; the first of them against the optima known."""
     solve(problems[0])
-    nanoseconds, iterations, bones, excess, off = [], [], [], [], []
-    for problem, optimum in zip(problems, best, strict=False):
+    nanoseconds, iterations, systems, bones, excess, off = [], [], [], [], [], []
+    for problem, known in zip_longest(problems, best[: len(problems)]):
         before = time.perf_counter_ns()
-        positions, steps = solve(problem)
+        positions, steps, solved = solve(problem)
         nanoseconds.append(time.perf_counter_ns() - before)
         iterations.append(steps)
-        ends = problem.body.bone_joints
-        bones.append(np.abs(bone_lengths_of(problem.body, positions) - problem.lengths)[ends].max())
-        excess.append(_objective(problem, positions) / _objective(problem, optimum) - 1.0)
-        off.append(np.linalg.norm(positions - optimum, axis=1).max())
+        systems.append(solved)
+        bones.append(_bones_off(problem, positions))
+        if known is not None:
+            excess.append(_objective(problem, positions) / _objective(problem, known) - 1.0)
+            off.append(np.linalg.norm(positions - known, axis=1).max())
     took = np.array(nanoseconds) * 1e-3
     return Timing(
         name=name,
@@ -115,19 +124,31 @@ def time_solver(
         p99_us=float(np.percentile(took, 99)),
         max_us=float(took.max()),
         iterations=float(np.median(iterations)),
+        systems=float(np.median(systems)),
         bone_error_mm=float(max(bones) * 1e3),
-        excess=float(np.median(excess)),
-        off_mm=float(max(off) * 1e3),
+        excess=float(np.median(excess)) if excess else None,
+        off_mm=float(max(off) * 1e3) if off else None,
     )
+
+
+def optimum(problem: Problem) -> NDArray[np.float64]:
+    """The lowest end with right bones of three solvers that know nothing of each other."""
+    body = problem.body
+    dense = (
+        DenseSolver(body).solve(problem.targets, problem.weights, problem.lengths, problem.start).positions
+    )
+    ends = [exact(body)(problem)[0], dense, slsqp(analytic=True)(problem)[0]]
+    right = [end for end in ends if _bones_off(problem, end) < _FEASIBLE]
+    return min(right, key=lambda end: _objective(problem, end))
 
 
 def exact(body: Body) -> Solve:
     """The tree solver."""
     solver = TreeSolver(body.parent_indices, body.order, body.rest)
 
-    def solve(problem: Problem) -> tuple[NDArray[np.float64], int]:
+    def solve(problem: Problem) -> tuple[NDArray[np.float64], int, int]:
         found = solver.solve(problem.targets, problem.weights, problem.lengths, problem.start)
-        return found.positions, found.iterations
+        return found.positions, found.iterations, found.systems
 
     return solve
 
@@ -136,9 +157,9 @@ def published(body: Body) -> Solve:
     """Eqs. (3)–(9) with the line search."""
     solver = PaperSolver(body.parent_indices)
 
-    def solve(problem: Problem) -> tuple[NDArray[np.float64], int]:
+    def solve(problem: Problem) -> tuple[NDArray[np.float64], int, int]:
         found = solver.solve(problem.targets, problem.weights, problem.lengths, problem.start)
-        return found.positions, found.iterations
+        return found.positions, found.iterations, found.systems
 
     return solve
 
@@ -146,7 +167,7 @@ def published(body: Body) -> Solve:
 def slsqp(analytic: bool) -> Solve:
     """scipy's SLSQP with a constraint a bone, with or without derivatives given."""
 
-    def solve(problem: Problem) -> tuple[NDArray[np.float64], int]:
+    def solve(problem: Problem) -> tuple[NDArray[np.float64], int, int]:
         child = problem.body.bone_joints
         parent = problem.body.parent_indices[child]
         rows, w = np.arange(len(child)), problem.weights[:, None]
@@ -169,7 +190,7 @@ def slsqp(analytic: bool) -> Solve:
             method="SLSQP",
             options={"maxiter": 500, "ftol": 1e-15},
         )
-        return found.x.reshape(-1, 3), int(found.nit)
+        return found.x.reshape(-1, 3), int(found.nit), int(found.nit)  # a least-squares system a step
 
     return solve
 
@@ -218,7 +239,7 @@ def stiff_ceres() -> Solve | None:
                         jacobian[:] = sign * _STIFFNESS * bone / length
             return True
 
-    def solve(problem: Problem) -> tuple[NDArray[np.float64], int]:
+    def solve(problem: Problem) -> tuple[NDArray[np.float64], int, int]:
         body = problem.body
         at = [row.copy() for row in problem.targets]
         model = ceres.Problem()
@@ -236,9 +257,15 @@ def stiff_ceres() -> Solve | None:
         options.num_threads = 1
         summary = ceres.SolverSummary()
         ceres.solve(options, model, summary)
-        return np.array(at), int(summary.num_successful_steps + summary.num_unsuccessful_steps)
+        steps = int(summary.num_successful_steps + summary.num_unsuccessful_steps)
+        return np.array(at), steps, steps
 
     return solve
+
+
+def _bones_off(problem: Problem, positions: NDArray[np.float64]) -> float:
+    off = np.abs(bone_lengths_of(problem.body, positions) - problem.lengths)
+    return float(off[problem.body.bone_joints].max())
 
 
 def _objective(problem: Problem, positions: NDArray[np.float64]) -> float:

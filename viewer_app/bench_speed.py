@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -37,12 +37,14 @@ from viewer_app.bench_update import (
     time_update,
     warm_frames,
 )
+from viewer_app.errors import UsageError
 from viewer_app.options import BenchSpeedOptions
 from viewer_app.outputs import check_writable, whole_file
 
 _COLD_FRAMES = 1000
 _SECONDS = 20.0
 _SHORT, _LONG = 600, 6600  # pairs of the two recordings that tell writing from start-up
+_WIDTH = 120  # columns of what is not a terminal: the tables cannot be cut there
 _PAIRS_A_MINUTE = 1800  # at 30 fps
 
 
@@ -71,27 +73,30 @@ def run(options: BenchSpeedOptions) -> None:
     Raises:
         DeviceError, FusionError, UsageError: With one line for the person who asked.
     """
-    console = Console()
+    console = _wide_enough(Console())
     if options.json is not None:
-        check_writable(options.json, options.force)
+        _check_creatable(options.json, options.force)
+    recordings = [_recorded(*options.recording)] if options.recording is not None else []
+    written = recordings[0] if recordings else None
+    for body in BODIES.values():
+        with console.status(f"a simulated walk of {len(body)} joints"):
+            pairs = [pair.skeletons for pair in simulated_pairs(body, _SECONDS)]
+        recordings.append((f"{len(body)} joints, simulated", body, pairs))
+        if written is None and body is KINECT_V2:
+            written = recordings[-1]
+    assert written is not None
 
     with console.status("cold frames, one solver after the other"):
         solvers = time_solvers(random_frames(_COLD_FRAMES))
     updates = []
-    recorded: tuple[Body, list[SkeletonPair]] | None = None
-    for name, body, pairs in _recordings(options, console):
+    for name, body, pairs in recordings:
         calibration = start_up(pairs, body)
         frames = warm_frames(pairs, calibration)
-        solve = exact(body)
-        best = [solve(problem)[0] for problem in frames]
-        solvers.append(time_solver(f"exact, warm, {name}", solve, frames, best))
+        solvers.append(time_solver(f"exact, warm, {name}", exact(body), frames))
         updates.append(time_update(name, pairs, calibration))
-        if body is KINECT_V2 or recorded is None:
-            recorded = body, pairs
-    assert recorded is not None
     growth = time_growth((20, 32, 160))
     with console.status("duplex fuse, end to end"):
-        writing = time_writing(*recorded)
+        writing = time_writing(*written[1:])
         help_s = time_help()
 
     if options.json is not None:
@@ -109,24 +114,26 @@ def run(options: BenchSpeedOptions) -> None:
         console.print(table)
 
 
-def _recordings(
-    options: BenchSpeedOptions, console: Console
-) -> Iterator[tuple[str, Body, list[SkeletonPair]]]:
-    if options.recording is not None:
-        with SkeletonRecording(options.recording[0]) as a, SkeletonRecording(options.recording[1]) as b:
-            if a.body is not b.body:
-                raise DeviceError(f"{a.name} is of {a.body.name}, {b.name} of {b.body.name}.")
-            frames_a, frames_b = list(a.frames()), list(b.frames())
-            people = [
-                choose_person(frames, None, name, f"--person-{side}")
-                for frames, name, side in ((frames_a, a.name, "a"), (frames_b, b.name, "b"))
-            ]
-            pairs = pair_recordings(frames_a, frames_b, people[0], people[1]).pairs
-            yield f"{len(a.body)} joints, recorded", a.body, [pair.skeletons for pair in pairs]
-    for body in BODIES.values():
-        with console.status(f"a simulated walk of {len(body)} joints"):
-            pairs = simulated_pairs(body, _SECONDS)
-        yield f"{len(body)} joints, simulated", body, [pair.skeletons for pair in pairs]
+def _check_creatable(path: Path, force: bool) -> None:
+    """Finds out before minutes of timing what a folder's permissions do not tell."""
+    check_writable(path, force)
+    try:
+        tempfile.TemporaryFile(dir=path.resolve().parent).close()
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror or error}.") from error
+
+
+def _recorded(path_a: Path, path_b: Path) -> tuple[str, Body, list[SkeletonPair]]:
+    with SkeletonRecording(path_a) as a, SkeletonRecording(path_b) as b:
+        if a.body is not b.body:
+            raise DeviceError(f"{a.name} is of {a.body.name}, {b.name} of {b.body.name}.")
+        frames_a, frames_b = list(a.frames()), list(b.frames())
+        people = [
+            choose_person(frames, None, name, f"--person-{side}")
+            for frames, name, side in ((frames_a, a.name, "a"), (frames_b, b.name, "b"))
+        ]
+        pairs = pair_recordings(frames_a, frames_b, people[0], people[1]).pairs
+        return f"{len(a.body)} joints, recorded", a.body, [pair.skeletons for pair in pairs]
 
 
 def time_writing(body: Body, pairs: Sequence[SkeletonPair]) -> Writing:
@@ -197,16 +204,24 @@ def _seconds_of(arguments: Sequence[str]) -> float:
     return time.perf_counter() - before
 
 
+def _wide_enough(console: Console) -> Console:
+    if not console.is_terminal:
+        console.width = max(console.width, _WIDTH)
+    return console
+
+
 def _solver_table(solvers: Sequence[Timing]) -> Table:
     table = _table(
         "Eq. (1), a frame; cold: 20 joints, 10 mm noise",
-        ("solver", "median", "p99", "max", "steps", "bones off", "joints off"),
-        f"Off: at worst, from their lengths, and from the optimum. {_ratios(solvers)}",
+        ("solver", "median", "p99", "max", "steps", "systems", "bones off", "joints off"),
+        "Systems: linear ones, line search and abandoned starts included. Off: at worst, from their lengths, "
+        "and from the lowest that exact, dense Newton and SLSQP find, where all three are run. "
+        f"{_ratios(solvers)}",
     )
     for t in solvers:
         table.add_row(
-            t.name, *map(_time, (t.median_us, t.p99_us, t.max_us)), f"{t.iterations:.0f}",
-            f"{t.bone_error_mm:.1g} mm", f"{t.off_mm:.1g} mm",
+            t.name, *map(_time, (t.median_us, t.p99_us, t.max_us)), f"{t.iterations:.0f}", f"{t.systems:.0f}",
+            f"{t.bone_error_mm:.1g} mm", "–" if t.off_mm is None else f"{t.off_mm:.1g} mm",
         )  # fmt: skip
     return table
 

@@ -7,7 +7,8 @@ whose function it calls, has changed.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from fusion.kernels import njit
 
 
 @njit(cache=True)

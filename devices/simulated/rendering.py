@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from devices.simulated.anatomy import Array
 from devices.simulated.rays import cast
+from fusion.kernels import njit
 from fusion.rigid import RigidTransform
 from fusion.viewing_plane import Intrinsics
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from devices.simulated.anatomy import Array
 from devices.simulated.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import Body
+from fusion.kernels import njit
 from fusion.skeleton import Skeleton, TrackingState
 from fusion.viewing_plane import Intrinsics
 
