@@ -11,7 +11,7 @@ from pathlib import Path
 
 from devices.body_tracking import INSTALL, TrackerSettings
 from devices.kinect_access import ConnectedKinect, connected_kinects, load_sdk
-from devices.kinect_choice import sync_master
+from devices.kinect_choice import NeedsChoiceError, choose_two, sync_master
 from devices.native_library import load_library, loaded_file
 from devices.sensor import DeviceError
 from devices.usb import UDEV_ADVICE, usb_kinects
@@ -44,22 +44,30 @@ class Check:
     needed: bool = True
 
 
-def device_checks(tracker: TrackerSettings | None = None, root: Path = Path("/")) -> list[Check]:
+def device_checks(
+    tracker: TrackerSettings | None = None,
+    root: Path = Path("/"),
+    *,
+    x_answers: bool = True,
+    choice: tuple[str | None, str | None, str | None] = (None, None, None),
+) -> list[Check]:
     """All that live capture needs of devices and their libraries, in the order to put it right.
 
     Args:
         tracker: How the tracker would run: its library and network are looked for.
         root: Where the file system starts; tests put their own there.
+        choice: Serial numbers that live would be given: A, B, principal, as ``choose_two`` takes them.
+        x_answers: Whether the X display answers, where DISPLAY names one.
     """
     tracker = tracker or TrackerSettings()
     return [
         _sdk(),
-        _depth_engine(root),
+        _depth_engine(root, x_answers),
         _tracker_library(tracker),
         _tracker_network(tracker, root),
         _usb_permission(root),
         _usb_speed(root),
-        *_kinects(),
+        *_kinects(choice),
         _gpu(tracker, root),
         Check(
             "proven on hardware",
@@ -79,16 +87,18 @@ def _sdk() -> Check:
     return Check("pyk4a and the Sensor SDK", True, getattr(sdk, "__file__", None) or "installed")
 
 
-def _depth_engine(root: Path) -> Check:
+def _depth_engine(root: Path, x_answers: bool) -> Check:
     """What makes depth of the sensor's raw images, on this machine: a closed library that uses OpenGL."""
     name = "depth engine"
     if not sys.platform.startswith("linux"):
         return Check(name, True, f"comes with the Sensor SDK on {sys.platform}")
-    if not os.environ.get("DISPLAY"):
+    display = os.environ.get("DISPLAY")
+    if not display or not x_answers:
+        what = f"The display {display} (DISPLAY) does not answer" if display else "DISPLAY is not set"
         return Check(
             name,
             False,
-            "DISPLAY is not set, and depth is computed with OpenGL, which needs an X display",
+            f"{what}, and depth is computed with OpenGL, which needs an X display",
             "Start from a desktop session, or log in at the machine and export DISPLAY=:0.",
         )
     libraries = root / "usr/lib/x86_64-linux-gnu"
@@ -98,7 +108,7 @@ def _depth_engine(root: Path) -> Check:
         folders.insert(0, sdk.parent)
     for folder in folders:
         if (folder / _DEPTH_ENGINE).is_file():
-            return Check(name, True, f"{folder / _DEPTH_ENGINE}, display {os.environ['DISPLAY']}")
+            return Check(name, True, f"{folder / _DEPTH_ENGINE}, display {display}")
     return Check(
         name,
         False,
@@ -166,29 +176,36 @@ def _usb_speed(root: Path) -> Check:
     return Check("USB speed", True, f"{len(there)} Kinect(s) at USB 3" if there else "no Kinect on the bus")
 
 
-def _kinects() -> list[Check]:
+def _kinects(choice: tuple[str | None, str | None, str | None]) -> list[Check]:
     try:
         there = connected_kinects()
     except DeviceError as fault:
         return [_failed("two Kinects", fault)]
     usable = sum(kinect.serial is not None for kinect in there)
-    advice = "" if usable >= 2 else "Plug in two: USB 3 and a power supply each, on two USB controllers."
-    counted = Check("two Kinects", usable >= 2, f"{len(there)} connected, {usable} usable", advice)
-    return [counted, *(_kinect(kinect) for kinect in there), *_sync_cable(there)]
-
-
-def _sync_cable(there: list[ConnectedKinect]) -> list[Check]:
-    """How the two are joined; with more, that depends on which two are chosen."""
-    if len(there) != 2 or any(kinect.serial is None for kinect in there):
-        return []
+    counted, each = f"{len(there)} connected, {usable} usable", [_kinect(kinect) for kinect in there]
+    if usable < 2:
+        advice = "Plug in two: USB 3 and a power supply each, on two USB controllers."
+        return [Check("two Kinects", False, counted, advice), *each]
     try:
-        master = sync_master(*there)
+        chosen = choose_two(there, *choice)
+    except NeedsChoiceError as question:  # which live asks
+        chosen = question.serials
     except DeviceError as fault:
-        return [_failed("sync cable", fault)]
+        return [Check("two Kinects", False, counted, str(fault)), *each]
+    return [Check("two Kinects", True, counted), *each, _sync_cable(there, chosen)]
+
+
+def _sync_cable(there: list[ConnectedKinect], chosen: tuple[str, str]) -> Check:
+    """How the two are joined."""
+    a, b = (next(kinect for kinect in there if kinect.serial == serial) for serial in chosen)
+    try:
+        master = sync_master(a, b)
+    except DeviceError as fault:
+        return _failed("sync cable", fault)
     if master is None:
-        return [Check("sync cable", False, "none", _CABLE_ADVICE, needed=False)]
-    other = next(kinect.serial for kinect in there if kinect.serial != master)
-    return [Check("sync cable", True, f"from {master} to {other}", needed=False)]
+        return Check("sync cable", False, "none", _CABLE_ADVICE, needed=False)
+    other = b.serial if master == a.serial else a.serial
+    return Check("sync cable", True, f"from {master} to {other}", needed=False)
 
 
 def _kinect(kinect: ConnectedKinect) -> Check:
@@ -213,7 +230,10 @@ def _gpu(tracker: TrackerSettings, root: Path) -> Check:
             pass
         else:
             return Check("GPU", True, "DirectML found", needed=False)
-    slow = "about one frame a second: record with k4arecorder now, duplex fuse a.mkv b.mkv later."
+    slow = (
+        "about one frame a second, and two sensors' hardly ever pair: record with k4arecorder now, "
+        "duplex fuse a.mkv b.mkv later."
+    )
     if tracker.processing == "cpu":
         return Check(
             "GPU", False, "none found; the tracker runs on the CPU", f"That gives {slow}", needed=False

@@ -68,6 +68,7 @@ class KinectSensor:
         body: The body tracker's.
         intrinsics: Of the depth camera in the mode chosen; None before opening.
         warnings: What went wrong without stopping it.
+        missed: Frames captured that never came, for the SDK keeps a few only for a program that is too slow.
     """
 
     def __init__(
@@ -89,6 +90,7 @@ class KinectSensor:
         self.body: Body = AZURE_KINECT
         self.intrinsics: Intrinsics | None = None
         self.warnings: list[str] = []
+        self.missed = 0
         self.settings = settings or KinectSettings()
         self._color: ColorCamera | None = None
         self._tracker = BodyTracker(tracker) if track else None
@@ -151,7 +153,7 @@ class KinectSensor:
         # Waiting three quarters of a frame for its people leaves time to fetch the next one.
         wait_s = 0.75 / self.settings.fps
         queue = None if self._tracker is None else TrackerQueue(self._tracker, wait_s)
-        silent_s = 0.0
+        silent_s, last_ns = 0.0, None
         patience_s = self.settings.start_s if self.settings.sync == "subordinate" else self.settings.stall_s
         while not self._interrupted.is_set():
             try:
@@ -169,6 +171,9 @@ class KinectSensor:
                     raise self._stalled(silent_s)
                 continue
             silent_s, patience_s = 0.0, self.settings.stall_s
+            if last_ns is not None:  # a clock that is reset goes back: nothing is known of that gap
+                self.missed += max(0, round((frame.time_ns - last_ns) * self.settings.fps / 1e9) - 1)
+            last_ns = frame.time_ns
             if queue is None:
                 yield frame
                 continue

@@ -17,7 +17,8 @@ from devices.usb import UDEV_ADVICE, UsbKinect, usb_kinects
 
 _INSTALL = (
     "Install the Azure Kinect Sensor SDK 1.4 (libk4a1.4-dev; for Orbbec their K4A wrapper), then this "
-    "program's extra: pip install 'duplex-kinects[kinect]'."
+    "program's extra, from its folder: pip install '.[kinect]' (after make: "
+    ".venv/bin/pip install -e '.[kinect]')."
 )
 _opening = threading.Lock()
 _open_here: set[str] = set()  # serial numbers that this process holds open

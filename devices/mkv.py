@@ -97,6 +97,7 @@ class MkvRecording:
         self.warnings: list[str] = []
         self._color = color
         self._container: Any = None
+        self._begun, self._described = False, 0
 
     def __enter__(self) -> MkvRecording:
         """Opens the recording and reads what it says about itself.
@@ -105,14 +106,14 @@ class MkvRecording:
             DeviceError: No such file, no Azure Kinect recording, or an unsupported depth mode.
         """
         self.__exit__()
-        self._container = self._open()
+        self._container, self._begun = self._open(), False
         self.warnings = []
         try:
             self.info = self._describe(self._container)
         except BaseException:
             self.__exit__()
             raise
-        self.intrinsics = self.info.calibration.depth
+        self.intrinsics, self._described = self.info.calibration.depth, len(self.warnings)
         return self
 
     def __exit__(self, *exc_info: object) -> None:
@@ -124,13 +125,18 @@ class MkvRecording:
     def frames(self) -> Iterator[SensorFrame]:
         """The recorded frames in capture order: depth with its infrared image and the nearest colour image.
 
-        A file cut off by a crash gives the complete frames it has; what is missing is in ``warnings``.
+        A file cut off by a crash gives the complete frames it has; what is missing is in ``warnings``. Each
+        call starts at the first frame.
 
         Raises:
             DeviceError: The recording is not open, or holds not one complete frame.
         """
         if self._container is None or self.info is None:
             raise DeviceError(f"{self.name} is not open: use it in a with statement.")
+        if self._begun:  # one that is under way keeps the file that it reads
+            self._container = self._open()
+            del self.warnings[self._described :]
+        self._begun = True
         info, captures = self.info, Captures(self.info.interval_ns // 2)
         given = missing = last_ns = 0
         for capture in captures.gather(self._images(info)):

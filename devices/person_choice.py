@@ -33,15 +33,23 @@ class PersonChoice:
         """The tracker's id of the person followed; None before the first."""
         return self._identity
 
-    def choose(self, people: Mapping[str, Skeleton], time_ns: int) -> Skeleton | None:
+    def choose(
+        self, people: Mapping[str, Skeleton], time_ns: int, at: NDArray[np.float64] | None = None
+    ) -> Skeleton | None:
         """The followed person's skeleton in this frame; None while they are out of sight.
 
         Args:
             people: Skeletons by the tracker's id, in one sensor's frame.
             time_ns: The frame's time, on the sensor's clock.
+            at: (3,) where the other sensor sees the person, metres in this one's frame, if that is known:
+                of several the nearest to it is then the one.
         """
-        centres = {name: at for name, person in people.items() if (at := _centre(person)) is not None}
-        chosen = self._follow(centres, time_ns)
+        centres = {name: seen for name, person in people.items() if (seen := centre(person)) is not None}
+        chosen: str | None
+        if at is not None and len(centres) > 1:
+            chosen = min(centres, key=lambda name: float(np.linalg.norm(centres[name] - at)))
+        else:
+            chosen = self._follow(centres, time_ns)
         if chosen is None:
             return None
         self._identity, self._at, self._time_ns = chosen, centres[chosen], time_ns
@@ -66,7 +74,7 @@ class PersonChoice:
         return nearest
 
 
-def _centre(person: Skeleton) -> NDArray[np.float64] | None:
+def centre(person: Skeleton) -> NDArray[np.float64] | None:
     """(3,) where the body is: the mean of its torso's joints; of all if none of those is tracked."""
     torso = person.positions[list(person.body.torso)].astype(np.float64)
     seen = torso[np.isfinite(torso).all(axis=1)]

@@ -113,6 +113,16 @@ class Sensor(Protocol):
 
 
 @runtime_checkable
+class CountsMissed(Protocol):
+    """A sensor that knows how many of its frames never reached us."""
+
+    @property
+    def missed(self) -> int:
+        """How many it captured between frames that came, since the program began."""
+        ...
+
+
+@runtime_checkable
 class Interruptible(Protocol):
     """A sensor that may wait long between frames, and can be asked to stop waiting."""
 

@@ -7,41 +7,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 
-from devices.sensor import DeviceError, Interruptible, Sensor, SensorFrame
+from devices.sensor import CountsMissed, DeviceError, Interruptible, Sensor, SensorFrame
+from devices.sensor_state import SensorEvent, SensorState
 
 _EVENTS_KEPT = 100
-
-
-class SensorState(Enum):
-    """What a sensor is doing."""
-
-    CLOSED = "closed"
-    OPENING = "opening"
-    RUNNING = "running"
-    STALLED = "stalled"
-    """Open, but without a frame for too long."""
-    LOST = "lost"
-    """Failed; it is opened again and again until it comes back."""
-    ENDED = "ended"
-    """A source that ends, at its end."""
-
-
-@dataclass(frozen=True)
-class SensorEvent:
-    """Something to tell the person at the screen.
-
-    Attributes:
-        sensor: The sensor's name.
-        message: What happened, and the way out.
-        at_s: When, on the thread's clock.
-    """
-
-    sensor: str
-    message: str
-    at_s: float
 
 
 class SensorThread:
@@ -61,6 +32,7 @@ class SensorThread:
         *,
         keep: int = 4,
         stall_s: float = 2.0,
+        first_s: float = 120.0,
         retry_s: float = 1.0,
         arrival: threading.Event | None = None,
         clock: Callable[[], float] = time.perf_counter,
@@ -72,6 +44,7 @@ class SensorThread:
             sensor: What to run.
             keep: Most frames that wait for the reader.
             stall_s: After how long without a frame the sensor counts as stalled.
+            first_s: The same for the first one since opening: a body tracker's first result takes long.
             retry_s: How often a lost sensor is tried again.
             arrival: Set at every frame and change of state; two sensors may share one, to wait for either.
             clock: Seconds, for stalls and ``host_ns``; tests put their own.
@@ -79,7 +52,9 @@ class SensorThread:
         """
         self.sensor = sensor
         self.arrival = arrival or threading.Event()
-        self._keep, self._stall_s, self._retry_s = keep, stall_s, retry_s
+        self._counts = sensor if isinstance(sensor, CountsMissed) else None
+        self._keep, self._retry_s = keep, retry_s
+        self._stall_s, self._first_s = stall_s, first_s
         self._clock, self._wait = clock, wait
         self._lock = threading.Lock()
         self._frames: deque[tuple[int, SensorFrame]] = deque()  # and when each came
@@ -88,6 +63,7 @@ class SensorThread:
         self._received = self._dropped = self._returns = 0
         self._last_s = 0.0
         self._told, self._stall_told, self._left_behind = "", False, False
+        self._first = self._first_told = False
         self._fault: BaseException | None = None
         self._stopping, self._settled = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
@@ -99,8 +75,8 @@ class SensorThread:
 
     @property
     def dropped(self) -> int:
-        """How many frames the reader was too slow for."""
-        return self._dropped
+        """How many frames we were too slow for: this thread's reader, or the thread for the sensor itself."""
+        return self._dropped + (0 if self._counts is None else self._counts.missed)
 
     @property
     def returns(self) -> int:
@@ -111,7 +87,7 @@ class SensorThread:
     def state(self) -> SensorState:
         """What the sensor is doing now."""
         with self._lock:
-            silent = self._clock() - self._last_s > self._stall_s
+            silent = self._clock() - self._last_s > (self._first_s if self._first else self._stall_s)
             return SensorState.STALLED if self._state is SensorState.RUNNING and silent else self._state
 
     @property
@@ -148,9 +124,18 @@ class SensorThread:
             raise
         if not opened:
             self.close(0.0)
-            raise DeviceError(f"{self.sensor.name} did not open in {within_s:g} s. Plug it in anew, retry.")
+            raise DeviceError(
+                f"{self.sensor.name} did not open in {within_s:g} s: its body tracker is still loading, or "
+                f"its driver hangs. Try again; if it is the same, unplug it and plug it in again first."
+            )
         self._raise_fault()
         return self
+
+    def end(self) -> None:
+        """Makes the thread end, without waiting for that: frames to come are not wanted, nor counted."""
+        self._stopping.set()
+        if self._thread is not None and isinstance(self.sensor, Interruptible):
+            self.sensor.interrupt()
 
     def close(self, within_s: float = 3.0) -> bool:
         """Ends the thread and closes the sensor; closing twice is harmless.
@@ -161,12 +146,10 @@ class SensorThread:
         Returns:
             Whether the sensor was closed in that time.
         """
+        self.end()
         thread, self._thread = self._thread, None
         if thread is None:
             return True
-        self._stopping.set()
-        if isinstance(self.sensor, Interruptible):
-            self.sensor.interrupt()
         try:
             with suppress(RuntimeError):  # Ctrl-C came before it could start
                 thread.join(within_s)
@@ -196,35 +179,47 @@ class SensorThread:
             it would have seen.
 
         Raises:
-            Exception: What a sensor raised that is no ``DeviceError``: a fault of the program, not of the
-                sensor.
+            DeviceError: The sensor raised something else: a fault of the program or of a driver, which no
+                opening anew mends.
         """
         with self._lock:
             frames = list(self._frames)
             self._frames.clear()
         if self._fault is not None and not isinstance(self._fault, DeviceError):
-            raise self._fault
+            self._raise_fault()
         return frames
 
     def events(self) -> list[SensorEvent]:
         """What happened since the last call: lost, back, stalled, running again."""
         stalled = self.state is SensorState.STALLED
         if stalled and not self._stall_told:
-            self._tell(
-                f"{self.sensor.name} stalls: no frame for {self._stall_s:g} s. Check its cable and power."
-            )
+            silent_s = self._first_s if self._first else self._stall_s
+            self._tell(f"{self.sensor.name} stalls: no frame for {silent_s:g} s. Check its cable and power.")
         elif self._stall_told and self.state is SensorState.RUNNING:
             self._tell(f"{self.sensor.name} gives frames again.")
         self._stall_told = stalled
+        with self._lock:
+            running = self._state is SensorState.RUNNING
+            waits = running and self._first and self._clock() - self._last_s > self._stall_s
+        if waits and not self._first_told:
+            self._first_told = True
+            self._tell(f"{self.sensor.name}: waiting for the body tracker's first result.")
         with self._lock:
             told = list(self._events)
             self._events.clear()
         return told
 
     def _raise_fault(self) -> None:
-        if self._fault is not None:
-            self.close()
+        if self._fault is None:
+            return
+        self.close()
+        if not isinstance(self._fault, Exception) or isinstance(self._fault, DeviceError):
             raise self._fault
+        what = f"{type(self._fault).__name__}: {self._fault}".rstrip(": ")
+        raise DeviceError(
+            f"{self.sensor.name} failed within its driver or this program ({what}). What was saved stays "
+            f"readable. Start again; if it comes back, report it."
+        ) from self._fault
 
     def _run(self, stopping: threading.Event, settled: threading.Event) -> None:
         ran = False
@@ -270,6 +265,7 @@ class SensorThread:
         with self._lock:
             self._state, self._last_s, self._told = SensorState.RUNNING, self._clock(), ""
             self._returns += came_back
+            self._first, self._first_told = True, False
         if came_back:
             self._tell(f"{self.sensor.name} is back.")
         self.arrival.set()
@@ -280,7 +276,7 @@ class SensorThread:
         if frame.host_ns is None:
             frame = replace(frame, host_ns=came_ns)
         with self._lock:
-            self._last_s = now_s
+            self._last_s, self._first = now_s, False
             self._received += 1
             self._frames.append((came_ns, frame))
             if len(self._frames) > self._keep:

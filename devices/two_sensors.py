@@ -9,9 +9,11 @@ from dataclasses import dataclass
 
 from devices.live_pairing import LivePair, LivePairing, PairingFigures, Side
 from devices.sensor import Sensor, SensorFrame
-from devices.sensor_thread import SensorEvent, SensorState, SensorThread
+from devices.sensor_state import SensorEvent, SensorState
+from devices.sensor_thread import SensorThread
 
 _POLL_S = 0.01  # pairs that wait for nobody any more come out this much late at most
+_CLOSE_S = 3.0  # for both together
 _KEEP = 8  # frames a sensor: a quarter of a second in which the reader's machine did something else
 
 
@@ -61,14 +63,20 @@ class TwoSensors:
             first: Which one to start first: the subordinate, if there is a sync cable.
             stall_s: After how long without a frame a sensor counts as stalled.
             retry_s: How often a lost sensor is tried again.
-            open_s: How long opening one may take: its body tracker loads a network.
+            open_s: How long opening one may take, and its first frame: its body tracker loads a network.
             tell: Told of every event at once, also while no pair comes; on the thread that asks for pairs.
             clock: Seconds; tests put their own.
         """
         self._arrival = threading.Event()
         self.a, self.b = (
             SensorThread(
-                sensor, keep=_KEEP, stall_s=stall_s, retry_s=retry_s, arrival=self._arrival, clock=clock
+                sensor,
+                keep=_KEEP,
+                stall_s=stall_s,
+                first_s=open_s,
+                retry_s=retry_s,
+                arrival=self._arrival,
+                clock=clock,
             )
             for sensor in (a, b)
         )
@@ -107,17 +115,21 @@ class TwoSensors:
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Closes both, in bounded time and on every path."""
+        """Closes both, in bounded time and on every path, and tells what happened meanwhile."""
+        self._end()
+        until_s = time.monotonic() + _CLOSE_S
         try:
-            self.a.close()
+            self.a.close(_CLOSE_S)
         finally:
-            self.b.close()
+            self.b.close(max(0.0, until_s - time.monotonic()))
+        for _, thread in self._sides():
+            self._take_events(thread)
 
     def pairs(self) -> Iterator[LivePair]:
         """Pairs as they come, until both sources have ended or :meth:`stop`; waits while both are gone.
 
         Raises:
-            Exception: A fault of the program inside a sensor.
+            DeviceError: A fault of the program or of a driver inside a sensor.
         """
         while not self._stopped:
             ended = all(thread.state is SensorState.ENDED for thread in (self.a, self.b))
@@ -125,6 +137,7 @@ class TwoSensors:
             if ended:
                 yield from self._pairing.poll(_ns(self._clock()) + 10**12)
                 return
+        self._end()  # what comes while the session is being closed is nobody's drop
 
     def stop(self) -> None:
         """Makes ``pairs`` end; for signal handlers and other threads."""
@@ -134,7 +147,7 @@ class TwoSensors:
         """The pairs that are complete now, after waiting for a frame at most ``wait_s``.
 
         Raises:
-            Exception: A fault of the program inside a sensor.
+            DeviceError: A fault of the program or of a driver inside a sensor.
         """
         self._arrival.wait(wait_s)
         self._arrival.clear()
@@ -146,10 +159,7 @@ class TwoSensors:
                 self._returns[side] = came_back
                 pairs += self._pairing.restart(side)
             came += [(at_ns, side, frame) for at_ns, frame in frames]
-            events = thread.events()
-            self._events += events
-            for event in events:
-                self._tell(event)
+            self._take_events(thread)
         # As they came, whenever they are asked for: else a pause here would look like a sensor's.
         for at_ns, side, frame in sorted(came, key=lambda frame: frame[0]):
             pairs += self._pairing.add(side, frame, at_ns)
@@ -162,6 +172,16 @@ class TwoSensors:
         """What happened since the last call, oldest first."""
         events, self._events = sorted(self._events, key=lambda event: event.at_s), []
         return events
+
+    def _end(self) -> None:
+        for _, thread in self._sides():
+            thread.end()
+
+    def _take_events(self, thread: SensorThread) -> None:
+        events = thread.events()
+        self._events += events
+        for event in events:
+            self._tell(event)
 
     def _sides(self) -> tuple[tuple[Side, SensorThread], ...]:
         return ("a", self.a), ("b", self.b)

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 _STILL_SPEED = 0.02  # m/s: slower is standing still
 _SMOOTH = 5  # frames of the moving mean that jitter is measured against
 _LONGEST_LAG = 10  # frames
+_EVEN_STEPS = 1e-4  # metres a frame: a speed that deviates less has no shape to match
+_WEAK_MATCH = 0.5  # correlation: below it the highest peak is one of noise
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,8 @@ class Accuracy:
         jitter: RMS distance of a joint from its moving mean over 5 frames while it truly stands still.
         acceleration: Mean distance of a joint's second difference from the true one, metres a frame².
         swapped: Share of frames whose limbs fit the truth better with left and right exchanged.
-        lag: Frames by which the joints' speed trails the true speed (largest cross-correlation).
+        lag: Frames by which the joints' mean speed trails the true one: where they correlate most. NaN
+            where that is less than 0.5, or at the end of the ±10 frames that are searched.
     """
 
     mpjpe: float
@@ -112,14 +115,29 @@ def _swapped(body: Body, found: Array, truth: Array) -> float:
 
 
 def _lag(found: Array, truth: Array) -> float:
-    speed, true_speed = (np.linalg.norm(np.diff(at, axis=0), axis=2).mean(axis=1) for at in (found, truth))
-    if not np.isfinite(speed).all() or len(speed) < 4 * _LONGEST_LAG or true_speed.std() < 1e-4:
+    steps, true_steps = (np.linalg.norm(np.diff(at, axis=0), axis=2) for at in (found, truth))  # (T-1, J)
+    frames = np.arange(_LONGEST_LAG, len(steps) - _LONGEST_LAG)
+    if len(steps) < 4 * _LONGEST_LAG or true_steps.mean(axis=1).std() < _EVEN_STEPS:
         return np.nan
     lags = np.arange(-_LONGEST_LAG, _LONGEST_LAG + 1)
-    inner = slice(_LONGEST_LAG, len(speed) - _LONGEST_LAG)
-    match = [float(np.corrcoef(np.roll(speed, -lag)[inner], true_speed[inner])[0, 1]) for lag in lags]
+    match = np.array([_correlation(steps[frames + lag], true_steps[frames]) for lag in lags])
+    if not np.isfinite(match).all():
+        return np.nan
     best = int(np.argmax(match))
-    if 0 < best < len(lags) - 1:  # a parabola through the peak
-        left, top, right = match[best - 1 : best + 2]
-        return float(lags[best] + 0.5 * (left - right) / (left - 2.0 * top + right))
-    return float(lags[best])
+    if match[best] < _WEAK_MATCH or best in (0, len(lags) - 1):
+        return np.nan
+    left, top, right = match[best - 1 : best + 2]  # a parabola through the peak
+    return float(lags[best] + 0.5 * (left - right) / (left - 2.0 * top + right))
+
+
+def _correlation(steps: Array, true_steps: Array) -> float:
+    """Of the joints' mean speeds, each frame over the joints that ``steps`` knows in it."""
+    known = np.isfinite(steps)
+    count = known.sum(axis=1)
+    some = count > 0
+    speed, true_speed = (
+        np.where(known, of, 0.0).sum(axis=1)[some] / count[some] for of in (steps, true_steps)
+    )
+    if some.sum() < 2 * _LONGEST_LAG or min(speed.std(), true_speed.std()) == 0.0:
+        return np.nan
+    return float(np.corrcoef(speed, true_speed)[0, 1])

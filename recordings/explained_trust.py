@@ -10,6 +10,7 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -24,7 +25,9 @@ from recordings.arrays import SessionArrays
 _SHADES = 16  # more than an eye tells apart here; few colours compress well
 _BINS = 150
 _BIN_NS = 200_000_000
-_BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _AXIS_HEIGHT = 5, 20, 172, 52  # pixels of the picture
+_PAGE_NS, _LOOK_BACK_NS = 15_000_000_000, 10_000_000_000
+_TICK_S = 5  # divides both
+_BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _TICKS_HEIGHT, _AXIS_HEIGHT = 5, 20, 180, 28, 52  # pixels
 _BACKGROUND, _INK = (27, 27, 31), (214, 214, 220)
 _INKS = 16  # between background and ink: smooth letters
 _FONT, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.6
@@ -81,65 +84,93 @@ def _named(which: NDArray[Any], names: Sequence[str]) -> pa.DictionaryArray:
     return pa.DictionaryArray.from_arrays(pa.array(which.ravel().astype(np.int8)), pa.array(names))
 
 
+@dataclass(eq=False)
+class _Page:
+    """One picture of the matrix: the frame from which on it is shown, and what is in it so far."""
+
+    frame: int
+    time_ns: int
+    first: int  # bin
+    cells: NDArray[np.uint8]  # (J, _BINS) places in the palette
+
+    def put(self, number: int, shades: NDArray[np.uint8]) -> None:
+        self.cells[:, number - self.first] = shades
+
+
 class TrustMatrix:
-    """The last half minute as a picture: a row a joint, coloured as in :func:`trust_colors`.
+    """Whose view made each joint, a row a joint, coloured as in :func:`trust_colors`: half a minute a page.
+
+    A page is shown from its own time on until the next one begins, and reaches from before the one to after
+    the other: whatever moment is looked at stands within its page. It is logged at the frame that begins
+    it, though complete only later.
 
     Args:
         body: Whose joints.
-        every_ns: How often there is a new picture.
+        draft_ns: How often pages that are not complete yet are drawn; newer drawings of a page replace older.
     """
 
-    def __init__(self, body: Body, every_ns: int = 1_000_000_000) -> None:
-        self._every_ns = every_ns
-        self._frame = _frame_of_matrix(body)
-        self._bins = np.zeros((len(body), _BINS), dtype=np.uint8)
-        self._newest = -1  # bin
+    def __init__(self, body: Body, draft_ns: int) -> None:
+        self._draft_ns = draft_ns
+        self._body = body
+        self._open: list[_Page] = []
+        self._newest = -1  # page
         self._next_ns = 0
 
-    def add(self, rows: SessionArrays) -> Iterator[tuple[int, bytes]]:
+    def add(self, rows: SessionArrays) -> Iterator[tuple[int, int, bytes]]:
         """Takes frames in time order.
 
         Returns:
-            (index in `rows`, PNG file) whenever a new picture is due.
+            (frame, time in ns, PNG file) of a page whenever it is drawn.
         """
         for t, shades in enumerate(_shades(rows)):
             now = int(rows.time_ns[t])
-            self._put(now // _BIN_NS, shades)
+            number = now // _BIN_NS
+            before = self._open
             if now >= self._next_ns:
-                self._next_ns = now - now % self._every_ns + self._every_ns
-                yield t, self._picture(now)
+                self._next_ns = now - now % self._draft_ns + self._draft_ns
+                yield from map(self._drawn, before[-1:])
+            whole = [page for page in before if number >= page.first + _BINS]
+            yield from map(self._drawn, whole)
+            self._open = [page for page in before if page not in whole]
+            if now // _PAGE_NS > self._newest:
+                self._newest = now // _PAGE_NS
+                self._open.append(self._page(int(rows.frame[t]), now, before))
+            for page in self._open:
+                page.put(number, shades)
 
-    def _put(self, number: int, shades: NDArray[np.uint8]) -> None:
-        moved = min(max(number - self._newest, 0), _BINS)
-        if moved:
-            self._bins = np.roll(self._bins, -moved, axis=1)
-            self._bins[:, _BINS - moved :] = 0
-            self._newest = number
-        self._bins[:, -1] = shades
+    def rest(self) -> Iterator[tuple[int, int, bytes]]:
+        """The pages that are not complete, as they are."""
+        yield from map(self._drawn, self._open)
 
-    def _picture(self, now_ns: int) -> bytes:
-        cells = self._bins.repeat(_ROW_HEIGHT, axis=0).repeat(_BIN_WIDTH, axis=1)
+    def _page(self, frame: int, now_ns: int, before: Sequence[_Page]) -> _Page:
+        """Begins the page of a frame with what pages `before` have of its beginning."""
+        first = max(0, now_ns // _PAGE_NS * _PAGE_NS - _LOOK_BACK_NS) // _BIN_NS
+        page = _Page(frame, now_ns, first, np.zeros((len(self._body), _BINS), dtype=np.uint8))
+        for old in before:
+            shift = first - old.first
+            if shift < _BINS:
+                page.cells[:, : _BINS - shift] = old.cells[:, shift:]
+        return page
+
+    def _drawn(self, page: _Page) -> tuple[int, int, bytes]:
+        cells = page.cells.repeat(_ROW_HEIGHT, axis=0).repeat(_BIN_WIDTH, axis=1)
         cells[_ROW_HEIGHT - 1 :: _ROW_HEIGHT] = 0  # a line between the joints
+        picture = np.pad(cells, ((0, _TICKS_HEIGHT), (0, 0)))
         height, width = cells.shape[:2]
-        picture = self._frame.copy()
-        picture[:height, _NAMES_WIDTH : _NAMES_WIDTH + width] = cells
-        _text(picture, f"until {now_ns * 1e-9:.1f} s", _NAMES_WIDTH + _BINS * _BIN_WIDTH - 140, height + 47)
-        return _png(picture)
+        step = _BIN_WIDTH * (_TICK_S * 10**9 // _BIN_NS)
+        for k, x in enumerate(range(0, width, step)):
+            cv2.line(picture, (x, height), (x, height + 5), _INKS - 1, 1)
+            _text(picture, f"{page.first * _BIN_NS // 10**9 + k * _TICK_S} s", x + 4, height + 21)
+        return page.frame, page.time_ns, _png(picture)
 
 
-def _frame_of_matrix(body: Body) -> NDArray[np.uint8]:
-    """What stays the same from picture to picture: names, time axis, legend; as places in the palette."""
+def matrix_frame(body: Body) -> bytes:
+    """What lies beneath every page of the matrix: names on the right, and a legend; a PNG file."""
     height, width = len(body) * _ROW_HEIGHT, _BINS * _BIN_WIDTH
-    picture = np.zeros((height + _AXIS_HEIGHT, _NAMES_WIDTH + width + 30), dtype=np.uint8)
+    picture = np.zeros((height + _AXIS_HEIGHT, width + _NAMES_WIDTH), dtype=np.uint8)
     for joint, name in enumerate(body.joints):
-        _text(picture, _in_words(name), 4, (joint + 1) * _ROW_HEIGHT - 6)
-    seconds = _BINS * _BIN_NS * 1e-9
-    for ago in np.arange(0.0, seconds + 1.0, 5.0):
-        x = _NAMES_WIDTH + round(width * (1.0 - ago / seconds))
-        cv2.line(picture, (x, height), (x, height + 5), _INKS - 1, 1)
-        label = "now" if ago == 0.0 else f"-{ago:.0f} s"
-        _text(picture, label, x - 18, height + 21)
-    left = _NAMES_WIDTH
+        _text(picture, _in_words(name), width + 8, (joint + 1) * _ROW_HEIGHT - 6)
+    left = 0
     for words, shade in (
         ("from A", _FROM_A),
         ("from B", _FROM_B),
@@ -148,7 +179,7 @@ def _frame_of_matrix(body: Body) -> NDArray[np.uint8]:
         picture[height + 33 : height + 48, left : left + 22] = shade
         _text(picture, words, left + 28, height + 47)
         left += 150
-    return picture
+    return _png(picture)
 
 
 class StateLanes:
@@ -206,7 +237,7 @@ def _png(picture: NDArray[np.uint8]) -> bytes:
     parts = (
         (b"IHDR", header),
         (b"PLTE", _PALETTE.tobytes()),
-        (b"IDAT", zlib.compress(filtered.tobytes())),
+        (b"IDAT", zlib.compress(filtered.tobytes(), 9)),
         (b"IEND", b""),
     )
     return b"\x89PNG\r\n\x1a\n" + b"".join(part(kind, content) for kind, content in parts)

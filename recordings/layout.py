@@ -6,7 +6,7 @@ The layout is the same live and in a file. Positions are metres; the world is K_
 from __future__ import annotations
 
 APPLICATION_ID = "duplex_kinects"
-VERSION = 4
+VERSION = 5
 """Of this layout; goes up when a reader of the old one would misread the new one."""
 
 FRAME = "frame"
@@ -31,7 +31,9 @@ JOINT_DIGESTS = "joint_digests"
 """Component of :data:`QUALITY`: a byte a joint of S* in float64, which the file has in float32 only."""
 EVENTS = "/events"
 TRUST_MATRIX = "/trust_matrix"
-"""Picture, joint × time: whose view made each joint of S* over the last seconds."""
+"""Picture, joint × time: whose view made each joint of S* around a moment, in pages of half a minute."""
+MATRIX_FRAME = f"{TRUST_MATRIX}/frame"
+"""What is the same in every page: the joints' names, and a legend."""
 STATE_LANES = "/lanes"
 COACH = "/coach"
 """Text: what to do next while setting up; beneath it, what is drawn into the scene for that."""

@@ -6,7 +6,7 @@ Both ways give the same layout, because both come from the same list of what a f
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
@@ -19,17 +19,18 @@ from devices.sensor import ColorImage
 from fusion.fuser import Fuser
 from recordings import appearance, layout
 from recordings.arrays import RecordedFrame, SessionArrays
-from recordings.checksums import FusedChecks, image_checksum, properties_checksum, text_checksum
+from recordings.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.coach_page import CoachPage
 from recordings.color import ColorLog
 from recordings.depth_points import thin_points
-from recordings.explained_trust import StateLanes, TrustMatrix
+from recordings.explained_trust import StateLanes, TrustMatrix, matrix_frame
 from recordings.frame_streams import frame_streams
 from recordings.rvl import MEDIA_TYPE, encode_depth
 from recordings.stream_figures import StreamFiguresLog
 
-_MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 15_000_000_000
-"""How often the matrix of trust is drawn anew: for eyes that wait, and for a file, where it spans 30 s."""
+_MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
+"""How often a page of the matrix of trust is drawn before it is whole: for eyes that wait, and for a file
+that may be cut off."""
 
 
 class Recorder:
@@ -166,12 +167,10 @@ class Recorder:
             level: How bad: INFO, WARN or ERROR.
             at: Number and time (ns since the first pair) of the frame meant, where it is not the last.
         """
-        at = at or self._last
-        if at is not None:
-            self._set_time(*at)
-        self._stream.log(
-            layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=text_checksum(text, level))
-        )
+        at = at or self._last or (self._frames, 0)
+        self._set_time(*at)
+        check = event_checksum(at, text, level)
+        self._stream.log(layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=check))
 
     def coach(self, page: CoachPage) -> None:
         """Logs what to do next, at the time of the last frame."""
@@ -181,6 +180,7 @@ class Recorder:
 
     def finish(self) -> None:
         """Says that the session is whole; a reader takes one without this for cut off."""
+        self._log_matrix(self._matrix.rest())
         self._stream.send_property("end", rr.AnyValues(frames=self._frames))
 
     def _log_sensors(self, frames: Sequence[RecordedFrame], rows: SessionArrays) -> None:
@@ -214,9 +214,7 @@ class Recorder:
 
     def _explain(self, rows: SessionArrays) -> None:
         """What is not logged every frame: the trust matrix, and tracking states where they change."""
-        for t, png in self._matrix.add(rows):
-            self._set_time(int(rows.frame[t]), int(rows.time_ns[t]))
-            self._stream.log(layout.TRUST_MATRIX, rr.EncodedImage(contents=png, media_type="image/png"))
+        self._log_matrix(self._matrix.add(rows))
         for side, joint, changes in self._lanes.add(rows):
             lane = layout.state_lane(side, rows.body.joints[joint])
             at = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
@@ -230,6 +228,11 @@ class Recorder:
             )
             if changes[0][0] is None:
                 self._stream.log(lane, appearance.STATE_LANES, static=True)
+
+    def _log_matrix(self, pages: Iterable[tuple[int, int, bytes]]) -> None:
+        for frame, time_ns, png in pages:
+            self._set_time(frame, time_ns)
+            self._stream.log(layout.TRUST_MATRIX, rr.EncodedImage(contents=png, media_type="image/png"))
 
     def _log_static(self, fuser: Fuser) -> None:
         body = self._calibration.body
@@ -246,6 +249,8 @@ class Recorder:
             once(layout.depth(side), appearance.DEPTH)
             once(layout.image_edge(side), appearance.image_edge(intrinsics))
             once(layout.points(side), appearance.cloud_look(side))
+        beneath = rr.EncodedImage(contents=matrix_frame(body), media_type="image/png", draw_order=-20.0)
+        once(layout.MATRIX_FRAME, beneath)
         once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))
         once(layout.TRUTH_SKELETON, appearance.joint_look(body, "truth"))
 

@@ -46,9 +46,6 @@ def rewrite(
         segments = [(fuser, own) for fuser, own in session.fusers() if own.stop > first and own.start < end]
         recorder = Recorder(stream, segments[0][0], session.sources, about=about)
         start_ns = int(session.rows.time_ns[first])
-        for event in session.events:
-            if event.frame is None:
-                recorder.event(event.text, event.level)
         for fuser, own in segments:
             if own.start > first:
                 recorder.calibrate(fuser)

@@ -216,10 +216,19 @@ def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:
     with pa.ipc.open_stream(payload) as stream:
         batch = stream.read_next_batch()
     batch.validate(full=True)
-    batch.schema.to_string()  # decodes the names of fields within fields, which no validation does
+    for column in batch.schema:
+        _decode_names(column.type)
     if len(set(batch.schema.names)) != len(batch.schema.names):
         raise ValueError("two columns of one name")
     return (batch.schema.metadata or {})[_ENTITY].decode(), batch
+
+
+def _decode_names(of: pa.DataType) -> None:
+    """Raises UnicodeDecodeError for a name of a field within fields that is no text; validation does not."""
+    for k in range(of.num_fields):
+        within = of.field(k)
+        str(within.name)
+        _decode_names(within.type)
 
 
 def _fields(message: bytes) -> dict[int, Any]:

@@ -107,6 +107,7 @@ class Session:
         rows, checks, lost = frames_of(BODIES[name], calibrations, found)
         used = [number < max(len(rows), 1) for number, _ in calibrations]
         calibrations = [c for c, use in zip(calibrations, used, strict=True) if use]
+        events = events_of(found)
         damage = found.damage
         end = about.get("end", {}).get("frames")
         if end is None:
@@ -128,7 +129,7 @@ class Session:
             intrinsics_b=camera_of(cameras["b"]),
             sources=(str(session["source_a"][0]), str(session["source_b"][0])),
             about=about,
-            events=events_of(found),
+            events=events,
             fused_checksums=checks[0],
             joint_digests=checks[1],
             frames_lost=lost,

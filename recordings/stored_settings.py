@@ -16,7 +16,7 @@ from fusion.registration import Registration
 from fusion.rigid import RigidTransform
 from fusion.viewing_plane import Intrinsics
 from recordings import layout
-from recordings.checksums import properties_checksum, text_checksum
+from recordings.checksums import event_checksum, properties_checksum
 from recordings.errors import RecordingError
 from recordings.rrd_file import Columns
 
@@ -26,14 +26,14 @@ class Event:
     """What happened.
 
     Attributes:
-        frame: The frame it happened at; None where it happened before the first.
-        time_ns: Since the first pair; None likewise.
+        frame: The frame it happened at; the first where it happened before that.
+        time_ns: Since the first pair.
         text: What.
         level: INFO, WARN or ERROR.
     """
 
-    frame: int | None
-    time_ns: int | None
+    frame: int
+    time_ns: int
     text: str
     level: str
 
@@ -109,6 +109,13 @@ def events_of(found: Columns) -> tuple[Event, ...]:
     events = []
     for frame, time, row in found.texts:
         text, level, check = (row.get(k) or [None] for k in ("TextLog:text", "TextLog:level", "crc32"))
-        if isinstance(text[0], str) and check[0] == text_checksum(text[0], str(level[0])):
+        if (
+            frame is not None
+            and time is not None
+            and isinstance(text[0], str)
+            and check[0] == event_checksum((frame, time), text[0], str(level[0]))
+        ):
             events.append(Event(frame, time, text[0], str(level[0])))
+        else:
+            found.damage = found.damage or "an event does not match its checksum"
     return tuple(events)

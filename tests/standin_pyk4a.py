@@ -50,6 +50,7 @@ class Device:
     captures: int = 0
     interval_usec: int = 33_333
     color: bool = False
+    skips: int = 0  # captures before each that the SDK's queue had no room for
     paced: bool = False  # captures come when they are due, by the machine's clock
     begun: float | None = None
     at: dict[int, Callable[[], object]] = field(default_factory=dict)  # what happens at which capture
@@ -79,7 +80,7 @@ class Bus:
 class Capture:
     def __init__(self, bus: Bus, device: Device) -> None:
         device.captures += 1
-        device.clock_usec += device.interval_usec
+        device.clock_usec += device.interval_usec * (1 + device.skips)
         shape = (576, 640)
         self.depth = None if device.blind else np.full(shape, 2000 + device.captures, np.uint16)
         self.ir = np.full(shape, 900, np.uint16)

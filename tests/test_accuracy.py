@@ -41,6 +41,27 @@ def test_noise_while_still_is_jitter(truth: np.ndarray) -> None:
     assert of.jitter == pytest.approx(0.01 * np.sqrt(3 * 0.8), rel=0.1)
 
 
+def test_bones_err_by_their_worst_and_deviate_by_their_mean(truth: np.ndarray) -> None:
+    hand, foot = KINECT_V1.joint("HandLeft"), KINECT_V1.joint("FootRight")  # ends: one bone each
+    longer = np.zeros((150, 20))
+    longer[:, foot] = 0.02  # always: an error, no deviation
+    longer[::2, hand] = 0.06  # every second frame: a deviation of half as much
+    parents = np.array([max(parent, 0) for parent in KINECT_V1.parents])
+    along = truth - truth[:, parents]
+    along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-9)
+    of = measure(truth + longer[..., None] * along, truth)
+    assert of.bone_error == pytest.approx(0.06)
+    assert of.bone_deviation == pytest.approx(0.03 / len(KINECT_V1.bone_joints))
+
+
+def test_95_of_100_errors_are_smaller_than_p95(truth: np.ndarray) -> None:
+    # 3000 errors, evenly from 0 to 0.3 m, over joints and frames
+    size = np.random.default_rng(3).permutation(np.linspace(0.0, 0.3, 3000)).reshape(150, 20)
+    of = measure(truth + size[..., None] * [1.0, 0.0, 0.0], truth)
+    assert of.p95 == pytest.approx(0.95 * 0.3)
+    assert of.mpjpe == pytest.approx(0.5 * 0.3)
+
+
 def test_exchanged_sides_are_seen(truth: np.ndarray) -> None:
     found = np.array(truth)
     found[100:130] = found[100:130][:, KINECT_V1.mirror]
@@ -52,6 +73,28 @@ def test_a_delay_is_the_lag(truth: np.ndarray, frames: int) -> None:
     assert measure(
         np.concatenate([truth[:1].repeat(frames, axis=0), truth[:-frames]]), truth
     ).lag == pytest.approx(frames, abs=0.15)
+
+
+def test_joints_that_are_missing_for_a_while_leave_the_lag(truth: np.ndarray) -> None:
+    found = np.concatenate([truth[:1].repeat(2, axis=0), truth[:-2]])
+    found[40:90, 5] = found[70] = found[:15, 11] = np.nan
+    assert measure(found, truth).lag == pytest.approx(2, abs=0.15)
+
+
+def test_a_lag_is_not_read_out_of_noise(truth: np.ndarray) -> None:
+    noise = np.random.default_rng(2).normal(0, 0.2, truth.shape)
+    assert np.isnan(measure(truth + noise, truth).lag)
+
+
+@pytest.mark.parametrize("frames", [10, 14])
+def test_a_lag_at_the_end_of_the_search_is_none(frames: int) -> None:
+    # a speed that rises once and falls once: it matches the better the nearer the delays are
+    t = np.arange(150.0)
+    along = np.cumsum(np.exp(-(((t - 75.0) / 30.0) ** 2)) * 0.03)
+    truth = moving(KINECT_V1, 1).repeat(150, axis=0) + along[:, None, None]
+    late = np.concatenate([truth[:1].repeat(frames, axis=0), truth[:-frames]])
+    assert np.isnan(measure(late, truth).lag)
+    assert measure(np.concatenate([truth[:1].repeat(8, axis=0), truth[:-8]]), truth).lag == pytest.approx(8)
 
 
 def test_errors_of_hidden_joints_are_told_apart(truth: np.ndarray) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,15 +11,17 @@ import pytest
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
-from fusion.body import KINECT_V2
-from fusion.calibration import Calibration
+from devices.two_sensors import StreamFigures
+from fusion.body import BODIES, KINECT_V2, Body
+from fusion.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
+from recordings import layout
 from recordings.arrays import RecordedFrame
 from recordings.coach_page import CoachPage
 from tests.conftest import A_FROM_B
-from tests.pictures import eventually, headless_viewer
+from tests.pictures import eventually, headless_viewer, pixels_near
 from tests.test_live_session import BODY, frames
-from viewer_app.blueprint import LAYOUTS, Layout, session_blueprint
+from viewer_app.blueprint import LAYOUTS, Layout, bone_title, session_blueprint
 from viewer_app.live_session import LiveSession
 
 _NO_DEFECT = (
@@ -49,15 +52,15 @@ def saved(path: Path, fuser: Fuser, made: list[RecordedFrame], active: Layout) -
 
 def expected(active: Layout) -> set[str]:
     """Names of the views that a layout shows before a tab is touched."""
-    bones = {f"{KINECT_V2.bones[joint].replace('_', ' ')} (m)" for joint in KINECT_V2.bone_joints}
     if active == "report":
-        return bones | {"how good"}
+        bones = {bone_title(KINECT_V2.bones[joint]) for joint in KINECT_V2.bone_joints}
+        return bones | {"how good; above: bones in m, S_A brown, S_B blue, S* purple, target grey"}
     if active == "setup":
         return {
             "Kinect A", "Kinect B", "sensors, skeletons, points", "what to do next", "events",
             "joints tracked by each sensor",
         }  # fmt: skip
-    limbs = {bone for bone in bones if bone.startswith(("upper arm", "fore", "thigh", "shin"))}
+    limbs = {f"{side} {bone} (m)" for side in "LR" for bone in ("upper arm", "forearm", "thigh", "shin")}
     return limbs | {"S_A brown, S_B blue, S* purple", "whose view made each joint", "S_A against S_B (mm)"}
 
 
@@ -106,3 +109,58 @@ def ink_of(viewer: ViewerClient, view_id: str, folder: Path) -> float:
         return 0.0
     picture = cv2.imread(str(path))
     return 0.0 if picture is None else ink(np.asarray(picture))
+
+
+def test_a_plot_of_one_figure_has_no_line_of_the_streams(tmp_path: Path) -> None:
+    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    made = [
+        replace(frame, streams=StreamFigures(3.0, (5 * k, 9 * k), (7 * k, 4 * k)))
+        for k, frame in enumerate(frames(fuser, 90))
+    ]
+    blueprint = session_blueprint(fuser, np.array([0.1, 0.1, 2.6]), "inspect", live=True)
+    file = tmp_path / "s.rrd"
+    with LiveSession(fuser, ("a", "b"), blueprint, file=file) as live:
+        for frame in made:
+            live.record(frame)
+    with headless_viewer(str(file)) as viewer:
+        picture = tmp_path / "plot.png"
+
+        def of_plot() -> NDArray[np.uint8] | None:
+            plots = [v for v in viewer.get_state().views if v.name == "S_A against S_B (mm)"]
+            if not plots or ink_of(viewer, plots[0].view_id, tmp_path) < 0.002:
+                return None
+            viewer.save_screenshot(str(picture), plots[0].view_id)
+            return np.asarray(cv2.imread(str(picture))[40:, :, ::-1])
+
+        assert eventually(
+            lambda: (
+                (seen := of_plot()) is not None
+                and pixels_near(seen, layout.SKELETON_COLORS["fused"], 40) > 50
+            ),
+            30.0,
+        )
+        plot = of_plot()
+        assert plot is not None
+        for side in layout.SIDES:
+            assert pixels_near(plot, layout.SKELETON_COLORS[side], 40) == 0
+
+
+def test_states_of_the_limbs_stand_second_among_the_tabs() -> None:
+    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    inspect = session_blueprint(fuser, np.array([0.1, 0.1, 2.6]), "inspect").root_container.contents[1]
+    tabs = inspect.contents[0].contents[1]
+    assert [view.name for view in tabs.contents][:2] == ["S_A against S_B (mm)", "states, limbs"]
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=lambda body: body.name)
+def test_a_report_has_full_rows_and_short_titles(body: Body) -> None:
+    fuser = Fuser(nominal_calibration(body))
+    *rows, words = (
+        session_blueprint(fuser, np.array([0.1, 0.1, 2.6]), "report").root_container.contents[2].contents
+    )
+    counts = [len(row.contents) for row in rows]
+    assert sum(counts) == len(body.bone_joints)
+    assert max(counts) <= 6
+    assert max(counts) - min(counts) <= 1
+    assert max(len(plot.name) for row in rows for plot in row.contents) <= len("L upper arm")
+    assert words.name.startswith("how good")

@@ -40,14 +40,15 @@ def watched(
     every: int = 1,
     lost_feet: bool = False,
     dropping: int = 0,
+    frame_ns: int = FRAME_NS,
 ) -> dict[str, Advice]:
     """What the coach says at the end of some seconds of the same sight, by topic."""
     now = now or Situation(KNOWN, settled=True, held=0.0)
     coach, fuser = Coach(BODY, (CAMERA, CAMERA)), Fuser(now.calibration)
     at = standing(BODY) if truth is None else truth
     advice: list[Advice] = []
-    for k in range(0, round(seconds * 30) + 1, every):
-        time_ns = k * FRAME_NS
+    for k in range(0, round(seconds * 1e9 / frame_ns) + 1, every):
+        time_ns = k * frame_ns
         seen = pair_of(BODY, at, time_ns, really)
         people: list[dict[str, Skeleton]] = []
         for shown, skeleton in ((a, seen.a), (b, seen.b)):
@@ -78,6 +79,11 @@ def test_a_sensor_that_sees_no_one_is_named_after_a_second() -> None:
     said = watched(b=False, seconds=3.0)
     assert wrong(said) == {"person B"}
     assert said["person B"].figure == pytest.approx(3.0, abs=0.01)
+
+
+def test_a_sensor_that_is_slightly_too_slow_is_below_the_limit_in_words_too() -> None:
+    said = watched(seconds=12.0, frame_ns=42_700_000)["rate A"]  # 23.5 in two seconds
+    assert said.text.startswith("Sensor A gives 23 frames a second; below 24 movements are missed.")
 
 
 @pytest.mark.parametrize("lost", ["states", "image"])

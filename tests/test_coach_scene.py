@@ -40,7 +40,8 @@ def marks(now: Situation | None = None, seen: FusedFrame | None = None, *advice:
 
 
 def middle_of_ring(mark: Mark) -> NDArray[np.float64]:
-    ring = np.array(mark.lines[0])
+    under, ring = (np.array(line) for line in mark.lines[:2])
+    assert under[0, 1] > ring[0, 1]  # the words' place
     assert ring[0] == pytest.approx(ring[-1])
     return np.asarray(ring[:-1].mean(axis=0))
 
@@ -70,7 +71,7 @@ def test_the_circle_is_on_the_floor_and_an_arrow_leads_to_it() -> None:
     mark = marks(seen=away)["spot"]
     floor = max(away.positions[BODY.joint(f"ANKLE_{side}"), 1] for side in ("LEFT", "RIGHT")) + 0.08
     assert middle_of_ring(mark)[1] == pytest.approx(floor, abs=0.051)  # drawn in steps of 0.1 m
-    arrow = np.array(mark.lines[1])
+    arrow = np.array(mark.lines[3])
     torso = away.positions[list(BODY.torso)].mean(axis=0)
     assert np.linalg.norm(arrow[0] - torso, axis=0) > 0.3  # on the floor, not in the body
     assert np.abs(arrow[0] - torso)[[0, 2]].max() < 0.051

@@ -26,7 +26,7 @@ from devices.kinect_access import connected_kinects
 from devices.kinect_choice import choose_two
 from devices.live_pairing import LivePair, LivePairing
 from devices.sensor import DeviceError
-from devices.sensor_thread import SensorState
+from devices.sensor_state import SensorState
 from devices.two_sensors import TwoSensors
 from devices.usb import usb_kinects
 
@@ -304,6 +304,28 @@ def test_both_sources_ended_end_the_pairs() -> None:
         bench.b.put(None)
         pairs = list(two.pairs())
     assert [(pair.a is not None, pair.b is not None) for pair in pairs] == [(True, True), (True, False)]
+
+
+def test_tracker_hangs_at_close_and_the_other_sensor_gives_no_more_frames() -> None:
+    told: list[str] = []
+    release, closed = threading.Event(), threading.Event()
+    a, b = ScriptedSensor("a"), ScriptedSensor("b")
+    two = TwoSensors(a, b, tell=lambda event: told.append(event.message))
+    a.close_hook = lambda: release.wait(PATIENCE_S) and None
+    with two:
+        b.close_hook = closed.set
+        a.put(frame_at(1))
+        b.put(frame_at(1))
+        for _ in two.pairs():
+            two.stop()
+        # while the session is closed, and while A hangs
+        b.put(*(frame_at(2 + index) for index in range(100)))
+        assert closed.wait(PATIENCE_S), "B is closed before A's end is waited for"
+    assert two.b.dropped == 0
+    assert told == ["a does not close; it is left behind. Unplug it before using it again."]
+    assert [event.message for event in two.events()] == told
+    release.set()
+    assert all_threads_end()
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")

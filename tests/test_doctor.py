@@ -76,7 +76,7 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
         assert not named[name].ok, name
         assert named[name].needed, name
     assert all(check.advice for check in checks if not check.ok)
-    assert "duplex-kinects[kinect]" in named["pyk4a and the Sensor SDK"].advice
+    assert "pip install '.[kinect]'" in named["pyk4a and the Sensor SDK"].advice
 
 
 def furnish(root: Path) -> None:
@@ -137,6 +137,8 @@ def test_a_tracker_on_the_cpu_needs_no_gpu(monkeypatch: pytest.MonkeyPatch, tmp_
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     gpu = _by_name(device_checks(TrackerSettings(processing="cpu"), tmp_path))["GPU"]
     assert (gpu.ok, gpu.needed) == (False, False)
+    assert "hardly ever pair" in gpu.advice
+    assert "duplex fuse" in gpu.advice
 
 
 def test_an_orbbecs_udev_rule_counts_too(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -169,6 +171,22 @@ def test_one_kinect_is_not_enough(bus: Bus, tmp_path: Path) -> None:
     assert named["two Kinects"].detail == "2 connected, 1 usable"
     assert "busy" in named["Kinect at place 1"].detail
     assert "k4aviewer" in named["Kinect at place 1"].advice
+
+
+def test_of_three_kinects_two_must_be_chosen_as_for_live(bus: Bus, tmp_path: Path) -> None:
+    bus.devices = [Device("1"), Device("2", jacks=(False, True)), Device("3", jacks=(True, False))]
+    named = _by_name(device_checks(root=tmp_path))
+    assert (named["two Kinects"].ok, named["two Kinects"].needed) == (False, True)
+    assert (
+        named["two Kinects"].advice == "3 Kinects are connected: 1, 2, 3. Choose two: --kinect-a, --kinect-b."
+    )
+    named = _by_name(device_checks(root=tmp_path, choice=("3", "2", None)))
+    assert named["two Kinects"].ok
+    assert named["sync cable"].detail == "from 2 to 3"
+    named = _by_name(device_checks(root=tmp_path, choice=(None, "1", "2")))
+    assert (named["sync cable"].ok, named["sync cable"].needed) == (False, True)
+    named = _by_name(device_checks(root=tmp_path, choice=("9", "2", None)))
+    assert "No Kinect with serial 9" in named["two Kinects"].advice
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux restricts USB devices")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import rerun as rr
 from numpy.typing import NDArray
 
 from fusion.body import KINECT_V2
@@ -16,8 +18,11 @@ from fusion.skeleton import TrackingState
 from recordings import layout
 from recordings.arrays import SessionArrays
 from recordings.explained_trust import StateLanes, TrustMatrix, details, trust_colors
+from recordings.recorder import Recorder
+from recordings.rrd_file import RrdFile
 from tests.conftest import A_FROM_B
 from tests.pictures import pixels_near
+from tests.session_text import rows_of
 from tests.test_live_session import frames
 
 BODY = KINECT_V2
@@ -70,28 +75,94 @@ def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows: Ses
     assert said["weight_a"][3, ELBOW] == np.float16(rows.weights_a[3, ELBOW])
 
 
-def test_the_matrix_is_drawn_once_a_second_and_shows_who_was_trusted(rows: SessionArrays) -> None:
-    pictures = list(TrustMatrix(BODY).add(trusting(rows, 1.0)))
-    assert [t for t, _ in pictures] == [0, 31, 61, 91]
+SECOND = 10**9
+
+
+def pages_of(matrix: TrustMatrix, *blocks: SessionArrays) -> dict[int, bytes]:
+    """The pages by the time from which on each is shown, as a reader of the whole file finds them."""
+    drawn = [page for block in blocks for page in matrix.add(block)]
+    return {time_ns: png for _, time_ns, png in (*drawn, *matrix.rest())}
+
+
+def column(png: bytes, first_s: float, at_s: float) -> NDArray[np.uint8]:
+    """(height, 3) RGB of a moment in a page that begins at `first_s`: 25 pixels a second."""
+    return decoded(png)[: 25 * 20, int((at_s - first_s) * 25.0)]
+
+
+def seconds_of(rows: SessionArrays, seconds: int) -> SessionArrays:
+    """So long, a frame every 100 ms, all of A."""
+    count = seconds * 10
+    picked = trusting(rows[np.arange(count) % len(rows)], 1.0)
+    at = np.arange(count)
+    return replace(picked, frame=at, time_ns=at * (SECOND // 10))
+
+
+def test_every_moment_of_a_file_stands_in_the_page_that_is_shown_then(rows: SessionArrays) -> None:
+    pages = pages_of(TrustMatrix(BODY, 5 * SECOND), seconds_of(rows, 70))
+    assert list(pages) == [0, 15 * SECOND, 30 * SECOND, 45 * SECOND, 60 * SECOND]
+    for at in range(70):
+        shown_from = max(t for t in pages if t <= at * SECOND)
+        first = max(0, shown_from // SECOND - 10)
+        seen = column(pages[shown_from], first, at + 0.1)
+        assert (seen[5] == layout.SKELETON_COLORS["a"]).all(), at
+        if first:  # and the ten seconds before the page
+            assert (column(pages[shown_from], first, first + 0.1)[5] == layout.SKELETON_COLORS["a"]).all()
+
+
+def test_pages_are_drawn_while_they_grow(rows: SessionArrays) -> None:
+    drawn = list(TrustMatrix(BODY, 5 * SECOND).add(seconds_of(rows, 28)))
+    # page 0 after 5, 10, 15 and 20 s, when it still lacks 10 s; the next after 20 and 25 s
+    assert [t // SECOND for _, t, _ in drawn] == [0, 0, 0, 15, 15]
+    amber = [pixels_near(decoded(png), layout.SKELETON_COLORS["a"], 2) for _, _, png in drawn]
+    assert amber[0] < amber[1] < amber[2]
+
+
+def test_the_matrix_shows_who_was_trusted(rows: SessionArrays) -> None:
+    (page,) = pages_of(TrustMatrix(BODY, SECOND), trusting(rows, 1.0)).values()
     a, b = (layout.SKELETON_COLORS[side] for side in layout.SIDES)
-    first, last = (pixels_near(decoded(pictures[k][1]), a, 2) for k in (0, -1))
-    assert last > 10 * first  # what is older moves to the left and stays
-    assert pixels_near(decoded(pictures[-1][1]), b, 2) < 400  # only the legend's
+    assert pixels_near(decoded(page), a, 2) > 25 * 95 * 15  # 4 s of 25 joints, less the lines between them
+    assert pixels_near(decoded(page), b, 2) == 0
+
+
+def test_a_gap_stays_empty(rows: SessionArrays) -> None:
+    all_of = seconds_of(rows, 100)
+    with_gap = all_of[np.flatnonzero((all_of.frame < 120) | (all_of.frame >= 800))]
+    pages = pages_of(TrustMatrix(BODY, SECOND), with_gap)
+    assert list(pages) == [0, 80 * SECOND, 90 * SECOND]
+    assert not (column(pages[80 * SECOND], 65, 70.0)[5] == layout.SKELETON_COLORS["a"]).all()
+    assert (column(pages[80 * SECOND], 65, 81.0)[5] == layout.SKELETON_COLORS["a"]).all()
 
 
 def test_the_matrix_is_the_same_frame_by_frame_and_at_once(rows: SessionArrays) -> None:
-    at_once = [png for _, png in TrustMatrix(BODY).add(rows)]
-    matrix = TrustMatrix(BODY)
-    one_by_one = []
-    for t in range(len(rows)):
-        row = SessionArrays(
-            **{
-                name: value[t : t + 1] if isinstance(value, np.ndarray) and len(value) == len(rows) else value
-                for name, value in vars(rows).items()
-            }
-        )
-        one_by_one += [png for _, png in matrix.add(row)]
-    assert one_by_one == at_once
+    at_once = pages_of(TrustMatrix(BODY, SECOND), rows)
+    assert pages_of(TrustMatrix(BODY, SECOND), *(rows[[t]] for t in range(len(rows)))) == at_once
+
+
+def test_a_file_of_ten_seconds_has_lanes_and_a_matrix_to_its_end(rows: SessionArrays, tmp_path: Path) -> None:
+    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    ten = seconds_of(rows, 10)
+    ten.states_a[90:, ELBOW] = TrackingState.INFERRED
+    file = tmp_path / "s.rrd"
+    stream = rr.RecordingStream(layout.APPLICATION_ID)
+    stream.save(file)
+    recorder = Recorder(stream, fuser, ("a", "b"))
+    recorder.record_rows(ten)
+    recorder.finish()
+    stream.flush()
+    stream.disconnect()
+    assert rows_of(file, layout.state_lane("a", BODY.joints[ELBOW])) == 2
+    with RrdFile(file) as read:
+        drawn = [
+            bytes(blob[0])
+            for entity, batch in read.chunks(images=True)
+            if entity == layout.TRUST_MATRIX
+            for blob in batch.column("EncodedImage:blob").to_pylist()
+        ]
+    filled = [
+        (column(drawn[-1], 0, tenth / 10 + 0.05)[5] == layout.SKELETON_COLORS["a"]).all()
+        for tenth in range(100)
+    ]
+    assert sum(filled) / 10 > 9.0
 
 
 def test_only_joints_that_change_have_a_lane_and_it_begins_at_the_beginning(rows: SessionArrays) -> None:

@@ -55,6 +55,29 @@ def test_frames_carry_depth_and_the_sensors_own_time() -> None:
     assert first.host_ns <= second.host_ns
 
 
+def test_frames_that_the_sdk_had_no_room_for_are_counted(two: Bus) -> None:
+    (device,) = (device for device in two.devices if device.serial == "000123")
+    device.skips = 3  # the tracker takes four frames' time for each
+    thread = SensorThread(sensor := _sensor())
+    with sensor:
+        frames = sensor.frames()
+        next(frames)
+        assert sensor.missed == 0, "before the first frame nothing is known"
+        next(frames)
+        next(frames)
+        assert sensor.missed == thread.dropped == 6
+        device.skips, device.clock_usec = 0, 5_000  # a reset
+        next(frames)
+        next(frames)
+        device.interval_usec = 40_000  # 5 fps slower: nothing is missing
+        next(frames)
+        assert sensor.missed == 6
+    device.clock_usec += 10_000_000
+    with sensor:
+        next(sensor.frames())
+    assert sensor.missed == 6, "closed meanwhile"
+
+
 @pytest.mark.usefixtures("two")
 def test_intrinsics_are_the_calibrations_in_opencvs_order() -> None:
     with _sensor() as sensor:
@@ -206,7 +229,7 @@ def test_a_tracker_that_is_missing_leaves_the_sensor_closed(two: Bus, tmp_path: 
 
 def test_without_pyk4a_the_way_to_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyk4a", None)
-    with pytest.raises(DeviceError, match=r"pyk4a.*duplex-kinects\[kinect\]"):
+    with pytest.raises(DeviceError, match=r"pyk4a.*pip install '\.\[kinect\]'"):
         connected_kinects()
 
 

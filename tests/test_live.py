@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import MagicMock
 
@@ -20,6 +21,7 @@ from fusion.body import KINECT_V1, KINECT_V2
 from fusion.calibration import calibrate
 from fusion.fuser import Fuser, FuserSettings
 from recordings.arrays import SessionArrays
+from tests import conftest
 from tests.conftest import FRAME_NS, moving, pair_of, standing
 from viewer_app.cli import main
 from viewer_app.live import Calibrator, run_live, short_turns
@@ -145,6 +147,42 @@ def test_the_truth_is_that_of_a_sensors_own_time() -> None:
     )
     start = 10**10
     assert asked == [start, start + FRAME_NS, *(start + t * FRAME_NS - 10**9 for t in (2, 3))]
+
+
+@dataclass
+class TwoPeople:
+    """Two sensors that see two people, with one of them in the middle of A's view, the other of B's."""
+
+    where: tuple[list[float], list[float]]  # metres in K_A's frame, from the standing person
+    stream_figures = None
+
+    def pairs(self) -> Iterator[LivePair]:
+        for t in range(3):
+            seen = [pair_of(KINECT_V1, standing(KINECT_V1) + np.array(at), t * FRAME_NS) for at in self.where]
+            a = SensorFrame(t * FRAME_NS, {"1": seen[0].a, "2": seen[1].a})
+            b = SensorFrame(t * FRAME_NS, {"8": seen[1].b, "9": seen[0].b})
+            yield LivePair(a, b, t * FRAME_NS, 0)
+
+    def events(self) -> tuple[()]:
+        return ()
+
+
+@pytest.mark.parametrize(("known", "b_follows"), [(False, "8"), (True, "9")])
+def test_both_sensors_follow_one_person_once_they_know_each_others_place(known: bool, b_follows: str) -> None:
+    a_from_b = conftest.A_FROM_B
+    middle = standing(KINECT_V1)[list(KINECT_V1.torso)].mean(axis=0)
+    # the first 1.9 m before A, the second 2.6 m before B, each on that sensor's axis; about a metre apart
+    first, second = np.array([0.0, 0.0, 1.9]), a_from_b.apply([0.0, 0.0, 2.6])
+    pair = pair_of(KINECT_V1, standing(KINECT_V1))
+    _, frames = run_live(
+        TwoPeople(((first - middle).tolist(), (second - middle).tolist())),
+        body=KINECT_V1,
+        settings=FuserSettings(),
+        intrinsics=(None, None),
+        calibration=calibrate(KINECT_V1, [pair], "before") if known else None,
+        recorder_for=lambda _: MagicMock(),
+    )
+    assert [(frame.pair.person_a, frame.pair.person_b) for frame in frames] == [("1", b_follows)] * 3
 
 
 def test_stacking_keeps_what_the_loop_gave() -> None:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import io
 import json
 import os
 import signal
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from session_text import events_of, rows_of
 from standin import Standin
 from standin_pyk4a import JPEG, Bus, Device, make_module
@@ -19,7 +22,10 @@ from test_doctor import furnish, plug_in
 
 from devices import doctor as device_doctor
 from devices import kinect
+from devices.body_tracking import BodyTracker
+from devices.live_pairing import LivePairing
 from devices.pairing import Pairing
+from devices.sensor_thread import SensorThread
 from devices.usb import UsbKinect
 from fusion.body import AZURE_KINECT
 from fusion.calibration import nominal_calibration
@@ -27,8 +33,10 @@ from fusion.fuser import Fuser, FuserSettings
 from recordings.calibration_file import calibration_to_json
 from recordings.rrd_file import read_columns
 from recordings.session import Session
-from viewer_app import live_command
+from viewer_app import display, live_command
 from viewer_app.cli import main
+from viewer_app.live_command import two_kinects
+from viewer_app.options import LiveOptions
 from viewer_app.report import FusionResult
 from viewer_app.report import report as report_of
 
@@ -169,6 +177,82 @@ def test_skew_drift_and_drops_are_on_the_timeline(kinects: Bus, standin: Standin
     # one of six frames of A has no partner
     assert unpaired[-1, 0] >= rows_of(saved, "/fused/skeleton") // 6 - 2 > 0
     assert (np.diff(unpaired, axis=0) >= 0).all()
+
+
+def _pairing_settings(monkeypatch: pytest.MonkeyPatch, **options: object) -> dict[str, object]:
+    """What ``two_kinects`` makes the pairing with."""
+    given: dict[str, object] = {}
+
+    def pairing(interval_ns: int, **more: object) -> LivePairing:
+        given.update(interval_ns=interval_ns, **more)
+        return LivePairing(interval_ns, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("viewer_app.live_command.LivePairing", pairing)
+    two_kinects(LiveOptions(**options), Console())  # type: ignore[arg-type]
+    return given
+
+
+@pytest.mark.usefixtures("kinects")
+@pytest.mark.parametrize(("principal", "b_later_ns"), [("000456", 160_000), ("000123", -160_000)])
+def test_b_captures_later_where_a_leads_and_earlier_where_it_follows(
+    principal: str, b_later_ns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the cable leads from 000456 to 000123
+    assert _pairing_settings(monkeypatch, principal=principal)["sync_delay_ns"] == b_later_ns
+
+
+@pytest.mark.parametrize(("fps", "wait_ms", "gone_ms"), [(5, 200, 800), (15, 100, 500), (30, 100, 500)])
+def test_pairing_has_the_patience_that_the_rate_needs(
+    kinects: Bus, monkeypatch: pytest.MonkeyPatch, fps: int, wait_ms: int, gone_ms: int
+) -> None:
+    for device in kinects.devices:
+        device.jacks = (False, False)
+    given = _pairing_settings(monkeypatch, principal="000123", fps=fps)
+    assert given["sync_delay_ns"] is None
+    assert given["interval_ns"] == round(1e9 / fps)
+    assert (given["max_wait_ns"], given["gone_after_ns"]) == (wait_ms * 1_000_000, gone_ms * 1_000_000)
+
+
+@pytest.mark.usefixtures("kinects")
+def test_on_a_cpu_it_says_that_pairs_are_rare(capsys: pytest.CaptureFixture[str]) -> None:
+    two_kinects(LiveOptions(principal="000123", processing="cpu"), Console())
+    said = " ".join(capsys.readouterr().out.split())
+    assert "hardly ever pair" in said
+    assert "duplex fuse a.mkv b.mkv" in said
+
+
+@pytest.mark.parametrize(("processing", "within_s"), [("gpu", 120.0), ("tensorrt", 900.0)])
+@pytest.mark.usefixtures("kinects")
+def test_tensorrt_has_time_to_build_its_engine(
+    processing: str, within_s: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given: list[float] = []
+
+    def open_thread(thread: SensorThread, within_s: float) -> SensorThread:
+        given.extend((within_s, thread.sensor.settings.start_s))
+        return thread
+
+    monkeypatch.setattr(SensorThread, "open", open_thread)
+    options = LiveOptions(kinect_a="000123", kinect_b="000456", processing=processing)
+    with two_kinects(options, Console()):
+        assert given == [within_s] * 4
+    assert ("TensorRT builds its engine; minutes" in capsys.readouterr().out) == (processing == "tensorrt")
+
+
+def test_frames_lost_before_a_slow_tracker_are_told(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, b = kinects.devices
+    b.at[5] = lambda: setattr(b, "clock_usec", b.clock_usec + 40 * b.interval_usec)
+    saved, report = tmp_path / "s.rrd", tmp_path / "report.json"
+    assert live(standin, saved, "--report", report) == 0
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert figures["streams"]["too_slow_for"]["b"] >= 40
+    assert figures["dropped"]["b"] >= 40
+    said = " ".join(capsys.readouterr().out.split())
+    assert "frames of B we were too slow for 4" in said
+    counted = read_columns(saved, lambda entity: entity == "/quality/dropped").values
+    assert counted["/quality/dropped", "Scalars:scalars"][1][-1, 1] >= 40
 
 
 def test_a_report_has_what_that_of_fuse_has(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
@@ -346,6 +430,53 @@ def test_tracker_crashes_to_an_error_code(kinects: Bus, standin: Standin, tmp_pa
     assert any("is back" in text for text in told)
 
 
+def test_driver_raises_what_no_one_expects(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def oddity() -> None:
+        raise RuntimeError("driver oddity")
+
+    kinects.devices[0].at[20] = oddity
+    saved = tmp_path / "s.rrd"
+    assert live(standin, saved, seconds=20.0) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(
+        "duplex: 000123 failed within its driver or this program (RuntimeError: driver oddity)"
+    )
+    assert said.count("\n") == 1
+    assert rows_of(saved, "/fused/skeleton") >= 5
+    assert kinects.open_serials == []
+    gc.collect()  # the error's traceback holds the last capture
+
+
+def test_tracker_hangs_at_close(
+    kinects: Bus,
+    standin: Standin,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert len(kinects.devices) == 2
+    release, hung, close = threading.Event(), [], BodyTracker.close
+
+    def hang(tracker: BodyTracker) -> None:
+        if tracker._library is not None and not hung:  # that of the one that closes first
+            hung.append(tracker)
+            release.wait(60.0)
+        close(tracker)
+
+    monkeypatch.setattr(BodyTracker, "close", hang)
+    saved, report = tmp_path / "s.rrd", tmp_path / "report.json"
+    assert live(standin, saved, "--report", report, seconds=0.5) == 0
+    assert "does not close; it is left behind" in " ".join(capsys.readouterr().out.split())
+    assert rows_of(saved, "/fused/skeleton") > 0
+    release.set()
+    for thread in threading.enumerate():
+        if thread.name.startswith("sensor "):
+            thread.join(60.0)
+    assert kinects.open_serials == []
+
+
 def test_one_sensor_5_fps_slower(
     kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -411,12 +542,19 @@ def test_the_doctor_says_0_where_live_starts(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setenv("DISPLAY", ":77")
     furnish(tmp_path)
     for number, device in enumerate(kinects.devices):
         plug_in(tmp_path, device.serial, number=number)
     checks = device_doctor.device_checks
-    monkeypatch.setattr("viewer_app.doctor_command.device_checks", lambda of: checks(of, tmp_path))
+    monkeypatch.setattr(
+        "viewer_app.doctor_command.device_checks", lambda of, **more: checks(of, tmp_path, **more)
+    )
+    if sys.platform.startswith("linux"):
+        monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")  # windows open there; depth is made with X
+        assert duplex("doctor", "--k4abt", standin.path) == 1
+        assert "cannot start: depth engine.\n" in capsys.readouterr().out
+    monkeypatch.setattr(display, "_answers", lambda name, within: name == ":77" and within > 0.0)
     assert duplex("doctor", "--k4abt", standin.path) == 0
     said = capsys.readouterr().out
     assert "✓ two Kinects: 2 connected, 2 usable" in said
@@ -424,6 +562,11 @@ def test_the_doctor_says_0_where_live_starts(
     assert "never a real sensor" in said
     assert said.endswith("duplex live can start.\n")
     assert live(standin, tmp_path / "s.rrd", seconds=0.2) == 0
+    kinects.devices.append(Device("000789"))
+    assert duplex("doctor", "--k4abt", standin.path) == 1
+    assert "cannot start: two Kinects.\n" in capsys.readouterr().out
+    assert duplex("doctor", "--k4abt", standin.path, "--kinect-a", "000123", "--kinect-b", "000456") == 0
+    kinects.devices.pop().plugged = False
     kinects.devices[0].jacks = (False, False)
     assert duplex("doctor", "--k4abt", standin.path) == 1
     assert "joins no sync out to a sync in" in capsys.readouterr().out

@@ -33,6 +33,16 @@ def _pixels(color: ColorImage) -> np.ndarray:
     return cv2.imdecode(np.frombuffer(color.jpeg, np.uint8), cv2.IMREAD_COLOR)
 
 
+def test_frames_can_be_read_again(recording: Path) -> None:
+    with MkvRecording(recording) as opened:
+        begun = opened.frames()
+        first = next(begun)
+        times = [[frame.time_ns for frame in opened.frames()] for _ in range(2)]
+        assert times[0] == times[1] == [first.time_ns + 1000 * k * INTERVAL_US for k in range(FRAMES)]
+        assert len(list(begun)) == FRAMES - 1
+        assert opened.warnings == []
+
+
 def test_real_recording_gives_its_one_capture(shared: Path) -> None:
     with MkvRecording(shared / "azure" / "recording.mkv") as recording:
         (frame,) = recording.frames()

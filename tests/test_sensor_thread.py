@@ -14,7 +14,8 @@ import pytest
 from scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 
 from devices.sensor import DeviceError
-from devices.sensor_thread import SensorState, SensorThread
+from devices.sensor_state import SensorState
+from devices.sensor_thread import SensorThread
 
 
 def _after(sensor: ScriptedSensor) -> None:
@@ -159,9 +160,34 @@ def test_a_lost_sensor_says_so_while_it_is_gone(sensor: ScriptedSensor) -> None:
         go_on.set()
 
 
+def test_the_first_frame_may_take_longer_and_that_is_told_once(sensor: ScriptedSensor) -> None:
+    now = [100.0]
+    with SensorThread(
+        sensor, stall_s=2.0, first_s=60.0, clock=lambda: now[0], wait=lambda *_: False
+    ) as thread:
+        for opening in range(2):
+            now[0] += 1.9
+            assert all("is back" in event.message for event in thread.events())
+            now[0] += 57.9
+            assert thread.state is SensorState.RUNNING
+            assert [event.message for event in thread.events()] == [
+                "000123: waiting for the body tracker's first result."
+            ]
+            assert thread.events() == []
+            if opening == 0:
+                sensor.put(frame_at(1), unplugged())
+                _after(sensor)
+                thread.events()
+        now[0] += 0.3
+        assert thread.state is SensorState.STALLED
+        assert ["stalls: no frame for 60 s" in event.message for event in thread.events()] == [True]
+
+
 def test_a_silent_sensor_is_stalled_and_then_not(sensor: ScriptedSensor) -> None:
     now = [100.0]
     with SensorThread(sensor, stall_s=2.0, clock=lambda: now[0]) as thread:
+        sensor.put(frame_at(0))
+        _after(sensor)
         now[0] = 101.9
         assert thread.state is SensorState.RUNNING
         now[0] = 102.1
@@ -191,8 +217,9 @@ def test_a_fault_of_the_program_reaches_the_reader(sensor: ScriptedSensor, threa
     thread.arrival.clear()
     sensor.put(ZeroDivisionError("a bug"))
     assert thread.arrival.wait(PATIENCE_S)
-    with pytest.raises(ZeroDivisionError, match="a bug"):
+    with pytest.raises(DeviceError, match=r"000123 failed .*\(ZeroDivisionError: a bug\)") as told:
         thread.take()
+    assert isinstance(told.value.__cause__, ZeroDivisionError)
 
 
 def test_closing_a_waiting_sensor_does_not_hang(sensor: ScriptedSensor) -> None:

@@ -3,10 +3,13 @@
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from unittest import mock
 from uuid import uuid4
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import rerun as rr
 
@@ -14,10 +17,11 @@ from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
 from fusion.fuser import Fuser, FuserSettings
 from recordings import layout
 from recordings.arrays import RecordedFrame
-from recordings.checksums import frame_checksums, fused_checksums
+from recordings.checksums import event_checksum, frame_checksums, fused_checksums
 from recordings.errors import RecordingError
 from recordings.recorder import Recorder
 from recordings.rewriting import rewrite
+from recordings.rrd_file import _decode_names
 from recordings.session import Session
 from recordings.testing import FusedRun, assert_sessions_match, fused_run, record_fused
 from tests import campaign_sessions
@@ -246,3 +250,35 @@ def test_checksums_do_not_depend_on_how_many_frames_are_looked_at_together(
     at_once = frame_checksums(rows)
     monkeypatch.setattr("recordings.checksums._BLOCK", 9)
     np.testing.assert_array_equal(frame_checksums(rows), at_once)
+
+
+def test_an_event_moved_to_another_time_is_damage(tmp_path: Path) -> None:
+    path, moved = tmp_path / "s.rrd", tmp_path / "moved.rrd"
+    fuser = Fuser(calibration_of(KINECT_V1))
+    for file, at in ((path, None), (moved, (1, 7))):
+        with rr.RecordingStream("duplex_kinects") as stream:
+            stream.set_sinks(rr.FileSink(str(file)))
+            recorder = Recorder(stream, fuser, ("a", "b"))
+            pairs = frame_pairs(KINECT_V1, 3)
+            recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
+            there = partial(event_checksum, (2, 5))
+            with mock.patch("recordings.recorder.event_checksum", lambda _, *of: there(*of)):  # noqa: B023
+                recorder.event("lost", at=at or (2, 5))
+            recorder.finish()
+    assert [event.text for event in Session.open(path).events] == ["lost"]
+    session = Session.open(moved)
+    assert (session.events, session.damage) == ((), "an event does not match its checksum")
+
+
+def test_a_name_within_a_field_that_is_no_text_is_noticed() -> None:
+    kind = pa.list_(pa.struct([("abcdef", pa.int64())]))
+    batch = pa.RecordBatch.from_arrays([pa.array([[{"abcdef": 1}]], kind)], names=["x"])
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, batch.schema) as stream:
+        stream.write_batch(batch)
+    damaged = sink.getvalue().to_pybytes().replace(b"abcdef", b"\xfabcdef")
+    with pa.ipc.open_stream(damaged) as stream:
+        read = stream.read_next_batch()
+    read.validate(full=True)  # does not
+    with pytest.raises(UnicodeDecodeError):
+        _decode_names(read.schema.field("x").type)

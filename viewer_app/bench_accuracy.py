@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -17,33 +17,19 @@ from devices.people import choose_person
 from devices.simulated.comparison import (
     COUNTERPARTS,
     Figure,
-    azure_figures,
     figures,
+    published_figures,
     simulated_statistics,
 )
 from devices.simulated.movements import MOTIONS
 from devices.simulated.realism import statistics
 from devices.skeleton_files import SkeletonRecording
 from fusion.body import BODIES
+from viewer_app.accuracy_tables import table_by, tables_of_methods
 from viewer_app.accuracy_trials import METHODS, Outcome, Trial, run_trials
 from viewer_app.errors import UsageError
 from viewer_app.options import BenchAccuracyOptions
 from viewer_app.outputs import check_writable, whole_file
-
-_COLUMNS: dict[str, tuple[str, float, int]] = {
-    "mpjpe": ("MPJPE mm", 1e3, 1),
-    "p95": ("95 % mm", 1e3, 0),
-    "hidden_one": ("hidden in one view mm", 1e3, 0),
-    "hidden_both": ("hidden in both mm", 1e3, 0),
-    "bone_error": ("largest bone error mm", 1e3, 0),
-    "bone_deviation": ("bone deviation mm", 1e3, 1),
-    "jitter": ("jitter, still mm", 1e3, 1),
-    "acceleration": ("acceler. error mm/frame²", 1e3, 1),
-    "swapped": ("L/R swapped %", 1e2, 1),
-    "lag": ("lag frames", 1.0, 2),
-    "fuse_us": ("µs a frame", 1.0, 0),
-}
-"""By figure: the column's title, the factor to its unit, digits."""
 
 
 def run(options: BenchAccuracyOptions) -> None:
@@ -53,6 +39,7 @@ def run(options: BenchAccuracyOptions) -> None:
         DeviceError, FusionError, UsageError: With one line for the person who asked.
     """
     console = Console()
+    _check(options)
     for path in filter(None, (options.json, options.picture)):
         check_writable(path, options.force)
     if options.set == "real":
@@ -64,13 +51,25 @@ def run(options: BenchAccuracyOptions) -> None:
             partial.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
+def _check(options: BenchAccuracyOptions) -> None:
+    """Finds out before the work what cannot be done."""
+    if options.seeds < 1:
+        raise UsageError(f"--seeds must be 1 or more; got {options.seeds}.")
+    if not 0.0 < options.seconds < float("inf"):
+        raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
+    if options.set == "real":
+        if options.picture is not None:
+            raise UsageError("--picture draws the methods: leave out --set real, or choose --json.")
+        return
+    if options.recordings is not None:
+        raise UsageError("--recordings are compared with the simulator only: add --set real.")
+    if not options.motions or not options.angles:
+        raise UsageError("At least one of --motions and one of --angles is needed.")
+    if unknown := [motion for motion in options.motions if motion not in MOTIONS]:
+        raise UsageError(f"Movements must be among {', '.join(MOTIONS)}; got {', '.join(unknown)}.")
+
+
 def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[str, Any]:
-    unknown = [motion for motion in options.motions if motion not in MOTIONS]
-    if unknown or not options.motions or not options.angles or options.seeds < 1:
-        raise UsageError(
-            f"Movements must be among {', '.join(MOTIONS)}, with at least one angle and one seed"
-            + (f"; got {', '.join(unknown)}." if unknown else ".")
-        )
     trials = [
         Trial(motion, angle, seed)
         for motion in options.motions
@@ -88,13 +87,12 @@ def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[st
         f"{options.seeds} seeds, {options.seconds:g} s each, measured after the start-up pose.",
         highlight=False,
     )
-    console.print(_table_of_methods(outcomes))
-    console.print(_wins(outcomes), highlight=False)
-    for title, of in (
-        ("movement", lambda trial: trial.motion),
-        ("angle °", lambda trial: f"{trial.angle:g}"),
+    for table in (
+        *tables_of_methods(outcomes),
+        table_by("movement", lambda trial: trial.motion, outcomes),
+        table_by("angle °", lambda trial: f"{trial.angle:g}", outcomes),
     ):
-        console.print(_table_by(title, of, outcomes))
+        console.print(table)
     if options.picture is not None:
         _draw(outcomes, options.picture)
     return {
@@ -111,77 +109,6 @@ def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[st
             for o in outcomes
         ],
     }
-
-
-def _over_seeds(outcomes: Iterable[Outcome], name: str) -> list[float]:
-    """A figure for each seed, averaged over movements and angles."""
-    by_seed: dict[int, list[float]] = {}
-    for outcome in outcomes:
-        value = outcome.figures[name]
-        if np.isfinite(value):
-            by_seed.setdefault(outcome.trial.seed, []).append(value)
-    return [float(np.mean(values)) for values in by_seed.values()]
-
-
-def _table_of_methods(outcomes: list[Outcome]) -> Table:
-    table = Table(
-        title="Methods on identical input: mean over movements and angles ± deviation over seeds",
-        title_justify="left",
-    )
-    table.add_column("method")
-    for title, _, _ in _COLUMNS.values():
-        table.add_column(title, justify="right")
-    best = {name: _best(outcomes, name) for name in _COLUMNS}
-    for method in METHODS:
-        of_method = [o for o in outcomes if o.method == method]
-        cells = []
-        for name, (_, scale, digits) in _COLUMNS.items():
-            values = np.array(_over_seeds(of_method, name)) * scale
-            if values.size == 0:
-                cells.append("–")
-                continue
-            text = f"{values.mean():.{digits}f}"
-            if values.size > 1 and name != "fuse_us":
-                text += f"±{values.std(ddof=1):.{digits}f}"
-            cells.append(f"[bold]{text}[/]" if best[name] == method else text)
-        table.add_row(method, *cells)
-    return table
-
-
-def _best(outcomes: list[Outcome], name: str) -> str:
-    def mean(method: str) -> float:
-        values = _over_seeds((o for o in outcomes if o.method == method), name)
-        return abs(float(np.mean(values))) if values else np.inf
-
-    return min(METHODS, key=mean)
-
-
-def _wins(outcomes: list[Outcome]) -> str:
-    """Paired by recording: how often ours is nearer to the truth than each other method."""
-    ours = {o.trial: o.figures["mpjpe"] for o in outcomes if o.method == "ours"}
-    shares = []
-    for method in METHODS[:-1]:
-        others = [o for o in outcomes if o.method == method]
-        share = np.mean([ours[o.trial] < o.figures["mpjpe"] for o in others])
-        shares.append(f"{method} {share:.0%}")
-    return f"Ours has the smaller MPJPE in so many of the same recordings: {', '.join(shares)}."
-
-
-def _table_by(title: str, of: Callable[[Trial], str], outcomes: list[Outcome]) -> Table:
-    table = Table(title=f"MPJPE in mm by {title.split()[0]}", title_justify="left")
-    table.add_column(title)
-    for method in METHODS:
-        table.add_column(method, justify="right")
-    for group in dict.fromkeys(of(o.trial) for o in outcomes):
-        means = [
-            float(np.mean([o.figures["mpjpe"] for o in outcomes if o.method == m and of(o.trial) == group]))
-            for m in METHODS
-        ]
-        table.add_row(
-            group,
-            *(f"[bold]{v * 1e3:.1f}[/]" if v == min(means) else f"{v * 1e3:.1f}" for v in means),
-        )
-    return table
 
 
 def _draw(outcomes: list[Outcome], path: Path) -> None:
@@ -226,34 +153,56 @@ def _draw(outcomes: list[Outcome], path: Path) -> None:
 
 
 def _compare_with_real(console: Console, options: BenchAccuracyOptions) -> dict[str, Any]:
-    seeds = range(options.seeds)
     compared: dict[str, list[Figure]] = {}
     for name, setting in COUNTERPARTS.items():
         with console.status(f"simulating {name}"):
-            if name == "azure_squat":
-                compared[name] = azure_figures(simulated_statistics(setting, seeds))
-            elif options.recordings is not None:
-                folder = options.recordings / name
+            folder = None if options.recordings is None else options.recordings / name
+            real = None
+            if folder is not None and name != "azure_squat":  # of which no recording is at hand
                 real = statistics(*_views(folder / "a.csv", folder / "b.csv"))
-                compared[name] = figures(
-                    real, simulated_statistics(setting, seeds), standing=setting.motion == "still"
-                )
+            simulated = simulated_statistics(setting, range(options.seeds))
+            if real is not None:
+                compared[name] = figures(real, simulated, standing=setting.motion == "still")
+            compared[f"{name}, published"] = published_figures(name, simulated)
     for name, found in compared.items():
-        table = Table(title=name.replace("_", " "), title_justify="left")
-        for column in ("figure", "real", "simulated", "ratio", "within 1.5"):
-            table.add_column(column, justify="left" if column == "figure" else "right")
-        for figure in found:
-            table.add_row(*figure.printed(), "yes" if figure.within(1.5) else "[bold]no[/]")
-        console.print(table)
+        _print_figures(console, name.replace("_", " "), found)
     if options.recordings is None:
         console.print("With --recordings FOLDER, real pairs FOLDER/NAME/a.csv and b.csv are compared too.")
     return {
         name: [
-            {"figure": f.name, "real": [f.low, f.high], "simulated": f.simulated, "ratio": f.ratio}
+            {"figure": f.name, "reason": f.reason, "within_1.5": f.within(1.5) if f.known else None}
+            | {
+                key: value if np.isfinite(value) else None
+                for key, value in (
+                    ("real_low", f.low),
+                    ("real_high", f.high),
+                    ("simulated", f.simulated),
+                    ("ratio", f.ratio),
+                )
+            }
             for f in found
         ]
         for name, found in compared.items()
     }
+
+
+def _print_figures(console: Console, title: str, found: list[Figure]) -> None:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for column in ("figure", "real", "simulated", "ratio", "within 1.5"):
+        table.add_column(column, justify="left" if column == "figure" else "right", no_wrap=True)
+    known = [figure for figure in found if figure.known]
+    for figure in found:
+        verdict = ("yes" if figure.within(1.5) else "[bold]no[/]") if figure.known else "–"
+        table.add_row(*figure.printed(), verdict)
+    console.print(table)
+    within = sum(figure.within(1.5) for figure in known)
+    ratios = [figure.ratio for figure in known if figure.ratio > 0.0]
+    farthest = f"; farthest ratio {max(ratios, key=lambda ratio: abs(np.log(ratio))):.2f}" if ratios else ""
+    console.print(f"{within} of {len(known)} figures within 1.5{farthest}.", highlight=False)
+    for figure in found:
+        if figure.reason and not (figure.known and np.isfinite(figure.ratio) and figure.within(1.5)):
+            console.print(f"{figure.name.replace('_', ' ')}: {figure.reason}.", highlight=False)
+    console.print()
 
 
 def _views(path_a: Path, path_b: Path) -> tuple[list[Any], list[Any]]:

@@ -38,6 +38,8 @@ _OVERVIEW, _HIGH = 2.1, 1.4
 """In *setup*: from behind both sensors, times their distance from the person, and metres above."""
 _BEHIND, _ABOVE = 2.4, 0.4
 """In *inspect*: metres behind the person and over their middle, who then stands before both sensors."""
+_PLOTS_A_ROW = 6
+"""In *report*: at most, so that a laptop's screen has room for their titles."""
 _FRUSTA = {"setup": 0.3, "inspect": 0.2}  # metres
 
 
@@ -96,6 +98,7 @@ def _setup(fuser: Fuser, person_at: NDArray[np.float64], color: bool) -> rrb.Con
     forth = 0.5 * _place_of_b(fuser, person_at) - person_at  # to half-way between the sensors
     seen = rrb.TimeSeriesView(
         origin=layout.QUALITY,
+        contents=["$origin"],  # beneath it are the streams' figures, in other units
         name="joints tracked by each sensor",
         overrides={layout.QUALITY: appearance.tracked_lines()},
         axis_y=rrb.ScalarAxis(range=(0.0, len(fuser.calibration.body) + 1.0)),
@@ -109,8 +112,9 @@ def _setup(fuser: Fuser, person_at: NDArray[np.float64], color: bool) -> rrb.Con
     )
     advice = rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="what to do next")
     return rrb.Horizontal(
-        rrb.Vertical(*images),
-        rrb.Vertical(scene, rrb.Horizontal(advice, seen, _events()), row_shares=[7, 3]),
+        rrb.Vertical(*images, seen, row_shares=[5, 5, 3]),
+        # an event's line does not wrap
+        rrb.Vertical(scene, rrb.Horizontal(advice, _events(), column_shares=[1, 2]), row_shares=[7, 3]),
         column_shares=[3, 8],
         name="setup",
     )
@@ -137,6 +141,7 @@ def _inspect(fuser: Fuser, person_at: NDArray[np.float64], live: bool) -> rrb.Co
     behind = person_at + _BEHIND * away - np.array([0.0, _ABOVE, 0.0])
     limbs = [f"{bone}_{side}" for bone in _LIMBS for side in ("left", "right")]
     prominent = [body.joints[body.joint(name)] for name in layout.PROMINENT_JOINTS]
+    disagreement, *others = (_plot(*figure) for figure in _FIGURES)
     trust_lines = rrb.TimeSeriesView(
         origin=layout.FUSED_SKELETON,
         name="trust in A, limbs",
@@ -155,15 +160,16 @@ def _inspect(fuser: Fuser, person_at: NDArray[np.float64], live: bool) -> rrb.Co
                 hidden=[*(layout.points(side) for side in layout.SIDES), f"{layout.COACH}/**"],
             ),
             rrb.Tabs(
-                *(_plot(*figure) for figure in _FIGURES),
-                *(
-                    rrb.TimeSeriesView(origin=layout.stream_figure(name), name=title)
-                    for name, title in (_STREAM_FIGURES if live else ())
-                ),
+                disagreement,
                 rrb.StateTimelineView(
                     origin="/",
                     contents=[layout.state_lane(side, joint) for joint in prominent for side in layout.SIDES],
                     name="states, limbs",
+                ),
+                *others,
+                *(
+                    rrb.TimeSeriesView(origin=layout.stream_figure(name), name=title)
+                    for name, title in (_STREAM_FIGURES if live else ())
                 ),
                 rrb.StateTimelineView(origin=layout.STATE_LANES, name="states"),
                 trust_lines,
@@ -174,7 +180,7 @@ def _inspect(fuser: Fuser, person_at: NDArray[np.float64], live: bool) -> rrb.Co
         ),
         rrb.Vertical(
             rrb.Spatial2DView(origin=layout.TRUST_MATRIX, name="whose view made each joint"),
-            rrb.Grid(*_bone_plots([bone for bone in limbs if bone in body.bones]), grid_columns=2),
+            rrb.Grid(*_bone_plots([bone for bone in limbs if bone in body.bones], " (m)"), grid_columns=2),
             row_shares=[1, 1],
         ),
         column_shares=[5, 6],
@@ -183,30 +189,39 @@ def _inspect(fuser: Fuser, person_at: NDArray[np.float64], live: bool) -> rrb.Co
 
 
 def _report(body: Body) -> rrb.Container:
-    plots = _bone_plots((body.bones[joint] for joint in body.bone_joints), legend=True)
-    return rrb.Grid(
-        *plots,
-        rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="how good"),
-        grid_columns=math.ceil(math.sqrt(len(plots) + 1)),
+    plots = _bone_plots(body.bones[joint] for joint in body.bone_joints)
+    rows = np.array_split(np.arange(len(plots)), math.ceil(len(plots) / _PLOTS_A_ROW))
+    legend = "how good; above: bones in m, S_A brown, S_B blue, S* purple, target grey"
+    return rrb.Vertical(
+        *(rrb.Horizontal(*(plots[k] for k in row)) for row in rows),
+        rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name=legend),
         name="report",
     )
 
 
-def _bone_plots(bones: Iterable[str], legend: bool = False) -> list[rrb.View]:
+def _bone_plots(bones: Iterable[str], unit: str = "") -> list[rrb.View]:
     return [
         rrb.TimeSeriesView(
             origin=layout.BONES,
-            name=f"{bone.replace('_', ' ')} (m)",
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend and k == 0),
+            name=bone_title(bone) + unit,
+            plot_legend=rrb.PlotLegend(visible=False),
             overrides={layout.BONES: appearance.bone_lines(bone)},
         )
-        for k, bone in enumerate(bones)
+        for bone in bones
     ]
+
+
+def bone_title(bone: str) -> str:
+    """upper_arm_left as ``L upper arm``: short enough for the plot of one bone among thirty."""
+    name, _, side = bone.rpartition("_")
+    words = f"{side[0].upper()} {name}" if side in ("left", "right") else bone
+    return words.replace("_", " ")
 
 
 def _plot(name: str, title: str) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
         origin=layout.QUALITY,
+        contents=["$origin"],
         name=title,
         plot_legend=rrb.PlotLegend(visible=False),
         overrides={layout.QUALITY: appearance.figure_lines(name)},
@@ -228,7 +243,7 @@ def _scene(
     hidden: Sequence[str] = (),
 ) -> rrb.Spatial3DView:
     """Everything in K_A's frame; depth cameras as frusta: their points are an entity of their own."""
-    left_out = [layout.TRUTH_SKELETON, layout.TRUST_MATRIX, *hidden]
+    left_out = [layout.TRUTH_SKELETON, f"{layout.TRUST_MATRIX}/**", *hidden]
     return rrb.Spatial3DView(
         origin="/",
         contents=["$origin/**", *(f"- {entity}" for entity in left_out)],

@@ -152,15 +152,16 @@ class Coach:
         for k, side in enumerate("AB"):
             came = sum(view.came for view in self._views[k]) / _RATE_WINDOW
             if came < RATE * self._rate:
+                few = int(came)  # rounded it might be the limit itself
                 yield Advice(
                     f"rate {side}",
-                    f"Sensor {side} gives {came:.0f} frames a second; below {RATE * self._rate:.0f} "
+                    f"Sensor {side} gives {few} frames a second; below {RATE * self._rate:.0f} "
                     "movements are missed. Give it a USB controller of its own, and light.",
                     "WARN",
                     came,
                     RATE * self._rate,
                     side,
-                    f"{came:.0f} frames a second",
+                    f"{few} frames a second",
                 )
             dropped = self._drops[-1][1][k] - self._drops[0][1][k]
             if dropped > 0:

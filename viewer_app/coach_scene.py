@@ -21,6 +21,7 @@ from viewer_app.coach import HOLD, Situation
 from viewer_app.standing_spot import CAMERA_HEIGHT, FARTHEST, StandingSpot, standing_spot
 
 _RING = 0.3  # metres, radius
+_UNDER = 1.5  # metres
 _ANKLE = 0.08  # metres above the floor
 _THERE = 0.4  # metres from the spot within which one stands on it
 _FLOOR_OVER = 60  # frames
@@ -100,20 +101,24 @@ class CoachScene:
             ),
             axis=-1,
         )
+        # the words stand beside the first line: below ring and point clouds, which would cross them
+        under = np.array([place.x, floor + _UNDER, place.z])
+        post = np.array([[place.x, floor, place.z], under])
+        lines = _line(np.stack((under, under))), _line(ring), _line(post)
         if now.held > 0.0:
-            return Mark((_line(ring),), f"hold still: {math.ceil(max(0.0, HOLD - now.held))} s", "do")
+            return Mark(lines, f"hold still: {math.ceil(max(0.0, HOLD - now.held))} s", "do")
         if person is None:
-            return Mark((_line(ring),), "stand here", "do")
+            return Mark(lines, "stand here", "do")
         to_go = np.array([place.x, place.z]) - person
         far = float(np.linalg.norm(to_go))
         if far <= _THERE:
-            return Mark((_line(ring),), "here: arms out, legs apart, hold still", "do")
+            return Mark(lines, "here: arms out, legs apart, hold still", "do")
         along = to_go / far
         across = np.array([-along[1], along[0]])
         tip = person + along * (far - _RING)
         flat = [person, tip, tip - 0.15 * (along + 0.6 * across), tip, tip - 0.15 * (along - 0.6 * across)]
         arrow = np.array([[x, floor, z] for x, z in flat])
-        return Mark((_line(ring), _line(arrow)), f"stand here: {far:.1f} m to go", "do")
+        return Mark((*lines, _line(arrow)), f"stand here: {far:.1f} m to go", "do")
 
     def _sensor(self, side: str, advice: Sequence[Advice], in_a: RigidTransform) -> Mark | None:
         wrong = [

@@ -31,7 +31,7 @@ from viewer_app.live_display import LiveDisplay
 from viewer_app.live_session import LiveSession
 from viewer_app.live_summary import check_saved, print_saved, print_session
 from viewer_app.options import DemoOptions
-from viewer_app.outputs import check_writable, warn_of_little_room
+from viewer_app.outputs import check_writable, free_name, warn_of_little_room
 from viewer_app.run import warm_up
 from viewer_app.viewing import announce, choose_viewing, stay_for_visitors
 
@@ -52,13 +52,12 @@ def run(options: DemoOptions) -> None:
         raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
     save = options.save
     if save is None and not (options.no_viewer or options.web or has_display()):
-        save = _SAVED_WITHOUT_DISPLAY
+        save = free_name(_SAVED_WITHOUT_DISPLAY)
     viewing = choose_viewing(
         no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=save, live=True
     )
-    overwrite = options.force or save == _SAVED_WITHOUT_DISPLAY
     if save is not None:
-        check_writable(save, overwrite)
+        check_writable(save, options.force)
     body = BODIES[options.body]
     a, b, truth = simulated_pair(
         motion=options.motion,
@@ -83,7 +82,7 @@ def run(options: DemoOptions) -> None:
         with ExitStack() as stack:
             session = stack.enter_context(
                 LiveSession(
-                    nominal, (a.name, b.name), blueprint, file=save, overwrite=overwrite, viewing=viewing
+                    nominal, (a.name, b.name), blueprint, file=save, overwrite=options.force, viewing=viewing
                 )
             )
             sensors = stack.enter_context(TwoSensors(PacedSensor(a), PacedSensor(b)))

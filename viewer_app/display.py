@@ -21,7 +21,12 @@ def has_display() -> bool:
 
 def why_no_window() -> str | None:
     """What stands in the way of a window, in words; None where nothing does."""
-    if platform.system() != "Linux" or os.environ.get("WAYLAND_DISPLAY"):
+    return None if os.environ.get("WAYLAND_DISPLAY") else why_no_x()
+
+
+def why_no_x() -> str | None:
+    """What stands in the way of X, which a sensor's depth engine needs under Wayland too; as above."""
+    if platform.system() != "Linux":
         return None
     name = os.environ.get("DISPLAY")
     if not name:

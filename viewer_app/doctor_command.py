@@ -15,7 +15,7 @@ from rich.text import Text
 
 from devices.body_tracking import TrackerSettings
 from devices.doctor import Check, device_checks
-from viewer_app.display import why_no_window
+from viewer_app.display import why_no_window, why_no_x
 from viewer_app.options import DoctorOptions
 
 _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program from a slow disk
@@ -25,7 +25,9 @@ def run(options: DoctorOptions) -> None:
     """Carries out the command; exits with 1 if ``duplex live`` could not start."""
     console = Console()
     tracker = TrackerSettings(library=options.k4abt, processing=options.processing)
-    checks = [*device_checks(tracker), *program_checks()]
+    choice = options.kinect_a, options.kinect_b, options.principal
+    devices = device_checks(tracker, choice=choice, x_answers=why_no_x() is None)
+    checks = [*devices, *program_checks()]
     for check in checks:
         console.print(line(check), soft_wrap=True)
     missing = [check.name for check in checks if check.needed and not check.ok]

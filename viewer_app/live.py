@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from devices.live_pairing import LivePair
 from devices.pairing import FramePair
-from devices.person_choice import PersonChoice
+from devices.person_choice import PersonChoice, centre
 from devices.sensor import SensorFrame
 from devices.two_sensors import TwoSensors
 from fusion.body import Body
 from fusion.calibration import Calibration, StartUpPose, calibrate, nominal_calibration
 from fusion.errors import CalibrationError
 from fusion.fuser import Fuser, FuserSettings
-from fusion.skeleton import Skeleton, SkeletonPair
+from fusion.rigid import RigidTransform
+from fusion.skeleton import SkeletonPair
 from fusion.viewing_plane import Intrinsics
 from recordings.arrays import RecordedFrame
 from recordings.recorder import Recorder
@@ -147,7 +148,8 @@ def run_live(
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
     ahead_ns = 0
     for live in sensors.pairs():
-        pair = with_depth(_with_people(live, people), depth)
+        b_from_a = calibrator.calibration.a_from_b.inverse() if calibrator.settled else None
+        pair = with_depth(_with_people(live, people, b_from_a), depth)
         found = calibrator.watch(pair.skeletons)
         if found is not None:
             fuser = Fuser(found, settings, *intrinsics)
@@ -172,20 +174,24 @@ def run_live(
     return fuser, list(kept)
 
 
-def _with_people(live: LivePair, people: tuple[PersonChoice, PersonChoice]) -> FramePair:
-    """The pair with the one person that is followed in each view."""
+def _with_people(
+    live: LivePair, people: tuple[PersonChoice, PersonChoice], b_from_a: RigidTransform | None
+) -> FramePair:
+    """The pair with the one person that is followed in each view: in both the same, once it can be."""
 
-    def followed(frame: SensorFrame | None, choice: PersonChoice) -> str:
-        if frame is None:
-            return ""
-        chosen: Skeleton | None = choice.choose(frame.people, frame.time_ns)
-        return "" if chosen is None else choice.identity or ""
+    def followed(
+        frame: SensorFrame | None, choice: PersonChoice, at: NDArray[np.float64] | None = None
+    ) -> tuple[str, NDArray[np.float64] | None]:
+        chosen = None if frame is None else choice.choose(frame.people, frame.time_ns, at)
+        return ("", None) if chosen is None else (choice.identity or "", centre(chosen))
 
+    person_a, at = followed(live.a, people[0])
+    person_b, _ = followed(live.b, people[1], None if b_from_a is None or at is None else b_from_a.apply(at))
     return FramePair(
         live.a,
         live.b,
-        followed(live.a, people[0]),
-        followed(live.b, people[1]),
+        person_a,
+        person_b,
         live.time_ns,
         live.skew_ns or 0,
     )

@@ -19,7 +19,7 @@ from devices.kinect_access import ConnectedKinect, connected_kinects
 from devices.kinect_choice import NeedsChoiceError, choose_two, sync_master
 from devices.live_pairing import LivePairing, Side
 from devices.sensor import Sensor
-from devices.sensor_thread import SensorEvent
+from devices.sensor_state import SensorEvent
 from devices.two_sensors import TwoSensors
 from fusion.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser, FuserSettings
@@ -97,6 +97,15 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
     tracker = TrackerSettings(
         processing=options.processing, smoothing=options.smoothing, library=options.k4abt
     )
+    if options.processing == "cpu":
+        console.print(
+            "A CPU tracks about one frame a second, and A's and B's hardly ever pair: for a fused session "
+            "record with k4arecorder, then duplex fuse a.mkv b.mkv.",
+            style="yellow",
+            highlight=False,
+        )
+    if options.processing == "tensorrt":
+        console.print("TensorRT builds its engine; minutes the first time.")
     a, b = (KinectSensor(serial, _settings(options, serial, master), tracker) for serial in serials)
     interval_ns = round(1e9 / options.fps)
     delay_ns = {None: None, serials[0]: 1000 * LASER_GAP_US}.get(master, -1000 * LASER_GAP_US)
@@ -108,7 +117,9 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
         sync_delay_ns=delay_ns,
     )
     first: Side = "a" if master == serials[1] else "b"
-    return TwoSensors(a, b, pairing=pairing, first=first, tell=_teller(console))
+    return TwoSensors(
+        *(a, b), pairing=pairing, first=first, open_s=_opens_within(options), tell=_teller(console)
+    )
 
 
 def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
@@ -242,7 +253,13 @@ def _settings(options: LiveOptions, serial: str, master: str | None) -> KinectSe
         fps=options.fps,
         color=None if options.color == "off" else options.color,
         sync="standalone" if master is None else "master" if serial == master else "subordinate",
+        start_s=_opens_within(options),
     )
+
+
+def _opens_within(options: LiveOptions) -> float:
+    """Seconds that a sensor with its body tracker may take to open; its subordinate waits as long for it."""
+    return 900.0 if options.processing == "tensorrt" else 120.0
 
 
 def _camera(options: LiveOptions, sensor: Sensor) -> Intrinsics:

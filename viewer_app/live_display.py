@@ -74,7 +74,7 @@ class LiveDisplay:
             self._frames.popleft()
         self._advise(status)
         for event in status.events:
-            self._console.print(str(event), style="yellow", highlight=False, markup=False)
+            self._console.print(str(event), style="yellow", highlight=False, markup=False, soft_wrap=True)
         failure = self._session.failure
         if failure is not None and not self._failure_told:
             self._failure_told = True
@@ -86,7 +86,7 @@ class LiveDisplay:
             if self._shows:
                 self._live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
             elif self._verbose:
-                self._console.print(line, highlight=False)
+                self._console.print(line, highlight=False, markup=False, soft_wrap=True)
         return True
 
     def line(self) -> str:
@@ -140,7 +140,7 @@ class LiveDisplay:
         for topic, text in wrong.items():
             if topic not in self._said:
                 self._session.event(text, "WARN")
-                self._console.print(text, style="yellow", highlight=False, markup=False)
+                self._console.print(text, style="yellow", highlight=False, markup=False, soft_wrap=True)
         for topic in self._said.keys() - wrong.keys():
             self._session.event(f"{topic}: all right again")
         self._said = wrong

@@ -24,7 +24,7 @@ def print_frames(console: Console, sensors: TwoSensors) -> None:
     )
     trouble = {
         "frames of A we were too slow for": sensors.a.dropped,
-        "of B": sensors.b.dropped,
+        "frames of B we were too slow for": sensors.b.dropped,
         "A lost and back": sensors.a.returns,
         "B lost and back": sensors.b.returns,
         "frames late": figures.late,

@@ -170,6 +170,12 @@ class DoctorOptions:
     The exit code is 0 if duplex live could start, 1 if not.
     """
 
+    kinect_a: str | None = None
+    """Serial number of the sensor that would be K_A, where more than two are connected."""
+    kinect_b: str | None = None
+    """Serial number of the sensor that would be K_B."""
+    principal: str | None = None
+    """Of two connected, the one that would be K_A."""
     k4abt: Path | None = None
     """Microsoft's body tracker, libk4abt; where the system finds it if not given."""
     processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"

@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from itertools import chain, count
 from pathlib import Path
 
 from rich.console import Console
@@ -71,13 +72,29 @@ def _real(path: Path) -> Path:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Gives a temporary name beside `path`, renamed to it when all went well and removed when not."""
+    """Gives a temporary name beside `path`, renamed to it when all went well and removed when not.
+
+    Raises:
+        UsageError: It could not be written; or another program has made a file of that name meanwhile: that
+            one is left alone, and the name of ours is said.
+    """
     path = _real(path)
     partial = partial_beside(path)
+    was_there = path.exists()
     try:
         yield partial
+        if path.exists() and not was_there:
+            other = free_name(path)
+            partial.replace(other)
+            raise UsageError(f"{path} was made by another program meanwhile. What this one made is {other}.")
         partial.replace(path)
     except OSError as error:
         raise UsageError(f"{path} could not be written: {error.strerror or error}.") from error
     finally:
         partial.unlink(missing_ok=True)
+
+
+def free_name(path: Path) -> Path:
+    """The path, or where that exists the first of ``name-2``, ``name-3`` … that does not."""
+    names = (path.with_stem(f"{path.stem}-{k}") for k in count(2))
+    return next(name for name in chain([path], names) if not os.path.lexists(name))
