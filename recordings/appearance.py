@@ -146,4 +146,4 @@ STREAM_LINES = {
         for name, title in (("dropped", "dropped of"), ("unpaired", "without a partner, of"))
     },
 }
-"""Of how two running sensors' streams go, by :data:`layout.STREAM_NAMES`."""
+"""Of how two running sensors' streams go, by the names of :func:`layout.stream_figure`."""

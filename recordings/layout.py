@@ -97,12 +97,9 @@ def state(side: str) -> str:
 
 
 def stream_figure(name: str) -> str:
-    """One of :data:`STREAM_NAMES`."""
+    """How two running sensors' streams go: drift_ppm, dropped or unpaired; logged where that changes."""
     return f"{QUALITY}/{name}"
 
-
-STREAM_NAMES = ("drift_ppm", "dropped", "unpaired")
-"""How two running sensors' streams go; logged where that changes."""
 
 Color = tuple[int, int, int]
 

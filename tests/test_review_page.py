@@ -20,7 +20,7 @@ pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
 
 
 def test_files_are_named_without_their_folders() -> None:
-    assert _without_folders(("/home/ann/walk/a.csv", "/home/ann/walk/b.csv")) == ("a.csv", "b.csv")
+    assert _without_folders(("ann/walk/a.csv", "ann/walk/b.csv")) == ("a.csv", "b.csv")
     assert _without_folders(("C:\\ann\\left\\s.csv", "C:\\ann\\right\\s.csv")) == (
         "left/s.csv",
         "right/s.csv",

@@ -45,7 +45,7 @@ class LiveDisplay:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._console, self._session, self._coach = console, session, coach
-        self._quiet, self._verbose, self._clock = quiet, verbose, clock
+        self._verbose, self._clock = verbose, clock
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._shows = not quiet and not verbose and console.is_terminal
         self._said: dict[str, str] = {}

@@ -126,7 +126,7 @@ class ViewerFeed:
         self._queue: deque[Item] = deque()
         self._keep = keep
         self._more = threading.Condition()
-        self._stopping = self._finishing = False
+        self._stopping = False
         self._idle = False
         self.dropped = 0
         """Frames that the viewer was too slow for."""
@@ -152,7 +152,6 @@ class ViewerFeed:
         """Waits until everything offered is written or the process is gone; says whether it was written."""
         deadline = time.monotonic() + timeout
         with self._more:
-            self._finishing = True
             self._more.notify()
         while time.monotonic() < deadline and self._thread.is_alive():
             if self._idle and not self._queue:
