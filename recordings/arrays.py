@@ -176,10 +176,10 @@ class SessionArrays:
     @property
     def disagreement(self) -> NDArray[np.float64]:
         """(T,) metres between p and R q + t, the median over joints both see; NaN where there are none."""
-        distance = self.view_difference
-        none = np.isnan(distance).all(axis=1)
-        distance[none] = 0.0
-        return np.where(none, np.nan, np.nanmedian(distance, axis=1))
+        nearest = np.sort(self.view_difference, axis=1)  # NaN comes last
+        seen = np.count_nonzero(~np.isnan(nearest), axis=1)
+        frame = np.arange(len(nearest))
+        return np.asarray((nearest[frame, (seen - 1) // 2] + nearest[frame, seen // 2]) / 2.0)
 
 
 def _to_128ths(weights: list[NDArray[np.float64]]) -> NDArray[np.float32]:

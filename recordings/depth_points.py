@@ -32,6 +32,12 @@ def thin_points(depth: NDArray[np.uint16], camera: Intrinsics) -> NDArray[np.flo
     return depth_to_points(depth[::step, ::step], rays)
 
 
+def prepare_points(*cameras: Intrinsics) -> None:
+    """Computes what :func:`thin_points` needs of each camera, for it takes as long as three frames."""
+    for camera in cameras:
+        _thin_rays(camera)
+
+
 @lru_cache(maxsize=4)
 def _thin_rays(camera: Intrinsics) -> tuple[int, NDArray[np.float32]]:
     step = max(1, round(math.sqrt(camera.width * camera.height / _POINTS)))

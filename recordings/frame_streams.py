@@ -62,12 +62,9 @@ class FrameStream:
         elif self.archetype is not None:
             flat = {name: of.reshape(-1, *of.shape[2:]) for name, of in values.items()}
             sent += self.archetype.columns(**flat).partition([each] * frames)
-        lists = {}
         for name, of in (self.data or {}).items():  # AnyValues' own way takes every value through Python
-            ends = np.linspace(0, len(of), frames + 1).astype(np.int32)
-            lists[name] = pa.ListArray.from_arrays(ends, of)
-        if lists:
-            sent += rr.AnyValues.columns(**lists)
+            ends = np.arange(frames + 1, dtype=np.int32) * np.int32(len(of) // frames)
+            sent.append(rr.ComponentColumn(name, rr.AnyBatchValue(name, of), offsets=ends))
         return sent
 
 
@@ -99,7 +96,8 @@ def frame_streams(rows: SessionArrays, checks: FusedChecks | None = None) -> Ite
         truth = {"positions": rows.truth.astype(np.float32)}
         yield FrameStream(layout.TRUTH_SKELETON, rows, rr.Points3D, (truth, joints))
     yield FrameStream(layout.QUALITY, rows, data=_quality(rows, checks))
-    plotted = rows[np.flatnonzero(rows.frame % _BONES_EVERY == 0)]
+    chosen = np.flatnonzero(rows.frame % _BONES_EVERY == 0)
+    plotted = rows if len(chosen) == len(rows) else rows[chosen]
     if len(plotted):
         yield FrameStream(layout.BONES, plotted, data={layout.BONE_LENGTHS: _bones(plotted)})
 

@@ -22,7 +22,7 @@ from recordings.arrays import RecordedFrame, SessionArrays
 from recordings.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.coach_page import CoachPage
 from recordings.color import ColorLog
-from recordings.depth_points import thin_points
+from recordings.depth_points import prepare_points, thin_points
 from recordings.explained_trust import StateLanes, TrustMatrix, matrix_frame
 from recordings.frame_streams import frame_streams
 from recordings.rvl import MEDIA_TYPE, encode_depth
@@ -31,6 +31,7 @@ from recordings.stream_figures import StreamFiguresLog
 _MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
 """How often a page of the matrix of trust is drawn before it is whole: for eyes that wait, and for a file
 that may be cut off."""
+_STATE_CHANGES = tuple(rr.StateChange(state=name) for name in layout.STATE_NAMES)
 
 
 class Recorder:
@@ -64,8 +65,11 @@ class Recorder:
         self._last: tuple[int, int] | None = None
         self._depth_every, self._points = depth_every, points
         self._cameras = {"a": fuser.intrinsics_a, "b": fuser.intrinsics_b}
+        if points:
+            prepare_points(*self._cameras.values())
         self._color, self._figures = ColorLog(stream), StreamFiguresLog(stream)
-        self._matrix = TrustMatrix(fuser.calibration.body, _MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS)
+        draft_ns = _MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS
+        self._matrix = TrustMatrix(fuser.calibration.body, draft_ns, hasty=points)
         self._lanes = StateLanes()
         self._log_static(fuser)
         properties = self._properties(fuser, sources, about or {})
@@ -131,15 +135,25 @@ class Recorder:
             rows: The frames.
             checks: Of S*, where `rows` have it from a file, in float32.
         """
+        timed, times = rows, _times(rows)
         for stream in frame_streams(rows, checks):
-            times = [
-                rr.TimeColumn(layout.FRAME, sequence=stream.rows.frame),
-                rr.TimeColumn(layout.TIME, duration=stream.rows.time_ns.astype("timedelta64[ns]")),
-            ]
+            if stream.rows is not timed:
+                timed, times = stream.rows, _times(stream.rows)
             self._stream.send_columns(stream.entity, times, stream.columns())
         self._explain(rows)
         self._frames = max(self._frames, int(rows.frame[-1]) + 1)
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
+
+    def record_images(self, number: int, frame: RecordedFrame) -> None:
+        """Logs the images of a frame; one that is recorded later is to have none any more."""
+        if self._depth_every == 0 or number % self._depth_every:
+            return
+        time_ns = frame.pair.time_ns - self._begun_by(frame)
+        for side, seen in (("a", frame.pair.a), ("b", frame.pair.b)):
+            if seen is not None and seen.depth is not None:
+                self.record_depth(side, number, time_ns, seen.depth)
+            if seen is not None and seen.color is not None:
+                self.record_color(side, number, time_ns, seen.color)
 
     def record_depth(self, side: str, frame: int, time_ns: int, depth: NDArray[np.uint16]) -> None:
         """Logs a depth image: (height, width) millimetres, without loss."""
@@ -188,35 +202,37 @@ class Recorder:
         for frame, number, time_ns in zip(frames, rows.frame.tolist(), rows.time_ns.tolist(), strict=True):
             if frame.streams is not None:
                 self._figures.record(number, time_ns, frame.streams)
-            if self._depth_every == 0 or number % self._depth_every:
-                continue
-            for side, seen in (("a", frame.pair.a), ("b", frame.pair.b)):
-                if seen is not None and seen.depth is not None:
-                    self.record_depth(side, number, time_ns, seen.depth)
-                if seen is not None and seen.color is not None:
-                    self.record_color(side, number, time_ns, seen.color)
+            self.record_images(number, frame)
 
     def _set_time(self, frame: int, time_ns: int) -> None:
         self._stream.set_time(layout.FRAME, sequence=frame)
         self._stream.set_time(layout.TIME, duration=np.timedelta64(time_ns, "ns"))
 
     def _stack(self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None) -> SessionArrays:
-        if self._start_ns is None:
-            self._start_ns = frames[0].pair.time_ns
         if numbers is None:
             numbers = range(self._frames, self._frames + len(frames))
         calibration = self._calibration
         rows = SessionArrays.stack(
-            calibration.body, calibration.bone_lengths, frames, numbers, self._start_ns
+            calibration.body, calibration.bone_lengths, frames, numbers, self._begun_by(frames[0])
         )
         self._frames = numbers[-1] + 1
         return rows
+
+    def _begun_by(self, frame: RecordedFrame) -> int:
+        """When the session began: no later than with this frame."""
+        if self._start_ns is None:
+            self._start_ns = frame.pair.time_ns
+        return self._start_ns
 
     def _explain(self, rows: SessionArrays) -> None:
         """What is not logged every frame: the trust matrix, and tracking states where they change."""
         self._log_matrix(self._matrix.add(rows))
         for side, joint, changes in self._lanes.add(rows):
             lane = layout.state_lane(side, rows.body.joints[joint])
+            if len(rows) == len(changes) == 1:  # as columns it takes thrice the time
+                self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
+                self._stream.log(lane, _STATE_CHANGES[changes[0][1]])
+                continue
             at = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
             self._stream.send_columns(
                 lane,
@@ -276,3 +292,10 @@ class Recorder:
             "settings": asdict(fuser.settings),
             "intrinsics": {"a": camera(fuser.intrinsics_a), "b": camera(fuser.intrinsics_b)},
         }
+
+
+def _times(rows: SessionArrays) -> list[rr.TimeColumn]:
+    return [
+        rr.TimeColumn(layout.FRAME, sequence=rows.frame),
+        rr.TimeColumn(layout.TIME, duration=rows.time_ns.astype("timedelta64[ns]")),
+    ]

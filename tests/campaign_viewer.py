@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.simulated.paced import PacedSensor
+from devices.simulated.paced import paced_together
 from devices.simulated.sensor import simulated_pair
 from devices.two_sensors import TwoSensors
 from fusion.body import AZURE_KINECT
@@ -70,7 +70,7 @@ def campaign(seconds: float, kills: int, path: Path, hub_too: bool = False) -> C
     viewing = Viewing(window=True, hub=Hub.on_free_ports(web=False), headless=True)
     with (
         LiveSession(nominal, (a.name, b.name), blueprint, file=path, viewing=viewing) as session,
-        TwoSensors(PacedSensor(a), PacedSensor(b)) as sensors,
+        TwoSensors(*paced_together(a, b)) as sensors,
     ):
         assert session._window is not None
         assert session._feed is not None

@@ -22,7 +22,7 @@ from unittest import mock
 import numpy as np
 
 from devices.live_pairing import PairingFigures
-from devices.simulated.paced import PacedSensor
+from devices.simulated.paced import paced_together
 from devices.simulated.sensor import simulated_pair
 from devices.two_sensors import TwoSensors
 from fusion.body import AZURE_KINECT
@@ -161,7 +161,7 @@ def soak(
     with (
         mock.patch("viewer_app.live_session.Recorder", _TimedRecorder) if viewer else nullcontext(),
         LiveSession(nominal, (a.name, b.name), blueprint, file=path, viewing=viewing) as session,
-        TwoSensors(PacedSensor(a), PacedSensor(b)) as sensors,
+        TwoSensors(*paced_together(a, b)) as sensors,
     ):
         timer = threading.Timer(seconds, sensors.stop)
         timer.daemon = True

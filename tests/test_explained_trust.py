@@ -133,6 +133,15 @@ def test_a_gap_stays_empty(rows: SessionArrays) -> None:
     assert (column(pages[80 * SECOND], 65, 81.0)[5] == layout.SKELETON_COLORS["a"]).all()
 
 
+def test_hasty_drafts_are_larger_and_look_the_same(rows: SessionArrays) -> None:
+    drawn, hasty = (list(TrustMatrix(BODY, SECOND, hasty=how).add(rows)) for how in (False, True))
+    assert len(drawn) == 3
+    for (*at, png), (*hasty_at, hasty_png) in zip(drawn, hasty, strict=True):
+        assert hasty_at == at
+        assert (decoded(hasty_png) == decoded(png)).all()
+        assert len(hasty_png) > len(png)
+
+
 def test_the_matrix_is_the_same_frame_by_frame_and_at_once(rows: SessionArrays) -> None:
     at_once = pages_of(TrustMatrix(BODY, SECOND), rows)
     assert pages_of(TrustMatrix(BODY, SECOND), *(rows[[t]] for t in range(len(rows)))) == at_once
@@ -163,6 +172,33 @@ def test_a_file_of_ten_seconds_has_lanes_and_a_matrix_to_its_end(rows: SessionAr
         for tenth in range(100)
     ]
     assert sum(filled) / 10 > 9.0
+
+
+def test_lanes_are_the_same_frame_by_frame_and_at_once(rows: SessionArrays, tmp_path: Path) -> None:
+    states = np.full_like(rows.states_a, TrackingState.TRACKED)
+    states[40:45, ELBOW], states[90:, ELBOW] = TrackingState.INFERRED, TrackingState.NOT_TRACKED
+    changing = replace(rows, states_a=states, states_b=np.full_like(states, TrackingState.TRACKED))
+    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    for parts in ([changing], [changing[[t]] for t in range(len(rows))]):
+        file = tmp_path / f"{len(parts)}.rrd"
+        stream = rr.RecordingStream(layout.APPLICATION_ID)
+        stream.save(file)
+        recorder = Recorder(stream, fuser, ("a", "b"))
+        for part in parts:
+            recorder.record_rows(part)
+        stream.flush()
+        stream.disconnect()
+        lane: list[tuple[int, int, list[str]]] = []
+        with RrdFile(file) as read:
+            for entity, batch in read.chunks(images=False):
+                if entity == layout.state_lane("a", BODY.joints[ELBOW]) and "frame" in batch.schema.names:
+                    columns = (
+                        batch.column(name).to_pylist() for name in ("frame", "time", "StateChange:state")
+                    )
+                    lane += [(frame, time, state) for frame, time, state in zip(*columns, strict=True)]
+        names = [(frame, states) for frame, _, states in lane]
+        assert names == [(0, ["tracked"]), (40, ["inferred"]), (45, ["tracked"]), (90, ["not tracked"])]
+        assert [at / np.timedelta64(1, "ns") for _, at, _ in lane][1:] == list(rows.time_ns[[40, 45, 90]])
 
 
 def test_only_joints_that_change_have_a_lane_and_it_begins_at_the_beginning(rows: SessionArrays) -> None:

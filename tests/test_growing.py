@@ -40,6 +40,7 @@ ROOT = Path(__file__).resolve().parent.parent
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session_file, "_BLOCK_SECONDS", 0.02)
+    monkeypatch.setattr(session_file, "_LOOK_SECONDS", 0.01)
 
 
 def fused_frames(count: int, depth: bool = False) -> tuple[Fuser, list[RecordedFrame]]:
@@ -109,6 +110,56 @@ def test_it_is_the_same_session_as_one_written_at_once(
     assert {path.name for path in tmp_path.iterdir()} == {"s.rrd", "o.rrd"}
     # as Rerun's own tools want it
     assert "/fused/skeleton" in rr.chunk.RrdReader(session.path).store().schema().entity_paths()
+
+
+def test_images_are_written_as_they_come_and_skeletons_in_blocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session_file, "_BLOCK_SECONDS", 60.0)
+    written: list[int] = []
+    record_images, record_all = Recorder.record_images, Recorder.record_all
+    monkeypatch.setattr(
+        Recorder,
+        "record_images",
+        lambda self, number, frame: (record_images(self, number, frame), written.append(number)),
+    )
+    blocks: list[list[int]] = []
+    monkeypatch.setattr(
+        Recorder,
+        "record_all",
+        lambda self, frames, numbers=(): (
+            blocks.append(list(numbers)),
+            record_all(self, frames, numbers or None),
+        ),
+    )
+    fuser, frames = fused_frames(10, depth=True)
+    file = growing_file(tmp_path / "s.rrd", fuser)
+    for number, frame in enumerate(frames):
+        file.offer((number, frame))
+    assert eventually(lambda: written[:10] == list(range(10)))
+    assert blocks == []
+    file.close(whole=True)
+    assert blocks == [list(range(10))]
+    session = Session.open(tmp_path / "s.rrd")
+    at_once = record_fused(tmp_path / "o.rrd", [frame.pair for frame in frames], calibration_of(KINECT_V1))
+    assert_sessions_match(session, at_once, position_mm=0.0)
+    for side in ("a", "b"):
+        seen = {k: getattr(frame.pair, side) for k, frame in enumerate(frames)}
+        images = dict(session.depth(side))
+        assert list(images) == [k for k, frame in seen.items() if frame is not None]
+        assert all((image == seen[k].depth).all() for k, image in images.items())
+
+
+def test_the_file_waits_for_who_goes_first(tmp_path: Path) -> None:
+    over = threading.Event()
+    fuser, frames = fused_frames(3)
+    file = growing_file(tmp_path / "s.rrd", fuser, turn=lambda seconds: over.wait(20.0))
+    file.offer((0, frames[0]))
+    time.sleep(0.2)
+    assert file.waiting == 1
+    over.set()
+    assert eventually(lambda: file.saved == 1)
+    file.close(whole=False)
 
 
 def test_it_can_be_read_while_it_grows(tmp_path: Path) -> None:

@@ -1,6 +1,9 @@
 """The live loop on simulated sensors that run as fast as they can."""
 
+import gc
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +17,7 @@ from session_text import rows_of
 from devices.live_pairing import LivePair
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
-from devices.simulated.paced import PacedSensor
+from devices.simulated.paced import PacedSensor, paced_together
 from devices.simulated.sensor import simulated_pair
 from devices.simulated.tracker import TrackerErrors
 from fusion.body import KINECT_V1, KINECT_V2
@@ -25,7 +28,7 @@ from tests import conftest
 from tests.conftest import FRAME_NS, moving, pair_of, standing
 from viewer_app import demo
 from viewer_app.cli import main
-from viewer_app.live import Calibrator, run_live, short_turns
+from viewer_app.live import Calibrator, run_live, undisturbed
 from viewer_app.run import fuse_one
 
 
@@ -80,6 +83,49 @@ def test_a_paced_sensor_that_is_late_leaves_images_out_and_no_skeleton(
         assert all(frame.people[who].repeats(alone.people[who]) for who in alone.people)
     assert sum(frame.depth is None for frame in frames) == a.images_left_out
     assert 0 < a.images_left_out < len(frames)
+
+
+def test_a_paced_sensor_works_late_so_that_others_can_work_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, begins, takes = Clock(), [], 0.0
+
+    def rendered(z: NDArray[np.float32], *_: object) -> NDArray[np.uint16]:
+        begins.append(clock.now)
+        clock.now += takes
+        return np.zeros(z.shape, dtype=np.uint16)
+
+    monkeypatch.setattr("devices.simulated.sensor.depth_image", rendered)
+    for lasts, ahead in ((0.004, 1.0 / 60.0), (0.02, 0.026)):  # half a frame; more than it takes
+        takes = lasts
+        a, _, _ = simulated_pair(motion="still", seconds=0.5, body=KINECT_V1, depth="half")
+        begins.clear()
+        with PacedSensor(a, clock=clock, wait=clock.wait) as paced:
+            given = [clock.now for _ in paced.frames()]
+        assert np.array(given[1:]) - begins[1:] == pytest.approx(ahead)
+
+
+def test_paced_sensors_begin_together() -> None:
+    a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
+    given: dict[str, list[SensorFrame]] = {}
+
+    def read(sensor: PacedSensor) -> None:
+        given[sensor.name] = list(sensor.frames())
+
+    first, second = paced_together(a, b)
+    threads = [threading.Thread(target=read, args=(sensor,)) for sensor in (first, second)]
+    threads[0].start()
+    time.sleep(0.4)  # the one thread comes later
+    threads[1].start()
+    for thread in threads:
+        thread.join()
+    apart = [abs(x.host_ns - y.host_ns) for x, y in zip(*given.values(), strict=True)]
+    assert len(apart) == 6
+    assert np.median(apart) < 0.2e9
+
+
+def test_a_paced_sensor_whose_fellow_never_comes_begins_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("devices.simulated.paced._TOGETHER", 0.05)
+    a, b, _ = simulated_pair(motion="still", seconds=0.1, body=KINECT_V1)
+    assert len(list(paced_together(a, b)[0].frames())) == 3
 
 
 def test_a_paced_sensor_ends_when_it_is_interrupted() -> None:
@@ -242,11 +288,13 @@ def test_the_demo_refuses_what_it_does_not_know(capsys: pytest.CaptureFixture[st
         assert said.count("\n") == 1
 
 
-def test_the_threads_turns_are_given_back() -> None:
+def test_the_loop_is_undisturbed_only_while_it_runs() -> None:
     before = sys.getswitchinterval()
-    with short_turns():
+    with undisturbed():
         assert sys.getswitchinterval() < 0.001  # what logging may hold up the loop by
+        assert len(gc.get_objects()) < 1000  # what a search for garbage goes through
     assert sys.getswitchinterval() == before
+    assert gc.get_freeze_count() == 0
 
 
 def test_what_a_demo_saves_replaces_nothing(

@@ -35,6 +35,7 @@ from viewer_app.session_file import SessionFile
 from viewer_app.viewer_feed import Note, ViewerFeed
 
 BODY = KINECT_V2
+DEVOURING = [sys.executable, "-c", "import sys; sys.stdin.buffer.read()"]
 STUCK = [sys.executable, "-c", "import time; time.sleep(600)"]
 """A process that never reads: a frozen viewer."""
 HUNGRY = [sys.executable, "-c", "import sys; print(len(sys.stdin.buffer.read()))"]
@@ -112,6 +113,22 @@ def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
     waiting = [item[0] for item in stuck._queue if isinstance(item, tuple)]
     assert waiting == list(range(90, 100))
     assert slowest < 3.0  # it would be 60 s, the patience, if it waited
+
+
+def test_a_turn_is_over_when_a_frame_is_written_or_time_is_up(stuck: ViewerFeed, fuser: Fuser) -> None:
+    feed = feed_into(DEVOURING, fuser)
+    begun = time.monotonic()
+    for number, frame in enumerate(frames(fuser, 2)):
+        feed.offer((number, frame))
+        feed.wait_for_turn(30.0)
+    assert time.monotonic() - begun < 30.0
+    feed.close(end_process=True)
+    for number, frame in enumerate(frames(fuser, 100, depth=True)):  # more than any pipe takes
+        stuck.offer((number, frame))
+        time.sleep(0.002)
+    begun = time.monotonic()
+    stuck.wait_for_turn(0.3)
+    assert time.monotonic() - begun >= 0.3
 
 
 def test_what_is_said_is_not_dropped_with_the_frames(stuck: ViewerFeed, fuser: Fuser) -> None:

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from devices.simulated.movements import MOTIONS
-from devices.simulated.paced import PacedSensor
+from devices.simulated.paced import paced_together
 from devices.simulated.sensor import Truth, TruthAhead, simulated_pair
 from devices.two_sensors import TwoSensors
 from fusion.body import BODIES
@@ -85,7 +85,7 @@ def run(options: DemoOptions) -> None:
                     nominal, (a.name, b.name), blueprint, file=save, overwrite=options.force, viewing=viewing
                 )
             )
-            sensors = stack.enter_context(TwoSensors(PacedSensor(a), PacedSensor(b)))
+            sensors = stack.enter_context(TwoSensors(*paced_together(a, b)))
             ctrl_c.calls(sensors.stop)
             coach = Coach(body, (nominal.intrinsics_a, nominal.intrinsics_b))
             show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))

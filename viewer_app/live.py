@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -98,21 +99,24 @@ class Status:
 
 
 @contextmanager
-def short_turns() -> Iterator[None]:
-    """Lets threads that write take shorter turns, so that they hold up the loop less.
+def undisturbed() -> Iterator[None]:
+    """Keeps what else goes on in this process from holding up a loop, and those who wait for its frames.
 
     A loop that has waited for a frame, or for a lock, goes on only when the thread that runs has had its
-    turn: Python's 5 ms are a sixth of a frame.
+    turn: Python's 5 ms are a sixth of a frame. And its search for garbage stops every thread, for four frames
+    where it goes through all that was imported and compiled: that is left out.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(_TURN)
+    gc.freeze()
     try:
         yield
     finally:
+        gc.unfreeze()
         sys.setswitchinterval(before)
 
 
-@short_turns()
+@undisturbed()
 def run_live(
     sensors: TwoSensors,
     *,

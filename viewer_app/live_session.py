@@ -117,6 +117,7 @@ class LiveSession:
                 lambda of: self._with_blueprint(of, Recorder(of, fuser, sources, depth_every=1)),
                 growing=not complete,
                 overwrite=overwrite,
+                turn=None if self._feed is None else self._feed.wait_for_turn,
                 on_failure=self._tell_failure,
             )
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import rerun as rr
 
 from recordings.growing import GrowingFile
+from recordings.recorder import Recorder
 from recordings.rewriting import check_whole
 from viewer_app.compact_copy import CompactCopy
 from viewer_app.images import has_images, without_images
@@ -22,7 +23,8 @@ _KEEP_WITH_IMAGES = 60
 """Frames that wait with their images, at most: 90 MB."""
 _KEEP = 1800
 """Frames that wait, at most: a minute in which the disk takes nothing."""
-_LATER = 10  # of -20 to 19: a file can wait, what is looked at not
+_LOOK_SECONDS = 0.04
+"""Images are encoded as they come: those of a block at once would keep everyone waiting."""
 _BLOCK_SECONDS = 0.5
 """Frames are written together, for by columns that takes less time and space; a kill loses as many."""
 _FLUSH_WITHIN = 30.0
@@ -42,6 +44,8 @@ class SessionFile:
         growing: Whether it is that of a live session. A recording's, whose fusion keeps all frames anyway, is
             complete, or :meth:`close` raises; it is there before, but not to be read.
         overwrite: Whether a live session may replace a file of that name.
+        turn: Waits until whoever goes first has had a turn, so many seconds at most. A lower priority of the
+            thread would hold up all the others: while it is kept waiting, it may hold Python's lock.
         on_failure: Told, on the thread, why saving stopped.
     """
 
@@ -53,12 +57,13 @@ class SessionFile:
         *,
         growing: bool = True,
         overwrite: bool = False,
+        turn: Callable[[float], object] | None = None,
         on_failure: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._path = path
         self._open_stream, self._begin = open_stream, begin
         self._growing, self._overwrite = growing, overwrite
-        self._on_failure = on_failure
+        self._turn, self._on_failure = turn or self._wait_for_end, on_failure
         self._queue: deque[Item] = deque()
         self._more = threading.Condition()
         self._ending = self._whole = False
@@ -112,8 +117,6 @@ class SessionFile:
             raise self._error
 
     def _run(self) -> None:
-        if self._growing:
-            _give_way()
         try:
             if self._growing:
                 self._write_growing()
@@ -138,9 +141,8 @@ class SessionFile:
             recorder = self._begin(stream)
             ending = False
             while not ending:
-                ending, items = self._take()
+                ending, items = self._take_block(recorder, compact)
                 write_items(recorder, items)
-                compact.add(items)
                 frames = sum(isinstance(item, tuple) for item in items)
                 whole = ending and self._whole and self.saved + frames > 0
                 if whole:
@@ -159,6 +161,7 @@ class SessionFile:
             recorder = self._begin(stream)
             ending = False
             while not ending:
+                self._wait_for_end(_BLOCK_SECONDS)
                 ending, items = self._take()
                 write_items(recorder, items)
             if self._whole:
@@ -169,10 +172,32 @@ class SessionFile:
         if self._whole:
             check_whole(self._path)
 
-    def _take(self) -> tuple[bool, list[Item]]:
-        """Whether this is the end, and what was offered, after half a second at most."""
+    def _take_block(self, recorder: Recorder, compact: CompactCopy) -> tuple[bool, list[Item]]:
+        """Whether this is the end, and what was offered in half a second; its images are written already."""
+        begun = time.monotonic()
+        block: list[Item] = []
+        ending = False
+        while not ending and time.monotonic() - begun < _BLOCK_SECONDS:
+            self._turn(_LOOK_SECONDS)
+            ending, items = self._take()
+            compact.add(items)
+            for item in items:
+                if isinstance(item, tuple) and has_images(item[1].pair):
+                    number, frame = item
+                    recorder.record_images(number, frame)
+                    item = number, replace(frame, pair=without_images(frame.pair))
+                block.append(item)
+        if not ending:
+            self._turn(_LOOK_SECONDS)
+        return ending, block
+
+    def _wait_for_end(self, seconds: float) -> None:
         with self._more:
-            self._more.wait_for(lambda: self._ending, timeout=_BLOCK_SECONDS)
+            self._more.wait_for(lambda: self._ending, timeout=seconds)
+
+    def _take(self) -> tuple[bool, list[Item]]:
+        """Whether this is the end, and what was offered."""
+        with self._more:
             ending = self._ending
         return ending, [self._queue.popleft() for _ in range(len(self._queue))]
 
@@ -184,9 +209,3 @@ class SessionFile:
             else f"{self._path} could not be written: {why}."
         )
         self._on_failure(self.failure)
-
-
-def _give_way() -> None:
-    """Lets the sensors, the fusion and the viewer go before this thread, and before those it starts."""
-    with suppress(AttributeError, OSError):  # there is no such thing but on Linux
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LATER)

@@ -128,6 +128,7 @@ class ViewerFeed:
         self._more = threading.Condition()
         self._stopping = False
         self._idle = False
+        self._turn_over = threading.Event()
         self.dropped = 0
         """Frames that the viewer was too slow for."""
         self.starts = 0
@@ -147,6 +148,11 @@ class ViewerFeed:
                 self._drop_oldest_frame()
             self._queue.append(item)
             self._more.notify()
+
+    def wait_for_turn(self, seconds: float) -> None:
+        """Waits until it has next written something, so many seconds at most."""
+        self._turn_over.clear()
+        self._turn_over.wait(seconds)
 
     def finish(self, timeout: float) -> bool:
         """Waits until everything offered is written or the process is gone; says whether it was written."""
@@ -208,6 +214,7 @@ class ViewerFeed:
             while not self._stopping:
                 if not self._send(process, encoded.read() or b""):
                     return
+                self._turn_over.set()
                 with self._more:
                     self._idle = not self._queue
                     if not self._queue:

@@ -12,14 +12,43 @@ from devices.simulated.sensor import SimulatedKinect
 from fusion.body import Body
 from fusion.viewing_plane import Intrinsics
 
-_LATE = 1.0 / 30.0  # seconds: a frame
+_FRAME, _TOGETHER = 1.0 / 30.0, 1.0  # seconds
+_MARGIN, _FORGETTING = 1.3, 0.95
+"""A frame is begun so many times before it is due as the longest of late took, which fades a frame."""
+
+
+class Beat:
+    """Lets sensors begin together, as real ones on a cable do.
+
+    Args:
+        sensors: How many.
+    """
+
+    def __init__(self, sensors: int = 1) -> None:
+        self._awaited = sensors
+        self._came = threading.Condition()
+        self._begun = 0.0
+
+    def begin(self, now: float) -> float:
+        """Waits for the others, a second at most; gives the moment at which the last one came, seconds."""
+        with self._came:
+            self._awaited -= 1
+            self._begun = max(self._begun, now)
+            self._came.notify_all()
+            self._came.wait_for(lambda: self._awaited <= 0, timeout=_TOGETHER)
+            return self._begun
 
 
 class PacedSensor:
     """Gives each frame of a simulated sensor when its capture time has come.
 
+    A real sensor's frame is made outside of this process. This one is therefore made in the second half of
+    the time until it is due, so that it does not compete with what is done with the frame before; earlier
+    where it takes long.
+
     Args:
         sensor: Whose frames. It is told to hurry while it does not keep pace.
+        beat: Of the sensors that begin with this one; its own where None.
         clock: Seconds; tests put their own.
         wait: Waits for an event at most so many seconds; tests put their own.
     """
@@ -27,12 +56,14 @@ class PacedSensor:
     def __init__(
         self,
         sensor: SimulatedKinect,
+        beat: Beat | None = None,
         *,
         clock: Callable[[], float] = time.perf_counter,
         wait: Callable[[threading.Event, float], bool] = threading.Event.wait,
     ) -> None:
         self.name = sensor.name
         self._sensor = sensor
+        self._beat = beat or Beat()
         self._clock, self._wait = clock, wait
         self._stopping = threading.Event()
 
@@ -62,13 +93,32 @@ class PacedSensor:
 
     def frames(self) -> Iterator[SensorFrame]:
         """The sensor's frames, each when it is due."""
-        begun: float | None = None
-        for frame in self._sensor.frames():
+        begun, longest = None, 0.0
+        frames = self._sensor.frames()
+        while True:
+            started = self._clock()
+            frame = next(frames, None)
+            if frame is None:
+                return
+            longest = max(self._clock() - started, _FORGETTING * longest)
             at = frame.time_ns * 1e-9
             if begun is None:
-                begun = self._clock() - at
-            due = begun + at - self._clock()
-            self._sensor.hurried = due < -_LATE
-            if self._stopping.is_set() or (due > 0.0 and self._wait(self._stopping, due)):
+                begun = self._beat.begin(self._clock()) - at
+            due = begun + at
+            self._sensor.hurried = due - self._clock() < -_FRAME
+            if self._stops_before(due):
                 return
             yield replace(frame, host_ns=round(self._clock() * 1e9))
+            if self._stops_before(due + _FRAME - max(_FRAME / 2.0, _MARGIN * longest)):
+                return
+
+    def _stops_before(self, moment: float) -> bool:
+        """Waits for a moment; says whether it was interrupted."""
+        left = moment - self._clock()
+        return self._stopping.is_set() or (left > 0.0 and self._wait(self._stopping, left))
+
+
+def paced_together(*sensors: SimulatedKinect) -> list[PacedSensor]:
+    """Sensors whose frames of the same number come at the same time."""
+    beat = Beat(len(sensors))
+    return [PacedSensor(sensor, beat) for sensor in sensors]
