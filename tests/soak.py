@@ -47,8 +47,9 @@ class Soak:
     """What was seen; ``memory`` is (seconds, resident MB), ``waiting`` the most frames in each queue.
 
     The times are in ms a frame: how long the loop was held up by logging, and from when the frame's images
-    reached this machine until it was handed over to file and viewer, and was written to the viewer. ``stolen``
-    is the share of the processors' time that a virtual machine's host gave to others: it is in the times too.
+    reached this machine until it was handed over to file and viewer, and was written to the viewer.
+    ``stolen`` is the share of the processors' time that a virtual machine's host gave to others: that is in
+    the times too.
     """
 
     seconds: float = 0.0
@@ -223,7 +224,8 @@ def main() -> int:
         f"{figures.unmatched_b}, late {figures.late}; at most {seen.waiting} frames waited; not saved "
         f"{seen.lost}, saved without images {seen.without_images}, not shown {seen.not_shown}; memory grew "
         f"{seen.growth_mb:.1f} MB after the first minute (end {seen.memory[-1][1]:.0f} MB); file "
-        f"{seen.saved_mb:.1f} MB; {seen.processor:.0%} of a processor, simulation included; {seen.stolen:.1%} of the processors stolen"
+        f"{seen.saved_mb:.1f} MB; {seen.processor:.0%} of a processor, simulation included; "
+        f"{seen.stolen:.1%} of the processors stolen"
     )
     for what, ms in (
         ("the loop held up by logging", seen.held_up),
