@@ -145,10 +145,10 @@ class Recorder:
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
 
     def record_images(self, number: int, frame: RecordedFrame) -> None:
-        """Logs the images of a frame; one that is recorded later is to have none any more."""
+        """Logs the images of a frame, in time order too; where it is recorded later, it is to have none left."""
+        time_ns = frame.pair.time_ns - self._begun_by(frame)
         if self._depth_every == 0 or number % self._depth_every:
             return
-        time_ns = frame.pair.time_ns - self._begun_by(frame)
         for side, seen in (("a", frame.pair.a), ("b", frame.pair.b)):
             if seen is not None and seen.depth is not None:
                 self.record_depth(side, number, time_ns, seen.depth)

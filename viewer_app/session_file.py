@@ -182,7 +182,7 @@ class SessionFile:
             ending, items = self._take()
             compact.add(items)
             for item in items:
-                if isinstance(item, tuple) and has_images(item[1].pair):
+                if isinstance(item, tuple):
                     number, frame = item
                     recorder.record_images(number, frame)
                     item = number, replace(frame, pair=without_images(frame.pair))
