@@ -145,7 +145,7 @@ class Recorder:
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
 
     def record_images(self, number: int, frame: RecordedFrame) -> None:
-        """Logs the images of a frame, in time order too; where it is recorded later, it is to have none left."""
+        """Logs the images of a frame, in time order; where it is recorded after that, it is to have none."""
         time_ns = frame.pair.time_ns - self._begun_by(frame)
         if self._depth_every == 0 or number % self._depth_every:
             return
