@@ -33,7 +33,7 @@ def thin_points(depth: NDArray[np.uint16], camera: Intrinsics) -> NDArray[np.flo
 
 
 def prepare_points(*cameras: Intrinsics) -> None:
-    """Computes what :func:`thin_points` needs of each camera, for it takes as long as three frames."""
+    """Computes what :func:`thin_points` needs of each camera, for it takes longer than a frame."""
     for camera in cameras:
         _thin_rays(camera)
 

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from uuid import uuid4
@@ -27,6 +28,7 @@ from recordings import growing, layout
 from recordings.arrays import RecordedFrame
 from recordings.errors import RecordingError
 from recordings.recorder import Recorder
+from recordings.rrd_file import RrdFile
 from recordings.session import Session
 from recordings.testing import assert_sessions_match, record_fused
 from tests.frame_pairs import calibration_of, frame_pairs
@@ -37,6 +39,18 @@ from viewer_app.session_file import SessionFile
 from viewer_app.viewer_feed import Note
 
 ROOT = Path(__file__).resolve().parent.parent
+
+
+_MADE: list[SessionFile] = []
+
+
+@pytest.fixture(autouse=True)
+def closed() -> Iterator[None]:
+    """Ends the threads that a failed test leaves behind: Python would wait for them."""
+    yield
+    while _MADE:
+        with suppress(OSError):
+            _MADE.pop().close(whole=False)
 
 
 @pytest.fixture(autouse=True)
@@ -55,12 +69,14 @@ def fused_frames(count: int, depth: bool = False) -> tuple[Fuser, list[RecordedF
 
 def growing_file(path: Path, fuser: Fuser, **options: object) -> SessionFile:
     identity = uuid4()
-    return SessionFile(
+    file = SessionFile(
         path,
         lambda: rr.RecordingStream(layout.APPLICATION_ID, recording_id=identity),
         lambda stream: Recorder(stream, fuser, ("a", "b"), depth_every=1),
         **options,  # type: ignore[arg-type]
     )
+    _MADE.append(file)
+    return file
 
 
 def eventually(true: Callable[[], bool], within: float = 20.0) -> bool:
@@ -79,6 +95,17 @@ def duplex(*arguments: object) -> int:
     except SystemExit as stop:
         return int(stop.code or 0)
     return 0
+
+
+def times_of(path: Path, entity: str) -> dict[int, int]:
+    """When an entity was logged: ns by frame."""
+    times: dict[int, int] = {}
+    with RrdFile(path) as file:
+        for of, batch in file.chunks(images=True):
+            if of == entity and "frame" in batch.schema.names:
+                ns = batch.column("time").cast("int64").to_pylist()
+                times.update(zip(batch.column("frame").to_pylist(), ns, strict=True))
+    return times
 
 
 def frames_in(path: Path) -> int:
@@ -151,12 +178,13 @@ def test_images_are_written_as_they_come_and_skeletons_in_blocks(
         images = dict(session.depth(side))
         assert list(images) == [k for k, frame in seen.items() if frame is not None and k > 0]
         assert all((image == seen[k].depth).all() for k, image in images.items())
+        assert times_of(session.path, layout.depth(side)) == {k: int(session.time_ns[k]) for k in images}
 
 
 def test_the_file_waits_for_who_goes_first(tmp_path: Path) -> None:
     over = threading.Event()
     fuser, frames = fused_frames(3)
-    file = growing_file(tmp_path / "s.rrd", fuser, turn=lambda seconds: over.wait(20.0))
+    file = growing_file(tmp_path / "s.rrd", fuser, turn=lambda seconds: over.wait(5.0))
     file.offer((0, frames[0]))
     time.sleep(0.2)
     assert file.waiting == 1

@@ -94,13 +94,30 @@ def test_a_paced_sensor_works_late_so_that_others_can_work_early(monkeypatch: py
         return np.zeros(z.shape, dtype=np.uint16)
 
     monkeypatch.setattr("devices.simulated.sensor.depth_image", rendered)
-    for lasts, ahead in ((0.004, 1.0 / 60.0), (0.02, 0.026)):  # half a frame; more than it takes
+    for lasts, ahead in ((0.004, 1.0 / 60.0), (0.02, 0.03)):  # half a frame; more than it takes
         takes = lasts
         a, _, _ = simulated_pair(motion="still", seconds=0.5, body=KINECT_V1, depth="half")
         begins.clear()
         with PacedSensor(a, clock=clock, wait=clock.wait) as paced:
             given = [clock.now for _ in paced.frames()]
         assert np.array(given[1:]) - begins[1:] == pytest.approx(ahead)
+
+
+def test_a_slow_frame_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, begins = Clock(), []
+
+    def rendered(z: NDArray[np.float32], *_: object) -> NDArray[np.uint16]:
+        begins.append(clock.now)
+        clock.now += 0.03 if len(begins) == 1 else 0.004
+        return np.zeros(z.shape, dtype=np.uint16)
+
+    monkeypatch.setattr("devices.simulated.sensor.depth_image", rendered)
+    a, _, _ = simulated_pair(motion="still", seconds=2.0, body=KINECT_V1, depth="half")
+    with PacedSensor(a, clock=clock, wait=clock.wait) as paced:
+        given = [clock.now for _ in paced.frames()]
+    ahead = np.array(given) - begins
+    assert ahead[1] > 0.03
+    assert ahead[30:] == pytest.approx(1.0 / 60.0)
 
 
 def test_paced_sensors_begin_together() -> None:
@@ -117,15 +134,27 @@ def test_paced_sensors_begin_together() -> None:
     threads[1].start()
     for thread in threads:
         thread.join()
-    apart = [abs(x.host_ns - y.host_ns) for x, y in zip(*given.values(), strict=True)]
+    apart = [b.host_ns - a.host_ns for a, b in zip(given[a.name], given[b.name], strict=True)]
     assert len(apart) == 6
-    assert np.median(apart) < 0.2e9
+    assert abs(np.median(apart) - 0.96e6) < 0.2e9  # B captures so much later
 
 
 def test_a_paced_sensor_whose_fellow_never_comes_begins_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.simulated.paced._TOGETHER", 0.05)
-    a, b, _ = simulated_pair(motion="still", seconds=0.1, body=KINECT_V1)
-    assert len(list(paced_together(a, b)[0].frames())) == 3
+    monkeypatch.setattr("devices.simulated.paced._TOGETHER", 0.3)
+    a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
+    frames = list(paced_together(a, b)[0].frames())
+    assert len(frames) == 6
+    assert frames[-1].host_ns - frames[0].host_ns > 0.12e9  # at its pace, without catching up
+
+
+def test_a_paced_sensor_ends_while_it_waits_for_its_fellow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("devices.simulated.paced._TOGETHER", 60.0)
+    a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
+    waiting, _ = paced_together(a, b)
+    threading.Timer(0.2, waiting.interrupt).start()
+    begun = time.monotonic()
+    assert list(waiting.frames()) == []
+    assert time.monotonic() - begun < 30.0
 
 
 def test_a_paced_sensor_ends_when_it_is_interrupted() -> None:

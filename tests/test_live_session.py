@@ -115,7 +115,7 @@ def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
     assert slowest < 3.0  # it would be 60 s, the patience, if it waited
 
 
-def test_a_turn_is_over_when_a_frame_is_written_or_time_is_up(stuck: ViewerFeed, fuser: Fuser) -> None:
+def test_a_turn_is_over_when_the_feed_has_written_or_time_is_up(stuck: ViewerFeed, fuser: Fuser) -> None:
     feed = feed_into(DEVOURING, fuser)
     begun = time.monotonic()
     for number, frame in enumerate(frames(fuser, 2)):
@@ -126,9 +126,27 @@ def test_a_turn_is_over_when_a_frame_is_written_or_time_is_up(stuck: ViewerFeed,
     for number, frame in enumerate(frames(fuser, 100, depth=True)):  # more than any pipe takes
         stuck.offer((number, frame))
         time.sleep(0.002)
+    stuck._turn_over.set()  # of a turn before
     begun = time.monotonic()
     stuck.wait_for_turn(0.3)
     assert time.monotonic() - begun >= 0.3
+
+
+def test_the_file_goes_after_the_viewer(
+    fuser: Fuser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turns: list[float] = []
+    wait_for_turn = ViewerFeed.wait_for_turn
+    monkeypatch.setattr(
+        ViewerFeed,
+        "wait_for_turn",
+        lambda feed, seconds: (turns.append(seconds), wait_for_turn(feed, seconds)),
+    )
+    with session(fuser, tmp_path / "s.rrd", Hub.on_free_ports(web=False)) as live:
+        for frame in frames(fuser, 3):
+            live.record(frame)
+        assert eventually(lambda: live.saved == 3)
+    assert turns
 
 
 def test_what_is_said_is_not_dropped_with_the_frames(stuck: ViewerFeed, fuser: Fuser) -> None:

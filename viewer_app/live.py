@@ -104,7 +104,7 @@ def undisturbed() -> Iterator[None]:
 
     A loop that has waited for a frame, or for a lock, goes on only when the thread that runs has had its
     turn: Python's 5 ms are a sixth of a frame. And its search for garbage stops every thread, for four frames
-    where it goes through all that was imported and compiled: that is left out.
+    if it goes through all that was imported and compiled: what is there when the loop begins is left out.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(_TURN)

@@ -173,7 +173,11 @@ class SessionFile:
             check_whole(self._path)
 
     def _take_block(self, recorder: Recorder, compact: CompactCopy) -> tuple[bool, list[Item]]:
-        """Whether this is the end, and what was offered in half a second; its images are written already."""
+        """Whether this is the end, and what was offered in half a second and a turn or two.
+
+        Its images are written already, so that they stand before its skeletons: a file cut off between them
+        has images without a frame, which our readers leave out.
+        """
         begun = time.monotonic()
         block: list[Item] = []
         ending = False

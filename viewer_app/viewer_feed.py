@@ -150,7 +150,7 @@ class ViewerFeed:
             self._more.notify()
 
     def wait_for_turn(self, seconds: float) -> None:
-        """Waits until it has next written something, so many seconds at most."""
+        """Waits until it is next done with what there was to write, if anything; so many seconds at most."""
         self._turn_over.clear()
         self._turn_over.wait(seconds)
 

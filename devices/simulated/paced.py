@@ -13,8 +13,8 @@ from fusion.body import Body
 from fusion.viewing_plane import Intrinsics
 
 _FRAME, _TOGETHER = 1.0 / 30.0, 1.0  # seconds
-_MARGIN, _FORGETTING = 1.3, 0.95
-"""A frame is begun so many times before it is due as the longest of late took, which fades a frame."""
+_MARGIN, _FORGETTING = 1.5, 0.95
+"""A frame is begun 1.5 times as long before it is due as the longest of late took; that fades by 5 % a frame."""
 
 
 class Beat:
@@ -27,16 +27,21 @@ class Beat:
     def __init__(self, sensors: int = 1) -> None:
         self._awaited = sensors
         self._came = threading.Condition()
-        self._begun = 0.0
+        self._latest = 0.0
 
-    def begin(self, now: float) -> float:
-        """Waits for the others, a second at most; gives the moment at which the last one came, seconds."""
+    def begin(self, clock: Callable[[], float], stopping: threading.Event) -> float:
+        """Waits for the others, a second at most; gives the moment to begin at, seconds of the clock."""
         with self._came:
             self._awaited -= 1
-            self._begun = max(self._begun, now)
+            self._latest = clock()
             self._came.notify_all()
-            self._came.wait_for(lambda: self._awaited <= 0, timeout=_TOGETHER)
-            return self._begun
+            all_here = self._came.wait_for(lambda: self._awaited <= 0 or stopping.is_set(), timeout=_TOGETHER)
+            return self._latest if all_here else clock()
+
+    def wake(self) -> None:
+        """Lets who waits see that it is to stop."""
+        with self._came:
+            self._came.notify_all()
 
 
 class PacedSensor:
@@ -90,6 +95,7 @@ class PacedSensor:
     def interrupt(self) -> None:
         """Makes ``frames`` end now."""
         self._stopping.set()
+        self._beat.wake()
 
     def frames(self) -> Iterator[SensorFrame]:
         """The sensor's frames, each when it is due."""
@@ -101,10 +107,9 @@ class PacedSensor:
             if frame is None:
                 return
             longest = max(self._clock() - started, _FORGETTING * longest)
-            at = frame.time_ns * 1e-9
             if begun is None:
-                begun = self._beat.begin(self._clock()) - at
-            due = begun + at
+                begun = self._beat.begin(self._clock, self._stopping)
+            due = begun + (frame.time_ns - self._sensor.clock_at_start_ns) * 1e-9
             self._sensor.hurried = due - self._clock() < -_FRAME
             if self._stops_before(due):
                 return
@@ -119,6 +124,6 @@ class PacedSensor:
 
 
 def paced_together(*sensors: SimulatedKinect) -> list[PacedSensor]:
-    """Sensors whose frames of the same number come at the same time."""
+    """Sensors whose frames come as far apart as they are captured."""
     beat = Beat(len(sensors))
     return [PacedSensor(sensor, beat) for sensor in sensors]

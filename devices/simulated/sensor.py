@@ -170,6 +170,11 @@ class SimulatedKinect:
         self.hurried = False
         self.images_left_out = 0
 
+    @property
+    def clock_at_start_ns(self) -> int:
+        """What its clock shows when the scene begins, ns."""
+        return self._rig.clock(self._which, 0.0)
+
     def __enter__(self) -> SimulatedKinect:
         """Nothing is to be opened."""
         return self
