@@ -14,7 +14,7 @@ from fusion.viewing_plane import Intrinsics
 
 _FRAME, _TOGETHER = 1.0 / 30.0, 1.0  # seconds
 _MARGIN, _FORGETTING = 1.5, 0.95
-"""A frame is begun 1.5 times as long before it is due as the longest of late took; that fades by 5 % a frame."""
+"""A frame is begun 1.5 times as long before it is due as the longest of late took, which fades by 5 %."""
 
 
 class Beat:
