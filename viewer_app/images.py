@@ -21,13 +21,13 @@ def has_images(pair: FramePair) -> bool:
     return any(f is not None and (f.depth is not None or f.color is not None) for f in (pair.a, pair.b))
 
 
-def without_images(pair: FramePair) -> FramePair:
-    """The pair with skeletons only."""
+def without_images(pair: FramePair, of: str = "ab") -> FramePair:
+    """The pair with skeletons only, or with the images of one sensor only: the other than `of`."""
 
-    def bare(frame: SensorFrame | None) -> SensorFrame | None:
-        return None if frame is None else replace(frame, depth=None, color=None)
+    def bare(frame: SensorFrame | None, side: str) -> SensorFrame | None:
+        return frame if frame is None or side not in of else replace(frame, depth=None, color=None)
 
-    return replace(pair, a=bare(pair.a), b=bare(pair.b))
+    return replace(pair, a=bare(pair.a, "a"), b=bare(pair.b, "b"))
 
 
 def with_depth(pair: FramePair, depth: Depth) -> FramePair:

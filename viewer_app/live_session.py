@@ -29,6 +29,9 @@ from viewer_app.viewer_feed import Image, Item, Note, ViewerFeed
 _VIEWER_QUEUE = 60
 """Frames that wait for the viewer at most: two seconds, then it is shown the newest."""
 _EARLY = 0.9  # of an interval: a frame that comes a little early is not put off for the next one
+_HALF_NS = 16_000_000
+"""Half a frame. A's images begin with the second frame, B's with the third: together, or with the matrix of
+trust, whose seconds begin with the first, they would make everyone wait."""
 _DEPTH_HZ = 10.0  # what a viewer's memory of images stands
 _WINDOW_LOOKED_AFTER_EVERY = 0.5  # seconds
 _SHOWN_WITHIN = 60.0
@@ -94,7 +97,7 @@ class LiveSession:
         self._start_ns: int | None = None
         self._path = file
         self._viewing = viewing or Viewing()
-        self._next_image_ns = 0
+        self._next_image_ns: dict[str, int] = {}
         self._file: SessionFile | None = None
         self._feed: ViewerFeed | None = None
         self._window: _Window | None = None
@@ -249,13 +252,17 @@ class LiveSession:
                 taker.offer(item)
 
     def _capped(self, frame: RecordedFrame) -> RecordedFrame:
-        """The frame for the viewer: with images only as often as it stands them."""
+        """The frame for the viewer: with images only as often as it stands them, of one sensor at a time."""
         if not has_images(frame.pair):
             return frame
-        if frame.pair.time_ns >= self._next_image_ns:
-            self._next_image_ns = frame.pair.time_ns + int(_EARLY * 1e9 / self._viewing.depth_hz)
-            return frame
-        return replace(frame, pair=without_images(frame.pair))
+        now = frame.pair.time_ns
+        if not self._next_image_ns:
+            self._next_image_ns = {"a": now + _HALF_NS, "b": now + 3 * _HALF_NS}
+        shown = [side for side, due in self._next_image_ns.items() if now >= due]
+        for side in shown:
+            self._next_image_ns[side] = now + int(_EARLY * 1e9 / self._viewing.depth_hz)
+        left_out = "".join(self._next_image_ns.keys() - shown)
+        return replace(frame, pair=without_images(frame.pair, left_out)) if left_out else frame
 
     def _feed_into(self, start: Callable[[], subprocess.Popen[bytes]], restart: bool = True) -> ViewerFeed:
         return ViewerFeed(
