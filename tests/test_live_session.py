@@ -35,7 +35,6 @@ from viewer_app.session_file import SessionFile
 from viewer_app.viewer_feed import Note, ViewerFeed
 
 BODY = KINECT_V2
-DEVOURING = [sys.executable, "-c", "import sys; sys.stdin.buffer.read()"]
 STUCK = [sys.executable, "-c", "import time; time.sleep(600)"]
 """A process that never reads: a frozen viewer."""
 HUNGRY = [sys.executable, "-c", "import sys; print(len(sys.stdin.buffer.read()))"]
@@ -116,7 +115,7 @@ def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
 
 
 def test_a_turn_is_over_when_the_feed_has_written_or_time_is_up(stuck: ViewerFeed, fuser: Fuser) -> None:
-    feed = feed_into(DEVOURING, fuser)
+    feed = feed_into(HUNGRY, fuser)
     begun = time.monotonic()
     for number, frame in enumerate(frames(fuser, 2)):
         feed.offer((number, frame))
