@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError
-from fusion.viewing_plane import Intrinsics
+from fusion.intrinsics import Intrinsics
 
 _MAX_REPROJECTION = 0.05  # pixels: a ray that misses its own pixel by more is outside the lens's model
 

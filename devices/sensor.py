@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
-from fusion.viewing_plane import Intrinsics
 
 
 class DeviceError(Exception):

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from devices.body_tracking import TrackerSettings
-from devices.mkv import MkvInfo, MkvRecording
-from devices.person_choice import PersonChoice
+from devices.azure.recording.mkv import MkvInfo, MkvRecording
+from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
+from devices.following import PersonChoice
 from devices.sensor import DeviceError, Sensor, SensorFrame
-from devices.skeleton_files import SkeletonRecording
-from devices.tracked_recording import RecordingWithSkeletons, TrackedRecording
+from devices.skeletons.recording import SkeletonRecording
 
 MKV = ".mkv"
 FOLLOWED = "followed"

@@ -10,14 +10,14 @@ import numpy as np
 from numba import typeof
 from numpy.typing import NDArray
 
-from fusion import frame
-from fusion.calibration import Calibration
+from fusion.calibration.calibration import Calibration
+from fusion.compiling.parallel_compilation import tree_solver_compiled_meanwhile
 from fusion.errors import FusionError
-from fusion.first_run import tree_solver_compiled_meanwhile
-from fusion.reliability import PAPER_H
+from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
+from fusion.methods import paper as frame
+from fusion.methods.reliability import PAPER_H
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
-from fusion.viewing_plane import NOMINAL_INTRINSICS, Intrinsics
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class FusedFrame:
 class Fuser:
     """Makes one skeleton of two, pair by pair; it remembers only the frame before.
 
-    A frame goes through the steps of METHOD.md, compiled in :mod:`fusion.frame`: t again, trust, solve.
+    The steps of a frame are those of ``docs/method.md``, compiled in :mod:`fusion.methods.paper`.
 
     Args:
         calibration: R, t and the bone lengths.

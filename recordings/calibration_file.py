@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from fusion.body import Body
-from fusion.bone_lengths import SHORTEST
-from fusion.calibration import Calibration
+from fusion.calibration.bone_lengths import SHORTEST
+from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.rigid import RigidTransform
 from recordings.errors import RecordingError

@@ -27,20 +27,18 @@ from numpy.typing import NDArray
 from devices.pairing import FramePair
 from devices.sensor import ColorImage, SensorFrame
 from fusion.body import BODIES, Body
-from fusion.calibration import Calibration
+from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser, FuserSettings
+from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
-from fusion.viewing_plane import Intrinsics
 from recordings import layout
-from recordings.arrays import SessionArrays
-from recordings.color import read_color
-from recordings.depth import read_depth
 from recordings.errors import RecordingError
-from recordings.images import ImageReader
-from recordings.rrd_file import read_columns
-from recordings.series import QualitySeries, SkeletonSeries
-from recordings.stored_frames import frames_of
-from recordings.stored_settings import (
+from recordings.images.color_images import read_color
+from recordings.images.depth_images import read_depth
+from recordings.reading.image_reader import ImageReader
+from recordings.reading.rrd_file import read_columns
+from recordings.reading.stored_frames import frames_of
+from recordings.reading.stored_settings import (
     Event,
     calibrations_of,
     camera_of,
@@ -48,6 +46,8 @@ from recordings.stored_settings import (
     events_of,
     settings_of,
 )
+from recordings.session_arrays import SessionArrays
+from recordings.session_series import QualitySeries, SkeletonSeries
 
 PERSON = "0"
 """The id of the one person of a session, as a source of pairs."""

@@ -19,12 +19,12 @@ import pytest
 import rerun as rr
 
 from devices.pairing import FramePair
-from fusion.calibration import Calibration
+from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser, FuserSettings
 from recordings import layout
-from recordings.arrays import RecordedFrame
-from recordings.recorder import Recorder
 from recordings.session import Session
+from recordings.session_arrays import RecordedFrame
+from recordings.writing.recorder import Recorder
 
 FusedRun = Callable[..., Session]
 
@@ -80,7 +80,7 @@ _CAPTURED = {
     "states_a": "a tracking state of S_A",
     "states_b": "a tracking state of S_B",
 }
-"""What two fusions of one capture share, by its name in :class:`recordings.arrays.SessionArrays`."""
+"""What two fusions of one capture share, by its name in :class:`recordings.session_arrays.SessionArrays`."""
 
 
 def assert_sessions_match(

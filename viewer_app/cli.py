@@ -13,18 +13,18 @@ from typing import Annotated, Any
 from viewer_app import options as of
 
 _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
-    "demo": (of.DemoOptions, "viewer_app.demo"),
-    "live": (of.LiveOptions, "viewer_app.live_command"),
-    "fuse": (of.FuseOptions, "viewer_app.fuse"),
-    "replay": (of.ReplayOptions, "viewer_app.replay"),
-    "review": (of.ReviewOptions, "viewer_app.review"),
-    "compare": (of.CompareOptions, "viewer_app.compare"),
-    "export": (of.ExportOptions, "viewer_app.export"),
-    "trim": (of.TrimOptions, "viewer_app.trim"),
-    "info": (of.InfoOptions, "viewer_app.info"),
-    "doctor": (of.DoctorOptions, "viewer_app.doctor_command"),
-    "bench accuracy": (of.BenchAccuracyOptions, "viewer_app.bench_accuracy"),
-    "bench speed": (of.BenchSpeedOptions, "viewer_app.bench_speed"),
+    "demo": (of.DemoOptions, "viewer_app.commands.demo"),
+    "live": (of.LiveOptions, "viewer_app.commands.live"),
+    "fuse": (of.FuseOptions, "viewer_app.commands.fuse"),
+    "replay": (of.ReplayOptions, "viewer_app.commands.replay"),
+    "review": (of.ReviewOptions, "viewer_app.commands.review"),
+    "compare": (of.CompareOptions, "viewer_app.commands.compare"),
+    "export": (of.ExportOptions, "viewer_app.commands.export"),
+    "trim": (of.TrimOptions, "viewer_app.commands.trim"),
+    "info": (of.InfoOptions, "viewer_app.commands.info"),
+    "doctor": (of.DoctorOptions, "viewer_app.commands.doctor"),
+    "bench accuracy": (of.BenchAccuracyOptions, "viewer_app.bench.accuracy"),
+    "bench speed": (of.BenchSpeedOptions, "viewer_app.bench.speed"),
 }
 """By name, ``group command`` or ``command``: the options, and the module whose ``run`` carries it out."""
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.arrays import SessionArrays
+from recordings.session_arrays import SessionArrays
 
 _STANDARD_RATES = (5.0, 15.0, 30.0, 60.0)
 _STANDARD_WITHIN = 0.05

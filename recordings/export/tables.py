@@ -15,8 +15,8 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from recordings.arrays import SessionArrays
 from recordings.session import Session
+from recordings.session_arrays import SessionArrays
 
 _STATES = np.array(["not_tracked", "inferred", "tracked"])
 _FUSED_STATES = np.array(["fused", "predicted"])
@@ -53,7 +53,7 @@ def write_parquet(session: Session, path: Path) -> str:
 
 
 def write_npz(session: Session, path: Path) -> str:
-    """Every array of :class:`recordings.arrays.SessionArrays` under its name; joints and bones by name."""
+    """Every array of :class:`recordings.session_arrays.SessionArrays`; joints and bones by name."""
     rows = session.rows
     arrays = {f.name: getattr(rows, f.name) for f in fields(SessionArrays) if f.name != "body"}
     with path.open("wb") as file:

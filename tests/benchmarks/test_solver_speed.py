@@ -9,13 +9,13 @@ import pytest
 
 from fusion.body import BODIES, KINECT_V1
 from fusion.fuser import Fuser
-from fusion.paper_solver import PaperSolver
-from fusion.reliability import reliability_weights
-from fusion.tree_solver import TreeSolver
-from tests.campaign_solver import slsqp
+from fusion.methods.reliability import reliability_weights
+from fusion.solvers.published import PaperSolver
+from fusion.solvers.tree_solver import TreeSolver
+from tests.campaigns.solver import slsqp
 from tests.conftest import FRAME_NS, moving, pair_of
-from tests.test_fuser import flawless_calibration, noisy
-from tests.test_tree_solver import ordinary_problem, solver_of
+from tests.fusion.test_fuser import flawless_calibration, noisy
+from tests.fusion.test_tree_solver import ordinary_problem, solver_of
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)

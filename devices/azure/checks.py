@@ -1,0 +1,252 @@
+"""What of live capture works on this machine, as data."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects, load_sdk
+from devices.azure.sensor_roles import NeedsChoiceError, choose_two, sync_master
+from devices.azure.tracking.body_tracker import INSTALL, TrackerSettings
+from devices.azure.tracking.native_library import load_library, loaded_file
+from devices.azure.usb import UDEV_ADVICE, usb_kinects
+from devices.sensor import DeviceError
+
+_MODELS = ("dnn_model_2_0_op11.onnx", "dnn_model_2_0_lite_op11.onnx", "dnn_model_2_0.onnx")
+_DEPTH_ENGINE = "libdepthengine.so.2.0"
+_USB3_MEGABITS = 5000
+_CABLE_ADVICE = (
+    "A 3.5 mm cable from one's sync out to the other's sync in makes them capture together, without "
+    "disturbing each other."
+)
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was looked at.
+
+    Attributes:
+        name: What it is.
+        ok: Whether it works.
+        detail: What was found.
+        advice: What to do where it fails; empty where it works.
+        needed: Whether live capture cannot start without it.
+    """
+
+    name: str
+    ok: bool
+    detail: str
+    advice: str = ""
+    needed: bool = True
+
+
+def device_checks(
+    tracker: TrackerSettings | None = None,
+    root: Path = Path("/"),
+    *,
+    x_answers: bool = True,
+    choice: tuple[str | None, str | None, str | None] = (None, None, None),
+) -> list[Check]:
+    """All that live capture needs of devices and their libraries, in the order to put it right.
+
+    Args:
+        tracker: How the tracker would run: its library and network are looked for.
+        root: Where the file system starts; tests put their own there.
+        choice: Serial numbers that live would be given: A, B, principal, as ``choose_two`` takes them.
+        x_answers: Whether the X display answers, where DISPLAY names one.
+    """
+    tracker = tracker or TrackerSettings()
+    return [
+        _sdk(),
+        _depth_engine(root, x_answers),
+        _tracker_library(tracker),
+        _tracker_network(tracker, root),
+        _usb_permission(root),
+        _usb_speed(root),
+        *_kinects(choice),
+        _gpu(tracker, root),
+        Check(
+            "proven on hardware",
+            False,
+            "live capture and body tracking have met stand-ins only, never a real sensor; recordings have",
+            "Report what happens with yours.",
+            needed=False,
+        ),
+    ]
+
+
+def _sdk() -> Check:
+    try:
+        sdk = load_sdk()
+    except DeviceError as fault:
+        return _failed("pyk4a and the Sensor SDK", fault)
+    return Check("pyk4a and the Sensor SDK", True, getattr(sdk, "__file__", None) or "installed")
+
+
+def _depth_engine(root: Path, x_answers: bool) -> Check:
+    """What makes depth of the sensor's raw images, on this machine: a closed library that uses OpenGL."""
+    name = "depth engine"
+    if not sys.platform.startswith("linux"):
+        return Check(name, True, f"comes with the Sensor SDK on {sys.platform}")
+    display = os.environ.get("DISPLAY")
+    if not display or not x_answers:
+        what = f"The display {display} (DISPLAY) does not answer" if display else "DISPLAY is not set"
+        return Check(
+            name,
+            False,
+            f"{what}, and depth is computed with OpenGL, which needs an X display",
+            "Start from a desktop session, or log in at the machine and export DISPLAY=:0.",
+        )
+    libraries = root / "usr/lib/x86_64-linux-gnu"
+    folders = [libraries, libraries / "libk4a1.4", root / "usr/local/lib", root / "usr/lib"]
+    sdk = loaded_file("k4a")
+    if sdk is not None:
+        folders.insert(0, sdk.parent)
+    for folder in folders:
+        if (folder / _DEPTH_ENGINE).is_file():
+            return Check(name, True, f"{folder / _DEPTH_ENGINE}, display {display}")
+    return Check(
+        name,
+        False,
+        f"{_DEPTH_ENGINE} is not where the SDK puts it",
+        "It comes with the SDK's package libk4a1.4; with Orbbec's wrapper, beside its libk4a.",
+        needed=False,  # the SDK may have a path of its own to it
+    )
+
+
+def _tracker_library(tracker: TrackerSettings) -> Check:
+    try:
+        library = load_library("k4abt", tracker.library, INSTALL)
+    except DeviceError as fault:
+        return _failed("body tracker", fault)
+    if not hasattr(library, "k4abt_tracker_create"):
+        return Check("body tracker", False, f"{library._name} is another library.", INSTALL)
+    return Check("body tracker", True, str(library._name))
+
+
+def _tracker_network(tracker: TrackerSettings, root: Path) -> Check:
+    name = "body tracker's network"
+    if tracker.model is not None:
+        advice = "" if tracker.model.is_file() else "Check the path, or leave it out."
+        return Check(name, tracker.model.is_file(), str(tracker.model), advice)
+    folders = [root / "usr/bin", root / "usr/lib/x86_64-linux-gnu", Path.cwd()]
+    beside = tracker.library or loaded_file("k4abt")
+    if beside is not None:
+        folders.insert(0, beside.parent)
+    if sys.platform == "win32":
+        folders.append(Path("C:/Program Files/Azure Kinect Body Tracking SDK/tools"))
+    for folder in folders:
+        for model in _MODELS:
+            if (folder / model).is_file():
+                return Check(name, True, str(folder / model))
+    return Check(name, False, f"none of {', '.join(_MODELS)} where libk4abt looks", INSTALL)
+
+
+def _usb_permission(root: Path) -> Check:
+    name = "USB permission"
+    if not sys.platform.startswith("linux"):
+        return Check(name, True, f"not restricted on {sys.platform}")
+    there = usb_kinects(root)
+    forbidden = [device for device in there if not device.allowed]
+    if forbidden:
+        return Check(name, False, f"this user may not open {forbidden[0].node}", UDEV_ADVICE)
+    if there:
+        return Check(name, True, f"{len(there)} Kinect(s) on the bus may be opened")
+    rules = [
+        rule
+        for folder in ("etc", "lib", "usr/lib")
+        for of in ("k4a", "obsensor")
+        for rule in (root / folder / "udev/rules.d").glob(f"*{of}*.rules")
+    ]
+    if rules or os.geteuid() == 0:
+        return Check(name, True, f"udev rule {rules[0].name}" if rules else "running as root")
+    return Check(name, False, "no udev rule for the Kinect", UDEV_ADVICE)
+
+
+def _usb_speed(root: Path) -> Check:
+    there = usb_kinects(root)
+    slow = [device for device in there if 0 < device.megabits < _USB3_MEGABITS]
+    if slow:
+        detail = f"{slow[0].serial or slow[0].node} runs at {slow[0].megabits} Mbit/s"
+        return Check("USB speed", False, detail, "Plug it into a USB 3 port, with its own cable.")
+    return Check("USB speed", True, f"{len(there)} Kinect(s) at USB 3" if there else "no Kinect on the bus")
+
+
+def _kinects(choice: tuple[str | None, str | None, str | None]) -> list[Check]:
+    try:
+        there = connected_kinects()
+    except DeviceError as fault:
+        return [_failed("two Kinects", fault)]
+    usable = sum(kinect.serial is not None for kinect in there)
+    counted, each = f"{len(there)} connected, {usable} usable", [_kinect(kinect) for kinect in there]
+    if usable < 2:
+        advice = "Plug in two: USB 3 and a power supply each, on two USB controllers."
+        return [Check("two Kinects", False, counted, advice), *each]
+    try:
+        chosen = choose_two(there, *choice)
+    except NeedsChoiceError as question:  # which live asks
+        chosen = question.serials
+    except DeviceError as fault:
+        return [Check("two Kinects", False, counted, str(fault)), *each]
+    return [Check("two Kinects", True, counted), *each, _sync_cable(there, chosen)]
+
+
+def _sync_cable(there: list[ConnectedKinect], chosen: tuple[str, str]) -> Check:
+    """How the two are joined."""
+    a, b = (next(kinect for kinect in there if kinect.serial == serial) for serial in chosen)
+    try:
+        master = sync_master(a, b)
+    except DeviceError as fault:
+        return _failed("sync cable", fault)
+    if master is None:
+        return Check("sync cable", False, "none", _CABLE_ADVICE, needed=False)
+    other = b.serial if master == a.serial else a.serial
+    return Check("sync cable", True, f"from {master} to {other}", needed=False)
+
+
+def _kinect(kinect: ConnectedKinect) -> Check:
+    if kinect.serial is None:
+        what, _, advice = kinect.fault.partition(". ")
+        return Check(f"Kinect at place {kinect.index}", False, what, advice, needed=False)
+    plugs = f"sync in {_plug(kinect.sync_in)}, sync out {_plug(kinect.sync_out)}"
+    return Check(f"Kinect {kinect.serial}", True, plugs, needed=False)
+
+
+def _plug(connected: bool | None) -> str:
+    return "connected" if connected else "empty"
+
+
+def _gpu(tracker: TrackerSettings, root: Path) -> Check:
+    if (root / "proc/driver/nvidia/version").is_file() or shutil.which("nvidia-smi"):
+        return Check("GPU", True, "NVIDIA driver found", needed=False)
+    if sys.platform == "win32":
+        try:
+            ctypes.CDLL("DirectML.dll")
+        except OSError:
+            pass
+        else:
+            return Check("GPU", True, "DirectML found", needed=False)
+    slow = (
+        "about one frame a second, and two sensors' hardly ever pair: record with k4arecorder now, "
+        "duplex fuse a.mkv b.mkv later."
+    )
+    if tracker.processing == "cpu":
+        return Check(
+            "GPU", False, "none found; the tracker runs on the CPU", f"That gives {slow}", needed=False
+        )
+    return Check(
+        "GPU",
+        False,
+        f"no driver found, and the tracker is to run on {tracker.processing}",
+        f"Install NVIDIA's driver, or try --processing cpu, which gives {slow}",
+    )
+
+
+def _failed(name: str, fault: DeviceError) -> Check:
+    """A check from an error: what happened, up to the end of its first sentence; the rest is the way out."""
+    what, _, advice = str(fault).partition(". ")
+    return Check(name, False, what, advice)

@@ -1,0 +1,284 @@
+"""Azure Kinect recordings (.mkv), read without any SDK.
+
+A recording is a Matroska file with the streams COLOR (JPEG), DEPTH and IR (raw 16 bit, big-endian), IMU
+(one sample a packet), and the factory calibration as an attachment. Device time is the packet's time
+plus the start offset in the file's metadata.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.azure.calibration import COLOR_MODES, AzureCalibration, depth_mode, read_calibration
+from devices.azure.recording.capture_groups import Capture, Captures
+from devices.sensor import ColorImage, DeviceError, SensorFrame
+from fusion.body import AZURE_KINECT, Body
+from fusion.intrinsics import Intrinsics
+
+_IMU_SAMPLE = struct.Struct("<Q3fQ3f")
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """One sample of the sensor's inertial unit, in its own axes.
+
+    Attributes:
+        time_ns: When the acceleration was measured, on the sensor's clock.
+        acceleration: x, y, z in m/s².
+        gyro_time_ns: When the rotation was measured.
+        angular_velocity: x, y, z in rad/s.
+    """
+
+    time_ns: int
+    acceleration: tuple[float, float, float]
+    gyro_time_ns: int
+    angular_velocity: tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class MkvInfo:
+    """What a recording says about itself, and about the sensor that made it.
+
+    Attributes:
+        serial: The sensor's serial number; empty if the file does not say.
+        depth_mode: A key of ``DEPTH_MODES``.
+        color_mode: A key of ``COLOR_MODES``; None without colour in a supported mode.
+        sync_mode: ``STANDALONE``, ``MASTER`` or ``SUBORDINATE``.
+        subordinate_delay_ns: How much later than the master a subordinate captures.
+        start_offset_ns: Device time of the file's time 0.
+        interval_ns: Time between two frames.
+        duration_ns: From the file's time 0 to its last frame; 0 where the file was never closed.
+        calibration: The cameras' calibration, in these modes.
+        calibration_json: The same as the sensor stores it, for the SDK.
+    """
+
+    serial: str
+    depth_mode: str
+    color_mode: str | None
+    sync_mode: str
+    subordinate_delay_ns: int
+    start_offset_ns: int
+    interval_ns: int
+    duration_ns: int
+    calibration: AzureCalibration
+    calibration_json: bytes
+
+
+class MkvRecording:
+    """A recorded Azure Kinect: a :class:`~devices.sensor.Sensor` without people in its frames.
+
+    Attributes:
+        name: The file's name.
+        body: The Azure Kinect's body: what a body tracker makes of these frames.
+        intrinsics: Of the depth camera; None before opening.
+        info: What the recording says about itself; None before opening.
+        warnings: What is wrong with the file although frames could be read: cut off, damaged frames.
+    """
+
+    def __init__(self, path: Path | str, color: bool = True) -> None:
+        """Names the file; opens nothing.
+
+        Args:
+            path: The recording.
+            color: Whether to give colour images.
+        """
+        self.path = Path(path)
+        self.name = self.path.name
+        self.body: Body = AZURE_KINECT
+        self.intrinsics: Intrinsics | None = None
+        self.info: MkvInfo | None = None
+        self.warnings: list[str] = []
+        self._color = color
+        self._container: Any = None
+        self._begun, self._described = False, 0
+
+    def __enter__(self) -> MkvRecording:
+        """Opens the recording and reads what it says about itself.
+
+        Raises:
+            DeviceError: No such file, no Azure Kinect recording, or an unsupported depth mode.
+        """
+        self.__exit__()
+        self._container, self._begun = self._open(), False
+        self.warnings = []
+        try:
+            self.info = self._describe(self._container)
+        except BaseException:
+            self.__exit__()
+            raise
+        self.intrinsics, self._described = self.info.calibration.depth, len(self.warnings)
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Closes the file."""
+        if self._container is not None:
+            self._container.close()
+            self._container = None
+
+    def frames(self) -> Iterator[SensorFrame]:
+        """The recorded frames in capture order: depth with its infrared image and the nearest colour image.
+
+        A file cut off by a crash gives the complete frames it has; what is missing is in ``warnings``. Each
+        call starts at the first frame.
+
+        Raises:
+            DeviceError: The recording is not open, or holds not one complete frame.
+        """
+        if self._container is None or self.info is None:
+            raise DeviceError(f"{self.name} is not open: use it in a with statement.")
+        if self._begun:  # one that is under way keeps the file that it reads
+            self._container = self._open()
+            del self.warnings[self._described :]
+        self._begun = True
+        info, captures = self.info, Captures(self.info.interval_ns // 2)
+        given = missing = last_ns = 0
+        for capture in captures.gather(self._images(info)):
+            given, last_ns = given + 1, capture.at_ns
+            missing += capture.ir is None
+            yield self._frame(capture, info)
+        self._judge(given, last_ns, missing, info)
+
+    def imu(self) -> Iterator[ImuSample]:
+        """The samples of the inertial unit, in a pass of its own over the file; none if it was off."""
+        container = self._open()
+        try:
+            for _, _, data in self._packets({"IMU"}, container):
+                if len(data) >= _IMU_SAMPLE.size:
+                    at, ax, ay, az, gyro_at, gx, gy, gz = _IMU_SAMPLE.unpack_from(data)
+                    yield ImuSample(at, (ax, ay, az), gyro_at, (gx, gy, gz))
+        finally:
+            container.close()
+
+    def _open(self) -> Any:
+        import av
+
+        if not self.path.is_file():
+            raise DeviceError(f"No recording at {self.path}. Check the path.")
+        try:
+            return av.open(str(self.path), metadata_errors="ignore")
+        except (av.FFmpegError, OSError) as fault:
+            raise DeviceError(
+                f"{self.name} cannot be opened as an .mkv recording ({fault}): it was cut off within its "
+                f"first bytes, or is another kind of file. Record it again with k4arecorder."
+            ) from fault
+
+    def _describe(self, container: Any) -> MkvInfo:
+        streams = {stream.metadata.get("title", ""): stream for stream in container.streams}
+        tags: dict[str, str] = dict(container.metadata)
+        for stream in container.streams:
+            tags.update({key: value for key, value in stream.metadata.items() if key.startswith("K4A_")})
+        if "DEPTH" not in streams or "K4A_DEPTH_MODE" not in tags:
+            found = ", ".join(title for title in streams if title) or "no named stream"
+            raise DeviceError(
+                f"{self.name} has no depth of an Azure Kinect (found: {found}). Record with depth on: "
+                f"k4arecorder --depth-mode NFOV_UNBINNED."
+            )
+        depth = tags["K4A_DEPTH_MODE"]
+        mode = depth_mode(depth)
+        stream = streams["DEPTH"]
+        # A stream whose head is damaged has no size at all.
+        width, height = getattr(stream, "width", 0), getattr(stream, "height", 0)
+        if (width, height) != (mode.width, mode.height):
+            raise DeviceError(
+                f"{self.name} says depth mode {depth}, {mode.width} x {mode.height}, but its images are "
+                f"{width} x {height}. The file is damaged; record it again."
+            )
+        calibration = self._attachment(container)
+        color = tags.get("K4A_COLOR_MODE", "").removeprefix("MJPG_")
+        color_mode = color if self._color and "COLOR" in streams and color in COLOR_MODES else None
+        if self._color and "COLOR" in streams and color_mode is None:
+            self.warnings.append(
+                f"{self.name}: colour in mode {tags.get('K4A_COLOR_MODE', 'unnamed')} is left out; "
+                f"MJPG in {', '.join(COLOR_MODES)} can be read."
+            )
+        rate = stream.average_rate or 30
+        return MkvInfo(
+            serial=tags.get("K4A_DEVICE_SERIAL_NUMBER", ""),
+            depth_mode=depth,
+            color_mode=color_mode,
+            sync_mode=tags.get("K4A_WIRED_SYNC_MODE", "STANDALONE"),
+            subordinate_delay_ns=_whole(tags.get("K4A_SUBORDINATE_DELAY_NS")),
+            start_offset_ns=_whole(tags.get("K4A_START_OFFSET_NS")),
+            interval_ns=int(1e9 / rate),
+            duration_ns=int(container.duration or 0) * 1000,
+            calibration=read_calibration(calibration, depth, color_mode),
+            calibration_json=calibration,
+        )
+
+    def _attachment(self, container: Any) -> bytes:
+        for stream in container.streams:
+            if stream.type == "attachment" and "calibration" in (stream.name or "calibration"):
+                return bytes(stream.data)
+        raise DeviceError(
+            f"{self.name} holds no calibration, so its depth cannot be placed in space. It was cut off "
+            f"before it, or copied by a program that drops attachments; use the original file."
+        )
+
+    def _images(self, info: MkvInfo) -> Iterator[tuple[str, int, bytes]]:
+        """The packets of the cameras that hold a whole image."""
+        mode = depth_mode(info.depth_mode)
+        whole = 2 * mode.width * mode.height
+        wanted = {"COLOR", "DEPTH", "IR"} if info.color_mode is not None else {"DEPTH", "IR"}
+        for title, at_ns, data in self._packets(wanted):
+            if data and (title == "COLOR" or len(data) == whole):
+                yield title, at_ns, data
+
+    def _packets(self, titles: set[str], container: Any = None) -> Iterator[tuple[str, int, bytes]]:
+        """(stream title, ns from the file's start, content), as far as the file can be read."""
+        import av
+
+        container = self._container if container is None else container
+        streams = [stream for stream in container.streams if stream.metadata.get("title") in titles]
+        if not streams:
+            return
+        try:
+            for packet in container.demux(streams):
+                if packet.size and packet.pts is not None:
+                    at_ns = int(packet.pts * packet.time_base * 1_000_000_000)
+                    data = b"" if packet.is_corrupt else bytes(packet)
+                    yield packet.stream.metadata["title"], at_ns, data
+        except (av.FFmpegError, OSError) as fault:
+            self.warnings.append(f"{self.name} cannot be read to its end ({fault}).")
+
+    def _frame(self, capture: Capture, info: MkvInfo) -> SensorFrame:
+        mode, camera = depth_mode(info.depth_mode), info.calibration.color
+        color = None if capture.color is None or camera is None else ColorImage.of(capture.color, camera)
+        return SensorFrame(
+            time_ns=info.start_offset_ns + capture.at_ns,
+            depth=_image16(capture.depth, mode.width, mode.height),
+            ir=None if capture.ir is None else _image16(capture.ir, mode.width, mode.height),
+            color=color,
+        )
+
+    def _judge(self, given: int, last_ns: int, missing: int, info: MkvInfo) -> None:
+        if not given:
+            raise DeviceError(
+                f"{self.name} holds no complete frame: it was cut off before the first, or depth stopped at "
+                f"once. Record it again."
+            )
+        if missing:
+            self.warnings.append(f"{self.name}: {missing} of {given} frames lack their infrared image.")
+        # The length is written when a recording is closed, so a file cut off says more, or nothing.
+        if info.duration_ns == 0 or info.duration_ns - last_ns > 1.5 * info.interval_ns:
+            said = f" of {info.duration_ns / 1e9:.1f} s" if info.duration_ns else ""
+            self.warnings.append(
+                f"{self.name} is cut off: {given} frames up to {last_ns / 1e9:.1f} s{said} could be read."
+            )
+
+
+def _image16(data: bytes, width: int, height: int) -> NDArray[np.uint16]:
+    return np.frombuffer(data, dtype=">u2").reshape(height, width).astype(np.uint16)
+
+
+def _whole(text: str | None) -> int:
+    try:
+        return int(text or 0)
+    except ValueError:
+        return 0

@@ -1,0 +1,239 @@
+"""Microsoft's body tracker, libk4abt 1.1, by its C interface.
+
+The tracker works on captures of its own process's libk4a, given as pointers: those of pyk4a for a live
+sensor (``devices.azure.kinect``), or made from a recording's images
+(``devices.azure.tracking.recorded_captures``).
+"""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import POINTER, byref, c_char_p, c_float, c_int, c_int32, c_uint32, c_uint64, c_void_p
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from devices.azure.tracking.native_library import load_library
+from devices.sensor import DeviceError
+from fusion.body import AZURE_KINECT
+from fusion.skeleton import Skeleton, TrackingState
+
+INSTALL = (
+    "Install Microsoft's Azure Kinect Body Tracking SDK 1.1 (Windows, or Ubuntu 18.04/20.04: libk4abt1.1), "
+    "or name its library with --k4abt PATH."
+)
+_PROCESSING = {"gpu": 0, "cpu": 1, "cuda": 2, "tensorrt": 3, "directml": 4}
+_ORIENTATIONS = {"default": 0, "clockwise90": 1, "counterclockwise90": 2, "flip180": 3}
+_SUCCEEDED, _TIMEOUT = 0, 2
+_NO_BODY = 0xFFFFFFFF
+_JOINT = np.dtype([("position", "<f4", 3), ("orientation", "<f4", 4), ("confidence", "<i4")])
+# Confidence none, low, medium, high; none is out of range, low is predicted and not observed.
+_STATES = np.array(
+    [TrackingState.NOT_TRACKED, TrackingState.INFERRED, *[TrackingState.TRACKED] * 2], np.uint8
+)
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """How the body tracker runs.
+
+    Attributes:
+        processing: Where its network runs. CPU gives about one frame a second.
+        gpu: Which GPU, where there are several.
+        smoothing: Temporal smoothing 0..1. 0 leaves the skeletons as they are, which fusion needs.
+        orientation: How the sensor is mounted.
+        model: Its network's file; the tracker's own choice where None.
+        library: libk4abt itself; the system's where None.
+        timeout_s: How long one frame may take. The first may take ten times as long, as it loads the network.
+    """
+
+    processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
+    gpu: int = 0
+    smoothing: float = 0.0
+    orientation: Literal["default", "clockwise90", "counterclockwise90", "flip180"] = "default"
+    model: Path | None = None
+    library: Path | None = None
+    timeout_s: float = 5.0
+
+
+@dataclass(frozen=True)
+class TrackedBodies:
+    """What the tracker found in one capture.
+
+    Attributes:
+        time_ns: Capture time of its depth image, on the sensor's clock.
+        people: Skeletons by body id.
+    """
+
+    time_ns: int
+    people: dict[str, Skeleton]
+
+
+class _Configuration(ctypes.Structure):
+    _fields_ = (
+        ("sensor_orientation", c_int),
+        ("processing_mode", c_int),
+        ("gpu_device_id", c_int32),
+        ("model_path", c_char_p),
+    )
+
+
+class BodyTracker:
+    """One tracker for one sensor: captures go in, bodies come out, in order.
+
+    Building one opens nothing. Use it from one thread at a time; its waits are finite, and other threads run
+    meanwhile.
+    """
+
+    def __init__(self, settings: TrackerSettings | None = None) -> None:
+        self.settings = settings or TrackerSettings()
+        self._library: ctypes.CDLL | None = None
+        self._tracker = c_void_p()
+        self._results = 0
+
+    def open(self, calibration: int) -> None:
+        """Starts the tracker; loading its network takes seconds, with TensorRT minutes the first time.
+
+        Args:
+            calibration: Address of the sensor's ``k4a_calibration_t`` (1032 bytes).
+
+        Raises:
+            DeviceError: No library, no network, no GPU, or settings out of range.
+        """
+        self.close()
+        settings = self.settings
+        if not 0.0 <= settings.smoothing <= 1.0:
+            raise DeviceError(
+                f"Smoothing is 0 to 1, not {settings.smoothing}. 0 leaves skeletons as they are."
+            )
+        if settings.model is not None and not settings.model.is_file():
+            raise DeviceError(
+                f"No network at {settings.model}. It comes with the SDK: dnn_model_2_0_op11.onnx."
+            )
+        library = _declare(load_library("k4abt", settings.library, INSTALL))
+        configuration = _Configuration(
+            _ORIENTATIONS[settings.orientation],
+            _PROCESSING[settings.processing],
+            settings.gpu,
+            None if settings.model is None else str(settings.model).encode(),
+        )
+        tracker = c_void_p()
+        status = library.k4abt_tracker_create(calibration, configuration, byref(tracker))
+        if status != _SUCCEEDED or not tracker:
+            raise DeviceError(
+                f"The body tracker did not start (status {status}, {settings.processing}). Its network "
+                f"(dnn_model_2_0_op11.onnx) or a library of {settings.processing} is missing beside "
+                f"libk4abt, or the depth mode is neither NFOV_UNBINNED nor WFOV_2X2BINNED. Try processing "
+                f"cpu; K4ABT_ENABLE_LOG_TO_STDOUT=1 makes it say more."
+            )
+        library.k4abt_tracker_set_temporal_smoothing(tracker, settings.smoothing)
+        self._library, self._tracker, self._results = library, tracker, 0
+
+    def enqueue(self, capture: int) -> None:
+        """Gives the tracker a capture; it keeps a reference of its own.
+
+        Args:
+            capture: A ``k4a_capture_t`` with depth and infrared.
+
+        Raises:
+            DeviceError: The tracker is closed, refuses the capture, or has taken none for ``timeout_s``.
+        """
+        library = self._opened()
+        status = library.k4abt_tracker_enqueue_capture(self._tracker, capture, self._timeout_ms())
+        if status == _TIMEOUT:
+            raise self._stalled("took no capture")
+        if status != _SUCCEEDED:
+            raise DeviceError(
+                f"The body tracker refused a capture (status {status}). It needs depth and infrared of one "
+                f"libk4a: install pyk4a built on the same SDK as libk4abt, not pyk4a-bundle."
+            )
+
+    def pop(self, wait_s: float | None = None) -> TrackedBodies | None:
+        """The next capture's bodies.
+
+        Args:
+            wait_s: How long to wait before giving None; where None, ``timeout_s``, and then an error.
+
+        Raises:
+            DeviceError: The tracker is closed, failed, or stalls.
+        """
+        library, frame = self._opened(), c_void_p()
+        wait_ms = self._timeout_ms() if wait_s is None else round(wait_s * 1000)
+        status = library.k4abt_tracker_pop_result(self._tracker, byref(frame), wait_ms)
+        if status == _TIMEOUT and wait_s is not None:
+            return None
+        if status == _TIMEOUT:
+            raise self._stalled("gave no result")
+        if status != _SUCCEEDED or not frame:
+            raise DeviceError(
+                f"The body tracker failed (status {status}). It must be started again; if it fails at once, "
+                f"the GPU is out of memory or its driver was reset: close other programs, or use processing "
+                f"cpu."
+            )
+        try:
+            self._results += 1
+            return _bodies(library, frame)
+        finally:
+            library.k4abt_frame_release(frame)
+
+    def close(self) -> None:
+        """Stops the tracker; closing twice is harmless."""
+        if self._library is not None:
+            self._library.k4abt_tracker_shutdown(self._tracker)
+            self._library.k4abt_tracker_destroy(self._tracker)
+            self._library, self._tracker = None, c_void_p()
+
+    def _opened(self) -> ctypes.CDLL:
+        if self._library is None:
+            raise DeviceError("The body tracker is not open: open it with the sensor's calibration first.")
+        return self._library
+
+    def _timeout_ms(self) -> int:
+        return round(self.settings.timeout_s * (1000 if self._results else 10_000))
+
+    def _stalled(self, what: str) -> DeviceError:
+        return DeviceError(
+            f"The body tracker stalls: it {what} for {self._timeout_ms() / 1000:g} s. Its GPU is too slow or "
+            f"busy: close other programs, or record now and track later (duplex fuse a.mkv b.mkv)."
+        )
+
+
+def _bodies(library: ctypes.CDLL, frame: c_void_p) -> TrackedBodies:
+    time_ns = 1000 * int(library.k4abt_frame_get_device_timestamp_usec(frame))
+    people: dict[str, Skeleton] = {}
+    joints = np.zeros(len(AZURE_KINECT), _JOINT)
+    for index in range(library.k4abt_frame_get_num_bodies(frame)):
+        status = library.k4abt_frame_get_body_skeleton(frame, index, joints.ctypes.data)
+        identity = library.k4abt_frame_get_body_id(frame, index)
+        if status != _SUCCEEDED or identity == _NO_BODY:
+            continue
+        confidence = np.clip(joints["confidence"], 0, len(_STATES) - 1)
+        people[str(identity)] = Skeleton.of(
+            AZURE_KINECT, joints["position"] / 1000.0, _STATES[confidence], time_ns
+        )
+    return TrackedBodies(time_ns, people)
+
+
+def _declare(library: ctypes.CDLL) -> ctypes.CDLL:
+    prototypes = {
+        "k4abt_tracker_create": (c_int, [c_void_p, _Configuration, POINTER(c_void_p)]),
+        "k4abt_tracker_shutdown": (None, [c_void_p]),
+        "k4abt_tracker_destroy": (None, [c_void_p]),
+        "k4abt_tracker_set_temporal_smoothing": (None, [c_void_p, c_float]),
+        "k4abt_tracker_enqueue_capture": (c_int, [c_void_p, c_void_p, c_int32]),
+        "k4abt_tracker_pop_result": (c_int, [c_void_p, POINTER(c_void_p), c_int32]),
+        "k4abt_frame_get_num_bodies": (c_uint32, [c_void_p]),
+        "k4abt_frame_get_body_skeleton": (c_int, [c_void_p, c_uint32, c_void_p]),
+        "k4abt_frame_get_body_id": (c_uint32, [c_void_p, c_uint32]),
+        "k4abt_frame_get_device_timestamp_usec": (c_uint64, [c_void_p]),
+        "k4abt_frame_release": (None, [c_void_p]),
+    }
+    for name, (result, arguments) in prototypes.items():
+        try:
+            function = getattr(library, name)
+        except AttributeError as fault:
+            raise DeviceError(f"{library._name} has no {name}: it is not libk4abt 1.1. {INSTALL}") from fault
+        function.restype, function.argtypes = result, arguments
+    return library

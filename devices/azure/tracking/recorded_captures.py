@@ -1,0 +1,112 @@
+"""Recorded images as captures of libk4a, which is what the body tracker takes.
+
+Only for recordings: a live sensor's captures come from pyk4a.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
+from ctypes import POINTER, byref, c_char_p, c_int, c_size_t, c_uint64, c_void_p
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.azure.tracking.native_library import load_library
+from devices.sensor import DeviceError, SensorFrame
+
+CALIBRATION_SIZE = 1032
+_DEPTH_MODES = {"NFOV_2X2BINNED": 1, "NFOV_UNBINNED": 2, "WFOV_2X2BINNED": 3, "WFOV_UNBINNED": 4}
+_COLOR_OFF = 0
+_DEPTH16, _IR16 = 4, 5
+_INSTALL = "Install the Azure Kinect Sensor SDK 1.4 (libk4a), which the body tracker needs too."
+
+
+class CaptureMaker:
+    """Makes captures of libk4a from images.
+
+    Raises:
+        DeviceError: On building, when there is no libk4a.
+    """
+
+    def __init__(self, library: Path | None = None) -> None:
+        self._library = _declare(load_library("k4a", library, _INSTALL))
+
+    def calibration(self, text: bytes, depth_mode: str) -> ctypes.Array[ctypes.c_char]:
+        """The ``k4a_calibration_t`` of a sensor's calibration JSON; keep it while its address is in use.
+
+        Raises:
+            DeviceError: The SDK refuses it.
+        """
+        result = ctypes.create_string_buffer(CALIBRATION_SIZE)
+        raw = text.rstrip(b"\0") + b"\0"
+        mode = _DEPTH_MODES.get(depth_mode, 0)
+        status = self._library.k4a_calibration_get_from_raw(raw, len(raw), mode, _COLOR_OFF, result)
+        if status != 0:
+            raise DeviceError(
+                f"The SDK refuses the recording's calibration (status {status}, depth mode {depth_mode}). "
+                f"Check with k4aviewer whether it opens the file."
+            )
+        return result
+
+    @contextmanager
+    def capture(self, frame: SensorFrame) -> Iterator[int]:
+        """A ``k4a_capture_t`` with a frame's depth and infrared, released when the block ends.
+
+        Raises:
+            DeviceError: The frame lacks one of the two, or memory ran out.
+        """
+        if frame.depth is None or frame.ir is None:
+            raise DeviceError("The body tracker needs depth and infrared; this frame lacks one of them.")
+        library, capture = self._library, c_void_p()
+        _must(library.k4a_capture_create(byref(capture)))
+        try:
+            for image, kind, attach in (
+                (frame.depth, _DEPTH16, library.k4a_capture_set_depth_image),
+                (frame.ir, _IR16, library.k4a_capture_set_ir_image),
+            ):
+                handle = self._image(image, kind, frame.time_ns)
+                attach(capture, handle)
+                library.k4a_image_release(handle)
+            assert capture.value is not None
+            yield capture.value
+        finally:
+            library.k4a_capture_release(capture)
+
+    def _image(self, image: NDArray[np.uint16], kind: int, time_ns: int) -> c_void_p:
+        library, handle = self._library, c_void_p()
+        height, width = image.shape
+        _must(library.k4a_image_create(kind, width, height, 2 * width, byref(handle)))
+        whole = np.ascontiguousarray(image, dtype=np.uint16)
+        # Copied, so that the tracker may keep the image longer than we keep the array.
+        ctypes.memmove(library.k4a_image_get_buffer(handle), whole.ctypes.data, whole.nbytes)
+        library.k4a_image_set_device_timestamp_usec(handle, time_ns // 1000)
+        return handle
+
+
+def _must(status: int) -> None:
+    if status != 0:
+        raise DeviceError(f"libk4a could not make a capture (status {status}): out of memory?")
+
+
+def _declare(library: ctypes.CDLL) -> ctypes.CDLL:
+    prototypes = {
+        "k4a_calibration_get_from_raw": (c_int, [c_char_p, c_size_t, c_int, c_int, c_void_p]),
+        "k4a_capture_create": (c_int, [POINTER(c_void_p)]),
+        "k4a_capture_release": (None, [c_void_p]),
+        "k4a_capture_set_depth_image": (None, [c_void_p, c_void_p]),
+        "k4a_capture_set_ir_image": (None, [c_void_p, c_void_p]),
+        "k4a_image_create": (c_int, [c_int, c_int, c_int, c_int, POINTER(c_void_p)]),
+        "k4a_image_get_buffer": (c_void_p, [c_void_p]),
+        "k4a_image_set_device_timestamp_usec": (None, [c_void_p, c_uint64]),
+        "k4a_image_release": (None, [c_void_p]),
+    }
+    for name, (result, arguments) in prototypes.items():
+        try:
+            function = getattr(library, name)
+        except AttributeError as fault:
+            raise DeviceError(f"{library._name} has no {name}: it is not libk4a 1.4. {_INSTALL}") from fault
+        function.restype, function.argtypes = result, arguments
+    return library

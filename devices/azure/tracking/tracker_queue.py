@@ -1,0 +1,76 @@
+"""Frames on their way through the body tracker."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Generator, Iterator
+from dataclasses import replace
+
+from devices.azure.tracking.body_tracker import BodyTracker
+from devices.sensor import SensorFrame
+
+_AT_WORK = 2  # frames in the tracker at once: it works on one's network while it fits the other's skeletons
+
+
+class TrackerQueue:
+    """Joins each frame again with the people that the tracker finds in it.
+
+    The tracker works on its own threads, so frames come out one or two captures after they went in when it
+    takes longer than ``wait_s``, and at once when not.
+    """
+
+    def __init__(self, tracker: BodyTracker, wait_s: float) -> None:
+        """Joins one sensor's frames with an open tracker's results.
+
+        Args:
+            tracker: Open; nothing enqueued but what goes through here.
+            wait_s: How long to wait for the newest frame's people before going on to the next frame.
+        """
+        self._tracker = tracker
+        self._wait_s = wait_s
+        self._inside: OrderedDict[int, SensorFrame] = OrderedDict()
+
+    def put(self, frame: SensorFrame, capture: int) -> None:
+        """Gives the tracker a frame's capture (a ``k4a_capture_t``).
+
+        Raises:
+            DeviceError: The tracker refuses it or stalls.
+        """
+        self._tracker.enqueue(capture)
+        # The tracker knows times in whole microseconds.
+        self._inside[frame.time_ns // 1000] = frame
+
+    def done(self) -> Iterator[SensorFrame]:
+        """The frames whose people are found; waits only while more than two are at work.
+
+        Raises:
+            DeviceError: The tracker failed or stalls.
+        """
+        while self._inside:
+            yielded = yield from self._take(None if len(self._inside) > _AT_WORK else self._wait_s)
+            if not yielded:
+                return
+
+    def flush(self) -> Iterator[SensorFrame]:
+        """The rest of the frames, waiting for each.
+
+        Raises:
+            DeviceError: The tracker failed or stalls.
+        """
+        while self._inside:
+            yield from self._take(None)
+
+    def _take(self, wait_s: float | None) -> Generator[SensorFrame, None, bool]:
+        bodies = self._tracker.pop(wait_s)
+        if bodies is None:
+            return False
+        time_us = bodies.time_ns // 1000
+        if time_us not in self._inside:
+            return True  # a result of before a restart
+        while self._inside:
+            at_us, frame = self._inside.popitem(last=False)
+            if at_us == time_us:
+                yield replace(frame, people=bodies.people)
+                return True
+            yield frame  # the tracker skipped it: no people are known
+        return True

@@ -1,0 +1,191 @@
+"""Two live sensors as one stream of pairs, whatever happens to either of them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from devices.live.sensor_state import SensorEvent, SensorState
+from devices.live.sensor_thread import SensorThread
+from devices.live.stream_pairing import LivePair, LivePairing, PairingFigures, Side
+from devices.sensor import Sensor, SensorFrame
+
+_POLL_S = 0.01  # pairs that wait for nobody any more come out this much late at most
+_CLOSE_S = 3.0  # for both together
+_KEEP = 8  # frames a sensor: a quarter of a second in which the reader's machine did something else
+
+
+@dataclass(frozen=True)
+class StreamFigures:
+    """How two running sensors go, at one moment.
+
+    Attributes:
+        drift_ppm: By how many millionths B's clock runs faster than A's.
+        dropped: Frames of A and of B for which we were too slow, since the start.
+        unpaired: Frames of A and of B that found no partner, since the start.
+    """
+
+    drift_ppm: float
+    dropped: tuple[int, int]
+    unpaired: tuple[int, int]
+
+
+class TwoSensors:
+    """K_A and K_B, each on its own thread, paired.
+
+    Use it as a context manager, from one thread. Frames are those that
+    :class:`~devices.live.stream_pairing.LivePairing` gives; a sensor that fails is gone until it comes back.
+
+    Attributes:
+        a, b: The sensors' threads, for their counts of frames and drops.
+    """
+
+    def __init__(
+        self,
+        a: Sensor,
+        b: Sensor,
+        *,
+        pairing: LivePairing | None = None,
+        first: Side = "b",
+        stall_s: float = 2.0,
+        retry_s: float = 1.0,
+        open_s: float = 120.0,
+        tell: Callable[[SensorEvent], None] = lambda _: None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        """Prepares; opens nothing.
+
+        Args:
+            a, b: The principal and the secondary sensor.
+            pairing: How to pair them; the default pairing at 30 fps where None.
+            first: Which one to start first: the subordinate, if there is a sync cable.
+            stall_s: After how long without a frame a sensor counts as stalled.
+            retry_s: How often a lost sensor is tried again.
+            open_s: How long opening one may take, and its first frame: its body tracker loads a network.
+            tell: Told of every event at once, also while no pair comes; on the thread that asks for pairs.
+            clock: Seconds; tests put their own.
+        """
+        self._arrival = threading.Event()
+        self.a, self.b = (
+            SensorThread(
+                sensor,
+                keep=_KEEP,
+                stall_s=stall_s,
+                first_s=open_s,
+                retry_s=retry_s,
+                arrival=self._arrival,
+                clock=clock,
+            )
+            for sensor in (a, b)
+        )
+        self._pairing = pairing or LivePairing()
+        self._first: Side = first
+        self._clock, self._open_s, self._tell = clock, open_s, tell
+        self._stopped = False
+        self._returns: dict[Side, int] = {"a": 0, "b": 0}
+        self._events: list[SensorEvent] = []
+
+    @property
+    def figures(self) -> PairingFigures:
+        """How pairing goes so far."""
+        return self._pairing.figures
+
+    @property
+    def stream_figures(self) -> StreamFigures:
+        """What of it belongs on the timeline."""
+        figures = self._pairing.figures
+        unpaired = figures.alone_a, figures.alone_b + figures.unmatched_b
+        return StreamFigures(figures.drift_ppm, (self.a.dropped, self.b.dropped), unpaired)
+
+    def __enter__(self) -> TwoSensors:
+        """Opens both.
+
+        Raises:
+            DeviceError: One cannot be opened; the other is closed again.
+        """
+        self._stopped = False
+        try:
+            for thread in (self.b, self.a) if self._first == "b" else (self.a, self.b):
+                thread.open(self._open_s)
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Closes both, in bounded time and on every path, and tells what happened meanwhile."""
+        self._end()
+        until_s = time.monotonic() + _CLOSE_S
+        try:
+            self.a.close(_CLOSE_S)
+        finally:
+            self.b.close(max(0.0, until_s - time.monotonic()))
+        for _, thread in self._sides():
+            self._take_events(thread)
+
+    def pairs(self) -> Iterator[LivePair]:
+        """Pairs as they come, until both sources have ended or :meth:`stop`; waits while both are gone.
+
+        Raises:
+            DeviceError: A fault of the program or of a driver inside a sensor.
+        """
+        while not self._stopped:
+            ended = all(thread.state is SensorState.ENDED for thread in (self.a, self.b))
+            yield from self.poll(0.0 if ended else _POLL_S)
+            if ended:
+                yield from self._pairing.poll(_ns(self._clock()) + 10**12)
+                return
+        self._end()  # what comes while the session is being closed is nobody's drop
+
+    def stop(self) -> None:
+        """Makes ``pairs`` end; for signal handlers and other threads."""
+        self._stopped = True  # an Event's lock may be held by the very thread that the signal interrupts
+
+    def poll(self, wait_s: float = _POLL_S) -> list[LivePair]:
+        """The pairs that are complete now, after waiting for a frame at most ``wait_s``.
+
+        Raises:
+            DeviceError: A fault of the program or of a driver inside a sensor.
+        """
+        self._arrival.wait(wait_s)
+        self._arrival.clear()
+        now_ns, pairs = _ns(self._clock()), []
+        came: list[tuple[int, Side, SensorFrame]] = []
+        for side, thread in self._sides():
+            came_back, frames = thread.returns, thread.take()
+            if came_back != self._returns[side]:
+                self._returns[side] = came_back
+                pairs += self._pairing.restart(side)
+            came += [(at_ns, side, frame) for at_ns, frame in frames]
+            self._take_events(thread)
+        # As they came, whenever they are asked for: else a pause here would look like a sensor's.
+        for at_ns, side, frame in sorted(came, key=lambda frame: frame[0]):
+            pairs += self._pairing.add(side, frame, at_ns)
+        for side, thread in self._sides():
+            if thread.gone:
+                self._pairing.set_gone(side, True)
+        return pairs + self._pairing.poll(now_ns)
+
+    def events(self) -> list[SensorEvent]:
+        """What happened since the last call, oldest first."""
+        events, self._events = sorted(self._events, key=lambda event: event.at_s), []
+        return events
+
+    def _end(self) -> None:
+        for _, thread in self._sides():
+            thread.end()
+
+    def _take_events(self, thread: SensorThread) -> None:
+        events = thread.events()
+        self._events += events
+        for event in events:
+            self._tell(event)
+
+    def _sides(self) -> tuple[tuple[Side, SensorThread], ...]:
+        return ("a", self.a), ("b", self.b)
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * 1e9)

@@ -1,0 +1,299 @@
+"""Any sensor on a thread of its own: newest frame wins, lost sensors come back, closing never hangs."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Generator
+from contextlib import suppress
+from dataclasses import replace
+
+from devices.live.sensor_state import SensorEvent, SensorState
+from devices.sensor import CountsMissed, DeviceError, Interruptible, Sensor, SensorFrame
+
+_EVENTS_KEPT = 100
+
+
+class SensorThread:
+    """Runs a sensor on a thread of its own and keeps its newest frames for a reader.
+
+    Bounded memory: at most ``keep`` frames wait; then the oldest goes, and is counted. A sensor that fails
+    after it ran is reopened every ``retry_s``; one that fails at its first opening is reported by ``open``.
+    All methods are for one reader's thread.
+
+    Attributes:
+        sensor: The sensor; its ``intrinsics`` and ``body`` may be read once ``open`` returned.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        *,
+        keep: int = 4,
+        stall_s: float = 2.0,
+        first_s: float = 120.0,
+        retry_s: float = 1.0,
+        arrival: threading.Event | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+        wait: Callable[[threading.Event, float], bool] = threading.Event.wait,
+    ) -> None:
+        """Prepares; opens nothing.
+
+        Args:
+            sensor: What to run.
+            keep: Most frames that wait for the reader.
+            stall_s: After how long without a frame the sensor counts as stalled.
+            first_s: The same for the first one since opening: a body tracker's first result takes long.
+            retry_s: How often a lost sensor is tried again.
+            arrival: Set at every frame and change of state; two sensors may share one, to wait for either.
+            clock: Seconds, for stalls and ``host_ns``; tests put their own.
+            wait: Waits for an event at most so many seconds; how retries pass time.
+        """
+        self.sensor = sensor
+        self.arrival = arrival or threading.Event()
+        self._counts = sensor if isinstance(sensor, CountsMissed) else None
+        self._keep, self._retry_s = keep, retry_s
+        self._stall_s, self._first_s = stall_s, first_s
+        self._clock, self._wait = clock, wait
+        self._lock = threading.Lock()
+        self._frames: deque[tuple[int, SensorFrame]] = deque()  # and when each came
+        self._events: deque[SensorEvent] = deque(maxlen=_EVENTS_KEPT)
+        self._state = SensorState.CLOSED
+        self._received = self._dropped = self._returns = 0
+        self._last_s = 0.0
+        self._told, self._stall_told, self._left_behind = "", False, False
+        self._first = self._first_told = False
+        self._fault: BaseException | None = None
+        self._stopping, self._settled = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def received(self) -> int:
+        """How many frames the sensor has given."""
+        return self._received
+
+    @property
+    def dropped(self) -> int:
+        """How many frames we were too slow for: this thread's reader, or the thread for the sensor itself."""
+        return self._dropped + (0 if self._counts is None else self._counts.missed)
+
+    @property
+    def returns(self) -> int:
+        """How often a lost sensor came back."""
+        return self._returns
+
+    @property
+    def state(self) -> SensorState:
+        """What the sensor is doing now."""
+        with self._lock:
+            silent = self._clock() - self._last_s > (self._first_s if self._first else self._stall_s)
+            return SensorState.STALLED if self._state is SensorState.RUNNING and silent else self._state
+
+    @property
+    def gone(self) -> bool:
+        """Whether no frame is to be expected soon: stalled, lost, ended or closed."""
+        return self.state not in (SensorState.RUNNING, SensorState.OPENING)
+
+    def open(self, within_s: float = 120.0) -> SensorThread:
+        """Starts the thread and waits until the sensor is open.
+
+        Args:
+            within_s: How long opening may take: a body tracker loads its network.
+
+        Raises:
+            DeviceError: It cannot be opened, or not in that time.
+        """
+        self.close()
+        if self._left_behind:
+            raise DeviceError(f"{self.sensor.name} hung and was left behind. Unplug it, then start anew.")
+        self._stopping, self._settled = threading.Event(), threading.Event()
+        self._fault, self._state = None, SensorState.OPENING
+        # A daemon: a driver that hangs forever must not keep the program from ending.
+        self._thread = threading.Thread(
+            target=self._run,
+            args=(self._stopping, self._settled),
+            name=f"sensor {self.sensor.name}",
+            daemon=True,
+        )
+        try:
+            self._thread.start()
+            opened = self._settled.wait(within_s)
+        except BaseException:  # Ctrl-C while it opens: nobody will leave a with block that was never entered
+            self.close()
+            raise
+        if not opened:
+            self.close(0.0)
+            raise DeviceError(
+                f"{self.sensor.name} did not open in {within_s:g} s: its body tracker is still loading, or "
+                f"its driver hangs. Try again; if it is the same, unplug it and plug it in again first."
+            )
+        self._raise_fault()
+        return self
+
+    def end(self) -> None:
+        """Makes the thread end, without waiting for that: frames to come are not wanted, nor counted."""
+        self._stopping.set()
+        if self._thread is not None and isinstance(self.sensor, Interruptible):
+            self.sensor.interrupt()
+
+    def close(self, within_s: float = 3.0) -> bool:
+        """Ends the thread and closes the sensor; closing twice is harmless.
+
+        Args:
+            within_s: How long to wait for it. A driver that hangs is left behind and the program goes on.
+
+        Returns:
+            Whether the sensor was closed in that time.
+        """
+        self.end()
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return True
+        try:
+            with suppress(RuntimeError):  # Ctrl-C came before it could start
+                thread.join(within_s)
+        finally:  # Ctrl-C may end the wait; the thread closes the sensor all the same
+            with self._lock:
+                self._frames.clear()
+                self._state = SensorState.CLOSED
+        if thread.is_alive():
+            self._left_behind = True
+            self._tell(
+                f"{self.sensor.name} does not close; it is left behind. Unplug it before using it again."
+            )
+            return False
+        return True
+
+    def __enter__(self) -> SensorThread:
+        return self.open()
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def take(self) -> list[tuple[int, SensorFrame]]:
+        """The frames that came since the last call, oldest first, ``keep`` at most; does not wait.
+
+        Returns:
+            Each with when it came, in ns on the thread's clock: a reader that was busy elsewhere learns what
+            it would have seen.
+
+        Raises:
+            DeviceError: The sensor raised something else: a fault of the program or of a driver, which no
+                opening anew mends.
+        """
+        with self._lock:
+            frames = list(self._frames)
+            self._frames.clear()
+        if self._fault is not None and not isinstance(self._fault, DeviceError):
+            self._raise_fault()
+        return frames
+
+    def events(self) -> list[SensorEvent]:
+        """What happened since the last call: lost, back, stalled, running again."""
+        stalled = self.state is SensorState.STALLED
+        if stalled and not self._stall_told:
+            silent_s = self._first_s if self._first else self._stall_s
+            self._tell(f"{self.sensor.name} stalls: no frame for {silent_s:g} s. Check its cable and power.")
+        elif self._stall_told and self.state is SensorState.RUNNING:
+            self._tell(f"{self.sensor.name} gives frames again.")
+        self._stall_told = stalled
+        with self._lock:
+            running = self._state is SensorState.RUNNING
+            waits = running and self._first and self._clock() - self._last_s > self._stall_s
+        if waits and not self._first_told:
+            self._first_told = True
+            self._tell(f"{self.sensor.name}: waiting for the body tracker's first result.")
+        with self._lock:
+            told = list(self._events)
+            self._events.clear()
+        return told
+
+    def _raise_fault(self) -> None:
+        if self._fault is None:
+            return
+        self.close()
+        if not isinstance(self._fault, Exception) or isinstance(self._fault, DeviceError):
+            raise self._fault
+        what = f"{type(self._fault).__name__}: {self._fault}".rstrip(": ")
+        raise DeviceError(
+            f"{self.sensor.name} failed within its driver or this program ({what}). What was saved stays "
+            f"readable. Start again; if it comes back, report it."
+        ) from self._fault
+
+    def _run(self, stopping: threading.Event, settled: threading.Event) -> None:
+        ran = False
+        while not stopping.is_set():
+            try:
+                with self.sensor:
+                    if stopping.is_set():
+                        break
+                    self._started(came_back=ran)
+                    ran = True
+                    settled.set()
+                    self._pump(stopping)
+                break
+            except DeviceError as fault:
+                if not ran:
+                    self._fault = fault
+                    break
+                self._failed(str(fault))
+                self._wait(stopping, self._retry_s)
+            except BaseException as fault:
+                self._fault = fault
+                break
+        with self._lock:
+            if not stopping.is_set():
+                self._state = SensorState.ENDED
+        settled.set()
+        self.arrival.set()
+
+    def _pump(self, stopping: threading.Event) -> None:
+        """Hands on frames until the source ends or the reader closes."""
+        frames = self.sensor.frames()
+        try:
+            for frame in frames:
+                if stopping.is_set():
+                    return
+                self._deliver(frame)
+        finally:
+            # A generator may hold files or handles: let it go now, on this thread.
+            if isinstance(frames, Generator):
+                frames.close()
+
+    def _started(self, came_back: bool) -> None:
+        with self._lock:
+            self._state, self._last_s, self._told = SensorState.RUNNING, self._clock(), ""
+            self._returns += came_back
+            self._first, self._first_told = True, False
+        if came_back:
+            self._tell(f"{self.sensor.name} is back.")
+        self.arrival.set()
+
+    def _deliver(self, frame: SensorFrame) -> None:
+        now_s = self._clock()
+        came_ns = round(now_s * 1e9)
+        if frame.host_ns is None:
+            frame = replace(frame, host_ns=came_ns)
+        with self._lock:
+            self._last_s, self._first = now_s, False
+            self._received += 1
+            self._frames.append((came_ns, frame))
+            if len(self._frames) > self._keep:
+                self._frames.popleft()
+                self._dropped += 1
+        self.arrival.set()
+
+    def _failed(self, message: str) -> None:
+        with self._lock:
+            self._state = SensorState.LOST
+        # Retries fail in the same words each time: once is enough.
+        if message != self._told:
+            self._told = message
+            self._tell(f"{message} Going on without it; it is taken back when it returns.")
+        self.arrival.set()
+
+    def _tell(self, message: str) -> None:
+        event = SensorEvent(self.sensor.name, message, self._clock())
+        with self._lock:
+            self._events.append(event)

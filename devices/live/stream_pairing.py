@@ -1,0 +1,286 @@
+"""Two live streams → pairs of frames captured at the same time.
+
+The sensors' clocks start anywhere and drift apart, so a moment of B is found on A's clock through this
+machine's: both sensors' frames arrive on it. With a sync cable the sensors capture at the same moments, a
+fixed delay apart, and the pairs found so far tell the offset to the microsecond.
+
+Pure: time is passed in, nothing waits.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from statistics import median_low
+from typing import Literal
+
+from devices.live.host_clock import Arrival, HostClock
+from devices.sensor import SensorFrame
+
+Side = Literal["a", "b"]
+_PENDING = 8
+_SYNCED_PAIRS = 61
+_SYNCED_ENOUGH = 15
+
+
+@dataclass(frozen=True, eq=False)
+class LivePair:
+    """What the two sensors captured at one time; None for a sensor that has no frame of it.
+
+    Attributes:
+        a, b: The frames of K_A and K_B.
+        time_ns: On A's clock; goes on without a jump when that clock is reset, and never back.
+        skew_ns: How much later B captured than A, by A's clock; None for a frame alone.
+    """
+
+    a: SensorFrame | None
+    b: SensorFrame | None
+    time_ns: int
+    skew_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class PairingFigures:
+    """How pairing goes, counted since the start.
+
+    Attributes:
+        pairs: Frames of both sensors.
+        alone_a, alone_b: Frames given without a partner.
+        unmatched_b: Frames of B that no frame of A wanted: B is faster, or A missed one.
+        late, repeated: Frames left out: their time had passed; they had come before.
+        reordered: Frames that came after a later one, and were put in their place.
+        resets: How often a sensor's clock started anew.
+        skew_ns: Of the newest pair.
+        offset_ns: B's clock minus A's at the same moment, without the sync delay; None before both came.
+        drift_ppm: By how many millionths B's clock runs faster than A's.
+    """
+
+    pairs: int = 0
+    alone_a: int = 0
+    alone_b: int = 0
+    unmatched_b: int = 0
+    late: int = 0
+    repeated: int = 0
+    reordered: int = 0
+    resets: int = 0
+    skew_ns: int | None = None
+    offset_ns: int | None = None
+    drift_ppm: float = 0.0
+
+
+@dataclass(eq=False)
+class _Stream:
+    """One sensor's frames that wait for a partner, in capture order."""
+
+    clock: HostClock = field(default_factory=HostClock)
+    waiting: list[tuple[SensorFrame, int]] = field(default_factory=list)  # and when each came
+    recent: deque[int] = field(default_factory=lambda: deque(maxlen=2 * _PENDING))
+    used_ns: int | None = None
+    came_ns: int | None = None
+    gone: bool = False
+
+
+class LivePairing:
+    """Pairs two sensors' frames by capture time; goes on with one while the other is gone.
+
+    Every frame of A comes out, with its partner of B or without. Frames of B alone come out only while A is
+    gone, so that a sensor that is 5 fps slower does not make the output flicker between one and two views.
+    """
+
+    def __init__(
+        self,
+        interval_ns: int = 33_333_333,
+        *,
+        max_wait_ns: int = 100_000_000,
+        gone_after_ns: int = 500_000_000,
+        sync_delay_ns: int | None = None,
+    ) -> None:
+        """Starts without a frame.
+
+        Args:
+            interval_ns: Time between two frames of the faster sensor. Half of it is the tolerance.
+            max_wait_ns: How long a frame may wait for its partner.
+            gone_after_ns: After how long without a frame a sensor is gone, and not waited for.
+            sync_delay_ns: With a sync cable, how much later B captures than A (negative: earlier); None
+                without one.
+        """
+        self._interval_ns, self._tolerance_ns = interval_ns, interval_ns // 2
+        self._max_wait_ns, self._gone_after_ns = max_wait_ns, gone_after_ns
+        self._sync_delay_ns = sync_delay_ns
+        self._a, self._b = _Stream(), _Stream()
+        self._synced: deque[int] = deque(maxlen=_SYNCED_PAIRS)
+        self._figures = PairingFigures()
+        self._time_from_a: int | None = None
+        self._time_from_host: int | None = None
+        self._last_ns: int | None = None
+        self._first_ns: int | None = None
+
+    @property
+    def figures(self) -> PairingFigures:
+        """How it goes so far."""
+        drift = self._b.clock.drift_ppm - self._a.clock.drift_ppm
+        return replace(self._figures, offset_ns=self._offset_ns(), drift_ppm=drift)
+
+    def add(self, side: Side, frame: SensorFrame, now_ns: int) -> list[LivePair]:
+        """Takes a frame and gives the pairs that are complete now, in order.
+
+        Args:
+            side: Whose frame it is.
+            frame: The frame; its ``host_ns``, or now, relates its clock to the other's.
+            now_ns: Now, on the clock of ``host_ns``.
+        """
+        self._first_ns = now_ns if self._first_ns is None else self._first_ns
+        stream = self._a if side == "a" else self._b
+        stream.came_ns, stream.gone = now_ns, False
+        if frame.time_ns in stream.recent:
+            self._count(repeated=1)
+            return self.poll(now_ns)
+        arrival = stream.clock.observe(frame.time_ns, now_ns if frame.host_ns is None else frame.host_ns)
+        pairs: list[LivePair] = []
+        if arrival is Arrival.RESET:
+            self._count(resets=1)
+            pairs = self._let_out(side)
+        elif arrival is Arrival.LATE or (stream.used_ns is not None and frame.time_ns <= stream.used_ns):
+            self._count(late=1)
+            return self.poll(now_ns)
+        if side == "a":
+            self._anchor()
+        if stream.recent and frame.time_ns < max(stream.recent):
+            self._count(reordered=1)
+        stream.recent.append(frame.time_ns)
+        stream.waiting.append((frame, now_ns))
+        stream.waiting.sort(key=lambda entry: entry[0].time_ns)
+        return pairs + self.poll(now_ns)
+
+    def poll(self, now_ns: int) -> list[LivePair]:
+        """The pairs that need wait no longer at ``now_ns``, in order. Call it when no frame comes, too."""
+        pairs: list[LivePair] = []
+        while (step := self._step(now_ns)) is not None:
+            pairs += step
+        return pairs
+
+    def set_gone(self, side: Side, gone: bool) -> None:
+        """Says that a sensor is lost, so that nobody waits for it; its next frame takes it back."""
+        (self._a if side == "a" else self._b).gone = gone
+
+    def restart(self, side: Side) -> list[LivePair]:
+        """Says that a sensor was opened anew, so that its clock may have started anew.
+
+        Returns:
+            What still waited.
+        """
+        (self._a if side == "a" else self._b).clock.restart()
+        return self._let_out(side)
+
+    def _step(self, now_ns: int) -> list[LivePair] | None:
+        """One decision on the oldest frames: what it gives, or None when there is nothing to decide yet."""
+        a, b = self._a.waiting, self._b.waiting
+        if a and b:
+            frame, _ = a[0]
+            skews = [self._skew_ns(frame, other) for other, _ in b]
+            nearest = min(range(len(b)), key=lambda index: abs(skews[index]))
+            if abs(skews[nearest]) <= self._tolerance_ns:
+                self._count(unmatched_b=nearest)
+                return [self._pair(b[nearest][0], skews[nearest], nearest)]
+            if skews[-1] > -self._tolerance_ns:
+                return [self._alone_a()]
+            # All of B's are too early for this frame of A, and so for every later one.
+            self._count(unmatched_b=len(b))
+            self._use(self._b, len(b))
+            return []
+        if a and (
+            self._is_gone(self._b, now_ns) or now_ns - a[0][1] >= self._max_wait_ns or len(a) > _PENDING
+        ):
+            return [self._alone_a()]
+        if b and self._is_gone(self._a, now_ns):
+            return [self._alone_b()]
+        if b and self._waited(self._b, now_ns):
+            self._count(unmatched_b=1)
+            self._use(self._b, 1)
+            return []
+        return None
+
+    def _skew_ns(self, a: SensorFrame, b: SensorFrame) -> int:
+        """How far B's frame is from where A's partner should be, by A's clock."""
+        return b.time_ns - (self._offset_ns() or 0) - (self._sync_delay_ns or 0) - a.time_ns
+
+    def _offset_ns(self) -> int | None:
+        a, b = self._a.clock.offset_ns, self._b.clock.offset_ns
+        if a is None or b is None:
+            return None
+        by_arrival = a - b
+        if len(self._synced) >= _SYNCED_ENOUGH:
+            by_capture = median_low(self._synced)
+            if abs(by_capture - by_arrival) <= self._interval_ns:
+                return by_capture
+            # A frame or more apart from what arrivals say: the pairs it came from were wrong.
+            self._synced.clear()
+        return by_arrival
+
+    def _pair(self, b: SensorFrame, skew_ns: int, index: int) -> LivePair:
+        a = self._a.waiting[0][0]
+        if self._sync_delay_ns is not None:
+            self._synced.append(b.time_ns - a.time_ns - self._sync_delay_ns)
+        skew_ns += self._sync_delay_ns or 0
+        self._use(self._a, 1)
+        self._use(self._b, index + 1)
+        self._count(pairs=1)
+        self._figures = replace(self._figures, skew_ns=skew_ns)
+        return LivePair(a, b, self._out(a.time_ns + (self._time_from_a or 0)), skew_ns)
+
+    def _alone_a(self) -> LivePair:
+        frame = self._a.waiting[0][0]
+        self._use(self._a, 1)
+        self._count(alone_a=1)
+        return LivePair(frame, None, self._out(frame.time_ns + (self._time_from_a or 0)))
+
+    def _alone_b(self) -> LivePair:
+        frame = self._b.waiting[0][0]
+        self._use(self._b, 1)
+        self._count(alone_b=1)
+        on_host = frame.time_ns + (self._b.clock.offset_ns or 0)
+        if self._time_from_host is None:
+            self._time_from_host = frame.time_ns - on_host
+        return LivePair(None, frame, self._out(on_host + self._time_from_host))
+
+    def _out(self, time_ns: int) -> int:
+        self._last_ns = time_ns if self._last_ns is None else max(time_ns, self._last_ns + 1)
+        return self._last_ns
+
+    def _anchor(self) -> None:
+        """Keeps the output's time on A's clock: the clock itself, moved where it was reset."""
+        offset_ns = self._a.clock.offset_ns or 0
+        if self._time_from_a is None:
+            moved = 0 if self._time_from_host is None else offset_ns + self._time_from_host
+            self._time_from_a = moved
+        self._time_from_host = self._time_from_a - offset_ns
+
+    def _let_out(self, side: Side) -> list[LivePair]:
+        """One clock starts anew: what waits goes out, and what followed from the old one is forgotten."""
+        pairs = []
+        while self._a.waiting:
+            pairs.append(self._alone_a())
+        self._count(unmatched_b=len(self._b.waiting))
+        self._b.waiting.clear()
+        self._synced.clear()
+        stream = self._a if side == "a" else self._b
+        stream.recent.clear()
+        stream.used_ns = None
+        if side == "a":
+            self._time_from_a = None
+        return pairs
+
+    def _use(self, stream: _Stream, count: int) -> None:
+        stream.used_ns = stream.waiting[count - 1][0].time_ns
+        del stream.waiting[:count]
+
+    def _waited(self, stream: _Stream, now_ns: int) -> bool:
+        return now_ns - stream.waiting[0][1] >= self._max_wait_ns or len(stream.waiting) > _PENDING
+
+    def _is_gone(self, stream: _Stream, now_ns: int) -> bool:
+        since = stream.came_ns if stream.came_ns is not None else self._first_ns
+        return stream.gone or (since is not None and now_ns - since > self._gone_after_ns)
+
+    def _count(self, **more: int) -> None:
+        now = {name: getattr(self._figures, name) + by for name, by in more.items()}
+        self._figures = replace(self._figures, **now)

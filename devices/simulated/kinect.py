@@ -1,0 +1,259 @@
+"""A simulated Kinect, a pair of them, and the truth they look at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from devices.sensor import DeviceError, SensorFrame
+from devices.simulated.imaging.rendering import DepthErrors, depth_image, halved, surface
+from devices.simulated.person import anatomy
+from devices.simulated.person.anatomy import Array
+from devices.simulated.person.body_surface import capsules, flesh_over, visibility
+from devices.simulated.person.captured_motion import read_bvh
+from devices.simulated.person.movements import MOTIONS
+from devices.simulated.rig import Rig
+from devices.simulated.tracking.tracker import Tracker
+from devices.simulated.tracking.tracker_errors import TrackerErrors
+from fusion.body import AZURE_KINECT, Body
+from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
+from fusion.rigid import RigidTransform
+
+Depth = Literal["off", "half", "full"]
+PERSON = "1"
+"""The tracker's id of the only person."""
+_CHUNK = 32  # frames whose poses are computed together: one call costs little more than one pose
+
+
+class Movement(Protocol):
+    """Anything that knows where all landmarks are at any time: ours, or captured."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
+
+    def landmarks(self, times: ArrayLike, height: float = ...) -> Array:
+        """(T, N, 3) all landmarks in the world, metres."""
+        ...
+
+
+def movement(name: str | Path) -> Movement:
+    """A movement of the library by name, or a BVH file.
+
+    Raises:
+        DeviceError: There is no such movement or file.
+    """
+    if str(name) in MOTIONS:
+        return MOTIONS[str(name)]
+    if str(name).lower().endswith(".bvh"):
+        return read_bvh(Path(name))
+    raise DeviceError(f"No movement {str(name)!r}. There are {', '.join(MOTIONS)}; or name a .bvh file.")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One person who moves in front of the sensors.
+
+    Attributes:
+        motion: How.
+        body: What the sensors' trackers report.
+        height: The person's stature, metres.
+        seconds: How long; None for ever.
+        seed: Of every error; the same seed makes the same frames.
+    """
+
+    motion: Movement
+    body: Body = AZURE_KINECT
+    height: float = anatomy.REFERENCE_HEIGHT
+    seconds: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.height <= 2.5:
+            raise DeviceError(f"A person's height is between 0.5 and 2.5 m; got {self.height}.")
+        if self.seed < 0:
+            raise DeviceError(f"A seed is 0 or more; got {self.seed}.")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Where everything really is.
+
+    Attributes:
+        scene: Who moves, and how.
+        rig: Where the sensors stand.
+    """
+
+    scene: Scene
+    rig: Rig
+
+    @property
+    def a_from_b(self) -> RigidTransform:
+        """Where K_B stands in K_A's frame."""
+        return self.rig.a_from_b
+
+    def positions_at(self, time_ns: ArrayLike) -> NDArray[np.float64]:
+        """(J, 3) the joints at a time of A's clock, in K_A's frame, metres; (T, J, 3) for (T,) times.
+
+        Many times at once cost little more than one.
+        """
+        times = np.asarray(time_ns)
+        marks = self.scene.motion.landmarks(np.atleast_1d(times) * 1e-9, self.scene.height)
+        joints = marks[:, anatomy.landmarks_of(self.scene.body)]
+        at = self.rig.world_from_sensor(0).inverse().apply(joints)
+        return at if times.ndim else at[0]
+
+
+class TruthAhead:
+    """The truth at one pair's time after the other: a second of A's frames is computed at once.
+
+    Args:
+        truth: Of which.
+    """
+
+    def __init__(self, truth: Truth) -> None:
+        self._truth = truth
+        self._known: dict[int, NDArray[np.float64]] = {}
+
+    def __call__(self, time_ns: int) -> NDArray[np.float64]:
+        """(J, 3) as :meth:`Truth.positions_at`."""
+        if time_ns not in self._known:
+            rig = self._truth.rig
+            first = round(time_ns * 1e-9 / rig.frame_seconds)
+            times = [time_ns, *(rig.clock(0, rig.captured_at(0, first + k)) for k in range(1, _CHUNK))]
+            self._known = dict(zip(times, self._truth.positions_at(times), strict=True))
+        return self._known[time_ns]
+
+
+class SimulatedKinect:
+    """One of the two sensors of a rig. Its frames come as fast as they are asked for.
+
+    Args:
+        scene: Who moves in front of it.
+        rig: Where it stands.
+        which: 0 for sensor A, 1 for B.
+        errors: Of its body tracker; the real ones of the body where None.
+        depth: Whether frames carry a depth image, and how large.
+        depth_errors: Of that image.
+
+    Attributes:
+        hurried: While set, frames come without the image, which takes most of a frame's time.
+        images_left_out: How many so far.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        rig: Rig,
+        which: int,
+        *,
+        errors: TrackerErrors | None = None,
+        depth: Depth = "off",
+        depth_errors: DepthErrors | None = None,
+    ) -> None:
+        if depth not in ("off", "half", "full"):
+            raise DeviceError(f"depth is 'off', 'half' or 'full'; got {depth!r}.")
+        self.name = f"simulated {'ab'[which]}"
+        self.body = scene.body
+        full = NOMINAL_INTRINSICS[scene.body.name]
+        self.intrinsics: Intrinsics | None = halved(full) if depth == "half" else full
+        self._lens = self.intrinsics
+        self._scene, self._rig, self._which = scene, rig, which
+        self._errors = TrackerErrors.of(scene.body) if errors is None else errors
+        self._depth, self._depth_errors = depth, depth_errors or DepthErrors()
+        self.hurried = False
+        self.images_left_out = 0
+
+    @property
+    def clock_at_start_ns(self) -> int:
+        """What its clock shows when the scene begins, ns."""
+        return self._rig.clock(self._which, 0.0)
+
+    def __enter__(self) -> SimulatedKinect:
+        """Nothing is to be opened."""
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Nothing is to be closed."""
+
+    def frames(self) -> Iterator[SensorFrame]:
+        """The frames in capture order; every call begins again, with the same frames."""
+        scene, rig, which = self._scene, self._rig, self._which
+        # Streams of their own: dropping a frame or asking for depth changes no other error.
+        tracking, dropping = (np.random.default_rng([scene.seed, which, k]) for k in range(2))
+        sensor_from_world = rig.world_from_sensor(which).inverse()
+        flesh = flesh_over(self.body) * (scene.height / anatomy.REFERENCE_HEIGHT)
+        tracker = Tracker(self.body, self._errors, flesh, self._lens, rig.frame_seconds, tracking)
+        for frame, marks in self._poses():
+            at = sensor_from_world.apply(marks)
+            shapes = capsules(at, scene.height)
+            joints = at[anatomy.landmarks_of(self.body)]
+            time_ns = rig.clock(which, rig.captured_at(which, frame))
+            skeleton = tracker.report(joints, visibility(joints, shapes, flesh, self._lens), time_ns)
+            dropped = dropping.random() < rig.dropped
+            image = None
+            if self._depth != "off" and self.hurried:
+                self.images_left_out += 1
+            elif self._depth != "off":
+                imaging = np.random.default_rng([scene.seed, which, 2, frame])
+                z, _, cosine = surface(shapes, sensor_from_world, self._lens)
+                image = depth_image(z, cosine, self._depth_errors, imaging)
+            if not dropped:
+                yield SensorFrame(time_ns, {} if skeleton is None else {PERSON: skeleton}, image)
+
+    def _poses(self) -> Iterator[tuple[int, Array]]:
+        """Frame numbers and (N, 3) landmarks in the world."""
+        scene, rig = self._scene, self._rig
+        count = None if scene.seconds is None else max(0, round(scene.seconds / rig.frame_seconds))
+        first = 0
+        while count is None or first < count:
+            numbers = range(first, first + _CHUNK if count is None else min(first + _CHUNK, count))
+            times = [rig.captured_at(self._which, k) for k in numbers]
+            yield from zip(numbers, scene.motion.landmarks(times, scene.height), strict=True)
+            first += _CHUNK
+
+
+def simulated_pair(
+    *,
+    motion: str | Path | Movement = "walk",
+    seed: int = 0,
+    body: Body = AZURE_KINECT,
+    angle_deg: float = 90.0,
+    seconds: float | None = None,
+    height: float = anatomy.REFERENCE_HEIGHT,
+    depth: Depth = "off",
+    errors: TrackerErrors | None = None,
+    depth_errors: DepthErrors | None = None,
+    rig: Rig | None = None,
+) -> tuple[SimulatedKinect, SimulatedKinect, Truth]:
+    """Two sensors that watch one person, and the truth.
+
+    Args:
+        motion: A movement by name, a .bvh file, or a movement.
+        seed: Of every error.
+        body: What the trackers report.
+        angle_deg: Between the sensors; ignored where a rig is given.
+        seconds: How long; None for ever.
+        height: The person's stature, metres.
+        depth: Whether frames carry a depth image: ``off``, ``half`` or ``full``.
+        errors: Of the body trackers; the real ones of the body where None.
+        depth_errors: Of the depth images.
+        rig: Where the sensors stand.
+
+    Raises:
+        DeviceError: There is no such movement, or a value makes no sense.
+    """
+    moving = movement(motion) if isinstance(motion, str | Path) else motion
+    scene = Scene(moving, body, height, seconds, seed)
+    rig = rig or Rig(angle_deg=angle_deg)
+    a, b = (
+        SimulatedKinect(scene, rig, which, errors=errors, depth=depth, depth_errors=depth_errors)
+        for which in (0, 1)
+    )
+    return a, b, Truth(scene, rig)

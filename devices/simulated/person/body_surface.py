@@ -1,0 +1,112 @@
+"""The person's surface: capsules over the skeleton, and which joints a sensor can see past them."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.simulated.imaging.rays import capsule_depth, share_seen
+from devices.simulated.person import anatomy
+from devices.simulated.person.anatomy import INDEX, REFERENCE_HEIGHT, Array
+from devices.simulated.person.movements import MOTIONS
+from fusion.body import Body
+from fusion.intrinsics import Intrinsics
+
+# (from landmark, to landmark, share of the way, radius in metres at reference height); _S is either side.
+_TABLE = """
+    SPINE_CHEST   SPINE_NAVEL  1.0  0.125
+    SPINE_NAVEL   PELVIS       1.0  0.120
+    SHOULDER_LEFT SHOULDER_RIGHT 1.0 0.065
+    HIP_LEFT      HIP_RIGHT    1.0  0.105
+    CLAVICLE_S    HIP_S        1.0  0.095
+    NECK          HEAD         1.0  0.055
+    HEAD          HEAD_TOP     0.5  0.085
+    SHOULDER_S    ELBOW_S      1.0  0.048
+    ELBOW_S       WRIST_S      1.0  0.038
+    WRIST_S       HANDTIP_S    0.9  0.032
+    WRIST_S       THUMB_S      0.9  0.015
+    HIP_S         KNEE_S       1.0  0.075
+    KNEE_S        ANKLE_S      1.0  0.050
+    ANKLE_S       FOOT_S       1.0  0.035
+    HEEL_S        FOOT_S       1.0  0.028
+"""
+
+
+def _rows() -> list[tuple[int, int, float, float]]:
+    rows = []
+    for line in _TABLE.strip().splitlines():
+        sides = ("LEFT", "RIGHT") if "_S " in line else ("",)
+        for side in sides:
+            first, second, share, radius = line.replace("_S ", f"_{side} ").split()
+            rows.append((INDEX[first], INDEX[second], float(share), float(radius)))
+    return rows
+
+
+_ROWS = _rows()
+_FROM = np.array([row[0] for row in _ROWS])
+_TO = np.array([row[1] for row in _ROWS])
+_SHARE = np.array([row[2] for row in _ROWS])
+_RADIUS = np.array([row[3] for row in _ROWS])
+
+
+def capsules(landmarks: Array, height: float = REFERENCE_HEIGHT) -> Array:
+    """The person's surface.
+
+    Args:
+        landmarks: (N, 3) in any frame, metres.
+        height: The person's stature, metres.
+
+    Returns:
+        (K, 7) a capsule a row: both ends and the radius, metres, in the landmarks' frame.
+    """
+    ends = landmarks[_FROM] + _SHARE[:, None] * (landmarks[_TO] - landmarks[_FROM])
+    radii = _RADIUS[:, None] * (height / REFERENCE_HEIGHT)
+    return np.concatenate((landmarks[_FROM], ends, radii), axis=1)
+
+
+@cache
+def flesh_over(body: Body) -> Array:
+    """(J,) how deep each joint lies under the skin at reference height, metres; at least 15 mm.
+
+    Measured as a sensor would: on the start-up pose, from in front and up to 60 degrees from either side,
+    the lower quartile of what lies before the joint.
+    """
+    standing = MOTIONS["startup"].landmarks(0.0)[0]
+    joints, shapes = standing[anatomy.landmarks_of(body)], capsules(standing)
+    before = []
+    for azimuth in np.radians(np.linspace(-60.0, 60.0, 9)):
+        away = _AFAR * np.array((np.sin(azimuth), 0.0, -np.cos(azimuth)))
+        for joint in joints:
+            seen_from = shapes - np.concatenate((joint + away, joint + away, (0.0,)))
+            x, y, z = -away
+            before.append(_AFAR * (1.0 - min(capsule_depth(x, y, z, shape) for shape in seen_from)))
+    flesh: Array = np.maximum(np.percentile(np.reshape(before, (9, len(joints))), 25, axis=0), 0.015)
+    return flesh
+
+
+_AFAR = 3.0  # metres
+
+
+def visibility(joints: Array, shapes: Array, flesh: Array, intrinsics: Intrinsics) -> NDArray[np.float64]:
+    """How much of each joint's surface a sensor sees, without rendering an image.
+
+    Rays go from the sensor to a disc about the joint; one sees the joint when the first surface it meets
+    is the joint's own skin: not farther before the joint than the flesh over it is thick, and some.
+
+    Args:
+        joints: (J, 3) in the sensor's frame, metres.
+        shapes: (K, 7) the person's capsules in the sensor's frame.
+        flesh: (J,) how deep each joint lies under the skin, metres.
+        intrinsics: A joint outside the image is not seen.
+
+    Returns:
+        (J,) share of the rays that see the joint, 0 to 1.
+    """
+    seen = np.asarray(share_seen(np.ascontiguousarray(joints), np.ascontiguousarray(shapes), flesh))
+    pixels = intrinsics.project(joints)
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= 0.0).all(axis=1) & (pixels[:, 0] < intrinsics.width)
+        inside &= pixels[:, 1] < intrinsics.height
+    return np.where(inside, seen, 0.0)

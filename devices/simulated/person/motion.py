@@ -1,0 +1,248 @@
+"""A person's movement as a function of time: controls, keyframes and footsteps, and the limbs that follow.
+
+A movement says where the pelvis, the trunk, the head, the wrists and the toes go; elbows and knees follow
+(two bones each). Toes stay where they are planted, so feet do not slide. Every movement begins with the
+start-up pose, standing still, so that the program can calibrate, and then repeats its loop for ever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+from devices.simulated.person import anatomy
+from devices.simulated.person.anatomy import Array, Pose, along, bow, lean, length, offset, turn, two_bones
+from devices.simulated.person.footsteps import ARRIVE_AT_EASE, Footsteps, smooth
+from fusion.body import Body
+
+STARTUP_SECONDS = 2.5
+"""How long the start-up pose is held."""
+_BLEND_SECONDS = 1.2
+
+# name: (first channel, number of channels)
+_WIDTHS = {
+    "place": 2,  # pelvis in the plane: to the left and to the back of the world, metres
+    "height": 1,  # pelvis over the floor, metres
+    "heading": 1,  # turned to the left, radians
+    "pelvis": 2,  # pelvis bowed forwards, leaning to the left, radians
+    "spine": 3,  # trunk against pelvis: bowed, leaning left, turned left
+    "head": 3,  # head against trunk: the same
+    "left": 3,  # wrist from shoulder: out, up, front, in arm lengths
+    "right": 3,
+    "left_elbow": 3,  # where the elbow points: out, up, front
+    "right_elbow": 3,
+    "wrists": 2,  # left and right hand bent towards the palm, radians
+    "hop": 1,  # how far both feet are off the floor, metres
+}
+CHANNELS: dict[str, slice] = {}
+for _name, _width in _WIDTHS.items():
+    _start = sum(_WIDTHS[n] for n in CHANNELS)
+    CHANNELS[_name] = slice(_start, _start + _width)
+
+Values = Mapping[str, ArrayLike]
+STANDING: dict[str, ArrayLike] = {
+    "place": (0.0, 0.0), "height": 0.935, "heading": 0.0, "pelvis": (0.0, 0.0),
+    "spine": (0.03, 0.0, 0.0), "head": (0.05, 0.0, 0.0),
+    "left": (0.10, -0.95, 0.09), "right": (0.10, -0.95, 0.09),
+    "left_elbow": (0.35, 0.0, -1.0), "right_elbow": (0.35, 0.0, -1.0),
+    "wrists": (0.1, 0.1), "hop": 0.0,
+}  # fmt: skip
+"""Standing at ease, arms hanging."""
+STARTUP: dict[str, ArrayLike] = STANDING | {
+    "height": 0.905,
+    "left": (0.72, -0.62, 0.10), "right": (0.72, -0.62, 0.10),
+    "left_elbow": (0.1, -0.4, -1.0), "right_elbow": (0.1, -0.4, -1.0), "wrists": (0.0, 0.0),
+}  # fmt: skip
+"""Arms and legs apart: every joint in the open (eq. 13 is measured here)."""
+
+
+Frame = dict[str, ArrayLike]
+
+
+def both_arms(hands: ArrayLike, elbows: ArrayLike = (0.35, 0.0, -1.0), **others: Any) -> Frame:
+    """Channels that are the same for either arm, and others."""
+    return {"left": hands, "right": hands, "left_elbow": elbows, "right_elbow": elbows, **others}
+
+
+def channels(values: Values) -> Array:
+    """(C,) one row of channels from named values; all must be given."""
+    row = np.empty(sum(_WIDTHS.values()))
+    for name, where in CHANNELS.items():
+        row[where] = values[name]
+    return row
+
+
+def keyframes(period: float, *frames: tuple[float, Values]) -> Callable[[Array], Array]:
+    """A periodic movement through keyframes, twice continuously differentiable.
+
+    Args:
+        period: Seconds; the first keyframe returns then.
+        frames: (time, what differs from STANDING), the first at time 0.
+    """
+    times = [time for time, _ in frames]
+    rows = [channels(STANDING | dict(values)) for _, values in frames]
+    spline = CubicSpline([*times, period], [*rows, rows[0]], bc_type="periodic", axis=0)
+    return lambda t: np.asarray(spline(np.mod(t, period)))
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Where every joint of one person is at any time.
+
+    Attributes:
+        name: What to call it.
+        period: Length of the loop, seconds.
+        loop: (T,) seconds since the loop's first start → (T, C) channels; periodic but for its start.
+        footsteps: Of the loop; they end where they began.
+        first_footsteps: Of the loop's first round, where it differs.
+        arrive: From the start-up stance to the loop's, in seconds since the end of the start-up pose.
+        startup: Whether it begins with the start-up pose.
+        speeds_up: Whether the loop starts from rest, its time running slowly at first.
+    """
+
+    name: str
+    period: float
+    loop: Callable[[Array], Array]
+    footsteps: Footsteps = field(default_factory=Footsteps)
+    first_footsteps: Footsteps | None = None
+    arrive: Footsteps = ARRIVE_AT_EASE
+    startup: bool = True
+    speeds_up: bool = False
+
+    @property
+    def begins(self) -> float:
+        """When the loop begins, in seconds."""
+        return STARTUP_SECONDS + _BLEND_SECONDS if self.startup else 0.0
+
+    def landmarks(self, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
+        """(T, N, 3) all landmarks in the world, metres, of a person of this stature."""
+        t = np.atleast_1d(np.asarray(times, dtype=np.float64))
+        return self.pose(t).landmarks() * (height / anatomy.REFERENCE_HEIGHT)
+
+    def joints(self, body: Body, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
+        """(T, J, 3) the joints of one body in the world, metres."""
+        return self.landmarks(times, height)[:, anatomy.landmarks_of(body)]
+
+    def pose(self, t: Array) -> Pose:
+        """(T,) seconds → the pose at reference height."""
+        c = self.loop(self._phase(t))
+        if self.startup:
+            moving = smooth((t - STARTUP_SECONDS) / _BLEND_SECONDS)[:, None]
+            c = (1.0 - moving) * channels(STARTUP) + moving * c
+        return follow(c + _sway(t), *self.feet(t))
+
+    def feet(self, t: Array) -> tuple[Array, Array, Array]:
+        """(T,) seconds → toes, yaw and pitch of both feet, as :func:`walk_feet`."""
+        phase = self._phase(t)
+        rounds = [
+            (t < self.begins, self.arrive, t - STARTUP_SECONDS),
+            (phase < self.period, self.first_footsteps or self.footsteps, phase),
+            (np.full(t.shape, True), self.footsteps, np.mod(phase, self.period)),
+        ]
+        toes, yaw, pitch = np.zeros((len(t), 2, 3)), np.zeros((len(t), 2)), np.zeros((len(t), 2))
+        left = np.full(t.shape, True)
+        for applies, footsteps, time in rounds[0 if self.startup else 1 :]:
+            here = left & applies
+            if here.any():
+                toes[here], yaw[here], pitch[here] = footsteps.at(time[here])
+            left &= ~applies
+        return toes, yaw, pitch
+
+    def _phase(self, t: Array) -> Array:
+        u = t - self.begins
+        if not self.speeds_up:
+            return u
+        x = np.clip(u, 0.0, 1.0)  # the integral of smooth(u)
+        return x**4 * (2.5 + x * (x - 3.0)) + np.maximum(u - 1.0, 0.0)
+
+
+def _sway(t: Array) -> Array:
+    """(T, C) breathing and balance: a few millimetres at frequencies without a common period."""
+    c = np.zeros((len(t), sum(_WIDTHS.values())))
+    c[:, CHANNELS["place"]] = np.stack(
+        (0.004 * np.sin(2.1 * t) + 0.003 * np.sin(0.83 * t), 0.004 * np.sin(1.7 * t + 1)), axis=1
+    )
+    c[:, CHANNELS["spine"]] = np.stack(
+        (0.008 * np.sin(1.55 * t), 0.006 * np.sin(0.97 * t), 0.01 * np.sin(0.61 * t)), axis=1
+    )
+    c[:, CHANNELS["head"]] = np.stack(
+        (0.02 * np.sin(0.71 * t), 0.01 * np.sin(0.53 * t), 0.04 * np.sin(0.37 * t)), axis=1
+    )
+    for k, hand in enumerate(("left", "right")):
+        c[:, CHANNELS[hand]] = 0.006 * np.sin(np.outer(t, (1.3, 1.1, 0.9 + 0.1 * k)) + k)
+    return c
+
+
+def follow(c: Array, toes: Array, yaw: Array, pitch: Array) -> Pose:
+    """The pose that follows from channels and feet.
+
+    Args:
+        c: (T, C) channels.
+        toes, yaw, pitch: As :func:`walk_feet` gives them.
+    """
+
+    def of(name: str) -> Array:
+        return c[:, CHANNELS[name]]
+
+    rotations: dict[str, Array] = {}
+    heading = turn(of("heading")[:, 0])
+    rotations["pelvis"] = heading @ bow(of("pelvis")[:, 0]) @ lean(of("pelvis")[:, 1])
+    bowed, leaning, turned = of("spine").T
+    rotations["trunk"] = rotations["pelvis"] @ turn(turned) @ lean(leaning) @ bow(bowed)
+    bowed, leaning, turned = of("head").T
+    rotations["head"] = rotations["trunk"] @ turn(turned) @ bow(bowed) @ lean(leaning)
+
+    foot_rotations = [turn(yaw[:, f]) @ bow(pitch[:, f]) for f in (0, 1)]
+    jump = np.maximum(of("hop"), 0.0)
+    hop = jump**2 / (jump + 0.02) * (0.0, -1.0, 0.0)
+    ankles = [
+        toes[:, f] + hop - foot_rotations[f] @ offset(f"FOOT_{s}") for f, s in enumerate(("LEFT", "RIGHT"))
+    ]
+    pelvis = np.stack((of("place")[:, 0], -of("height")[:, 0], of("place")[:, 1]), axis=1) + hop
+    pelvis[:, 1] = _within_reach(pelvis, rotations["pelvis"], ankles)
+
+    forward = heading @ np.array((0.0, 0.0, -1.0))
+    for f, (side, sign) in enumerate((("LEFT", 1.0), ("RIGHT", -1.0))):
+        hip = pelvis + rotations["pelvis"] @ offset(f"HIP_{side}")
+        ahead = foot_rotations[f] @ np.array((0.15 * sign, 0.0, -1.0))
+        knee, ankle, _ = two_bones(
+            ankles[f] - hip, ahead + 0.5 * forward, length(f"KNEE_{side}"), length(f"ANKLE_{side}")
+        )
+        rotations[f"thigh_{side}"] = along(knee, -ahead)
+        rotations[f"shin_{side}"] = along(ankle - knee, -ahead)
+        rotations[f"foot_{side}"] = foot_rotations[f]
+        _bend_arm(rotations, side, sign, c)
+    return Pose(pelvis, rotations)
+
+
+def _bend_arm(rotations: dict[str, Array], side: str, sign: float, c: Array) -> None:
+    upper, fore = length(f"ELBOW_{side}"), length(f"WRIST_{side}")
+    to_trunk = np.array((sign, -1.0, -1.0))  # out, up, front → x, y, z
+    target = c[:, CHANNELS[side.lower()]] * to_trunk * (upper + fore)
+    pole = anatomy.unit(c[:, CHANNELS[f"{side.lower()}_elbow"]] * to_trunk)
+    elbow, wrist, axis = two_bones(target, pole, upper, fore)
+    trunk = rotations["trunk"]
+    # The back of the hand's edge follows the bend: it never meets the forearm's direction.
+    rotations[f"upper_arm_{side}"] = trunk @ along(elbow, np.cross(axis, elbow))
+    rotations[f"forearm_{side}"] = trunk @ along(wrist - elbow, np.cross(axis, wrist - elbow))
+    bent = c[:, CHANNELS["wrists"]][:, 0 if side == "LEFT" else 1]
+    rotations[f"hand_{side}"] = rotations[f"forearm_{side}"] @ lean(sign * bent)
+
+
+def _within_reach(pelvis: Array, rotation: Array, ankles: list[Array]) -> NDArray[np.float64]:
+    """(T,) the pelvis's y, let down smoothly so far that both planted feet can be reached."""
+    lowest = [pelvis[:, 1]]
+    for ankle, side in zip(ankles, ("LEFT", "RIGHT"), strict=True):
+        reach = 0.985 * (length(f"KNEE_{side}") + length(f"ANKLE_{side}"))
+        hip = rotation @ offset(f"HIP_{side}")
+        across = np.sum((ankle - pelvis - hip)[:, (0, 2)] ** 2, axis=1)
+        lowest.append(ankle[:, 1] - hip[:, 1] - np.sqrt(np.maximum(reach**2 - across, 0.01)))
+    sharpness = 0.012  # metres over which the limits are rounded off
+    y = np.stack(lowest)
+    top = y.max(axis=0)
+    return np.asarray(top + sharpness * np.log(np.exp((y - top) / sharpness).sum(axis=0)))

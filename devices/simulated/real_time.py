@@ -1,0 +1,129 @@
+"""A simulated sensor at the pace of a real one: slowed down, or relieved of images that take too long."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from devices.sensor import SensorFrame
+from devices.simulated.kinect import SimulatedKinect
+from fusion.body import Body
+from fusion.intrinsics import Intrinsics
+
+_FRAME, _TOGETHER = 1.0 / 30.0, 1.0  # seconds
+_MARGIN, _FORGETTING = 1.5, 0.95
+"""A frame is begun 1.5 times as long before it is due as the longest of late took, which fades by 5 %."""
+
+
+class Beat:
+    """Lets sensors begin together, as real ones on a cable do.
+
+    Args:
+        sensors: How many.
+    """
+
+    def __init__(self, sensors: int = 1) -> None:
+        self._awaited = sensors
+        self._came = threading.Condition()
+        self._latest = 0.0
+
+    def begin(self, clock: Callable[[], float], stopping: threading.Event) -> float:
+        """Waits for the others, a second at most; gives the moment to begin at, seconds of the clock."""
+        with self._came:
+            self._awaited -= 1
+            self._latest = clock()
+            self._came.notify_all()
+            all_here = self._came.wait_for(lambda: self._awaited <= 0 or stopping.is_set(), timeout=_TOGETHER)
+            return self._latest if all_here else clock()
+
+    def wake(self) -> None:
+        """Lets who waits see that it is to stop."""
+        with self._came:
+            self._came.notify_all()
+
+
+class PacedSensor:
+    """Gives each frame of a simulated sensor when its capture time has come.
+
+    A real sensor's frame is made outside of this process. This one is therefore made in the second half of
+    the time until it is due, so that it does not compete with what is done with the frame before; earlier
+    where it takes long.
+
+    Args:
+        sensor: Whose frames. It is told to hurry while it does not keep pace.
+        beat: Of the sensors that begin with this one; its own where None.
+        clock: Seconds; tests put their own.
+        wait: Waits for an event at most so many seconds; tests put their own.
+    """
+
+    def __init__(
+        self,
+        sensor: SimulatedKinect,
+        beat: Beat | None = None,
+        *,
+        clock: Callable[[], float] = time.perf_counter,
+        wait: Callable[[threading.Event, float], bool] = threading.Event.wait,
+    ) -> None:
+        self.name = sensor.name
+        self._sensor = sensor
+        self._beat = beat or Beat()
+        self._clock, self._wait = clock, wait
+        self._stopping = threading.Event()
+
+    @property
+    def body(self) -> Body:
+        """The sensor's body."""
+        return self._sensor.body
+
+    @property
+    def intrinsics(self) -> Intrinsics | None:
+        """The sensor's depth camera."""
+        return self._sensor.intrinsics
+
+    def __enter__(self) -> PacedSensor:
+        """Opens the sensor."""
+        self._stopping.clear()
+        self._sensor.__enter__()
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Closes the sensor."""
+        self._sensor.__exit__(*exc_info)
+
+    def interrupt(self) -> None:
+        """Makes ``frames`` end now."""
+        self._stopping.set()
+        self._beat.wake()
+
+    def frames(self) -> Iterator[SensorFrame]:
+        """The sensor's frames, each when it is due."""
+        begun, longest = None, 0.0
+        frames = self._sensor.frames()
+        while True:
+            started = self._clock()
+            frame = next(frames, None)
+            if frame is None:
+                return
+            longest = max(self._clock() - started, _FORGETTING * longest)
+            if begun is None:
+                begun = self._beat.begin(self._clock, self._stopping)
+            due = begun + (frame.time_ns - self._sensor.clock_at_start_ns) * 1e-9
+            self._sensor.hurried = due - self._clock() < -_FRAME
+            if self._stops_before(due):
+                return
+            yield replace(frame, host_ns=round(self._clock() * 1e9))
+            if self._stops_before(due + _FRAME - max(_FRAME / 2.0, _MARGIN * longest)):
+                return
+
+    def _stops_before(self, moment: float) -> bool:
+        """Waits for a moment; says whether it was interrupted."""
+        left = moment - self._clock()
+        return self._stopping.is_set() or (left > 0.0 and self._wait(self._stopping, left))
+
+
+def paced_together(*sensors: SimulatedKinect) -> list[PacedSensor]:
+    """Sensors whose frames come as far apart as they are captured."""
+    beat = Beat(len(sensors))
+    return [PacedSensor(sensor, beat) for sensor in sensors]

@@ -1,0 +1,181 @@
+"""How two sensors' skeletons of one person err, in figures that real and simulated pairs share.
+
+None of them needs the truth: they compare the views with each other, a joint with itself and a bone with
+its own mean. So they can be had from a real recording, and the simulator can be held against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.sensor import DeviceError
+from devices.simulated.tracking.tracker_errors import JointGroups
+from fusion.body import Body
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton, TrackingState
+
+Array = NDArray[np.float64]
+
+_WARM_UP = 15  # frames: a tracker's first ones hold its own start-up errors
+_WINDOW = 30  # frames over which jitter is one figure
+_SMOOTH = 5  # frames of the moving mean that jitter is measured against
+
+
+@dataclass(frozen=True)
+class PairStatistics:
+    """The figures of one pair of recordings. Lengths are metres.
+
+    Attributes:
+        view_rms, view_median: Distance of a joint in one view from itself in the other, after the best
+            rigid fit over the whole recording (Kabsch, all joints that both views have).
+        bone_deviation: Standard deviation of a bone's length in one view; median over bones and views.
+        bone_deviation_share: The same as a share of the bone's mean length.
+        jitter: By kind of joint, its distance from its moving mean over 5 frames: RMS over each second,
+            median over seconds, joints and views. A figure of noise only while the person stands still.
+        inferred, not_tracked: Share of joints in that state.
+        hands_unsure, feet_unsure: Share of hands, tips and thumbs (of feet) that are not tracked surely.
+        swapped: Share of frames in which one view fits the other better with left and right exchanged.
+        swap_frames: Mean length of a run of such frames; NaN where there is none.
+        tracked_change, tracked_change_p99: Second difference of a joint between frames, while tracked in
+            all three: median and 99th percentile.
+        inferred_change, inferred_change_p99: The same where one of the three is inferred; NaN if none is.
+        stale: Share of frames that repeat the one before.
+    """
+
+    view_rms: float
+    view_median: float
+    bone_deviation: float
+    bone_deviation_share: float
+    jitter: dict[str, float]
+    inferred: float
+    not_tracked: float
+    hands_unsure: float
+    feet_unsure: float
+    swapped: float
+    swap_frames: float
+    tracked_change: float
+    tracked_change_p99: float
+    inferred_change: float
+    inferred_change_p99: float
+    stale: float
+
+
+def statistics(a: Sequence[Skeleton | None], b: Sequence[Skeleton | None]) -> PairStatistics:
+    """The figures of one pair of recordings.
+
+    Args:
+        a, b: The two views' skeletons, paired: of equal length, None where a sensor saw no one.
+
+    Raises:
+        DeviceError: The lengths differ, or fewer than 60 frames have both skeletons.
+    """
+    both = [(p, q) for p, q in zip(a, b, strict=False) if p is not None and q is not None]
+    if len(a) != len(b) or len(both) < 2 * _WINDOW:
+        raise DeviceError(
+            f"Statistics need two paired recordings with at least {2 * _WINDOW} frames in common; got "
+            f"{len(a)} and {len(b)} frames, {len(both)} in common."
+        )
+    body = both[0][0].body
+    views = [(_positions(pair), np.stack([s.states for s in pair])) for pair in zip(*both, strict=True)]
+    (pa, _), (pb, _) = views
+    apart, mirrored = _views_apart(pa, pb, body)
+    swapped = np.nanmean(mirrored, axis=1) < np.nanmean(apart, axis=1)
+    runs = run_lengths(swapped)
+    lengths = np.concatenate([_bone_lengths(p, body) for p, _ in views], axis=1)
+    lengths = lengths[:, np.isfinite(lengths).sum(axis=0) >= _WINDOW]
+    deviations, means = np.nanstd(lengths, axis=0), np.nanmean(lengths, axis=0)
+    states = np.concatenate([s for _, s in views])
+    unsure = (states != TrackingState.TRACKED).mean(axis=0)
+    change, sure = (np.concatenate(parts) for parts in zip(*(_changes(p, s) for p, s in views), strict=True))
+    guessed = change[~sure & np.isfinite(change)]
+    return PairStatistics(
+        view_rms=float(np.sqrt(np.nanmean(apart**2))),
+        view_median=float(np.nanmedian(apart)),
+        bone_deviation=float(np.nanmedian(deviations)),
+        bone_deviation_share=float(np.nanmedian(deviations / means)),
+        jitter=_jitter([p for p, _ in views], body),
+        inferred=float((states == TrackingState.INFERRED).mean()),
+        not_tracked=float((states == TrackingState.NOT_TRACKED).mean()),
+        hands_unsure=float(unsure[_kinds(body, "hand", "tip", "thumb")].mean()),
+        feet_unsure=float(unsure[_kinds(body, "foot")].mean()),
+        swapped=float(swapped.mean()),
+        swap_frames=float(np.mean(runs)) if runs else float("nan"),
+        tracked_change=float(np.median(change[sure])),
+        tracked_change_p99=float(np.percentile(change[sure], 99)),
+        inferred_change=_median(guessed),
+        inferred_change_p99=float(np.percentile(guessed, 99)) if guessed.size else float("nan"),
+        stale=float(np.mean([_stale(view) for view in (a, b)])),
+    )
+
+
+def rigid_fit(source: Array, target: Array) -> RigidTransform:
+    """``target_from_source`` that brings (N, 3) points nearest to others (Kabsch 1976)."""
+    from_mean, to_mean = source.mean(axis=0), target.mean(axis=0)
+    U, _, Vt = np.linalg.svd((source - from_mean).T @ (target - to_mean))
+    R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
+    return RigidTransform.of(R, to_mean - R @ from_mean)
+
+
+def _positions(skeletons: Sequence[Skeleton]) -> Array:
+    return np.stack([s.positions for s in skeletons]).astype(np.float64)
+
+
+def _views_apart(a: Array, b: Array, body: Body) -> tuple[Array, Array]:
+    """(T, J) distances between the views after the fit, as they are and with B's left and right exchanged."""
+    known = np.isfinite(a).all(axis=2) & np.isfinite(b).all(axis=2)
+    b_in_a = rigid_fit(b[known], a[known]).apply(b)
+    return np.linalg.norm(b_in_a - a, axis=2), np.linalg.norm(b_in_a[:, body.mirror] - a, axis=2)
+
+
+def _bone_lengths(at: Array, body: Body) -> Array:
+    """(T, J-1) lengths of the bones."""
+    lengths: Array = np.linalg.norm(
+        at[:, body.bone_joints] - at[:, body.parent_indices[body.bone_joints]], axis=2
+    )
+    return lengths
+
+
+def _kinds(body: Body, *groups: str) -> list[int]:
+    return [j for j, name in enumerate(body.joints) if JointGroups.group(name) in groups]
+
+
+def _jitter(views: list[Array], body: Body) -> dict[str, float]:
+    kernel = np.ones(_SMOOTH) / _SMOOTH
+    found = []
+    for at in views:
+        moving = np.apply_along_axis(np.convolve, 0, at[_WARM_UP:], kernel, "valid")
+        half = _SMOOTH // 2
+        apart = np.sum((at[_WARM_UP + half : len(at) - half] - moving) ** 2, axis=2)  # (T, J)
+        seconds = len(apart) // _WINDOW
+        found.append(np.sqrt(apart[: seconds * _WINDOW].reshape(seconds, _WINDOW, -1).mean(axis=1)))
+    per_second = np.concatenate(found)
+    groups = dict.fromkeys(JointGroups.group(name) for name in body.joints)
+    return {group: _median(per_second[:, _kinds(body, group)]) for group in groups}
+
+
+def _median(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else float("nan")
+
+
+def _changes(at: Array, states: NDArray[np.uint8]) -> tuple[Array, NDArray[np.bool_]]:
+    """(T-2, J) second differences, and whether the joint was tracked in all three frames."""
+    sure = states == TrackingState.TRACKED
+    change: Array = np.linalg.norm(at[2:] - 2.0 * at[1:-1] + at[:-2], axis=2)
+    return change, sure[2:] & sure[1:-1] & sure[:-2]
+
+
+def _stale(view: Sequence[Skeleton | None]) -> float:
+    known = [s for s in view if s is not None]
+    return float(np.mean([s.repeats(before) for before, s in pairwise(known)]))
+
+
+def run_lengths(flags: NDArray[np.bool_]) -> list[int]:
+    """How long each run of True is."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return list(np.diff(edges)[::2])

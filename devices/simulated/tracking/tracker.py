@@ -1,0 +1,227 @@
+"""What a Kinect's body tracker reports of a person, with the errors of ``tracker_errors``.
+
+The errors, in the order in which they befall a joint: a bias that depends on the view; its place under the
+skin; a guess where it is hidden, or the place of the joint that covers it (sec. 3); the whole skeleton's
+scale; jitter; left taken for right when the back is turned; a frame delivered twice; a person lost.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.simulated.person.anatomy import Array
+from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
+from fusion.body import Body
+from fusion.compiling.kernels import njit
+from fusion.intrinsics import Intrinsics
+from fusion.skeleton import Skeleton, TrackingState
+
+# How much larger than the median the bias of a kind of joint is: limbs' ends are placed worse.
+_BIAS = JointGroups(0.7, 0.9, 0.9, 1.1, 1.1, 1.1, 1.2, 1.3, 0.9, 1.0, 1.2, 0.9)
+_HIDING_SECONDS = 0.08  # how fast a guess takes over from what was seen
+_GUESS_SECONDS = 0.6  # how long a guess errs to the same side
+_UNSURE_SECONDS = 0.4
+_OUTLIER_SECONDS = 0.12
+_BACK_TURNED = -0.3  # cosine between the person's front and the direction to the sensor
+
+
+class Tracker:
+    """One sensor's body tracker: reports frame after frame, in order. The same seed reports the same.
+
+    Args:
+        body: What it reports.
+        errors: Its errors.
+        flesh: (J,) how deep each joint lies under the skin, metres.
+        intrinsics: Where joints cover each other.
+        frame_seconds: Between two frames.
+        random: Its own generator; every frame draws the same number of values, whatever happens in it.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        errors: TrackerErrors,
+        flesh: Array,
+        intrinsics: Intrinsics,
+        frame_seconds: float,
+        random: np.random.Generator,
+    ) -> None:
+        self._body, self._errors, self._flesh, self._intrinsics = body, errors, flesh, intrinsics
+        self._dt, self._random = frame_seconds, random
+        count = len(body)
+        self._jitter_size, self._unsure_share = errors.jitter.of(body), errors.unsure.of(body)
+        self._corners = [body.joint(n) for n in ("ShoulderLeft", "HipLeft", "ShoulderRight", "HipRight")]
+        # Coefficients of 1, cos and sin of the view's azimuth: a bias of every view, changing smoothly.
+        spread = errors.view_bias * _BIAS.of(body)[:, None, None] / np.sqrt(2.0)
+        self._bias = random.standard_normal((count, 3, 3)) * spread
+        self._jitter = random.standard_normal((count, 3))
+        self._guess = random.standard_normal((count, 3))
+        self._scale = float(random.standard_normal())
+        self._hiding = np.zeros(count)  # 0 seen … 1 hidden, smoothed
+        self._was_hidden = np.zeros(count, dtype=bool)
+        self._unsure = np.zeros(count, dtype=bool)
+        self._spell = np.full(count, int(TrackingState.INFERRED))
+        self._cover = np.arange(count)
+        self._away = np.zeros((count, 3))
+        self._swapped = self._lost = False
+        self._before: Array | None = None
+        self._last: tuple[NDArray[np.float64], NDArray[np.uint8]] | None = None
+
+    def report(self, joints: Array, visible: Array, time_ns: int) -> Skeleton | None:
+        """The next frame's skeleton.
+
+        Args:
+            joints: (J, 3) where the joints are, in the sensor's frame.
+            visible: (J,) share of each joint's surface that is seen.
+            time_ns: When, on the sensor's clock.
+
+        Returns:
+            What the tracker says; None where it has lost the person.
+        """
+        e, body = self._errors, self._body
+        normal = self._random.standard_normal((2 * len(body) + 1, 3))
+        uniform = self._random.random((7, len(body)))
+        chance = self._random.random(3)
+        self._wander(normal)
+        hidden = self._hide(joints, visible, uniform)
+
+        at = joints + self._view_bias(joints)
+        at = at * (1.0 - e.skin * self._flesh / np.linalg.norm(joints, axis=1))[:, None]
+        weight = self._hiding[:, None]
+        snapped = self._spell == TrackingState.TRACKED
+        guess = at + e.inferred_error * self._guess
+        guess[snapped] = at[snapped] + e.snap * (joints[self._cover] - at)[snapped]
+        at = at + weight * (guess - at)
+        at = self._hold_bones(at, joints) + self._outliers(uniform[3:])
+        root = at[body.root]
+        at = root + (at - root) * (1.0 + e.rescale * self._scale)
+        shaking = (self._jitter_size + e.moving_jitter * self._speed(joints))[:, None]
+        at = at + shaking * (1.0 + (e.inferred_jitter - 1.0) * weight) * self._jitter
+
+        states = np.where(hidden, self._spell, int(TrackingState.TRACKED)).astype(np.uint8)
+        facing = self._facing(joints)
+        if self._switch(
+            self._swapped, e.swapped if facing < _BACK_TURNED else 0.0, e.swap_seconds, chance[0]
+        ):
+            self._swapped = True
+            at, states = at[body.mirror], states[body.mirror]
+        else:
+            self._swapped = False
+        if self._last is not None and chance[1] < e.stale:
+            at, states = self._last
+        self._last = at, states
+        out_of_sight = e.seen_share > 0.0 and np.mean(visible > 0.0) < 0.25
+        self._lost = self._switch(self._lost, e.lost, e.lost_seconds, chance[2])
+        if self._lost or out_of_sight:
+            return None
+        return Skeleton.of(body, at, states, time_ns)
+
+    def _wander(self, normal: Array) -> None:
+        """The errors that go on from frame to frame: first-order autoregressive, of unit variance."""
+        count = len(self._body)
+        for name, memory, noise in (
+            ("_jitter", self._errors.jitter_memory, normal[:count]),
+            ("_guess", np.exp(-self._dt / _GUESS_SECONDS), normal[count:-1]),
+            ("_scale", np.exp(-self._dt / self._errors.rescale_seconds), normal[-1, 0]),
+        ):
+            setattr(self, name, memory * getattr(self, name) + np.sqrt(1.0 - memory**2) * noise)
+
+    def _hide(self, joints: Array, visible: Array, uniform: Array) -> NDArray[np.bool_]:
+        """(J,) which joints are hidden in this frame; what becomes of one is drawn when it disappears."""
+        e = self._errors
+        start, stop = self._rates(self._unsure_share, _UNSURE_SECONDS)
+        self._unsure = np.where(self._unsure, uniform[0] >= stop, uniform[0] < start)
+        hidden = (visible < e.seen_share) | self._unsure
+        begins = hidden & ~self._was_hidden
+        fate = np.where(
+            uniform[1] < e.mistracked,
+            TrackingState.TRACKED,
+            np.where(uniform[2] < e.not_tracked, TrackingState.NOT_TRACKED, TrackingState.INFERRED),
+        )
+        self._spell = np.where(begins, fate, self._spell)
+        if begins.any():
+            self._cover = np.where(begins, self._covering(joints, visible), self._cover)
+        self._was_hidden = hidden
+        self._hiding += (hidden - self._hiding) * -np.expm1(-self._dt / _HIDING_SECONDS)
+        return hidden
+
+    def _hold_bones(self, at: Array, joints: Array) -> Array:
+        """(J, 3) the joints with their bones nearly of their length, from the root outwards."""
+        if self._errors.stretch == 1.0:
+            return at
+        held = at.copy()
+        _hold(held, at, joints, self._body.order[1:], self._body.parent_indices, self._errors.stretch)
+        return held
+
+    def _outliers(self, uniform: Array) -> Array:
+        """(J, 3) how far the joints stand elsewhere for a moment, uniformly drawn."""
+        start, stop = self._rates(self._errors.outliers, _OUTLIER_SECONDS)
+        keeps = self._away.any(axis=1) & (uniform[0] >= stop)
+        leaves = ~keeps & (uniform[0] < start)
+        fresh = (2.0 * uniform[1:4].T - 1.0) * self._errors.outlier_size
+        self._away = np.where(keeps[:, None], self._away, np.where(leaves[:, None], fresh, 0.0))
+        return self._away
+
+    def _speed(self, joints: Array) -> Array:
+        """(J,) how fast each joint moves, metres a second."""
+        before = joints if self._before is None else self._before
+        self._before = joints
+        speed: Array = np.linalg.norm(joints - before, axis=1) / self._dt
+        return speed
+
+    def _covering(self, joints: Array, visible: Array) -> NDArray[np.int64]:
+        """(J,) the joint that covers each: nearest in the image, before it, no neighbour; or itself."""
+        pixels = self._intrinsics.project(joints)
+        apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
+        nearer = joints[None, :, 2] < joints[:, None, 2] - 0.05
+        possible = nearer & ~self._body.linked & (visible > 0.5)[None]
+        apart = np.where(possible, np.nan_to_num(apart, nan=np.inf), np.inf)
+        nearest = apart.argmin(axis=1)
+        itself = np.arange(len(joints))
+        near = apart[itself, nearest] * joints[:, 2] / self._intrinsics.fx < 0.30  # metres across the ray
+        return np.where(near, nearest, itself)
+
+    def _view_bias(self, joints: Array) -> Array:
+        """(J, 3) this view's bias of every joint."""
+        front, side = self._facing(joints), self._facing(joints, sideways=True)
+        norm = max(np.hypot(front, side), 1e-9)
+        bias: Array = self._bias @ np.array((1.0, front / norm, side / norm))
+        return bias
+
+    def _facing(self, joints: Array, *, sideways: bool = False) -> float:
+        """Cosine between the person's front (or left) and the direction to the sensor, seen from above."""
+        l1, l2, r1, r2 = joints[self._corners]
+        left = (l1 - r1) + (l2 - r2)
+        direction = left if sideways else np.array((-left[2], 0.0, left[0])) * -1.0
+        to_sensor = -joints[self._body.root]
+        across = np.hypot(direction[0], direction[2]) * np.hypot(to_sensor[0], to_sensor[2])
+        return float((direction[0] * to_sensor[0] + direction[2] * to_sensor[2]) / max(across, 1e-9))
+
+    def _rates(self, share: Array | float, seconds: float) -> tuple[Array, float]:
+        """Chances a frame that a spell starts and ends, for spells of this length that fill this share."""
+        stop = min(1.0, self._dt / max(seconds, self._dt))
+        share = np.minimum(np.asarray(share), 0.99)
+        return np.asarray(stop * share / (1.0 - share)), stop
+
+    def _switch(self, on: bool, share: float, seconds: float, chance: float) -> bool:
+        start, stop = self._rates(share, seconds)
+        if share <= 0.0:
+            return on and chance >= max(stop, 0.3)
+        return bool(chance >= stop) if on else bool(chance < start)
+
+
+@njit(cache=True)
+def _hold(held, at, joints, order, parents, stretch):  # type: ignore[no-untyped-def]
+    for joint in order:
+        parent = parents[joint]
+        true = given = 0.0
+        for c in range(3):
+            true += (joints[joint, c] - joints[parent, c]) ** 2
+            given += (at[joint, c] - held[parent, c]) ** 2
+        true, given = math.sqrt(true), math.sqrt(given)
+        scale = (true + stretch * (given - true)) / max(given, 1e-6)
+        for c in range(3):
+            held[joint, c] = held[parent, c] + (at[joint, c] - held[parent, c]) * scale

@@ -1,0 +1,147 @@
+"""The errors of a Kinect's body tracker, each one a knob that can be turned off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+
+from devices.simulated.person.anatomy import Array
+from fusion.body import AZURE_KINECT, Body
+
+
+@dataclass(frozen=True)
+class JointGroups:
+    """One value for each kind of joint."""
+
+    spine: float = 0.0
+    head: float = 0.0
+    girdle: float = 0.0
+    """Hips, shoulders, clavicles."""
+    elbow: float = 0.0
+    wrist: float = 0.0
+    hand: float = 0.0
+    tip: float = 0.0
+    thumb: float = 0.0
+    knee: float = 0.0
+    ankle: float = 0.0
+    foot: float = 0.0
+    face: float = 0.0
+
+    @staticmethod
+    def group(joint: str) -> str:
+        """The kind of a joint, by its name in any body's spelling."""
+        name = joint.replace("_", "").lower()
+        for key, group in _GROUP_OF.items():
+            if key in name:
+                return group
+        return "spine"
+
+    def of(self, body: Body) -> Array:
+        """(J,) the value of each joint."""
+        return np.array([getattr(self, self.group(joint)) for joint in body.joints])
+
+
+_GROUP_OF = {
+    "handtip": "tip", "thumb": "thumb", "hand": "hand", "wrist": "wrist", "elbow": "elbow",
+    "spineshoulder": "spine", "shouldercenter": "spine", "hipcenter": "spine", "shoulder": "girdle",
+    "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle", "foot": "foot", "head": "head",
+    "nose": "face", "eye": "face", "ear": "face",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TrackerErrors:
+    """The errors of one body tracker. Lengths are metres, times seconds; zero turns an error off.
+
+    The defaults of :meth:`of` are fitted to real recordings, with the figures of
+    ``devices.simulated.realism.pair_statistics``.
+
+    Attributes:
+        view_bias: Standard deviation of a joint's constant error, which changes with the view, an axis.
+        skin: Share of the flesh over a joint by which it is moved along the ray, towards the sensor.
+        seen_share: A joint is hidden when less of its surface is seen.
+        unsure: Share of time in which a joint counts as hidden although it is not, by kind.
+        inferred_error: Standard deviation of the guess for a hidden joint, an axis.
+        inferred_jitter: How many times more a hidden joint jitters.
+        not_tracked: Share of hidden spells in which the joint has no position at all.
+        mistracked: Share of hidden spells in which the joint is reported as tracked all the same.
+        snap: How far towards the joint that covers it a mis-tracked joint is moved, 0 to 1.
+        stretch: Share of a bone's error in length that stays: a tracker's own model of the body holds bones
+            nearly to their length, so that an error moves all that hangs on the joint. 1 lets every joint err
+            by itself.
+        outliers: Share of frames in which a joint stands somewhere else for a moment, though tracked.
+        outlier_size: How far away at most, an axis.
+        rescale: Standard deviation of the skeleton's scale.
+        rescale_seconds: How long a scale lasts.
+        jitter: Standard deviation of a joint's jitter an axis, by kind.
+        moving_jitter: What is added to that an axis, for each metre a second that the joint moves.
+        jitter_memory: Correlation of the jitter of one frame with the next.
+        swapped: Share of frames with left and right swapped while the back is turned.
+        swap_seconds: How long a swap lasts.
+        stale: Share of frames that repeat the skeleton before.
+        lost: Share of frames in which the person is lost.
+        lost_seconds: How long the person is lost.
+    """
+
+    view_bias: float = 0.0
+    skin: float = 0.0
+    seen_share: float = 0.0
+    unsure: JointGroups = field(default_factory=JointGroups)
+    inferred_error: float = 0.0
+    inferred_jitter: float = 1.0
+    not_tracked: float = 0.0
+    mistracked: float = 0.0
+    snap: float = 0.0
+    stretch: float = 1.0
+    outliers: float = 0.0
+    outlier_size: float = 0.0
+    rescale: float = 0.0
+    rescale_seconds: float = 1.0
+    jitter: JointGroups = field(default_factory=JointGroups)
+    moving_jitter: float = 0.0
+    jitter_memory: float = 0.5
+    swapped: float = 0.0
+    swap_seconds: float = 0.5
+    stale: float = 0.0
+    lost: float = 0.0
+    lost_seconds: float = 0.5
+
+    @staticmethod
+    def none() -> TrackerErrors:
+        """A perfect tracker: every joint tracked, where it is."""
+        return TrackerErrors()
+
+    @staticmethod
+    def of(body: Body) -> TrackerErrors:
+        """The errors of the body's own tracker."""
+        return _AZURE if body is AZURE_KINECT else _KINECT_V2
+
+    def only(self, *knobs: str) -> TrackerErrors:
+        """These errors with all but the named knobs turned off."""
+        return replace(TrackerErrors.none(), **{knob: getattr(self, knob) for knob in knobs})
+
+    @staticmethod
+    def knobs() -> tuple[str, ...]:
+        """The names of all knobs."""
+        return tuple(f.name for f in fields(TrackerErrors))
+
+
+_KINECT_V2 = TrackerErrors(
+    view_bias=0.023, skin=0.25, seen_share=0.35,
+    unsure=JointGroups(hand=0.03, tip=0.05, thumb=0.05, foot=0.05),
+    inferred_error=0.14, inferred_jitter=2.0, not_tracked=0.02, mistracked=0.4, snap=0.6,
+    stretch=0.12, outliers=0.0065, outlier_size=0.17, rescale=0.018, rescale_seconds=2.0,
+    jitter=JointGroups(spine=0.0016, head=0.001, girdle=0.0024, elbow=0.0024, wrist=0.0036, hand=0.005,
+                       tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
+    moving_jitter=0.002, jitter_memory=0.7, swapped=0.34, swap_seconds=2.0, stale=0.05, lost=0.002,
+)  # fmt: skip
+_AZURE = TrackerErrors(
+    view_bias=0.009, skin=0.15, seen_share=0.35,
+    unsure=JointGroups(hand=0.10, tip=0.2, thumb=0.3, foot=0.16),
+    inferred_error=0.06, inferred_jitter=2.5, not_tracked=0.65, mistracked=0.25, snap=0.6,
+    stretch=0.16, outliers=0.005, outlier_size=0.20, rescale=0.028, rescale_seconds=0.6,
+    jitter=JointGroups(spine=0.0012, head=0.001, girdle=0.0020, elbow=0.0024, wrist=0.0036, hand=0.005,
+                       tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
+    moving_jitter=0.002, jitter_memory=0.7, swapped=0.18, swap_seconds=2.0, stale=0.04, lost=0.001,
+)  # fmt: skip

@@ -1,0 +1,75 @@
+"""Recorded skeletons as a sensor: ``.csv``, offline_processor ``.json``, NTU RGB+D ``.skeleton``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+from devices.sensor import DeviceError, SensorFrame
+from devices.skeletons.csv_file import read_csv
+from devices.skeletons.ntu import read_ntu
+from devices.skeletons.offline_processor import read_json
+from fusion.body import Body
+from fusion.intrinsics import Intrinsics
+
+Reader = Callable[[Path], tuple[Body, list[SensorFrame]]]
+
+READERS: MappingProxyType[str, Reader] = MappingProxyType(
+    {".csv": read_csv, ".json": read_json, ".skeleton": read_ntu}
+)
+"""One reader a file name's ending. Each gives the body and the frames in time order, or a DeviceError."""
+
+
+class SkeletonRecording:
+    """A file of recorded skeletons, read whole when it is opened.
+
+    Args:
+        path: The file; its ending says the format (:data:`READERS`).
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.name = str(path)
+        self.intrinsics: Intrinsics | None = None
+        self._path = path
+        self._body: Body | None = None
+        self._frames: Sequence[SensorFrame] = ()
+
+    @property
+    def body(self) -> Body:
+        """The body whose joints the file names; known once it is open."""
+        if self._body is None:
+            raise DeviceError(f"{self.name} is not open.")
+        return self._body
+
+    def __enter__(self) -> SkeletonRecording:
+        """Reads the file.
+
+        Raises:
+            DeviceError: It cannot be read, or what stands in it cannot be right.
+        """
+        reader = READERS.get(self._path.suffix.lower())
+        if reader is None:
+            raise DeviceError(
+                f"{self.name}: {self._path.suffix or 'no ending'} is no format of recorded skeletons. "
+                f"Known: {', '.join(READERS)}."
+            )
+        try:
+            self._body, self._frames = reader(self._path)
+        except FileNotFoundError:
+            raise DeviceError(f"No file {self.name}.") from None
+        except UnicodeDecodeError as error:
+            raise DeviceError(f"{self.name} is not text: byte {error.start} is not UTF-8.") from None
+        except OSError as error:
+            raise DeviceError(f"{self.name} cannot be read: {error.strerror or error}.") from None
+        if not self._frames:
+            raise DeviceError(f"{self.name} has no frames.")
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Lets go of the frames."""
+        self._frames = ()
+
+    def frames(self) -> Iterator[SensorFrame]:
+        """The frames in time order."""
+        return iter(self._frames)

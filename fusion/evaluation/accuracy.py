@@ -1,0 +1,143 @@
+"""How far a skeleton is from the truth, in the figures the field uses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.skeleton import TrackingState
+
+Array = NDArray[np.float64]
+
+_STILL_SPEED = 0.02  # m/s: slower is standing still
+_SMOOTH = 5  # frames of the moving mean that jitter is measured against
+_LONGEST_LAG = 10  # frames
+_EVEN_STEPS = 1e-4  # metres a frame: a speed that deviates less has no shape to match
+_WEAK_MATCH = 0.5  # correlation: below it the highest peak is one of noise
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """The figures of one method on one recording; metres, NaN where a figure does not exist.
+
+    Attributes:
+        mpjpe: Mean per joint position error, the mean distance of a joint from its true place.
+        p95: 95th percentile of that distance.
+        hidden_one, hidden_both: MPJPE of joints that one view, or both, do not track.
+        bone_error: Largest difference of a bone from its true length.
+        bone_deviation: Standard deviation of a bone's length over time; mean over bones.
+        jitter: RMS distance of a joint from its moving mean over 5 frames while it truly stands still.
+        acceleration: Mean distance of a joint's second difference from the true one, metres a frame².
+        swapped: Share of frames whose limbs fit the truth better with left and right exchanged.
+        lag: Frames by which the joints' mean speed trails the true one: where they correlate most. NaN
+            where that is less than 0.5, or at the end of the ±10 frames that are searched.
+    """
+
+    mpjpe: float
+    p95: float
+    hidden_one: float
+    hidden_both: float
+    bone_error: float
+    bone_deviation: float
+    jitter: float
+    acceleration: float
+    swapped: float
+    lag: float
+
+
+def accuracy(
+    body: Body,
+    found: Array,
+    truth: Array,
+    states_a: NDArray[np.uint8],
+    states_b: NDArray[np.uint8],
+    frame_seconds: float,
+) -> Accuracy:
+    """Measures a method's joints against the true ones.
+
+    Args:
+        body: The joints.
+        found: (T, J, 3) what the method says; NaN where it says nothing.
+        truth: (T, J, 3) in the same frame.
+        states_a, states_b: (T, J) tracking states of the two views it had.
+        frame_seconds: Between two frames.
+    """
+    off = np.linalg.norm(found - truth, axis=2)  # (T, J)
+    untracked = (states_a != TrackingState.TRACKED).astype(int) + (states_b != TrackingState.TRACKED)
+    lengths = bone_lengths_of(body, found)[:, body.bone_joints]
+    true_lengths = bone_lengths_of(body, truth)[:, body.bone_joints]
+    return Accuracy(
+        mpjpe=_mean(off),
+        p95=float(np.nanpercentile(off, 95)) if np.isfinite(off).any() else np.nan,
+        hidden_one=_mean(off[untracked == 1]),
+        hidden_both=_mean(off[untracked == 2]),
+        bone_error=float(np.nanmax(np.abs(lengths - true_lengths))),
+        bone_deviation=_mean(np.array([_deviation(bone) for bone in lengths.T])),
+        jitter=_jitter(found, truth, frame_seconds),
+        acceleration=_mean(np.linalg.norm(np.diff(found - truth, n=2, axis=0), axis=2)),
+        swapped=_swapped(body, found, truth),
+        lag=_lag(found, truth),
+    )
+
+
+def _mean(values: Array) -> float:
+    values = values[np.isfinite(values)]
+    return float(values.mean()) if values.size else np.nan
+
+
+def _deviation(values: Array) -> float:
+    values = values[np.isfinite(values)]
+    return float(values.std()) if values.size else np.nan
+
+
+def _jitter(found: Array, truth: Array, frame_seconds: float) -> float:
+    speed = np.linalg.norm(np.diff(truth, axis=0), axis=2) / frame_seconds
+    still = (speed < _STILL_SPEED).all(axis=1)  # (T-1,)
+    if len(found) < _SMOOTH:
+        return np.nan
+    windows = np.lib.stride_tricks.sliding_window_view(found, _SMOOTH, axis=0)  # (T-4, J, 3, 5)
+    high = np.linalg.norm(windows[..., _SMOOTH // 2] - windows.mean(axis=-1), axis=2)
+    calm = np.lib.stride_tricks.sliding_window_view(still, _SMOOTH - 1).all(axis=1)
+    square = high[calm] ** 2
+    square = square[np.isfinite(square)]
+    return float(np.sqrt(square.mean())) if square.size else np.nan
+
+
+def _swapped(body: Body, found: Array, truth: Array) -> float:
+    limbs = np.flatnonzero(body.mirror != np.arange(len(body)))
+    as_is = np.nansum(np.linalg.norm(found[:, limbs] - truth[:, limbs], axis=2), axis=1)
+    exchanged = np.nansum(np.linalg.norm(found[:, limbs] - truth[:, body.mirror[limbs]], axis=2), axis=1)
+    return float(np.mean(exchanged < as_is))
+
+
+def _lag(found: Array, truth: Array) -> float:
+    steps, true_steps = (np.linalg.norm(np.diff(at, axis=0), axis=2) for at in (found, truth))  # (T-1, J)
+    frames = np.arange(_LONGEST_LAG, len(steps) - _LONGEST_LAG)
+    if len(steps) < 4 * _LONGEST_LAG or true_steps.mean(axis=1).std() < _EVEN_STEPS:
+        return np.nan
+    lags = np.arange(-_LONGEST_LAG, _LONGEST_LAG + 1)
+    match = np.array([_correlation(steps[frames + lag], true_steps[frames]) for lag in lags])
+    if not np.isfinite(match).all():
+        return np.nan
+    best = int(np.argmax(match))
+    if match[best] < _WEAK_MATCH or best in (0, len(lags) - 1):
+        return np.nan
+    left, top, right = match[best - 1 : best + 2]  # a parabola through the peak
+    return float(lags[best] + 0.5 * (left - right) / (left - 2.0 * top + right))
+
+
+def _correlation(steps: Array, true_steps: Array) -> float:
+    """Of the joints' mean speeds, each frame over the joints that ``steps`` knows in it."""
+    known = np.isfinite(steps)
+    count = known.sum(axis=1)
+    some = count > 0
+    speed, true_speed = (
+        np.where(known, of, 0.0).sum(axis=1)[some] / count[some] for of in (steps, true_steps)
+    )
+    if some.sum() < 2 * _LONGEST_LAG or min(speed.std(), true_speed.std()) == 0.0:
+        return np.nan
+    return float(np.corrcoef(speed, true_speed)[0, 1])

@@ -1,0 +1,300 @@
+"""One frame of the method, compiled: what :class:`fusion.fuser.Fuser` does pair by pair or in one sweep.
+
+Everything is given and returned in arrays that the caller owns, so a frame allocates nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.compiling.kernels import inner_kernel, kernel
+from fusion.intrinsics import Intrinsics
+from fusion.methods.reliability import weigh_views
+from fusion.solvers.published import solve_published
+from fusion.solvers.tree_elimination import BLOCKS
+from fusion.solvers.tree_solver import solve_tree
+from fusion.solvers.tree_steps import copy
+
+TRUST, EQUAL = 0, 1  # which weights
+FORGET_NS = 1_000_000_000
+"""After so long without a person the next one starts afresh."""
+
+
+class Model(NamedTuple):
+    """What stays the same from frame to frame."""
+
+    parents: NDArray[np.int64]  # (J,)
+    order: NDArray[np.int64]  # (J,)
+    rest: NDArray[np.float64]  # (J, 3)
+    torso: NDArray[np.int64]
+    linked: NDArray[np.bool_]  # (J, J)
+    bone_lengths: NDArray[np.float64]  # (J,)
+    rotation: NDArray[np.float64]  # (3, 3) R
+    focal_a: NDArray[np.float64]  # (2,) pixels; the principal point does not matter to distances
+    focal_b: NDArray[np.float64]
+    h: float
+    weights: int
+
+
+class Memory(NamedTuple):
+    """What one frame leaves to the next, and room to work in."""
+
+    translation: NDArray[np.float64]  # (3,) t
+    before: NDArray[np.float64]  # (J, 3) S* of the last frame that had one
+    before_ns: NDArray[np.int64]  # (2,) its time, and whether there is one
+    last_a: NDArray[np.float32]  # (J, 3) the sensors' last skeletons,
+    last_b: NDArray[np.float32]
+    last_states_a: NDArray[np.uint8]  # (J,)
+    last_states_b: NDArray[np.uint8]
+    b_in_a: NDArray[np.float64]  # (J, 3) q'
+    pixels_a: NDArray[np.float64]  # (J, 2)
+    pixels_b: NDArray[np.float64]
+    usable: NDArray[np.bool_]  # (J,)
+    targets: NDArray[np.float64]  # (J, 3) m
+    weights: NDArray[np.float64]  # (J,) w
+    tree_work: NDArray[np.float64]
+    paper_work: NDArray[np.float64]
+
+
+class Result(NamedTuple):
+    """What a frame comes to; see :class:`fusion.fuser.FusedFrame`."""
+
+    positions: NDArray[np.float64]  # (J, 3)
+    predicted: NDArray[np.bool_]  # (J,)
+    weights_a: NDArray[np.float64]  # (J,)
+    weights_b: NDArray[np.float64]
+    misleading: NDArray[np.int64]  # (J,)
+    translation: NDArray[np.float64]  # (3,)
+    counts: NDArray[np.int64]  # (3,) iterations, stale A, stale B
+
+
+def new_model(
+    body: Body,
+    bone_lengths: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    intrinsics: tuple[Intrinsics, Intrinsics],
+    h: float,
+    weights: int,
+) -> Model:
+    """The model of one body, calibration and choice of settings."""
+    a, b = intrinsics
+    return Model(
+        parents=body.parent_indices,
+        order=body.order,
+        rest=np.ascontiguousarray(body.rest),
+        torso=np.array(body.torso, dtype=np.int64),
+        linked=body.linked,
+        bone_lengths=np.array(bone_lengths, dtype=np.float64),
+        rotation=np.array(rotation, dtype=np.float64),
+        focal_a=np.array([a.fx, a.fy]),
+        focal_b=np.array([b.fx, b.fy]),
+        h=h,
+        weights=weights,
+    )
+
+
+def new_memory(joints: int, translation: NDArray[np.float64]) -> Memory:
+    """The memory before the first frame."""
+    return Memory(
+        translation=np.array(translation, dtype=np.float64),
+        before=np.full((joints, 3), np.nan),
+        before_ns=np.zeros(2, dtype=np.int64),
+        last_a=np.full((joints, 3), np.nan, dtype=np.float32),
+        last_b=np.full((joints, 3), np.nan, dtype=np.float32),
+        last_states_a=np.zeros(joints, dtype=np.uint8),
+        last_states_b=np.zeros(joints, dtype=np.uint8),
+        b_in_a=np.empty((joints, 3)),
+        pixels_a=np.empty((joints, 2)),
+        pixels_b=np.empty((joints, 2)),
+        usable=np.empty(joints, dtype=np.bool_),
+        targets=np.empty((joints, 3)),
+        weights=np.empty(joints),
+        tree_work=np.zeros((BLOCKS, joints, 6)),
+        paper_work=np.empty((2, joints, 3)),
+    )
+
+
+def new_result(frames: int, joints: int) -> Result:
+    """Room for the results of so many frames."""
+    return Result(
+        positions=np.empty((frames, joints, 3)),
+        predicted=np.empty((frames, joints), dtype=np.bool_),
+        weights_a=np.empty((frames, joints)),
+        weights_b=np.empty((frames, joints)),
+        misleading=np.empty((frames, joints), dtype=np.int64),
+        translation=np.empty((frames, 3)),
+        counts=np.empty((frames, 3), dtype=np.int64),
+    )
+
+
+@kernel
+def fuse_frames(model, memory, result, time_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+    """The method over consecutive pairs, eq. (1) solved exactly.
+
+    Args:
+        model, memory: Of the fuser; the memory is carried on.
+        result: Room for T frames.
+        time_ns: (T,) the pairs' times.
+        a, b: (T, J, 3) float32 positions, each in its sensor's frame; NaN where not tracked.
+        states_a, states_b: (T, J) uint8 tracking states; all 0 where the sensor sees no one.
+    """
+    for k in range(len(time_ns)):
+        if prepare(model, memory, result, k, time_ns[k], a[k], states_a[k], b[k], states_b[k]):
+            positions = result.positions[k]
+            result.counts[k, 0], _, _, _ = solve_tree(
+                model.parents, model.order, model.rest, memory.targets, memory.weights, model.bone_lengths,
+                memory.before, memory.tree_work, positions,
+            )  # fmt: skip
+            _remember(memory, positions, time_ns[k])
+
+
+@kernel
+def fuse_frames_as_published(model, memory, result, time_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+    """:func:`fuse_frames` with eqs. (3)–(9); apart from it, so that only what is used is compiled."""
+    for k in range(len(time_ns)):
+        if prepare(model, memory, result, k, time_ns[k], a[k], states_a[k], b[k], states_b[k]):
+            positions = result.positions[k]
+            copy(memory.before, positions)
+            result.counts[k, 0], _, _ = solve_published(
+                model.parents, memory.targets, memory.weights, model.bone_lengths, True, positions,
+                memory.paper_work,
+            )  # fmt: skip
+            _remember(memory, positions, time_ns[k])
+
+
+@inner_kernel
+def prepare(model, memory, result, k, time_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+    """Everything of frame k but its solution, which remains NaN. Whether there is anything to solve."""
+    result.counts[k, 0] = 0
+    result.counts[k, 1] = _repeats(a, states_a, memory.last_a, memory.last_states_a)
+    result.counts[k, 2] = _repeats(b, states_b, memory.last_b, memory.last_states_b)
+    if time_ns - memory.before_ns[0] > FORGET_NS:
+        memory.before_ns[1] = 0
+    carry(model, memory, a, states_a, b, states_b)
+    weights_a, weights_b = result.weights_a[k], result.weights_b[k]
+    trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, result.misleading[k])
+    anyone = blend(memory, a, weights_a, weights_b, result.predicted[k])
+    for c in range(3):
+        result.translation[k, c] = memory.translation[c]
+        for i in range(len(a)):
+            result.positions[k, i, c] = math.nan
+    if anyone and memory.before_ns[1] == 0:
+        first_guess(model, memory)
+    return anyone
+
+
+@inner_kernel
+def _remember(memory, positions, time_ns):  # type: ignore[no-untyped-def]
+    copy(positions, memory.before)
+    memory.before_ns[0], memory.before_ns[1] = time_ns, 1
+
+
+@inner_kernel
+def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-def]
+    """Whether a sensor's skeleton is its last one again; remembers it. No skeleton repeats nothing."""
+    same, anyone = True, False
+    for i in range(len(states)):
+        anyone = anyone or states[i] != 0
+        same = same and states[i] == last_states[i]
+        last_states[i] = states[i]
+        for c in range(3):
+            both_nan = math.isnan(positions[i, c]) and math.isnan(last[i, c])
+            same = same and (both_nan or positions[i, c] == last[i, c])
+            last[i, c] = positions[i, c]
+    return same and anyone
+
+
+@inner_kernel
+def carry(model, memory, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+    """t = c_p − R c_q over the torso joints both have (sec. 4), else unchanged; then q' = R q + t."""
+    R, t = model.rotation, memory.translation
+    count = 0
+    px = py = pz = qx = qy = qz = 0.0
+    for i in model.torso:
+        if states_a[i] != 0 and states_b[i] != 0:
+            count += 1
+            px, py, pz = px + a[i, 0], py + a[i, 1], pz + a[i, 2]
+            qx, qy, qz = qx + b[i, 0], qy + b[i, 1], qz + b[i, 2]
+    if count > 0:
+        t[0] = (px - (R[0, 0] * qx + R[0, 1] * qy + R[0, 2] * qz)) / count
+        t[1] = (py - (R[1, 0] * qx + R[1, 1] * qy + R[1, 2] * qz)) / count
+        t[2] = (pz - (R[2, 0] * qx + R[2, 1] * qy + R[2, 2] * qz)) / count
+    for i in range(len(b)):
+        x, y, z = float(b[i, 0]), float(b[i, 1]), float(b[i, 2])
+        for c in range(3):
+            memory.b_in_a[i, c] = R[c, 0] * x + R[c, 1] * y + R[c, 2] * z + t[c]
+
+
+@inner_kernel
+def _project(positions, focal, pixels):  # type: ignore[no-untyped-def]
+    """Into the sensor's own viewing plane; NaN behind the sensor."""
+    for i in range(len(positions)):
+        z = float(positions[i, 2])
+        if z > 0.0:
+            pixels[i, 0] = focal[0] * positions[i, 0] / z
+            pixels[i, 1] = focal[1] * positions[i, 1] / z
+        else:
+            pixels[i, 0] = pixels[i, 1] = math.nan
+
+
+@inner_kernel
+def trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
+    """w_A and w_B, eqs. (10), (11), or half each; all of a view where the other has no position."""
+    if model.weights == EQUAL:
+        for i in range(len(states_a)):
+            has_a, has_b = states_a[i] != 0, states_b[i] != 0
+            share = 0.5 if has_a and has_b else 1.0
+            weights_a[i] = share if has_a else 0.0
+            weights_b[i] = share if has_b else 0.0
+            misleading[i] = -1
+        return
+    _project(a, model.focal_a, memory.pixels_a)
+    _project(b, model.focal_b, memory.pixels_b)
+    weigh_views(
+        memory.pixels_a, memory.pixels_b, states_a, states_b, model.linked, model.h,
+        memory.usable, weights_a, weights_b, misleading,
+    )  # fmt: skip
+
+
+@inner_kernel
+def blend(memory, a, weights_a, weights_b, predicted):  # type: ignore[no-untyped-def]
+    """m_i and w_i of eq. (1): the weighted mean of the views, NaN and 0 for a joint without data."""
+    anyone = False
+    for i in range(len(weights_a)):
+        w = weights_a[i] + weights_b[i]
+        memory.weights[i] = w
+        predicted[i] = w == 0.0
+        for c in range(3):
+            m = 0.0
+            if weights_a[i] > 0.0:
+                m += weights_a[i] * a[i, c]
+            if weights_b[i] > 0.0:
+                m += weights_b[i] * memory.b_in_a[i, c]
+            memory.targets[i, c] = m / w if w > 0.0 else math.nan
+        anyone = anyone or w > 0.0
+    return anyone
+
+
+@inner_kernel
+def first_guess(model, memory):  # type: ignore[no-untyped-def]
+    """The targets as if they were the frame before; joints without one hang on their parents as at rest."""
+    before, targets = memory.before, memory.targets
+    root = model.order[0]
+    for c in range(3):
+        total, count = 0.0, 0
+        for i in range(len(targets)):
+            if memory.weights[i] > 0.0:
+                total, count = total + targets[i, c], count + 1
+        before[root, c] = targets[root, c] if memory.weights[root] > 0.0 else total / count
+    for k in range(1, len(model.order)):
+        i = model.order[k]
+        for c in range(3):
+            if memory.weights[i] > 0.0:
+                before[i, c] = targets[i, c]
+            else:
+                before[i, c] = before[model.parents[i], c] + model.bone_lengths[i] * model.rest[i, c]

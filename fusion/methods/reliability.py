@@ -1,0 +1,97 @@
+"""Which view to trust for a joint, and why, eqs. (10), (11).
+
+A joint is mis-tracked where another joint that has no bone to it lies near it in a sensor's viewing plane.
+The nearest such joint over both planes is the mis-leading one, m; the view in which i and m are further apart
+is the one to trust.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.compiling.kernels import inner_kernel, kernel
+
+PAPER_H = 0.786
+"""h of sec. 3: how much more a tracked position counts than an inferred one."""
+
+_TRACKED = 2  # fusion.skeleton.TrackingState.TRACKED
+
+
+@inner_kernel
+def _nearest(i, pixels, usable, linked):  # type: ignore[no-untyped-def]
+    """The nearest usable joint without a bone to i in a viewing plane: (squared distance, joint)."""
+    least, nearest = math.inf, -1
+    for j in range(len(pixels)):
+        if usable[j] and not linked[i, j]:
+            u, v = pixels[j, 0] - pixels[i, 0], pixels[j, 1] - pixels[i, 1]
+            distance = u * u + v * v
+            if distance < least:
+                least, nearest = distance, j
+    return least, nearest
+
+
+@kernel
+def weigh_views(pixels_a, pixels_b, states_a, states_b, linked, h, usable, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
+    """:func:`reliability_weights` into arrays that are given; ``usable`` is (J,) scratch."""
+    joints = len(pixels_a)
+    for i in range(joints):
+        usable[i] = math.isfinite(pixels_a[i, 0] + pixels_a[i, 1] + pixels_b[i, 0] + pixels_b[i, 1])
+    for i in range(joints):
+        misleading[i] = -1
+        if not usable[i]:
+            weights_a[i] = 1.0 if math.isfinite(pixels_a[i, 0] + pixels_a[i, 1]) else 0.0
+            weights_b[i] = 1.0 if math.isfinite(pixels_b[i, 0] + pixels_b[i, 1]) else 0.0
+            continue
+        least_a, nearest_a = _nearest(i, pixels_a, usable, linked)
+        least_b, nearest_b = _nearest(i, pixels_b, usable, linked)
+        basic_a = basic_b = 0.5
+        m = nearest_a if least_a < least_b else nearest_b
+        if m >= 0:
+            misleading[i] = m
+            d_a = math.hypot(pixels_a[m, 0] - pixels_a[i, 0], pixels_a[m, 1] - pixels_a[i, 1])
+            d_b = math.hypot(pixels_b[m, 0] - pixels_b[i, 0], pixels_b[m, 1] - pixels_b[i, 1])
+            if d_a + d_b > 0.0:
+                basic_a, basic_b = d_a / (d_a + d_b), d_b / (d_a + d_b)
+        if states_a[i] != states_b[i]:
+            basic_a *= h if states_a[i] == _TRACKED else 1.0 - h
+            basic_b *= h if states_b[i] == _TRACKED else 1.0 - h
+        power_a, power_b = basic_a**4, basic_b**4
+        weights_a[i], weights_b[i] = power_a / (power_a + power_b), power_b / (power_a + power_b)
+
+
+def reliability_weights(
+    pixels_a: NDArray[np.float64],
+    pixels_b: NDArray[np.float64],
+    states_a: NDArray[np.uint8],
+    states_b: NDArray[np.uint8],
+    linked: NDArray[np.bool_],
+    h: float = PAPER_H,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """The weights w_A, w_B of eq. (11) and the mis-leading joint of every joint, sec. 3.
+
+    For joint i, j is the nearest joint in A's viewing plane that is neither i nor linked to it by a bone,
+    k the same in B's. m = j where d_ij in A is below d_ik in B, else k. With d_A, d_B the distance of i and
+    m in each plane, w̄_A = d_A / (d_A + d_B), eq. (10); times h where tracked and 1 - h where inferred, if
+    the states differ; to the fourth power and normalised to w_A + w_B = 1, eq. (11).
+
+    Only joints that both planes have can mislead: d needs both. A joint in one plane only gets weight 1
+    there and 0 in the other; in neither, 0 and 0. Without a mis-leading joint, or with it on top of i in
+    both planes, w̄_A = w̄_B = ½.
+
+    Args:
+        pixels_a, pixels_b: (J, 2) where the joints fall in each sensor's own image; NaN where they do not.
+        states_a, states_b: (J,) tracking states.
+        linked: (J, J) whether two joints are the same or share a bone.
+        h: In (0.5, 1).
+
+    Returns:
+        (J,) w_A, (J,) w_B, (J,) the mis-leading joint, -1 where there is none.
+    """
+    joints = len(pixels_a)
+    weights_a, weights_b = np.empty(joints), np.empty(joints)
+    misleading, usable = np.empty(joints, dtype=np.int64), np.empty(joints, dtype=np.bool_)
+    weigh_views(pixels_a, pixels_b, states_a, states_b, linked, h, usable, weights_a, weights_b, misleading)
+    return weights_a, weights_b, misleading

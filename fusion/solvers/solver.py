@@ -1,0 +1,62 @@
+"""The closest joints with exactly these bone lengths, eq. (1), one constraint a bone.
+
+    minimise    f(x) = Σ w_i ‖x_i − m_i‖²      over joints i
+    subject to  ‖x_i − x_p(i)‖ = l_i           for the bone from each joint i to its parent p(i)
+
+With m_i the weighted mean of p_i and R q_i + t, and w_i = w_i^A + w_i^B, f is eq. (1)'s objective up to a
+constant. Eq. (1) adds all bones into one scalar constraint, which does not enforce them (``docs/method.md``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+MAX_ITERATIONS = 50
+"""Of any solver, sec. 2."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """S* of one frame.
+
+    Attributes:
+        positions: (J, 3) metres, in the frame of the targets.
+        iterations: Steps to a better point, from the start that led here.
+        objective: Σ (x - m)ᵀ W (x - m) there, in m² times the unit of the weights.
+        converged: Whether the solver's own criterion was met before the iterations ran out.
+        systems: Linear systems solved: the work, line searches and abandoned starts included.
+    """
+
+    positions: NDArray[np.float64]
+    iterations: int
+    objective: float
+    converged: bool
+    systems: int
+
+
+class Solver(Protocol):
+    """Anything that places joints."""
+
+    def solve(
+        self,
+        targets: ArrayLike,
+        weights: ArrayLike,
+        bone_lengths: ArrayLike,
+        start: ArrayLike | None = None,
+    ) -> Solution:
+        """S* of one frame, eq. (1).
+
+        Args:
+            targets: (J, 3) m, metres: the joint's weighted mean over the views; NaN where it has no data.
+            weights: (J,) w ≥ 0; 0 for a joint without data.
+            bone_lengths: (J,) metres, by the joint at the bone's far end; the root's is ignored.
+            start: (J, 3) joints near the solution, such as the frame before's; their bones need no lengths.
+
+        Raises:
+            FusionError: A shape does not fit, or a bone length is not positive.
+        """
+        ...

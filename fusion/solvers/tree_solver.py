@@ -1,0 +1,299 @@
+"""The closest joints with exactly these bone lengths, eq. (1), by Newton's method on the tree of bones.
+
+The unknowns are the root's position and one direction a bone, so that every iterate has the right bone
+lengths. One step costs O(J): see :mod:`fusion.solvers.tree_elimination`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fusion.compiling.kernels import inner_kernel, kernel
+from fusion.errors import FusionError
+from fusion.solvers.solver import MAX_ITERATIONS, Solution
+from fusion.solvers.tree_elimination import (
+    BEST,
+    BLOCKS,
+    BONE,
+    FORCE,
+    POSITION,
+    REDUCED,
+    SADDLE,
+    STEP,
+    TRIAL,
+    eliminate,
+    measure_multipliers,
+    pull,
+    retract,
+    solve_root,
+    substitute,
+    update_multipliers,
+)
+from fusion.solvers.tree_start import BENT, BENT_AWAY, FROM_START, FROM_TARGETS, aim_at, load, place
+from fusion.solvers.tree_steps import copy, leave_saddle, stretch
+
+MAX_SYSTEMS = 150
+"""Linear systems from one start: what bounds the work, some 0.5 ms."""
+_STATIONARY = 3e-11  # m: tangential force over the information it acts on
+_LAST_STEP = 1e-4  # of the bone's length: an undamped step below it leaves an error of its square
+_SMALL_STEP = 1e-7  # m: where the force is zero too, a shorter step tells nothing new
+_ROUNDING = 1e-14  # relative: two objectives nearer than this are the same
+# m: so are two that differ by what a rounded coordinate of a few metres makes of the misfit. Σ 2 w r ε is at
+# most 2 ε √(f Σw); step[root, 5] is 6 Σw.
+_COORDINATE = 8e-16
+_NEAR_SADDLE = 0.01  # of the bone's length: a shorter step, with a negative pivot, crawls along a saddle
+# of the objective: so many smaller gains in a row, with a negative pivot, crawl too
+_CRAWL, _CRAWLED = 0.01, 5
+_BETTER = 1e-9  # relative: so much lower another start's end must be, to be taken
+_FLAT_MINIMUM = 4  # stationary points met; more of them have curvature of no more than rounding
+_KICK = 0.5  # of the bone's length: how far a saddle is left at once
+_SHORTER_KICK = 0.2  # after patience ran out
+
+# Levenberg's damping, as a share of the subtree's information. The values were chosen on random problems
+# whose weights span six orders of magnitude; ordinary frames never need any.
+_FIRST_DAMPING = 1e-5
+_MORE, _LESS, _NONE = 8.0, 0.03, 1e-9
+_PATIENCE = 8  # steps that may climb before the best point is taken up again
+_PATIENT_DAMPING, _PATIENT_MORE = 1e-8, 6.0
+_CLIMBS = 4  # lost; a valley that bends so sharply is followed with less daring:
+_LITTLE_LESS, _SHORT_CLIMB = 0.1, 3
+_LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
+
+
+@inner_kernel
+def descend(parents, order, work, objective):  # type: ignore[no-untyped-def]
+    """From the joints in POSITION, whose objective is given, to a minimum; see :func:`solve_tree`.
+
+    Returns:
+        (iterations, systems, objective, converged).
+    """
+    for i in range(len(order)):
+        work[BONE, i, 4] = 0.0
+    root, step = order[0], work[STEP]
+    iterations = systems = crawling = stationary_points = patience = climbs_lost = 0
+    less, longest_climb, damping_before = _LESS, _PATIENCE, 0.0
+    damping, kick = 0.0, _KICK
+    last_step, converged = math.inf, False
+    best = best_step = predicted = 0.0
+    while True:
+        stationary = pull(parents, order, work) <= _STATIONARY
+        if not step[root, 5] > 0.0 or (stationary and last_step < _LAST_STEP):
+            converged = math.isfinite(objective)
+            break
+        if stationary:
+            stationary_points += 1
+            measure_multipliers(order, work)
+        scale = step[root, 5]
+        saddle, s1, s2 = eliminate(parents, order, work, damping, 1.0)
+        x, y, z, lowest, vx, vy, vz = solve_root(work[REDUCED, root], work[FORCE, root], scale)
+        if saddle < 0 and lowest < -SADDLE * scale:
+            saddle = root
+        if saddle >= 0:
+            eliminate(parents, order, work, damping, 0.0)
+            x, y, z, _, _, _, _ = solve_root(work[REDUCED, root], work[FORCE, root], scale)
+        step[root, 2], step[root, 3], step[root, 4] = x, y, z
+        slope, relative, longest = substitute(parents, order, work, -1)
+        settled = (
+            longest < _SMALL_STEP or -slope <= _ROUNDING * objective or stationary_points > _FLAT_MINIMUM
+        )
+        if saddle < 0 and stationary and settled:
+            converged = math.isfinite(objective)
+            break
+        if iterations == MAX_ITERATIONS or systems == MAX_SYSTEMS:
+            break
+        systems += 1
+        if saddle >= 0 and (relative < _NEAR_SADDLE or crawling == _CRAWLED):
+            crawling = 0
+            eliminate(parents, order, work, damping, 1.0)
+            step[root, 2], step[root, 3], step[root, 4] = vx, vy, vz
+            slope = leave_saddle(parents, order, saddle, s1, s2, kick, work)
+            relative = kick
+        trial = retract(parents, order, work)
+        if saddle >= 0 and trial < objective:
+            trial = stretch(parents, order, trial, work)
+        if patience == 0:
+            best, best_step, predicted = objective, relative, -0.5 * slope
+            copy(work[POSITION], work[BEST])
+            for i in range(len(order)):
+                work[BEST, i, 3] = work[BONE, i, 4]
+        slack = _ROUNDING * best + _COORDINATE * math.sqrt(step[root, 5] * best)
+        ratio = (best - trial + slack) / (predicted + slack)
+        if ratio >= 0.01:
+            iterations += 1
+            climbed, patience = patience > 0, 0
+            crawling = crawling + 1 if saddle >= 0 and objective - trial < _CRAWL * objective else 0
+            if ratio < 0.1:
+                damping = max(2.0 * damping, _FIRST_DAMPING)
+            elif ratio > 0.25 and not (climbed and climbs_lost >= _CLIMBS):
+                damping = damping * less if damping > _NONE else 0.0
+        elif patience < longest_climb and max(best_step, relative) < _LONGEST:
+            patience += 1
+            if patience == 1:
+                damping_before = damping
+            else:
+                damping = max(_PATIENT_MORE * damping, _PATIENT_DAMPING)
+        else:
+            copy(work[BEST], work[POSITION])
+            for i in range(len(order)):
+                work[BONE, i, 4] = work[BEST, i, 3]
+            objective = best
+            last_step = math.inf
+            if patience > 0:
+                climbs_lost += 1
+                if climbs_lost >= _CLIMBS:
+                    less, longest_climb, damping = _LITTLE_LESS, _SHORT_CLIMB, damping_before
+            patience = 0
+            damping = max(_MORE * damping, _FIRST_DAMPING)
+            if stationary:
+                kick *= _SHORTER_KICK
+            continue
+        update_multipliers(order, work)
+        copy(work[TRIAL], work[POSITION])
+        objective = trial
+        last_step = relative if saddle < 0 and damping == 0.0 else math.inf
+    if patience > 0 and best < objective and not converged:
+        copy(work[BEST], work[POSITION])
+        objective = best
+    return iterations, systems, objective, converged
+
+
+@kernel
+def solve_tree(parents, order, rest, targets, weights, lengths, start, work, positions):  # type: ignore[no-untyped-def]
+    """Eq. (1) for one frame: min Σ (x_i - m_i)ᵀ W_i (x_i - m_i) with |x_i - x_parent| = l_i for every bone.
+
+    Each iteration, at joints x with the right bone lengths:
+
+    1. :func:`pull`, leaves to root: forces F_i = 2 W_i (x_i - m_i) + Σ F_children. Where every F_i is along
+       its bone, the point is stationary.
+    2. :func:`eliminate`, leaves to root, and :func:`solve_root`: the Newton step of each bone as a function
+       of its parent's. Where a pivot is negative the point is not near a minimum, and the elimination is
+       done again with the curvature of compressed bones (λ_i < 0) left out: Gauss–Newton.
+    3. :func:`substitute`, root to leaves: the steps.
+    4. :func:`retract`: x_i = x_parent + l_i normalise(e_i + T_i s_i), so that bones stay exact.
+    5. :func:`update_multipliers`: the forces that the step predicts give the next λ_i. (Forces measured at
+       the new point would hold the curvature's transient, which under unequal weights swamps the data.)
+
+    Globalisation: where the objective does not fall as predicted, up to ``_PATIENCE`` steps with growing
+    damping may still bring it below the last good point, around the bend of a narrow valley; else that point
+    is taken up again with more damping. A stationary point with a negative pivot is a saddle or a maximum
+    and is left along the curvature; so is a place where Gauss–Newton steps gain next to nothing.
+
+    An iteration ends at a better point. The steps on the way there, each with a linear system of its own, are
+    its line search: those that more damping replaced, and those that were climbing.
+
+    It starts from the better of ``start`` and the directions between targets, both with the bones' lengths.
+    From targets with a hole among them (:func:`~fusion.solvers.tree_start.aim_at`) it starts from two more
+    places and keeps the best end. Where ``MAX_ITERATIONS`` or ``MAX_SYSTEMS`` run out, in a narrow curved
+    valley, it starts from the others too: about ten in a million of the campaign's problems.
+
+    Args:
+        parents: (J,) int64, -1 for the root.
+        order: (J,) int64, every parent before its children.
+        rest: (J, 3) direction of each bone where nothing better is known.
+        targets: (J, 3) m, metres; a joint whose target is not finite has no data.
+        weights: (J,) w ≥ 0 or (J, 3, 3) symmetric positive semidefinite W; 0 where there is no data.
+        lengths: (J,) l, metres, by the joint at the bone's far end; the root's is ignored.
+        start: (J, 3) joints to start from; NaN where there is none.
+        work: (BLOCKS, J, 6) scratch.
+        positions: (J, 3) out: the solution.
+
+    Returns:
+        (iterations, systems, objective, converged), as in :class:`fusion.solvers.solver.Solution`; iterations
+        are -1 where a bone length is not positive, or a weight not finite.
+    """
+    if not load(targets, weights, lengths, order[0], work):
+        return -1, 0, math.nan, False
+    objective = place(parents, order, rest, start, FROM_START, work, work[TRIAL])
+    on_targets = place(parents, order, rest, start, FROM_TARGETS, work, work[POSITION])
+    first = FROM_START if objective <= on_targets else FROM_TARGETS
+    if first == FROM_START:
+        copy(work[TRIAL], work[POSITION])
+    iterations, systems, objective, converged = descend(parents, order, work, min(objective, on_targets))
+    copy(work[POSITION], positions)
+    hole = (first == FROM_TARGETS or not converged) and aim_at(parents, order, work)
+    if converged and not hole:
+        return iterations, systems, objective, converged
+    for way in (BENT, BENT_AWAY, FROM_TARGETS, FROM_START):
+        if way == first or (way >= BENT and not hole) or (way < BENT and converged):
+            continue
+        placed = place(parents, order, rest, start, way, work, work[POSITION])
+        steps, more, found, ended = descend(parents, order, work, placed)
+        systems += more
+        if (ended and not converged) or (ended == converged and found < objective * (1.0 - _BETTER)):
+            copy(work[POSITION], positions)
+            iterations, objective, converged = steps, found, ended
+    return iterations, systems, objective, converged
+
+
+class TreeSolver:
+    """Solves eq. (1) for one body; keeps the workspace, so that a frame allocates its result only.
+
+    Not to be shared between threads: the workspace is one frame's.
+    """
+
+    def __init__(self, parents: ArrayLike, order: ArrayLike, rest: ArrayLike) -> None:
+        """Prepares for a tree of joints.
+
+        Args:
+            parents: (J,) index of each joint's parent, -1 for the root.
+            order: (J,) joints, every parent before its children.
+            rest: (J, 3) direction parent → joint where nothing better is known; not zero but for the root.
+
+        Raises:
+            FusionError: The shapes differ, it is no tree in this order, or ``rest`` has no direction.
+        """
+        self.parents = np.array(parents, dtype=np.int64)
+        self.order, self.rest = np.array(order, dtype=np.int64), np.array(rest, dtype=np.float64)
+        joints = len(self.parents)
+        if self.order.shape != (joints,) or self.rest.shape != (joints, 3):
+            raise FusionError(
+                f"A tree of {joints} joints needs (J,) order and (J, 3) rest; got {self.order.shape}, "
+                f"{self.rest.shape}."
+            )
+        seen = {-1}
+        for joint in self.order.tolist():
+            if not 0 <= joint < joints:
+                raise FusionError(f"Joint {joint} in order; a tree of {joints} joints has 0 to {joints - 1}.")
+            if self.parents[joint] not in seen:
+                raise FusionError(f"Joint {joint} stands before its parent {self.parents[joint]} in order.")
+            seen.add(joint)
+        if seen != set(range(-1, joints)) or np.count_nonzero(self.parents == -1) != 1:
+            raise FusionError("A tree needs each joint once in order, and one root (parent -1).")
+        for joint in self.order[1:].tolist():
+            if not 0.0 < np.linalg.norm(self.rest[joint]) < np.inf:
+                raise FusionError(f"Joint {joint} needs a direction at rest; got {self.rest[joint]}.")
+        self._work = np.zeros((BLOCKS, joints, 6))
+        self._no_start = np.full((joints, 3), np.nan)
+
+    def solve(
+        self,
+        targets: ArrayLike,
+        weights: ArrayLike,
+        bone_lengths: ArrayLike,
+        start: ArrayLike | None = None,
+    ) -> Solution:
+        """See :meth:`fusion.solvers.solver.Solver.solve`; weights may be (J, 3, 3), positive semidefinite."""
+        m = np.ascontiguousarray(targets, dtype=np.float64)
+        W = np.ascontiguousarray(weights, dtype=np.float64)
+        lengths = np.ascontiguousarray(bone_lengths, dtype=np.float64)
+        near = self._no_start if start is None else np.ascontiguousarray(start, dtype=np.float64)
+        joints = len(self.parents)
+        fit = m.shape == near.shape == (joints, 3) and lengths.shape == (joints,)
+        if not fit or W.shape not in ((joints,), (joints, 3, 3)):
+            raise FusionError(
+                f"The tree has {joints} joints; targets are {m.shape}, weights {W.shape}, bone lengths "
+                f"{lengths.shape}, start {near.shape}."
+            )
+        positions = np.empty((joints, 3))
+        iterations, systems, objective, converged = solve_tree(
+            self.parents, self.order, self.rest, m, W, lengths, near, self._work, positions
+        )
+        if iterations < 0:
+            bones = lengths[self.order[1:]]
+            if ((bones > 0.0) & (bones < np.inf)).all():
+                raise FusionError(f"Weights must be finite, and 0 without data; the largest is {W.max()}.")
+            raise FusionError(f"Every bone needs a length > 0 m; got {bones.min()}.")
+        return Solution(positions, iterations, objective, converged, systems)

@@ -1,0 +1,155 @@
+"""Where the tree solver starts: the data in its workspace, and a skeleton with the right bone lengths."""
+
+from __future__ import annotations
+
+import math
+
+from fusion.compiling.kernels import inner_kernel
+from fusion.solvers.small_matrices import tangent_basis
+from fusion.solvers.tree_elimination import BONE, INFORMATION, STEP, TARGET, misfit
+
+FROM_START, FROM_TARGETS, BENT, BENT_AWAY = 0, 1, 2, 3
+"""Where :func:`place` takes a bone's direction from."""
+
+
+@inner_kernel
+def load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
+    """Targets and information into the workspace; a joint without a finite target has no information.
+
+    Returns:
+        Whether all weights are finite, and all bones have a length.
+    """
+    target, info, bone = work[TARGET], work[INFORMATION], work[BONE]
+    for i in range(targets.shape[0]):
+        if weights.ndim == 1:
+            xx = yy = zz = weights[i]
+            xy = xz = yz = 0.0
+        else:
+            xx, xy, xz = weights[i, 0, 0], weights[i, 0, 1], weights[i, 0, 2]
+            yy, yz, zz = weights[i, 1, 1], weights[i, 1, 2], weights[i, 2, 2]
+        if not math.isfinite(xx + xy + xz + yy + yz + zz):
+            return False
+        x, y, z = targets[i, 0], targets[i, 1], targets[i, 2]
+        if not (math.isfinite(x + y + z) and xx + yy + zz > 0.0):
+            x = y = z = xx = xy = xz = yy = yz = zz = 0.0
+        target[i, 0], target[i, 1], target[i, 2] = x, y, z
+        info[i, 0], info[i, 1], info[i, 2] = xx, xy, xz
+        info[i, 3], info[i, 4], info[i, 5] = yy, yz, zz
+        bone[i, 3] = lengths[i]
+        bone[i, 4] = 0.0
+        if i != root and not (lengths[i] > 0.0 and math.isfinite(lengths[i])):
+            return False
+    return True
+
+
+@inner_kernel
+def aim_at(parents, order, work):  # type: ignore[no-untyped-def]
+    """Where each bone points, into STEP's columns 0-2: the target, or the mean of those next below it.
+
+    Column 3 is positive where there is any; column 4 is what lies between, as the sum of the squares of the
+    bones on the way, averaged over the ways.
+
+    Returns:
+        Whether a bone ends in a hole: a joint without data that has data below it.
+    """
+    target, info, bone, aim = work[TARGET], work[INFORMATION], work[BONE], work[STEP]
+    hole = False
+    for i in range(len(order)):
+        known = info[i, 0] + info[i, 3] + info[i, 5] > 0.0
+        for c in range(5):
+            aim[i, c] = 0.0
+        if known:
+            aim[i, 0], aim[i, 1], aim[i, 2], aim[i, 3] = target[i, 0], target[i, 1], target[i, 2], 1.0
+    for k in range(len(order) - 1, 0, -1):
+        i = order[k]
+        p = parents[i]
+        if aim[i, 3] == 0.0:
+            continue
+        if not info[i, 0] + info[i, 3] + info[i, 5] > 0.0:
+            hole = True
+            share = 1.0 / aim[i, 3]
+            aim[i, 0], aim[i, 1], aim[i, 2] = aim[i, 0] * share, aim[i, 1] * share, aim[i, 2] * share
+            aim[i, 3], aim[i, 4] = 1.0, aim[i, 4] * share
+        if not info[p, 0] + info[p, 3] + info[p, 5] > 0.0:
+            for c in range(4):
+                aim[p, c] += aim[i, c]
+            aim[p, 4] += aim[i, 4] + bone[i, 3] * bone[i, 3]
+    return hole
+
+
+@inner_kernel
+def bend(x, y, z, length, reach, sx, sy, sz):  # type: ignore[no-untyped-def]
+    """The direction of a bone whose far end lies ``reach`` from the point (x, y, z), to the side of s."""
+    distance = math.sqrt(x * x + y * y + z * z)
+    along = (length * length + distance * distance - reach * reach) / (2.0 * length * distance)
+    along = min(max(along, -1.0), 1.0)
+    x, y, z = x / distance, y / distance, z / distance
+    inside = sx * x + sy * y + sz * z
+    sx, sy, sz = sx - inside * x, sy - inside * y, sz - inside * z
+    norm = math.sqrt(sx * sx + sy * sy + sz * sz)
+    if not norm > 1e-9 * abs(inside):  # s says no side: any, and the other for -s
+        sx, sy, sz, _, _, _ = tangent_basis(x, y, z)
+        norm = math.copysign(1.0, inside)
+    aside = math.sqrt(1.0 - along * along) / norm
+    return along * x + aside * sx, along * y + aside * sy, along * z + aside * sz
+
+
+@inner_kernel
+def place(parents, order, rest, start, way, work, at):  # type: ignore[no-untyped-def]
+    """A feasible skeleton into ``at``: directions of bones from a source, then the best translation.
+
+    ``FROM_START``: a bone has its direction in ``start``, else in ``rest``. ``FROM_TARGETS``: it points from
+    its near end's target, or place, to where :func:`aim_at` says; as above where that says nothing. ``BENT``
+    and ``BENT_AWAY``: likewise, but before a hole it leaves the room that the bones beyond need, to the side
+    of its direction in ``start`` or ``rest``, or to the other.
+
+    Returns:
+        The objective.
+    """
+    target, info, bone, aim = work[TARGET], work[INFORMATION], work[BONE], work[STEP]
+    root = order[0]
+    for c in range(3):
+        at[root, c] = start[root, c] if math.isfinite(start[root, c]) else 0.0
+    if way != FROM_START:
+        aim_at(parents, order, work)
+        if info[root, 0] + info[root, 3] + info[root, 5] > 0.0:
+            for c in range(3):
+                at[root, c] = target[root, c]
+    for k in range(1, len(order)):
+        i = order[k]
+        p = parents[i]
+        length = bone[i, 3]
+        norm = 0.0
+        x, y, z = start[i, 0] - start[p, 0], start[i, 1] - start[p, 1], start[i, 2] - start[p, 2]
+        norm = math.sqrt(x * x + y * y + z * z)
+        if not (norm > 1e-9 * length and math.isfinite(norm)):
+            x, y, z = rest[i, 0], rest[i, 1], rest[i, 2]
+            norm = math.sqrt(x * x + y * y + z * z)
+        if way != FROM_START and aim[i, 3] > 0.0:
+            source = target if info[p, 0] + info[p, 3] + info[p, 5] > 0.0 else at
+            ax, ay, az = aim[i, 0] - source[p, 0], aim[i, 1] - source[p, 1], aim[i, 2] - source[p, 2]
+            distance = math.sqrt(ax * ax + ay * ay + az * az)
+            if distance > 1e-9 * length:
+                if way != FROM_TARGETS and aim[i, 4] > 0.0:
+                    side = 1.0 if way == BENT else -1.0
+                    reach = math.sqrt(aim[i, 4])
+                    ax, ay, az = bend(ax, ay, az, length, reach, side * x, side * y, side * z)
+                    distance = math.sqrt(ax * ax + ay * ay + az * az)
+                x, y, z, norm = ax, ay, az, distance
+        scale = length / norm
+        at[i, 0], at[i, 1], at[i, 2] = at[p, 0] + x * scale, at[p, 1] + y * scale, at[p, 2] + z * scale
+    weight = x = y = z = 0.0
+    for i in range(len(order)):
+        w = info[i, 0] + info[i, 3] + info[i, 5]
+        weight += w
+        x += w * (target[i, 0] - at[i, 0])
+        y += w * (target[i, 1] - at[i, 1])
+        z += w * (target[i, 2] - at[i, 2])
+    objective = 0.0
+    for i in range(len(order)):
+        if weight > 0.0:
+            at[i, 0] += x / weight
+            at[i, 1] += y / weight
+            at[i, 2] += z / weight
+        objective += misfit(info, target, at, i)
+    return objective

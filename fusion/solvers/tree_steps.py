@@ -1,0 +1,59 @@
+"""Steps other than Newton's: out of a saddle, or longer where the curvature is negative."""
+
+from __future__ import annotations
+
+from fusion.compiling.kernels import inner_kernel
+from fusion.solvers.tree_elimination import STEP, retract, substitute
+
+_DOUBLINGS = 6
+
+
+@inner_kernel
+def copy(source, target):  # type: ignore[no-untyped-def]
+    """Copies (J, 3) positions: the first three columns of either."""
+    for i in range(len(source)):
+        for c in range(3):
+            target[i, c] = source[i, c]
+
+
+@inner_kernel
+def leave_saddle(parents, order, saddle, s1, s2, length, work):  # type: ignore[no-untyped-def]
+    """A step along the direction of negative curvature that the joint ``saddle`` found, downhill if anything.
+
+    Its own step (s1, s2) has the pivot's negative eigenvalue; every joint below follows as the elimination
+    says, so that the curvature along the whole is just that eigenvalue. The root's is in its row already.
+    """
+    step = work[STEP]
+    if saddle != order[0]:
+        step[order[0], 2] = step[order[0], 3] = step[order[0], 4] = 0.0
+        step[saddle, 0], step[saddle, 1] = s1, s2
+    slope, relative, _ = substitute(parents, order, work, saddle)
+    scale = length / max(relative, 1e-3)
+    if slope > 0.0:
+        scale = -scale
+    scale_step(step, scale)
+    return slope * scale
+
+
+@inner_kernel
+def stretch(parents, order, trial, work):  # type: ignore[no-untyped-def]
+    """Doubles a downhill step while the objective falls: a Gauss–Newton step is too short where curvature is
+    negative. Returns the objective at the trial point."""
+    step = work[STEP]
+    factor = 2.0
+    for _ in range(_DOUBLINGS):
+        scale_step(step, factor)
+        longer = retract(parents, order, work)
+        if not longer < trial:
+            scale_step(step, 1.0 / factor)
+            return retract(parents, order, work)
+        trial = longer
+    return trial
+
+
+@inner_kernel
+def scale_step(step, factor):  # type: ignore[no-untyped-def]
+    """The step of every joint, times a factor."""
+    for i in range(len(step)):
+        for c in range(5):
+            step[i, c] *= factor

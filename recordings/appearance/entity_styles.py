@@ -1,0 +1,149 @@
+"""How a session's entities look: what is logged once, static."""
+
+from __future__ import annotations
+
+import colorsys
+
+import rerun as rr
+from rerun.blueprint import Visualizer
+from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
+
+from fusion.body import Body
+from fusion.intrinsics import Intrinsics
+from recordings import layout
+
+_CLOUD_RADIUS = 0.009  # metres
+_FRUSTUM_DEPTH = 0.25  # metres
+
+
+def annotation_context(body: Body) -> rr.AnnotationContext:
+    """One class a skeleton, with the joints' names and the bones between them."""
+    joints = [rr.AnnotationInfo(id=j, label=name) for j, name in enumerate(body.joints)]
+    bones = [(int(body.parents[joint]), int(joint)) for joint in body.bone_joints]
+    return rr.AnnotationContext(
+        [
+            rr.ClassDescription(
+                info=rr.AnnotationInfo(
+                    id=layout.CLASS_IDS[key],
+                    label=layout.SKELETON_NAMES[key],
+                    color=layout.SKELETON_COLORS[key],
+                ),
+                keypoint_annotations=joints,
+                keypoint_connections=bones,
+            )
+            for key in layout.CLASS_IDS
+        ]
+    )
+
+
+def joint_look(body: Body, key: str) -> rr.Points3D:
+    """Of the skeleton `key` of layout.SKELETON_NAMES; S* is coloured joint by joint, frame by frame."""
+    return rr.Points3D.from_fields(
+        class_ids=layout.CLASS_IDS[key],
+        keypoint_ids=range(len(body)),
+        colors=None if key == "fused" else layout.SKELETON_COLORS[key],
+        radii=layout.JOINT_RADII[key],
+        show_labels=False,
+    )
+
+
+def cloud_look(side: str) -> rr.Points3D:
+    """Of a sensor's point cloud: its skeleton's colour, as in the paper's fig. 2."""
+    return rr.Points3D.from_fields(colors=layout.SKELETON_COLORS[side], radii=_CLOUD_RADIUS)
+
+
+def camera(intrinsics: Intrinsics, side: str) -> rr.Pinhole:
+    """A camera's frustum, in its skeleton's colour."""
+    return rr.Pinhole(
+        focal_length=(intrinsics.fx, intrinsics.fy),
+        principal_point=(intrinsics.cx, intrinsics.cy),
+        width=intrinsics.width,
+        height=intrinsics.height,
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=_FRUSTUM_DEPTH,
+        color=layout.SKELETON_COLORS[side],
+    )
+
+
+def image_edge(intrinsics: Intrinsics) -> rr.Boxes2D:
+    """Where a depth image ends, also while there is none."""
+    return rr.Boxes2D(
+        array=[0, 0, intrinsics.width, intrinsics.height],
+        array_format=rr.Box2DFormat.XYWH,
+        colors=layout.PREDICTED_COLOR,
+        radii=rr.components.Radius.ui_points(0.5),
+    )
+
+
+def weight_lines(body: Body, side: str) -> Visualizer:
+    """A sensor's weights; a joint and its mirror image share a hue, the right side is paler."""
+    prominent = [body.joint(name) for name in layout.PROMINENT_JOINTS]
+    hue = {joint: k // 2 / (len(prominent) // 2) for k, joint in enumerate(prominent)}
+    colors = []
+    for joint, mirror in enumerate(body.mirror):
+        first = min(joint, int(mirror))
+        rgb = colorsys.hsv_to_rgb(
+            0.1 + hue.get(joint, first / len(body)), 0.85 if joint == first else 0.45, 0.9
+        )
+        colors.append((int(255 * rgb[0]), int(255 * rgb[1]), int(255 * rgb[2])))
+    look = rr.SeriesLines(
+        names=body.joints, colors=colors, visible_series=[j in hue for j in range(len(body))]
+    )
+    return _lines(look, layout.weight(side))
+
+
+DEPTH = rr.EncodedDepthImage.from_fields(colormap=rr.components.Colormap.Grayscale)
+"""Grey, so that a skeleton's colour stands out over it."""
+
+STATE_LANES = rr.StateConfiguration(
+    values=layout.STATE_NAMES, labels=layout.STATE_NAMES, colors=layout.STATE_COLORS
+)
+
+
+def bone_lines(bone: str) -> Visualizer:
+    """A bone's length as in the paper's fig. 5."""
+    look = rr.SeriesLines(
+        names=[*(layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")), "target"],
+        colors=[*(layout.SKELETON_COLORS[key] for key in ("a", "b", "fused")), layout.TARGET_COLOR],
+        widths=[1.0, 1.0, 2.5, 1.0],
+    )
+    return _lines(look, layout.BONE_LENGTHS, bone)
+
+
+def figure_lines(name: str) -> Visualizer:
+    """One of the figures of layout.QUALITY; its name ends in its unit where it has one."""
+    words = name.replace("_mm", " (mm)").replace("_ms", " (ms)").replace("_", " ")
+    return _lines(rr.SeriesLines(names=words, colors=layout.SKELETON_COLORS["fused"]), layout.FIGURES, name)
+
+
+def tracked_lines() -> Visualizer:
+    """How many joints each sensor tracks."""
+    look = rr.SeriesLines(
+        names=[f"tracked by {side.upper()}" for side in layout.SIDES],
+        colors=[layout.SKELETON_COLORS[side] for side in layout.SIDES],
+    )
+    return _lines(look, layout.OF_EACH_SENSOR, "tracked_joints")
+
+
+def _lines(look: rr.SeriesLines, component: str, field: str | None = None) -> Visualizer:
+    """Draws a component that is no Scalars, or one field of it."""
+    source = VisualizerComponentMapping(
+        "Scalars:scalars",
+        ComponentSourceKind.SourceComponent,
+        source_component=component,
+        selector=None if field is None else f".{field}",
+    )
+    return look.visualizer(mappings=[source])
+
+
+STREAM_LINES = {
+    "drift_ppm": rr.SeriesLines(names="drift (ppm)", colors=layout.SKELETON_COLORS["fused"]),
+    **{
+        name: rr.SeriesLines(
+            names=[f"{title} {side.upper()}" for side in layout.SIDES],
+            colors=[layout.SKELETON_COLORS[side] for side in layout.SIDES],
+        )
+        for name, title in (("dropped", "dropped of"), ("unpaired", "without a partner, of"))
+    },
+}
+"""Of how two running sensors' streams go, by the names of :func:`layout.stream_figure`."""

@@ -1,0 +1,69 @@
+"""The images of a session, read as they are asked for; damaged ones are left out and counted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import pyarrow as pa
+
+from recordings import layout
+from recordings.reading.rrd_file import RrdFile
+
+T = TypeVar("T")
+_WRONG = (LookupError, TypeError, ValueError, AttributeError, pa.ArrowException)
+"""What taking an image out of a damaged chunk can raise."""
+
+
+class ImageReader(Generic[T]):
+    """The images of one sensor with the numbers of their frames, in their order; iterating reads the file.
+
+    Args:
+        path: The session.
+        entity: Where the images are.
+        checked: Takes the bytes of row k out of a chunk, and says whether they fit their checksum, which
+            covers the number of the frame too.
+        decoded: What is given for such bytes.
+        frames: Of which frames.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        entity: str,
+        checked: Callable[[pa.RecordBatch, int, int], tuple[Any, bool]],
+        decoded: Callable[[Any], T],
+        frames: range,
+    ) -> None:
+        self._path, self._entity, self._checked, self._decoded = path, entity, checked, decoded
+        self._frames = frames
+        self.damaged = 0
+        """How many images the last reading left out because they do not fit their checksums."""
+
+    def __iter__(self) -> Iterator[tuple[int, T]]:
+        """Reads the images one by one, up to the last frame that is wanted."""
+        return ((frame, self._decoded(raw)) for frame, raw in self._whole())
+
+    def count(self) -> int:
+        """How many whole images there are, without decoding any."""
+        return sum(1 for _ in self._whole())
+
+    def _whole(self) -> Iterator[tuple[int, Any]]:
+        self.damaged = 0
+        with RrdFile(self._path) as file:
+            for entity, batch in file.chunks(images=True):
+                if entity != self._entity or layout.FRAME not in batch.schema.names:
+                    continue
+                for k, frame in enumerate(batch.column(layout.FRAME).to_pylist()):
+                    try:
+                        raw, whole = self._checked(batch, k, frame)
+                    except _WRONG:
+                        raw, whole = None, False
+                    if not whole:
+                        self.damaged += 1
+                    elif frame >= self._frames.stop:
+                        return
+                    elif frame >= self._frames.start:
+                        yield frame, raw
+            self.damaged += file.unread(self._entity)

@@ -1,0 +1,199 @@
+"""Two fusions of one capture, frame by frame: how far apart, how steady, how true to the bones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.calibration.bone_lengths import bone_lengths_of
+from recordings import layout
+from recordings.errors import RecordingError
+from recordings.session import Session
+from recordings.session_arrays import SessionArrays
+
+SECOND_SKELETON = "/second/skeleton"
+DIFFERENCE = "/difference/joints"
+LARGEST = "/difference/largest"
+_SECOND_COLOR = (64, 168, 96)
+_APART = 1.0  # seconds between two moments listed as the worst
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The frames that both sessions have.
+
+    Attributes:
+        body: Of both.
+        first, second: Their frames, T of each, at the same capture times.
+    """
+
+    body: Body
+    first: SessionArrays
+    second: SessionArrays
+
+    @staticmethod
+    def of(first: Session, second: Session) -> Comparison:
+        """Finds the frames of the same capture time, on the principal sensor's own clock.
+
+        Raises:
+            RecordingError: Another body, no frame in common, or other skeletons S_A, S_B in one of them.
+        """
+        if first.body is not second.body:
+            raise RecordingError(
+                f"{first.path} is of {first.body.name}, {second.path} of {second.body.name}: not one capture."
+            )
+        _, i, j = np.intersect1d(_moments(first), _moments(second), return_indices=True)
+        if len(i) == 0:
+            raise RecordingError(
+                f"{first.path} and {second.path} have no frame of the same time: not one capture."
+            )
+        one, two = first.rows[np.sort(i).astype(np.int64)], second.rows[np.sort(j).astype(np.int64)]
+        for t in np.flatnonzero(~_same_inputs(one, two))[:1]:
+            raise RecordingError(
+                f"{first.path} and {second.path} have {len(i)} frames of the same time, but S_A or S_B of "
+                f"frame {one.frame[t]} is another than that of frame {two.frame[t]}: not one capture."
+            )
+        return Comparison(first.body, one, two)
+
+    def __len__(self) -> int:
+        """The number of frames T."""
+        return len(self.first)
+
+    @property
+    def target(self) -> NDArray[np.float64]:
+        """(2, J) metres, the bone lengths each was fused with at the end."""
+        return np.stack([self.first.bone_lengths[-1], self.second.bone_lengths[-1]])
+
+    @cached_property
+    def apart(self) -> NDArray[np.float64]:
+        """(T, J) metres between the two S*; NaN where one has none."""
+        return np.asarray(np.linalg.norm(self.first.fused - self.second.fused, axis=2))
+
+    @property
+    def one_missing(self) -> int:
+        """In how many frames only one of the two has an S*."""
+        present = [np.isfinite(of.fused).all(axis=(1, 2)) for of in (self.first, self.second)]
+        return int(np.count_nonzero(present[0] != present[1]))
+
+    @cached_property
+    def jitter(self) -> NDArray[np.float64]:
+        """(2, J) metres: see :func:`jitter_of`."""
+        return np.stack([jitter_of(of.fused, of.frame) for of in (self.first, self.second)])
+
+    @cached_property
+    def bone_deviation(self) -> NDArray[np.float64]:
+        """(2, J) metres, the largest difference of each bone from its length, by the joint at its far end."""
+        off = [bone_lengths_of(self.body, of.fused) - of.bone_lengths for of in (self.first, self.second)]
+        return largest(np.abs(off), axis=1)
+
+    @cached_property
+    def swapped(self) -> NDArray[np.bool_]:
+        """(T, J) whether a joint and its mirror image fit the other fusion better when exchanged."""
+        mirror = self.body.mirror
+        one, two = self.first.fused, self.second.fused
+        crossed = np.linalg.norm(one - two[:, mirror], axis=2)
+        straight = self.apart + self.apart[:, mirror]
+        with np.errstate(invalid="ignore"):
+            return np.asarray((crossed + crossed[:, mirror] < straight) & (mirror != np.arange(len(mirror))))
+
+    def worst(self, count: int) -> list[tuple[int, int]]:
+        """(frame of these frames, joint) where the two differ most, at least a second apart, worst first."""
+        largest_of = np.where(np.isnan(self.apart), -1.0, self.apart)
+        found: list[tuple[int, int]] = []
+        time = self.first.time_ns * 1e-9
+        for t in np.argsort(-largest_of.max(axis=1), kind="stable").tolist():
+            if len(found) == count or largest_of[t].max() <= 0.0:
+                break
+            if all(abs(time[t] - time[other]) >= _APART for other, _ in found):
+                found.append((t, int(largest_of[t].argmax())))
+        return found
+
+
+def jitter_of(positions: NDArray[np.float64], frame: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(J,) metres of (T, J, 3): the median length of the second difference over √6.
+
+    White noise of that size on each frame gives such a second difference; slow movement gives nearly none.
+
+    Args:
+        positions: The joints.
+        frame: (T,) the frames' numbers: only where three follow on each other is there a difference.
+    """
+    following = frame[2:] - frame[:-2] == 2
+    if not following.any():
+        return np.full(positions.shape[1], np.nan)
+    second = np.linalg.norm(positions[2:] - 2.0 * positions[1:-1] + positions[:-2], axis=2)[following]
+    none = np.isnan(second).all(axis=0)
+    second[:, none] = 0.0
+    return np.where(none, np.nan, np.nanmedian(second, axis=0) / np.sqrt(6.0))
+
+
+def largest(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """The largest finite value along an axis; NaN where there is none."""
+    found = np.where(np.isnan(values), -np.inf, values).max(axis=axis)
+    return np.where(np.isinf(found), np.nan, found)
+
+
+def record_comparison(
+    stream: rr.RecordingStream, comparison: Comparison, worst: list[tuple[int, int]]
+) -> None:
+    """Logs both S* into one scene, the distance of each joint, and the worst moments as events."""
+    body = comparison.body
+    joints = [rr.AnnotationInfo(id=j, label=name) for j, name in enumerate(body.joints)]
+    bones = [(int(body.parents[joint]), int(joint)) for joint in body.bone_joints]
+    both = (
+        (layout.FUSED_SKELETON, 1, "first S*", layout.SKELETON_COLORS["fused"], comparison.first),
+        (SECOND_SKELETON, 2, "second S*", _SECOND_COLOR, comparison.second),
+    )
+    classes = [
+        rr.ClassDescription(
+            info=rr.AnnotationInfo(id=number, label=label, color=color),
+            keypoint_annotations=joints,
+            keypoint_connections=bones,
+        )
+        for _, number, label, color, _ in both
+    ]
+    stream.log(layout.ROOT, rr.ViewCoordinates.RDF, rr.AnnotationContext(classes), static=True)
+    stream.log(DIFFERENCE, rr.SeriesLines(names=body.joints), static=True)
+    stream.log(LARGEST, rr.SeriesLines(names="largest (mm)"), static=True)
+    first = comparison.first
+    times = [
+        rr.TimeColumn(layout.FRAME, sequence=first.frame),
+        rr.TimeColumn(layout.TIME, duration=first.time_ns.astype("timedelta64[ns]")),
+    ]
+    T, J = comparison.apart.shape
+    for entity, number, _, color, rows in both:
+        look = rr.Points3D.from_fields(
+            class_ids=number, keypoint_ids=range(J), colors=color, radii=0.015, show_labels=False
+        )
+        stream.log(entity, look, static=True)
+        points = rr.Points3D.columns(positions=rows.fused.astype(np.float32).reshape(-1, 3))
+        stream.send_columns(entity, times, points.partition([J] * T))
+    stream.send_columns(
+        DIFFERENCE, times, rr.Scalars.columns(scalars=comparison.apart.ravel() * 1e3).partition([J] * T)
+    )
+    stream.send_columns(LARGEST, times, rr.Scalars.columns(scalars=largest(comparison.apart, axis=1) * 1e3))
+    for t, j in worst:
+        stream.set_time(layout.FRAME, sequence=int(first.frame[t]))
+        stream.set_time(layout.TIME, duration=np.timedelta64(int(first.time_ns[t]), "ns"))
+        text = f"{body.joints[j]} differs by {comparison.apart[t, j] * 1e3:.0f} mm"
+        stream.log(layout.EVENTS, rr.TextLog(text, level="WARN"))
+
+
+def _same_inputs(one: SessionArrays, two: SessionArrays) -> NDArray[np.bool_]:
+    """(T,) whether the sensors gave the same, bit for bit, which a replay and a trim keep."""
+    same = np.ones(len(one), dtype=np.bool_)
+    for name in ("clock_b", "positions_a", "positions_b", "states_a", "states_b"):
+        a, b = (getattr(of, name).reshape(len(one), -1) for of in (one, two))
+        same &= ((a == b) | ((a != a) & (b != b))).all(axis=1)
+    return same
+
+
+def _moments(session: Session) -> NDArray[np.int64]:
+    """(T,) the frames' own times, by A's clock; those without A by the session's, below 0."""
+    rows = session.rows
+    return np.where(rows.clock_a == layout.NO_FRAME, -1 - rows.time_ns, rows.clock_a)

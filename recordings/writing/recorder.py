@@ -1,0 +1,302 @@
+"""Every log call. What never changes is logged once; frames go out one by one (live) or by columns (offline).
+
+Both ways give the same layout, because both come from the same list of what a frame is:
+:mod:`recordings.writing.frame_streams`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from devices.sensor import ColorImage
+from fusion.fuser import Fuser
+from recordings import layout
+from recordings.appearance import entity_styles as appearance
+from recordings.appearance.coach_page import CoachPage
+from recordings.appearance.joint_trust import StateLanes, TrustMatrix, matrix_frame
+from recordings.images.color_images import ColorLog
+from recordings.images.depth_points import prepare_points, thin_points
+from recordings.images.rvl import MEDIA_TYPE, encode_depth
+from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
+from recordings.writing.frame_streams import frame_streams
+from recordings.writing.sensor_stream_log import StreamFiguresLog
+
+_MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
+"""How often a page of the matrix of trust is drawn before it is whole: for eyes that wait, and for a file
+that may be cut off."""
+_STATE_CHANGES = tuple(rr.StateChange(state=name) for name in layout.STATE_NAMES)
+
+
+class Recorder:
+    """Writes one session to a Rerun recording stream, which the caller owns and closes.
+
+    Args:
+        stream: Where to log to; its sinks decide whether that is a viewer, a file or both.
+        fuser: Whose settings, calibration and intrinsics the session keeps.
+        sources: What the sensors are called, K_A first.
+        depth_every: Keep the depth images of every so many pairs; 0 for none.
+        about: More to say of the session's origin, kept among its properties.
+        start_ns: When the session began; with the first frame recorded here where None.
+        points: Whether a depth image is shown as a point cloud too.
+    """
+
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        fuser: Fuser,
+        sources: tuple[str, str],
+        depth_every: int = 0,
+        about: Mapping[str, str | int] | None = None,
+        *,
+        start_ns: int | None = None,
+        points: bool = False,
+    ) -> None:
+        self._stream = stream
+        self._calibration = fuser.calibration
+        self._frames = 0
+        self._start_ns = start_ns
+        self._last: tuple[int, int] | None = None
+        self._depth_every, self._points = depth_every, points
+        self._cameras = {"a": fuser.intrinsics_a, "b": fuser.intrinsics_b}
+        if points:
+            prepare_points(*self._cameras.values())
+        self._color, self._figures = ColorLog(stream), StreamFiguresLog(stream)
+        draft_ns = _MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS
+        self._matrix = TrustMatrix(fuser.calibration.body, draft_ns, hasty=points)
+        self._lanes = StateLanes()
+        self._log_static(fuser)
+        properties = self._properties(fuser, sources, about or {})
+        for name, values in properties.items():
+            stream.send_property(name, rr.AnyValues(**values))
+        stream.send_property("check", rr.AnyValues(crc32=properties_checksum(properties)))
+        self.calibrate(fuser)
+        # what a reader needs first must stand first in the file; columns would overtake it
+        stream.flush(timeout_sec=0.0)
+
+    def calibrate(self, fuser: Fuser) -> None:
+        """Keeps the calibration with which the frames that follow are fused, by a new fuser."""
+        calibration = self._calibration = fuser.calibration
+        registration = calibration.registration
+        values: dict[str, Any] = {
+            "how": calibration.how,
+            "rotation": calibration.a_from_b.rotation.ravel(),
+            "translation": calibration.a_from_b.translation,
+            "bone_lengths": calibration.bone_lengths,
+            "pairs": 0 if registration is None else registration.frames,
+            "residual_median": np.nan if registration is None else registration.residual_median,
+            "residual_rms": np.nan if registration is None else registration.residual_rms,
+            "rotation_sd": np.nan if registration is None else registration.rotation_sd,
+            "joint_residuals": np.full(len(calibration.body), np.nan)
+            if registration is None
+            else registration.joint_residuals,
+        }
+        self._set_time(self._frames, self._last[1] if self._last else 0)
+        check = properties_checksum({"calibration": {"frame": self._frames, **values}})
+        self._stream.log(layout.CALIBRATION, rr.AnyValues(**values, calibration_crc32=check))
+
+    def record(self, frame: RecordedFrame) -> None:
+        """Logs one frame at once, for live use."""
+        rows = self._stack([frame], None)
+        self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
+        for stream in frame_streams(rows):
+            self._stream.log(stream.entity, *stream.of_first())
+        self._log_sensors([frame], rows)
+        self._explain(rows)
+        self._last = (int(rows.frame[0]), int(rows.time_ns[0]))
+
+    def record_all(
+        self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None = None
+    ) -> SessionArrays:
+        """Logs many frames by columns; may be called again with the frames that follow.
+
+        Args:
+            frames: In time order, at least one.
+            numbers: Of the frames, where some were left out; else they are counted.
+
+        Returns:
+            What was logged.
+        """
+        rows = self._stack(frames, numbers)
+        self.record_rows(rows)
+        self._log_sensors(frames, rows)
+        return rows
+
+    def record_rows(self, rows: SessionArrays, checks: FusedChecks | None = None) -> None:
+        """Logs frames that are arrays already, under the numbers and times they have.
+
+        Args:
+            rows: The frames.
+            checks: Of S*, where `rows` have it from a file, in float32.
+        """
+        timed, times = rows, _times(rows)
+        for stream in frame_streams(rows, checks):
+            if stream.rows is not timed:
+                timed, times = stream.rows, _times(stream.rows)
+            self._stream.send_columns(stream.entity, times, stream.columns())
+        self._explain(rows)
+        self._frames = max(self._frames, int(rows.frame[-1]) + 1)
+        self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
+
+    def record_images(self, number: int, frame: RecordedFrame) -> None:
+        """Logs the images of a frame, in time order; where it is recorded after that, it is to have none."""
+        time_ns = frame.pair.time_ns - self._begun_by(frame)
+        if self._depth_every == 0 or number % self._depth_every:
+            return
+        for side, seen in (("a", frame.pair.a), ("b", frame.pair.b)):
+            if seen is not None and seen.depth is not None:
+                self.record_depth(side, number, time_ns, seen.depth)
+            if seen is not None and seen.color is not None:
+                self.record_color(side, number, time_ns, seen.color)
+
+    def record_depth(self, side: str, frame: int, time_ns: int, depth: NDArray[np.uint16]) -> None:
+        """Logs a depth image: (height, width) millimetres, without loss."""
+        blob = encode_depth(depth)
+        self._set_time(frame, time_ns)
+        self._stream.log(
+            layout.depth(side),
+            rr.EncodedDepthImage(blob, media_type=MEDIA_TYPE, meter=1000.0),
+            rr.AnyValues(crc32=image_checksum(frame, blob)),
+        )
+        if self._points:
+            cloud = thin_points(depth, self._cameras[side])
+            self._stream.log(layout.points(side), rr.Points3D.from_fields(positions=cloud))
+
+    def record_color(self, side: str, frame: int, time_ns: int, color: ColorImage) -> None:
+        """Logs a colour image."""
+        self._set_time(frame, time_ns)
+        self._color.record(side, frame, color)
+
+    def event(self, text: str, level: str = "INFO", at: tuple[int, int] | None = None) -> None:
+        """Logs what happened, at the time of the last frame.
+
+        Args:
+            text: What.
+            level: How bad: INFO, WARN or ERROR.
+            at: Number and time (ns since the first pair) of the frame meant, where it is not the last.
+        """
+        at = at or self._last or (self._frames, 0)
+        self._set_time(*at)
+        check = event_checksum(at, text, level)
+        self._stream.log(layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=check))
+
+    def coach(self, page: CoachPage) -> None:
+        """Logs what to do next, at the time of the last frame."""
+        self._set_time(*(self._last or (0, 0)))
+        for entity, what in page.entities():
+            self._stream.log(entity, what)
+
+    def finish(self) -> None:
+        """Says that the session is whole; a reader takes one without this for cut off."""
+        self._log_matrix(self._matrix.rest())
+        self._stream.send_property("end", rr.AnyValues(frames=self._frames))
+
+    def _log_sensors(self, frames: Sequence[RecordedFrame], rows: SessionArrays) -> None:
+        """What sensors give beside skeletons."""
+        for frame, number, time_ns in zip(frames, rows.frame.tolist(), rows.time_ns.tolist(), strict=True):
+            if frame.streams is not None:
+                self._figures.record(number, time_ns, frame.streams)
+            self.record_images(number, frame)
+
+    def _set_time(self, frame: int, time_ns: int) -> None:
+        self._stream.set_time(layout.FRAME, sequence=frame)
+        self._stream.set_time(layout.TIME, duration=np.timedelta64(time_ns, "ns"))
+
+    def _stack(self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None) -> SessionArrays:
+        if numbers is None:
+            numbers = range(self._frames, self._frames + len(frames))
+        calibration = self._calibration
+        rows = SessionArrays.stack(
+            calibration.body, calibration.bone_lengths, frames, numbers, self._begun_by(frames[0])
+        )
+        self._frames = numbers[-1] + 1
+        return rows
+
+    def _begun_by(self, frame: RecordedFrame) -> int:
+        """When the session began: no later than with this frame."""
+        if self._start_ns is None:
+            self._start_ns = frame.pair.time_ns
+        return self._start_ns
+
+    def _explain(self, rows: SessionArrays) -> None:
+        """What is not logged every frame: the trust matrix, and tracking states where they change."""
+        self._log_matrix(self._matrix.add(rows))
+        for side, joint, changes in self._lanes.add(rows):
+            lane = layout.state_lane(side, rows.body.joints[joint])
+            if len(rows) == len(changes) == 1:  # as columns it takes thrice the time
+                self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
+                self._stream.log(lane, _STATE_CHANGES[changes[0][1]])
+                continue
+            at = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
+            self._stream.send_columns(
+                lane,
+                [
+                    rr.TimeColumn(layout.FRAME, sequence=[frame for frame, _ in at]),
+                    rr.TimeColumn(layout.TIME, duration=np.array([ns for _, ns in at], "timedelta64[ns]")),
+                ],
+                rr.StateChange.columns(state=[layout.STATE_NAMES[state] for _, state in changes]),
+            )
+            if changes[0][0] is None:
+                self._stream.log(lane, appearance.STATE_LANES, static=True)
+
+    def _log_matrix(self, pages: Iterable[tuple[int, int, bytes]]) -> None:
+        for frame, time_ns, png in pages:
+            self._set_time(frame, time_ns)
+            self._stream.log(layout.TRUST_MATRIX, rr.EncodedImage(contents=png, media_type="image/png"))
+
+    def _log_static(self, fuser: Fuser) -> None:
+        body = self._calibration.body
+        stream = self._stream
+
+        def once(entity: str, *what: Any) -> None:
+            stream.log(entity, *what, static=True)
+
+        once(layout.ROOT, rr.ViewCoordinates.RDF, appearance.annotation_context(body))
+        once(layout.kinect("a"), rr.Transform3D.from_fields(translation=(0.0, 0.0, 0.0)))
+        for side, intrinsics in (("a", fuser.intrinsics_a), ("b", fuser.intrinsics_b)):
+            once(layout.skeleton(side), appearance.joint_look(body, side))
+            once(layout.depth(side), appearance.camera(intrinsics, side))
+            once(layout.depth(side), appearance.DEPTH)
+            once(layout.image_edge(side), appearance.image_edge(intrinsics))
+            once(layout.points(side), appearance.cloud_look(side))
+        beneath = rr.EncodedImage(contents=matrix_frame(body), media_type="image/png", draw_order=-20.0)
+        once(layout.MATRIX_FRAME, beneath)
+        once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))
+        once(layout.TRUTH_SKELETON, appearance.joint_look(body, "truth"))
+
+    def _properties(
+        self, fuser: Fuser, sources: tuple[str, str], about: Mapping[str, str | int]
+    ) -> dict[str, dict[str, Any]]:
+        """What a replay needs, and what a person asks of a file."""
+
+        def camera(intrinsics: Any) -> list[float]:
+            i = intrinsics
+            return [i.width, i.height, i.fx, i.fy, i.cx, i.cy, *i.distortion]
+
+        return {
+            "session": {
+                "layout_version": layout.VERSION,
+                "written_by": f"duplex-kinects {version('duplex-kinects')}",
+                "body": self._calibration.body.name,
+                "bone_names": [name or "root" for name in self._calibration.body.bones],
+                "source_a": sources[0],
+                "source_b": sources[1],
+                **about,
+            },
+            "settings": asdict(fuser.settings),
+            "intrinsics": {"a": camera(fuser.intrinsics_a), "b": camera(fuser.intrinsics_b)},
+        }
+
+
+def _times(rows: SessionArrays) -> list[rr.TimeColumn]:
+    return [
+        rr.TimeColumn(layout.FRAME, sequence=rows.frame),
+        rr.TimeColumn(layout.TIME, duration=rows.time_ns.astype("timedelta64[ns]")),
+    ]

@@ -1,0 +1,148 @@
+"""Claims about motion capture read from BVH."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.sensor import DeviceError
+from devices.simulated.kinect import simulated_pair
+from devices.simulated.person.anatomy import INDEX
+from devices.simulated.person.captured_motion import read_bvh
+from devices.simulated.tracking.tracker_errors import TrackerErrors
+from fusion.body import BODIES
+
+pytest.importorskip("bvhio", reason="reading BVH needs the extra 'mocap'")
+SHARED = Path(os.environ.get("DUPLEX_SHARED", Path(__file__).parents[4] / "shared"))
+
+# A T-posed person of some other unit (1 = 10 cm), who raises the left forearm by 90 degrees in 12 frames.
+_LIMB = """
+    JOINT {S}Shoulder {{ OFFSET {x1} 4 0 CHANNELS 3 Zrotation Xrotation Yrotation
+      JOINT {S}Arm {{ OFFSET {x1} 0 0 CHANNELS 3 Zrotation Xrotation Yrotation
+        JOINT {S}ForeArm {{ OFFSET {x3} 0 0 CHANNELS 3 Zrotation Xrotation Yrotation
+          JOINT {S}Hand {{ OFFSET {x25} 0 0 CHANNELS 3 Zrotation Xrotation Yrotation
+            End Site {{ OFFSET {x1} 0 0 }} }} }} }} }}"""
+_LEG = """
+  JOINT {S}UpLeg {{ OFFSET {x1} 0 0 CHANNELS 3 Zrotation Xrotation Yrotation
+    JOINT {S}Leg {{ OFFSET 0 -4 0 CHANNELS 3 Zrotation Xrotation Yrotation
+      JOINT {S}Foot {{ OFFSET 0 -4 0 CHANNELS 3 Zrotation Xrotation Yrotation
+        End Site {{ OFFSET 0 -0.5 1.5 }} }} }} }}"""
+
+
+def _limb(template: str, side: str) -> str:
+    sign = 1 if side == "Left" else -1
+    return template.format(S=side, x1=sign, x3=3 * sign, x25=2.5 * sign)
+
+
+def write_bvh(path: Path, frames: int = 40, without: str = "") -> Path:
+    text = (
+        "HIERARCHY\nROOT Hips { OFFSET 0 0 0\n"
+        "  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
+        "  JOINT Spine { OFFSET 0 2 0 CHANNELS 3 Zrotation Xrotation Yrotation"
+        + _limb(_LIMB, "Left")
+        + _limb(_LIMB, "Right")
+        + "\n    JOINT Neck { OFFSET 0 4.5 0 CHANNELS 3 Zrotation Xrotation Yrotation"
+        "\n      JOINT Head { OFFSET 0 1 0 CHANNELS 3 Zrotation Xrotation Yrotation"
+        " End Site { OFFSET 0 2 0 } } } }" + _limb(_LEG, "Left") + _limb(_LEG, "Right") + "\n}\n"
+    )
+    # One brace and one keyword a line: the format is read line by line.
+    for word in ("{", "}", "CHANNELS", "JOINT", "End Site", "OFFSET"):
+        text = text.replace(word, f"\n{word}")
+    text = "\n".join(line.strip() for line in text.splitlines() if line.strip()).replace("{\n", "{\n")
+    if without:
+        text = text.replace(without, "Tail")
+    rows = []
+    joints = ["Hips", "Spine"]
+    joints += [f"{s}{n}" for s in ("Left", "Right") for n in ("Shoulder", "Arm", "ForeArm", "Hand")]
+    joints += ["Neck", "Head"]
+    joints += [f"{s}{n}" for s in ("Left", "Right") for n in ("UpLeg", "Leg", "Foot")]
+    for k in range(frames):
+        angles = np.zeros((len(joints), 3))
+        angles[joints.index("LeftForeArm"), 0] = min(90.0, 90.0 * k / 12)  # about z: up
+        rows.append(" ".join(map(str, (0, 8.7, 0, *angles.ravel()))))
+    path.write_text(f"{text}\nMOTION\nFrames: {frames}\nFrame Time: 0.033333\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def test_a_captured_forearm_is_raised_as_in_the_file(tmp_path: Path) -> None:
+    motion = read_bvh(write_bvh(tmp_path / "arm.bvh"), startup=False)
+    first, last = motion.landmarks([0.0, 1.2])
+    elbow, wrist, shoulder = (INDEX[f"{n}_LEFT"] for n in ("ELBOW", "WRIST", "SHOULDER"))
+    np.testing.assert_allclose(first[wrist] - first[elbow], (0.255, 0.0, 0.0), atol=1e-9)  # T pose: left
+    np.testing.assert_allclose(last[wrist] - last[elbow], (0.0, -0.255, 0.0), atol=1e-9)  # up is −y
+    np.testing.assert_allclose(last[elbow] - last[shoulder], (0.295, 0.0, 0.0), atol=1e-9)
+    assert first[INDEX["NOSE"], 2] < first[INDEX["HEAD"], 2]  # faces −z
+    assert first[INDEX["FOOT_LEFT"], 2] < first[INDEX["ANKLE_LEFT"], 2] - 0.1
+
+
+def test_captured_bones_are_constant_and_scaled_by_height(tmp_path: Path) -> None:
+    motion = read_bvh(write_bvh(tmp_path / "arm.bvh"))
+    t = np.linspace(0.0, motion.seconds, 200)
+    for body in BODIES.values():
+        at = motion.joints(body, t)
+        for joint in body.bone_joints:
+            lengths = np.linalg.norm(at[:, joint] - at[:, body.parents[joint]], axis=1)
+            assert np.ptp(lengths) < 50 * np.finfo(float).eps
+    np.testing.assert_allclose(motion.landmarks(1.0, 0.875), 0.5 * motion.landmarks(1.0), atol=1e-12)
+
+
+def test_a_captured_movement_begins_with_the_startup_pose_unless_told_otherwise(tmp_path: Path) -> None:
+    path = write_bvh(tmp_path / "arm.bvh")
+    with_startup, without = read_bvh(path), read_bvh(path, startup=False)
+    at = with_startup.landmarks(np.linspace(0.0, 2.0, 30))
+    assert np.ptp(at, axis=0).max() < 0.04
+    begins = with_startup.seconds - without.seconds
+    np.testing.assert_allclose(with_startup.landmarks(begins + 0.7), without.landmarks(0.7), atol=1e-12)
+
+
+def test_a_bvh_file_without_a_limb_is_refused_by_the_limbs_name(tmp_path: Path) -> None:
+    path = write_bvh(tmp_path / "bad.bvh", without="RightLeg")
+    with pytest.raises(DeviceError, match="right knee"):
+        read_bvh(path)
+
+
+def test_a_file_that_is_no_bvh_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "no.bvh"
+    path.write_text("hello\n")
+    with pytest.raises(DeviceError, match=r"no\.bvh"):
+        read_bvh(path)
+    with pytest.raises(DeviceError, match=r"missing\.bvh"):
+        read_bvh(tmp_path / "missing.bvh")
+
+
+@pytest.mark.parametrize(
+    ("cut", "what"),
+    [
+        (lambda text: "", "skeleton is cut off"),
+        (lambda text: text[:300], "skeleton is cut off"),
+        (lambda text: text[:-1500], "frames are cut off"),
+        (lambda text: text.replace("Time: 0.033333", "Time: 0"), "s a frame"),
+        (lambda text: text.replace("Time: 0.033333", "Time: nan"), "s a frame"),
+        (lambda text: text.replace("0 8.7 0", "0 nan 0"), "not finite"),
+    ],
+)
+def test_a_damaged_file_is_refused_at_once(tmp_path: Path, cut: Callable[[str], str], what: str) -> None:
+    path = write_bvh(tmp_path / "damaged.bvh")
+    path.write_text(cut(path.read_text()))
+    with pytest.raises(DeviceError, match=what):
+        read_bvh(path)
+
+
+@pytest.mark.parametrize("clip", ["02_01", "06_10"])
+def test_real_motion_capture_plays_through_the_pair(clip: str) -> None:
+    path = SHARED / "mocap" / f"{clip}.bvh"
+    if not path.exists():
+        pytest.skip(f"no motion capture at {path.parent}: set DUPLEX_SHARED")
+    a, _, truth = simulated_pair(motion=path, seconds=5.0, errors=TrackerErrors.none())
+    frames = list(a.frames())
+    assert len(frames) == 150
+    at = np.stack([f.people["1"].positions for f in frames])
+    assert np.ptp(at, axis=0).max() > 0.5  # it moves
+    feet = truth.scene.motion.landmarks(np.linspace(4.0, 5.0, 30))[
+        :, [INDEX["FOOT_LEFT"], INDEX["FOOT_RIGHT"]]
+    ]
+    assert np.abs(feet[..., 1].max(axis=1) + 0.02).max() < 0.06  # one foot is near the floor

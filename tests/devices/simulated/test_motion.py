@@ -1,0 +1,156 @@
+"""Claims about the simulated person's movements."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from devices.simulated.person import anatomy
+from devices.simulated.person.anatomy import INDEX, two_bones
+from devices.simulated.person.motion import STARTUP_SECONDS, Motion
+from devices.simulated.person.movements import MOTIONS
+from fusion.body import AZURE_KINECT, BODIES, KINECT_V2, Body
+
+EVERY_MOTION = pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS.keys())
+
+
+def times(motion: Motion, rate: float = 60.0) -> np.ndarray:
+    """A round and a half of the movement, its beginning included."""
+    return np.arange(0.0, motion.begins + min(1.5 * motion.period, 40.0), 1.0 / rate)
+
+
+@EVERY_MOTION
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES.keys())
+def test_every_bone_of_every_body_keeps_its_length(motion: Motion, body: Body) -> None:
+    at = motion.joints(body, times(motion))
+    for joint in body.bone_joints:
+        lengths = np.linalg.norm(at[:, joint] - at[:, body.parents[joint]], axis=1)
+        assert lengths.min() > 0.02
+        # A dozen roundings along the chain of segments, each of a metre's last bit.
+        assert np.ptp(lengths) < 50 * np.finfo(float).eps, body.bones[joint]
+
+
+def test_the_three_bodies_agree_where_they_share_a_joint() -> None:
+    walk = MOTIONS["walk"]
+    azure, v2 = walk.joints(AZURE_KINECT, [9.0])[0], walk.joints(KINECT_V2, [9.0])[0]
+    for name in ("ShoulderLeft", "ElbowRight", "HandTipLeft", "KneeRight", "Neck"):
+        assert np.array_equal(azure[AZURE_KINECT.joint(name)], v2[KINECT_V2.joint(name)])
+
+
+@EVERY_MOTION
+def test_movements_begin_in_the_startup_pose_and_hold_it(motion: Motion) -> None:
+    if not motion.startup:
+        pytest.skip("begins at once: there is nothing to calibrate on")
+    at = motion.landmarks(np.linspace(0.0, STARTUP_SECONDS, 60))
+    wrists = at[:, [INDEX["WRIST_LEFT"], INDEX["WRIST_RIGHT"]]]
+    shoulders = at[:, [INDEX["SHOULDER_LEFT"], INDEX["SHOULDER_RIGHT"]]]
+    assert (np.abs(wrists - shoulders)[..., 0] > 0.3).all()  # arms apart
+    assert np.all(at[:, INDEX["ANKLE_LEFT"], 0] - at[:, INDEX["ANKLE_RIGHT"], 0] > 0.3)  # legs apart
+    assert np.ptp(at, axis=0).max() < 0.04  # breathing and swaying only
+    assert np.all(at[:, INDEX["NOSE"], 2] < at[:, INDEX["HEAD"], 2])  # facing −z, between the sensors
+
+
+@EVERY_MOTION
+def test_movements_are_smooth(motion: Motion) -> None:
+    rate = 240.0
+    at = motion.landmarks(times(motion, rate))
+    speed = np.linalg.norm(np.diff(at, axis=0), axis=2) * rate
+    acceleration = np.linalg.norm(np.diff(at, 2, axis=0), axis=2) * rate**2
+    # A smash moves the hand at some 15 m/s and a few hundred m/s²; a jump between two frames of 1 cm
+    # would be 576 m/s².
+    assert speed.max() < 15.0
+    assert acceleration.max() < 400.0
+    trunk = [INDEX["PELVIS"], INDEX["SPINE_CHEST"]]
+    assert acceleration[:, trunk].max() < 45.0
+
+
+@EVERY_MOTION
+def test_planted_toes_do_not_slide_and_feet_stay_above_the_floor(motion: Motion) -> None:
+    rate = 120.0
+    at = motion.landmarks(times(motion, rate))
+    for foot in ("FOOT_LEFT", "FOOT_RIGHT"):
+        toes = at[:, INDEX[foot]]
+        assert (toes[:, 1] < -anatomy.FOOT_HEIGHT + 0.005).all()
+        down = toes[:, 1] > -anatomy.FOOT_HEIGHT - 0.0015
+        planted = down[1:] & down[:-1]
+        assert planted.any()
+        speed = np.linalg.norm(np.diff(toes[:, [0, 2]], axis=0), axis=1) * rate
+        assert np.max(speed[planted], initial=0.0) < 0.05  # a twentieth of walking speed
+
+
+def test_walking_turns_through_every_heading_and_moves_as_fast_as_a_person() -> None:
+    walk = MOTIONS["walk"]
+    at = walk.landmarks(np.arange(walk.begins, walk.begins + walk.period, 1 / 30))
+    left = at[:, INDEX["HIP_LEFT"]] - at[:, INDEX["HIP_RIGHT"]]
+    headings = np.degrees(np.arctan2(left[:, 2], left[:, 0]))
+    assert np.histogram(headings, bins=12, range=(-180, 180))[0].min() > 0
+    speed = np.linalg.norm(np.diff(at[60:, INDEX["PELVIS"]][:, [0, 2]], axis=0), axis=1) * 30
+    assert 0.3 < speed.min() < speed.max() < 1.2
+
+
+def test_turning_on_the_spot_goes_once_round() -> None:
+    turn = MOTIONS["turn"]
+    at = turn.landmarks(np.arange(turn.begins, turn.begins + turn.period, 1 / 30))
+    left = at[:, INDEX["HIP_LEFT"]] - at[:, INDEX["HIP_RIGHT"]]
+    assert np.ptp(np.unwrap(np.arctan2(left[:, 2], left[:, 0]))) > np.radians(355)
+
+
+def test_hands_go_across_the_trunk_and_behind_the_back() -> None:
+    arms = MOTIONS["arms"]
+    at = arms.landmarks(arms.begins + np.array([3.0, 8.7]))
+    across, behind = at
+    assert across[INDEX["HAND_LEFT"], 0] < across[INDEX["HAND_RIGHT"], 0] - 0.1
+    for side in ("LEFT", "RIGHT"):
+        assert behind[INDEX[f"HAND_{side}"], 2] > behind[INDEX["SPINE_NAVEL"], 2] + 0.1
+
+
+def test_a_jump_shot_leaves_the_floor_and_a_squat_goes_down() -> None:
+    shot = MOTIONS["basketball"]
+    at = shot.landmarks(shot.begins + np.arange(0, shot.period, 1 / 60))
+    assert at[:, [INDEX["FOOT_LEFT"], INDEX["FOOT_RIGHT"]], 1].max(axis=1).min() < -0.12
+    squat = MOTIONS["squat"]
+    at = squat.landmarks(squat.begins + np.arange(0, squat.period, 1 / 60))
+    assert np.ptp(at[:, INDEX["PELVIS"], 1]) > 0.4
+
+
+@pytest.mark.parametrize("height", [1.2, 1.75, 2.0])
+def test_the_body_is_scaled_by_height(height: float) -> None:
+    at = MOTIONS["still"].landmarks([0.0], height)[0]
+    assert -at[INDEX["HEAD_TOP"], 1] == pytest.approx(height, rel=0.03)
+
+
+def test_any_time_may_be_asked_for_in_any_order() -> None:
+    walk = MOTIONS["walk"]
+    together = walk.landmarks([3.0, 50.0, 7.0])
+    for k, t in enumerate((3.0, 50.0, 7.0)):
+        np.testing.assert_allclose(walk.landmarks(t)[0], together[k], atol=1e-12)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
+    st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
+)
+def test_two_bones_have_their_lengths_wherever_they_reach(target: list[float], pole: list[float]) -> None:
+    goal, side = np.array([target]), np.array([pole])
+    if np.linalg.norm(np.cross(goal, side)) < 1e-3:
+        return  # the pole says nothing about the side
+    middle, end, axis = two_bones(goal, side, 0.3, 0.25)
+    assert np.linalg.norm(middle) == pytest.approx(0.3, abs=1e-12)
+    assert np.linalg.norm(end - middle) == pytest.approx(0.25, abs=1e-12)
+    assert np.sum(middle * axis) == pytest.approx(0.0, abs=1e-12)
+    distance = np.linalg.norm(goal)
+    if 0.08 < distance < 0.97 * 0.55:
+        np.testing.assert_allclose(end, goal, atol=1e-12)
+
+
+def test_knees_bend_forwards_elbows_backwards_and_thumbs_point_ahead() -> None:
+    at = MOTIONS["still"].landmarks(3.0)[0]
+    for side in ("LEFT", "RIGHT"):
+        hip, knee, ankle = (at[INDEX[f"{n}_{side}"]] for n in ("HIP", "KNEE", "ANKLE"))
+        shoulder, elbow, wrist = (at[INDEX[f"{n}_{side}"]] for n in ("SHOULDER", "ELBOW", "WRIST"))
+        assert knee[2] < (0.5 * (hip + ankle))[2] - 0.01  # −z is ahead
+        assert elbow[2] > (0.5 * (shoulder + wrist))[2] + 0.01
+        assert at[INDEX[f"THUMB_{side}"], 2] < at[INDEX[f"HAND_{side}"], 2] - 0.03

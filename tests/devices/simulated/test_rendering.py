@@ -1,0 +1,172 @@
+"""Claims about the simulated depth images and what is seen in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from devices.simulated.imaging.rendering import BACKGROUND, WALL_Z, DepthErrors, depth_image, halved, surface
+from devices.simulated.person import anatomy
+from devices.simulated.person.body_surface import capsules, flesh_over, visibility
+from devices.simulated.person.movements import MOTIONS
+from devices.simulated.rig import Rig
+from fusion.body import AZURE_KINECT
+from fusion.intrinsics import NOMINAL_INTRINSICS
+from fusion.rigid import RigidTransform
+
+LENS = NOMINAL_INTRINSICS["azure_kinect"]
+HALF = halved(LENS)
+# The world's floor and wall out of sight: far below and far behind.
+NOWHERE = RigidTransform.of(np.eye(3), (0.0, 1000.0, 1000.0))
+# float32 holds 3 m to 3 × 2⁻²⁴ × 2 m; a few operations on it.
+FLOAT32 = 1e-6
+
+
+def rays() -> np.ndarray:
+    v, u = np.mgrid[: HALF.height, : HALF.width]
+    return np.stack(((u - HALF.cx) / HALF.fx, (v - HALF.cy) / HALF.fy, np.ones(u.shape)), axis=-1)
+
+
+def test_a_sphere_has_its_surface_where_it_is() -> None:
+    centre, radius = np.array((0.3, -0.2, 2.5)), 0.4
+    z, label, cosine = surface(np.array([(*centre, *centre, radius)]), NOWHERE, HALF)
+    hit = label == 0
+    assert hit.sum() > 1000
+    points = rays()[hit] * z[hit, None]
+    off = points - centre
+    np.testing.assert_allclose(np.linalg.norm(off, axis=1), radius, atol=2 * FLOAT32)
+    # The side that faces the sensor, not the far one.
+    normal_to_ray = -np.sum(off * points, axis=1) / radius / np.linalg.norm(points, axis=1)
+    np.testing.assert_allclose(normal_to_ray, cosine[hit], atol=1e-4)
+    assert (normal_to_ray >= -1e-4).all()
+    # All of it: as many pixels as rays within the sphere's cone.
+    directions = rays() / np.linalg.norm(rays(), axis=-1, keepdims=True)
+    inside = np.linalg.norm(np.cross(directions, centre), axis=-1) < radius
+    assert (hit == inside).all()
+
+
+@pytest.mark.parametrize("end", [(0.4, 0.3, 2.2), (-0.1, 0.5, 3.1), (0.01, 0.0, 2.0)])
+def test_a_capsule_has_its_surface_at_its_radius_from_its_axis(end: tuple[float, float, float]) -> None:
+    start, stop, radius = np.array((-0.3, -0.2, 2.6)), np.array(end), 0.12
+    z, label, _ = surface(np.array([(*start, *stop, radius)]), NOWHERE, HALF)
+    hit = label == 0
+    assert hit.sum() > 300
+    points = rays()[hit] * z[hit, None]
+    share = np.clip((points - start) @ (stop - start) / np.sum((stop - start) ** 2), 0.0, 1.0)
+    distance = np.linalg.norm(points - start - share[:, None] * (stop - start), axis=1)
+    np.testing.assert_allclose(distance, radius, atol=4 * FLOAT32)
+    # No ray passes through the capsule without a hit (sampled along the rays).
+    for step in np.linspace(1.8, 3.4, 60):
+        at = rays() * step
+        share = np.clip((at - start) @ (stop - start) / np.sum((stop - start) ** 2), 0.0, 1.0)
+        deep = np.linalg.norm(at - start - share[..., None] * (stop - start), axis=-1) < radius - 1e-6
+        assert hit[deep].all()
+
+
+def test_floor_and_wall_are_where_the_world_has_them() -> None:
+    rig = Rig()
+    sensor_from_world = rig.world_from_sensor(0).inverse()
+    z, label, _ = surface(np.zeros((0, 7)), sensor_from_world, HALF)
+    assert (label == BACKGROUND).all()
+    seen = np.isfinite(z)
+    world = rig.world_from_sensor(0).apply(rays()[seen] * z[seen, None])
+    floor = np.abs(world[:, 1])
+    wall = np.abs(world[:, 2] - WALL_Z)
+    near = np.minimum(floor, wall) < 1e-5 * np.maximum(1.0, z[seen])
+    assert near.all()
+    assert (floor < 1e-4).any()
+    assert (wall < 1e-4).any()
+    assert (world[:, 1] < 1e-3).all()
+    assert (world[:, 2] < WALL_Z + 1e-3).all()
+
+
+def test_a_perfect_depth_image_is_the_surface_to_the_millimetre() -> None:
+    z = np.linspace(0.5, 5.0, 320 * 288, dtype=np.float32).reshape(288, 320)
+    image = depth_image(z, np.ones_like(z), DepthErrors.none(), np.random.default_rng(0))
+    np.testing.assert_allclose(image * 1e-3, z, atol=0.0005 + FLOAT32)
+
+
+def test_depth_noise_grows_with_distance_as_its_knobs_say() -> None:
+    errors = DepthErrors(noise=0.001, noise_growth=0.0006, edge_loss=0.0)
+    for distance in (1.0, 2.0, 4.0):
+        z = np.full((288, 320), distance, dtype=np.float32)
+        image = depth_image(z, np.ones_like(z), errors, np.random.default_rng(1))
+        expected = np.hypot(0.001 + 0.0006 * distance**2, 0.001 / np.sqrt(12))  # with quantisation
+        # The standard deviation of 92160 samples is known to 1/√(2·92160) = 0.23 %; five times that.
+        assert np.std(image * 1e-3) == pytest.approx(expected, rel=0.012)
+
+
+def test_there_is_no_reading_out_of_range_at_grazing_angles_or_at_lost_edges() -> None:
+    z = np.full((288, 320), 2.0, dtype=np.float32)
+    z[:, 160:] = 3.0
+    z[0], z[1] = 0.1, 9.0
+    cosine = np.ones_like(z)
+    cosine[10] = 0.01
+    image = depth_image(z, cosine, DepthErrors(edge_loss=1.0), np.random.default_rng(0))
+    assert not image[[0, 1, 10]].any()
+    assert not image[20:, 159:161].any()
+    assert image[20:, :159].all()
+    assert image[20:, 161:].all()
+    kept = depth_image(z, cosine, DepthErrors(edge_loss=0.0), np.random.default_rng(0))
+    assert kept[20:].all()
+
+
+def test_the_same_point_is_in_the_same_place_of_the_halved_image() -> None:
+    # Pixel centres: the first half pixel covers full pixels 0 and 1, centre 0.5.
+    point = np.array((0.2, -0.1, 2.0))
+    full, half = LENS.project(point), HALF.project(point)
+    np.testing.assert_allclose(full, 2.0 * half + 0.5, atol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "time"), [("arms", 6.9), ("arms", 12.4), ("walk", 8.6), ("sit", 8.0)])
+@pytest.mark.parametrize("which", [0, 1])
+def test_visibility_without_an_image_agrees_with_the_depth_image(name: str, time: float, which: int) -> None:
+    sensor_from_world = Rig().world_from_sensor(which).inverse()
+    at = sensor_from_world.apply(MOTIONS[name].landmarks(time)[0])
+    shapes, joints = capsules(at), at[anatomy.landmarks_of(AZURE_KINECT)]
+    flesh = flesh_over(AZURE_KINECT)
+    seen = visibility(joints, shapes, flesh, LENS)
+    z, _, _ = surface(shapes, sensor_from_world, LENS)
+    u, v = np.rint(LENS.project(joints)).astype(int).T
+    before = joints[:, 2] - z[v, u]
+    # Fully seen or fully hidden joints: the surface before them is their own skin, or is not. Half a pixel
+    # beside the joint the surface may be another; the slack is the slope of a sphere of their flesh.
+    slack = 1.4 * flesh + 0.03
+    assert (before[seen == 1.0] < slack[seen == 1.0] + 0.03).all()
+    assert (before[seen == 0.0] > slack[seen == 0.0] - 0.03).all()
+    assert (seen < 0.5).any()
+    assert (seen == 1.0).sum() > 15
+
+
+def test_hands_behind_the_back_are_hidden_from_the_front_and_the_nose_from_behind() -> None:
+    arms = MOTIONS["arms"]
+    front = Rig(angle_deg=0.0).world_from_sensor(0).inverse()
+    at = front.apply(arms.landmarks(arms.begins + 8.7)[0])
+    joints = at[anatomy.landmarks_of(AZURE_KINECT)]
+    seen = visibility(joints, capsules(at), flesh_over(AZURE_KINECT), LENS)
+    named = dict(zip(AZURE_KINECT.joints, seen, strict=True))
+    assert max(named["HAND_LEFT"], named["HAND_RIGHT"]) == 0.0
+    assert min(named["NOSE"], named["KNEE_LEFT"], named["SPINE_CHEST"], named["ELBOW_LEFT"]) > 0.6
+    # Half a turn about the vertical through the origin shows the back.
+    behind = RigidTransform.of(np.diag((-1.0, 1.0, -1.0)), np.zeros(3))
+    at = front.apply(behind.apply(arms.landmarks(arms.begins + 8.7)[0]))
+    joints = at[anatomy.landmarks_of(AZURE_KINECT)]
+    seen = visibility(joints, capsules(at), flesh_over(AZURE_KINECT), LENS)
+    named = dict(zip(AZURE_KINECT.joints, seen, strict=True))
+    assert max(named["NOSE"], named["EYE_LEFT"]) == 0.0
+    assert min(named["HAND_LEFT"], named["HAND_RIGHT"]) > 0.4
+
+
+def test_all_joints_are_seen_in_the_startup_pose_from_in_front() -> None:
+    at = Rig(angle_deg=0.0).world_from_sensor(0).inverse().apply(MOTIONS["startup"].landmarks(1.0)[0])
+    joints = at[anatomy.landmarks_of(AZURE_KINECT)]
+    seen = visibility(joints, capsules(at), flesh_over(AZURE_KINECT), LENS)
+    assert seen.min() > 0.5, dict(zip(AZURE_KINECT.joints, seen, strict=True))
+
+
+def test_a_joint_outside_the_image_is_not_seen() -> None:
+    at = Rig(angle_deg=0.0).world_from_sensor(0).inverse().apply(MOTIONS["startup"].landmarks(1.0)[0])
+    aside = np.add(at, (5.0, 0.0, 0.0))
+    joints = aside[anatomy.landmarks_of(AZURE_KINECT)]
+    seen = visibility(joints, capsules(aside), flesh_over(AZURE_KINECT), LENS)
+    assert not seen.any()

@@ -1,0 +1,67 @@
+"""From the simulated world through sensors, pairing, calibration and fusion, back to the truth."""
+
+import numpy as np
+import pytest
+
+from devices.pairing import pair_recordings
+from devices.simulated.imaging.rendering import DepthErrors
+from devices.simulated.kinect import PERSON, simulated_pair
+from devices.simulated.rig import Rig
+from devices.simulated.tracking.tracker import TrackerErrors
+from fusion.body import BODIES, KINECT_V2, Body
+from fusion.calibration.calibration import calibrate, find_start_up_pose
+from fusion.fuser import Fuser
+from fusion.skeleton import SkeletonPair
+
+TOLERANCE = 1e-5
+"""0.01 mm. Positions leave the sensors as float32, exact to 2.4e-7 m at 4 m; R and the bone lengths are
+fitted to those, and the longest chain of bones is 8."""
+
+
+def fused_and_true(body: Body, motion: str, rig: Rig, depth: str = "off") -> tuple[np.ndarray, np.ndarray]:
+    a, b, truth = simulated_pair(
+        motion=motion,
+        body=body,
+        seconds=8.0,
+        errors=TrackerErrors.none(),
+        depth_errors=DepthErrors.none(),
+        depth=depth,  # type: ignore[arg-type]
+        rig=rig,
+    )
+    pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
+    skeletons: list[SkeletonPair] = [pair.skeletons for pair in pairs]
+    chosen, how = find_start_up_pose(body, skeletons)
+    assert how.startswith("start-up pose")
+    frames = Fuser(calibrate(body, chosen, how)).fuse_sequence(skeletons)
+    return (
+        np.array([frame.positions for frame in frames]),
+        np.array([truth.positions_at(pair.time_ns) for pair in pairs]),
+    )
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+@pytest.mark.parametrize("motion", ["badminton", "walk"])
+def test_without_errors_fusion_is_the_truth(body: Body, motion: str) -> None:
+    fused, truth = fused_and_true(body, motion, Rig(skew_seconds=0.0))
+    assert np.linalg.norm(fused - truth, axis=2).max() < TOLERANCE
+
+
+@pytest.mark.parametrize("angle", [20.0, 135.0, 180.0])
+def test_without_errors_fusion_is_the_truth_at_any_angle(angle: float) -> None:
+    fused, truth = fused_and_true(KINECT_V2, "boxing", Rig(angle_deg=angle, skew_seconds=0.0))
+    assert np.linalg.norm(fused - truth, axis=2).max() < TOLERANCE
+
+
+def test_rendering_depth_changes_no_skeleton() -> None:
+    plain, _ = fused_and_true(KINECT_V2, "squat", Rig(skew_seconds=0.0))
+    with_depth, _ = fused_and_true(KINECT_V2, "squat", Rig(skew_seconds=0.0), "half")
+    assert (plain == with_depth).all()
+
+
+def test_a_skew_between_the_sensors_costs_what_the_person_moves_meanwhile() -> None:
+    skew = 0.010
+    fused, truth = fused_and_true(KINECT_V2, "boxing", Rig(skew_seconds=skew))
+    off = np.linalg.norm(fused - truth, axis=2)
+    speed = np.linalg.norm(np.diff(truth, axis=0), axis=2).max() * 30.0
+    # t follows the torso, so an error is at most what joint and torso move in the skew
+    assert TOLERANCE < off.max() < 2.0 * speed * skew

@@ -1,0 +1,190 @@
+"""Claims about the simulated pair: the truth, the rig, the clocks, and repeatability."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.simulated.imaging.rendering import DepthErrors
+from devices.simulated.kinect import PERSON, SimulatedKinect, Truth, TruthAhead, simulated_pair
+from devices.simulated.person.body_surface import capsules
+from devices.simulated.person.movements import MOTIONS
+from devices.simulated.rig import Rig
+from devices.simulated.tracking.tracker_errors import TrackerErrors
+from fusion.body import AZURE_KINECT, BODIES, Body
+
+# A coordinate below 4 m is rounded to float32 by at most 2⁻²³ m.
+ROUNDED = 2.0**-23 * 1.01
+
+
+def same(one: SensorFrame, other: SensorFrame) -> bool:
+    return (
+        one.time_ns == other.time_ns
+        and one.people.keys() == other.people.keys()
+        and all(one.people[k].repeats(other.people[k]) for k in one.people)
+        and (one.depth is None) == (other.depth is None)
+        and (one.depth is None or np.array_equal(one.depth, other.depth))
+    )
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES.keys())
+@pytest.mark.parametrize("angle_deg", [0.0, 40.0, 90.0, 180.0])
+def test_without_errors_both_views_are_the_truth(body: Body, angle_deg: float) -> None:
+    rig = Rig(angle_deg=angle_deg, skew_seconds=0.004, clock_offset_seconds=2.0, drift_ppm=40.0)
+    a, b, truth = simulated_pair(
+        motion="walk", body=body, seconds=8.0, rig=rig, height=1.6, errors=TrackerErrors.none()
+    )
+    for which, sensor in enumerate((a, b)):
+        skeletons = [frame.people[PERSON] for frame in sensor.frames()]
+        assert all(s.tracked.all() for s in skeletons)
+        when = [round(rig.captured_at(which, k) * 1e9) for k in range(len(skeletons))]
+        true = truth.positions_at(when)
+        if which == 1:
+            true = truth.a_from_b.inverse().apply(true)
+        assert np.abs(np.stack([s.positions for s in skeletons]) - true).max() < ROUNDED
+
+
+def test_the_person_faces_between_the_sensors_and_sees_b_on_the_left() -> None:
+    rig = Rig(angle_deg=90.0)
+    facing = np.array((0.0, 0.0, -1.0))
+    for which, side in ((0, -1.0), (1, 1.0)):
+        at = rig.world_from_sensor(which).translation
+        assert np.sign(at[0]) == side  # the person's left is +x
+        assert np.hypot(at[0], at[2]) == pytest.approx(rig.distance)
+        to_sensor = np.array((at[0], 0.0, at[2])) / rig.distance
+        assert np.degrees(np.arccos(to_sensor @ facing)) == pytest.approx(45.0)
+        # It looks at the person: the origin lies on its vertical middle plane, before it.
+        origin = rig.world_from_sensor(which).inverse().apply(np.zeros(3))
+        assert origin[0] == pytest.approx(0.0, abs=1e-12)
+        assert origin[2] > 2.0
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 30.0, 90.0, 180.0])
+def test_the_rigs_angle_is_the_angle_between_the_lines_of_sight(angle_deg: float) -> None:
+    rig = Rig(angle_deg=angle_deg, tilt_deg=0.0)
+    angle = np.degrees(rig.a_from_b.angle_to(type(rig.a_from_b).identity()))
+    assert angle == pytest.approx(angle_deg, abs=1e-5)  # arccos near 1 loses half the digits
+
+
+def test_sensor_b_captures_later_by_the_skew_and_shows_its_own_clock() -> None:
+    rig = Rig(skew_seconds=0.01, clock_offset_seconds=5.0, drift_ppm=100.0)
+    a, b, _ = simulated_pair(rig=rig, seconds=2.0)
+    times_a = np.array([f.time_ns for f in a.frames()]) * 1e-9
+    times_b = np.array([f.time_ns for f in b.frames()]) * 1e-9
+    np.testing.assert_allclose(np.diff(times_a), 1 / 30, atol=2e-9)
+    true_b = times_a + 0.01
+    np.testing.assert_allclose(times_b, true_b * (1 + 1e-4) + 5.0, atol=2e-9)
+
+
+def test_dropped_frames_are_missing_and_change_no_other_frame() -> None:
+    whole, _, _ = simulated_pair(seed=4, seconds=20.0)
+    holed, _, _ = simulated_pair(seed=4, seconds=20.0, rig=Rig(dropped=0.1))
+    kept = {f.time_ns: f for f in whole.frames()}
+    frames = list(holed.frames())
+    # 600 draws of 10 %: mean 60, standard deviation 7.3.
+    assert 30 < len(kept) - len(frames) < 90
+    assert all(same(f, kept[f.time_ns]) for f in frames)
+
+
+def test_the_same_seed_makes_the_same_frames_bit_for_bit() -> None:
+    def frames(seed: int) -> list[SensorFrame]:
+        a, b, _ = simulated_pair(motion="arms", seed=seed, seconds=4.0, depth="half")
+        return [*a.frames(), *b.frames()]
+
+    first = frames(3)
+    assert all(map(same, first, frames(3)))
+    assert not any(map(same, first, frames(4)))
+
+
+def test_frames_depend_neither_on_how_they_are_asked_for_nor_on_the_other_sensor() -> None:
+    a, b, _ = simulated_pair(seed=5, seconds=3.0)
+    alone = list(a.frames())
+    interleaved = [pair[0] for pair in zip(a.frames(), b.frames(), strict=True)]
+    assert all(map(same, alone, interleaved))
+    started = a.frames()
+    next(started)
+    assert same(next(a.frames()), alone[0])  # a second reader begins again
+    assert same(next(started), alone[1])
+
+
+def test_depth_images_change_no_skeleton() -> None:
+    with_depth, _, _ = simulated_pair(seed=6, seconds=1.5, depth="half")
+    without, _, _ = simulated_pair(seed=6, seconds=1.5)
+    for one, other in zip(with_depth.frames(), without.frames(), strict=True):
+        assert one.depth is not None
+        assert same(replace(one, depth=None), other)
+
+
+@pytest.mark.parametrize(("depth", "size"), [("half", (288, 320)), ("full", (576, 640))])
+def test_depth_images_show_the_person_where_the_joints_are(depth: str, size: tuple[int, int]) -> None:
+    a, _, truth = simulated_pair(
+        motion="startup",
+        seconds=0.1,
+        depth=depth,  # type: ignore[arg-type]
+        errors=TrackerErrors.none(),
+        depth_errors=DepthErrors.none(),
+    )
+    frame = next(a.frames())
+    assert frame.depth is not None
+    assert frame.depth.shape == size == (a.intrinsics.height, a.intrinsics.width)
+    joints = frame.people[PERSON].positions.astype(np.float64)
+    shapes = capsules(truth.rig.world_from_sensor(0).inverse().apply(MOTIONS["startup"].landmarks(0.0)[0]))
+    for name in ("SPINE_CHEST", "PELVIS", "KNEE_RIGHT", "ELBOW_RIGHT"):
+        joint = joints[AZURE_KINECT.joint(name)]
+        u, v = np.rint(a.intrinsics.project(joint)).astype(int)
+        skin = joint[2] - frame.depth[v, u] * 1e-3
+        assert 0.0 < skin < 2.0 * shapes[:, 6].max()
+
+
+def test_a_simulated_kinect_is_a_sensor() -> None:
+    a, b, _ = simulated_pair(seconds=0.2)
+    sensor: Sensor = a
+    with sensor as opened:
+        assert len(list(opened.frames())) == 6
+    assert (a.name, b.name) == ("simulated a", "simulated b")
+    assert a.body is AZURE_KINECT
+
+
+def test_a_sensor_without_an_end_goes_on() -> None:
+    a, _, _ = simulated_pair(motion="still")
+    frames = a.frames()
+    assert [next(frames).time_ns for _ in range(100)][-1] == round(99 / 30 * 1e9)
+
+
+def test_what_makes_no_sense_is_refused_with_the_way_out() -> None:
+    with pytest.raises(DeviceError, match="walk"):
+        simulated_pair(motion="flying")
+    with pytest.raises(DeviceError, match="angle"):
+        simulated_pair(angle_deg=270.0)
+    with pytest.raises(DeviceError, match="height"):
+        simulated_pair(height=17.0)
+    with pytest.raises(DeviceError, match="seed"):
+        simulated_pair(seed=-1)
+    with pytest.raises(DeviceError, match="half"):
+        simulated_pair(depth="tiny")  # type: ignore[arg-type]
+    with pytest.raises(DeviceError, match="distance"):
+        Rig(distance=0.1)
+
+
+def test_b_is_not_a_copy_of_a() -> None:
+    a, b, truth = simulated_pair(seed=7, seconds=1.0, angle_deg=0.0, rig=Rig(angle_deg=0.0, skew_seconds=0.0))
+    np.testing.assert_allclose(truth.a_from_b.rotation, np.eye(3), atol=1e-12)
+    assert isinstance(a, SimulatedKinect)
+    pair = next(zip(a.frames(), b.frames(), strict=True))
+    assert not same(*pair)
+
+
+def test_the_truth_ahead_is_the_truth_a_second_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    a, _, truth = simulated_pair(motion="badminton", seconds=3.0)
+    times = [frame.time_ns for frame in a.frames()]
+    times[50:50] = [times[50] - 7_000_000]  # a pair without A's frame
+    exact = truth.positions_at(times)
+    asked: list[object] = []
+    real = Truth.positions_at
+    monkeypatch.setattr(Truth, "positions_at", lambda self, when: (asked.append(when), real(self, when))[1])
+    ahead = TruthAhead(truth)
+    np.testing.assert_array_equal([ahead(time) for time in times], exact)
+    assert len(asked) < len(times) / 10

@@ -1,0 +1,298 @@
+"""Claims about the simulated body tracker: each knob alone makes its own error, of the size it says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from devices.simulated.kinect import PERSON, simulated_pair
+from devices.simulated.realism.pair_statistics import run_lengths
+from devices.simulated.tracking.tracker import Tracker
+from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
+from fusion.body import AZURE_KINECT, BODIES, KINECT_V2, Body
+from fusion.intrinsics import NOMINAL_INTRINSICS
+from fusion.skeleton import Skeleton, TrackingState
+
+NONE = TrackerErrors.none()
+LENS = NOMINAL_INTRINSICS["azure_kinect"]
+FLOAT32 = 2.0**-23
+FRAME = 1 / 30
+
+
+def watch(
+    motion: str, errors: TrackerErrors, seconds: float = 20.0, seed: int = 0, body: Body = AZURE_KINECT
+) -> tuple[list[Skeleton | None], np.ndarray]:
+    """Sensor A's skeletons, and (T, J, 3) the truth in its frame."""
+    a, _, truth = simulated_pair(motion=motion, seconds=seconds, seed=seed, body=body, errors=errors)
+    frames = list(a.frames())
+    return (
+        [f.people.get(PERSON) for f in frames],
+        truth.positions_at([f.time_ns for f in frames]),
+    )
+
+
+def errors_of(skeletons: list[Skeleton | None], true: np.ndarray) -> np.ndarray:
+    """(T, J, 3) reported minus true; every frame must have a person."""
+    assert all(s is not None for s in skeletons)
+    return np.stack([s.positions for s in skeletons if s is not None]) - true
+
+
+def tracker(errors: TrackerErrors, seed: int = 0) -> Tracker:
+    flesh = np.full(len(AZURE_KINECT), 0.05)
+    return Tracker(AZURE_KINECT, errors, flesh, LENS, FRAME, np.random.default_rng(seed))
+
+
+def stand(errors: TrackerErrors, frames: int) -> tuple[list[Skeleton | None], np.ndarray]:
+    """What a tracker reports of someone who stands still with every joint in sight, and the truth."""
+    watching, at = tracker(errors), standing()
+    return [watching.report(at, np.ones(32), k) for k in range(frames)], np.tile(at, (frames, 1, 1))
+
+
+def standing() -> np.ndarray:
+    _, _, truth = simulated_pair(motion="startup", seconds=1.0)
+    return truth.positions_at(0)
+
+
+def test_without_errors_the_truth_is_reported_and_all_is_tracked() -> None:
+    skeletons, true = watch("walk", NONE, 6.0)
+    assert np.abs(errors_of(skeletons, true)).max() <= 4 * FLOAT32
+    assert all(s is not None and s.tracked.all() for s in skeletons)
+
+
+def test_knobs_that_shape_other_errors_do_nothing_alone() -> None:
+    real = TrackerErrors.of(KINECT_V2)
+    shapes = ("inferred_error", "inferred_jitter", "mistracked", "snap", "not_tracked", "outlier_size",
+              "rescale_seconds", "jitter_memory", "swap_seconds", "lost_seconds")  # fmt: skip
+    skeletons, true = watch("walk", real.only(*shapes), 6.0)
+    assert np.abs(errors_of(skeletons, true)).max() <= 4 * FLOAT32
+
+
+def test_jitter_has_the_size_the_knob_says_by_kind_of_joint() -> None:
+    jitter = JointGroups(spine=0.001, hand=0.008, thumb=0.02)
+    skeletons, true = stand(replace(NONE, jitter=jitter, jitter_memory=0.0), 1800)
+    spread = errors_of(skeletons, true).std(axis=(0, 2))
+    for name, size in (("SPINE_CHEST", 0.001), ("HAND_LEFT", 0.008), ("THUMB_RIGHT", 0.02)):
+        # 5400 samples: known to 1/√(2·5400) = 1 %; five times that.
+        assert spread[AZURE_KINECT.joint(name)] == pytest.approx(size, rel=0.05)
+    assert spread[AZURE_KINECT.joint("KNEE_LEFT")] < FLOAT32
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.7])
+def test_jitter_remembers_from_frame_to_frame(memory: float) -> None:
+    jitter = JointGroups(**dict.fromkeys(("spine", "elbow", "knee", "hand"), 0.01))
+    skeletons, true = stand(replace(NONE, jitter=jitter, jitter_memory=memory), 1200)
+    error = errors_of(skeletons, true)[
+        :, [AZURE_KINECT.joint(n) for n in ("PELVIS", "ELBOW_LEFT", "KNEE_LEFT")]
+    ]
+    correlation = np.mean(error[1:] * error[:-1]) / np.mean(error**2)
+    assert correlation == pytest.approx(memory, abs=5 / np.sqrt(error.size / 3))
+
+
+def test_moving_joints_jitter_more() -> None:
+    errors = replace(NONE, moving_jitter=0.01)
+    still, true = watch("still", errors, 10.0)
+    at_rest = np.abs(errors_of(still, true)).mean()
+    walking, true = watch("walk", errors, 10.0)
+    assert np.abs(errors_of(walking, true)[120:]).mean() > 10 * at_rest
+
+
+def test_the_views_bias_is_constant_for_one_view_and_changes_with_it() -> None:
+    errors = replace(NONE, view_bias=0.03)
+    skeletons, true = watch("turn", errors, 16.0)
+    error = errors_of(skeletons, true)
+    assert error[:60].std(axis=0).max() < 0.002  # facing one way: a constant, but for the sway's few degrees
+    assert np.ptp(error, axis=0).mean() > 0.02  # turning: it changes
+    assert np.abs(np.diff(error, axis=0)).max() < 0.02  # smoothly
+    assert error.std() == pytest.approx(0.03, rel=0.4)  # one draw for each of some 32 · 3 coordinates
+
+
+def test_the_skin_pulls_joints_towards_the_sensor_along_the_ray() -> None:
+    at = standing()
+    reported = tracker(replace(NONE, skin=0.5)).report(at, np.ones(32), 0)
+    assert reported is not None
+    shift = reported.positions - at
+    np.testing.assert_allclose(np.linalg.norm(shift, axis=1), 0.5 * 0.05, atol=4 * FLOAT32)
+    ray = at / np.linalg.norm(at, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.sum(shift * ray, axis=1), -0.5 * 0.05, atol=4 * FLOAT32)
+
+
+def test_the_whole_skeleton_rescales_by_one_factor() -> None:
+    skeletons, true = stand(replace(NONE, rescale=0.04, rescale_seconds=0.2), 1800)
+    body = AZURE_KINECT
+    at = errors_of(skeletons, true) + true
+    ratio = np.stack(
+        [
+            np.linalg.norm(at[:, j] - at[:, body.parents[j]], axis=1)
+            / np.linalg.norm(true[:, j] - true[:, body.parents[j]], axis=1)
+            for j in body.bone_joints
+        ]
+    )
+    assert np.ptp(ratio, axis=0).max() < 1e-4  # the same for all bones, to float32 over 3 cm
+    # 60 s hold about 60 / (2 · 0.2) = 150 independent scales: known to 1/√300 = 6 %; five times that.
+    assert ratio[0].std() == pytest.approx(0.04, rel=0.3)
+
+
+def test_hidden_joints_are_inferred_and_their_guess_errs_smoothly() -> None:
+    errors = replace(NONE, seen_share=0.35, inferred_error=0.08)
+    skeletons, true = watch("arms", errors, 14.0)
+    error = np.linalg.norm(errors_of(skeletons, true), axis=2)
+    inferred = np.stack([s.states == TrackingState.INFERRED for s in skeletons if s is not None])
+    hand = AZURE_KINECT.joint("HAND_RIGHT")  # sensor A stands on the person's right
+    behind_the_back = slice(int(11.6 * 30), int(13.2 * 30))
+    assert inferred[behind_the_back, hand].all()
+    assert error[behind_the_back, hand].mean() > 0.05
+    assert not inferred[:60, AZURE_KINECT.joint("KNEE_LEFT")].any()
+    assert np.median(error[inferred]) > 20 * np.median(error[~inferred])
+    # From one frame to the next a guess moves by a fraction of its error.
+    assert np.abs(np.diff(error[behind_the_back, hand])).max() < 0.06
+
+
+def test_a_hidden_joint_jitters_more_by_the_factor_the_knob_says() -> None:
+    jitter = JointGroups(elbow=0.01, knee=0.01)
+    at, visible = standing(), np.ones(32)
+    elbow, knee = AZURE_KINECT.joint("ELBOW_LEFT"), AZURE_KINECT.joint("KNEE_LEFT")
+    visible[elbow] = 0.0
+    watching = tracker(replace(NONE, seen_share=0.35, jitter=jitter, jitter_memory=0.0, inferred_jitter=3.0))
+    reported = [watching.report(at, visible, k) for k in range(1860)][60:]  # many times a guess takes over
+    spread = errors_of(reported, np.tile(at, (1800, 1, 1))).std(axis=(0, 2))
+    # 5400 samples each: known to 1/√(2·5400) = 1 %; five times that.
+    assert spread[elbow] == pytest.approx(0.03, rel=0.05)
+    assert spread[knee] == pytest.approx(0.01, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("knob", "state"), [("not_tracked", TrackingState.NOT_TRACKED), ("mistracked", TrackingState.TRACKED)]
+)
+def test_hidden_spells_meet_their_fate_in_the_share_the_knob_says(knob: str, state: TrackingState) -> None:
+    at, share, spells = standing(), 0.3, 100
+    watching = tracker(replace(NONE, seen_share=0.35, **{knob: share}))
+    found = []
+    for k in range(2 * spells):
+        reported = watching.report(at, np.full(32, (0.1, 1.0)[k % 2]), k)  # all hide in every other frame
+        assert reported is not None
+        if k % 2 == 0:
+            found.append(reported.states == state)
+        else:
+            assert reported.tracked.all()
+    # 3200 spells: known to √(0.3 · 0.7 / 3200) = 0.8 %; four times that.
+    assert np.mean(found) == pytest.approx(share, abs=0.033)
+
+
+def test_a_mistracked_joint_is_called_tracked_and_stands_where_the_joint_before_it_is() -> None:
+    at = standing()
+    body = AZURE_KINECT
+    hand, elbow = body.joint("HAND_LEFT"), body.joint("ELBOW_RIGHT")
+    # The left hand goes straight behind the right elbow, seen from the sensor.
+    at[hand] = at[elbow] * 1.15
+    visible = np.ones(32)
+    visible[hand] = 0.0
+    watching = tracker(replace(NONE, seen_share=0.35, mistracked=1.0, snap=1.0))
+    for _ in range(60):  # many times the time a guess takes over
+        reported = watching.report(at, visible, 0)
+    assert reported is not None
+    assert reported.tracked.all()
+    others = np.arange(32) != hand
+    np.testing.assert_allclose(reported.positions[hand], at[elbow], atol=1e-5)
+    np.testing.assert_allclose(reported.positions[others], at[others], atol=4 * FLOAT32)
+
+
+def test_a_hidden_joint_with_nothing_before_it_is_not_snapped_away() -> None:
+    at = standing()
+    visible = np.ones(32)
+    visible[AZURE_KINECT.joint("FOOT_RIGHT")] = 0.0
+    watching = tracker(replace(NONE, seen_share=0.35, mistracked=1.0, snap=1.0))
+    reported = watching.report(at, visible, 0)
+    assert reported is not None
+    np.testing.assert_allclose(reported.positions, at, atol=4 * FLOAT32)
+
+
+def test_unsure_joints_are_inferred_for_the_share_of_time_the_knob_says() -> None:
+    errors = replace(NONE, unsure=JointGroups(thumb=0.3))
+    skeletons, _ = stand(errors, 3600)
+    inferred = np.stack([s.states == TrackingState.INFERRED for s in skeletons if s is not None])
+    thumbs = [AZURE_KINECT.joint(n) for n in ("THUMB_LEFT", "THUMB_RIGHT")]
+    # 240 s of thumbs in spells of 0.4 s every 1.33 s: 180 spells; known to about 1/√180 = 7.5 %, times four.
+    assert inferred[:, thumbs].mean() == pytest.approx(0.3, rel=0.3)
+    assert inferred[:, [j for j in range(32) if j not in thumbs]].sum() == 0
+
+
+def test_left_and_right_are_swapped_in_runs_while_the_back_is_turned_and_never_else() -> None:
+    skeletons, true = watch("walk", replace(NONE, swapped=0.5, swap_seconds=0.5), 30.0)
+    at = errors_of(skeletons, true) + true
+    swapped = np.abs(at - true[:, AZURE_KINECT.mirror]).max(axis=(1, 2)) < 1e-5
+    plain = np.abs(at - true).max(axis=(1, 2)) < 1e-5
+    assert (swapped | plain).all()
+    left = true[:, AZURE_KINECT.joint("HIP_LEFT")] - true[:, AZURE_KINECT.joint("HIP_RIGHT")]
+    back_turned = left[:, 0] < 0.0  # the person's left is on the sensor's left
+    assert 0.1 < swapped[back_turned].mean() < 0.7
+    runs = run_lengths(swapped)
+    assert np.mean(runs) > 4
+    assert swapped[~back_turned].mean() < 0.03  # a run that began with the back turned may outlast it
+
+
+def test_the_stale_share_of_frames_repeats_the_one_before_with_a_new_time() -> None:
+    skeletons, _ = watch("walk", replace(NONE, stale=0.1), 20.0)
+    repeats = [s.repeats(before) for before, s in pairwise(skeletons) if s]
+    # 599 draws of 10 %: standard deviation 1.2 %; four times that.
+    assert np.mean(repeats) == pytest.approx(0.1, abs=0.05)
+    times = [s.time_ns for s in skeletons if s]
+    assert len(set(times)) == len(times)
+
+
+def test_the_person_is_lost_for_the_share_of_frames_and_comes_back() -> None:
+    skeletons, _ = stand(replace(NONE, lost=0.1, lost_seconds=0.4), 3600)
+    lost = np.array([s is None for s in skeletons])
+    assert lost.mean() == pytest.approx(0.1, rel=0.6)  # 30 spells: known to 18 %, three times that
+    assert np.mean(run_lengths(lost)) == pytest.approx(12, rel=0.6)
+    assert not lost[-200:].all()
+
+
+def test_outliers_stand_elsewhere_for_a_moment_though_tracked() -> None:
+    skeletons, true = stand(replace(NONE, outliers=0.02, outlier_size=0.2), 1800)
+    away = np.abs(errors_of(skeletons, true)).max(axis=2)
+    out = away > 1e-5
+    assert out.mean() == pytest.approx(0.02, rel=0.2)
+    assert away.max() <= 0.2 + 4 * FLOAT32
+    assert all(s is not None and s.tracked.all() for s in skeletons)
+
+
+def test_a_small_stretch_keeps_bones_near_their_length_where_joints_err() -> None:
+    loose = replace(NONE, view_bias=0.05)
+    body = AZURE_KINECT
+
+    def bone_errors(errors: TrackerErrors) -> np.ndarray:
+        skeletons, true = watch("startup", errors, 0.2)
+        at = errors_of(skeletons, true) + true
+        lengths = [
+            np.linalg.norm(x[:, body.bone_joints] - x[:, body.parent_indices[body.bone_joints]], axis=2)
+            for x in (at, true)
+        ]
+        return np.abs(lengths[0] - lengths[1])
+
+    freely, held = bone_errors(loose), bone_errors(replace(loose, stretch=0.25))
+    assert np.median(freely) > 0.01
+    # A held bone's parent has moved too, so its own error is another one; a quarter of something like it.
+    assert np.median(held) < 0.5 * np.median(freely)
+    assert bone_errors(replace(loose, stretch=0.0)).max() < 1e-6
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES.keys())
+def test_every_joint_of_every_body_has_a_kind(body: Body) -> None:
+    kinds = {name: JointGroups.group(name) for name in body.joints}
+    for name, kind in kinds.items():
+        plain = name.replace("_", "").lower()
+        if kind == "spine":
+            assert any(part in plain for part in ("spine", "pelvis", "neck", "center")), name
+    assert kinds[body.joints[body.joint("HandLeft")]] == "hand"
+
+
+def test_the_real_defaults_have_every_error_turned_on() -> None:
+    for body in BODIES.values():
+        errors = TrackerErrors.of(body)
+        for knob in TrackerErrors.knobs():
+            assert getattr(errors, knob) != getattr(NONE, knob) or knob in ("lost_seconds", "swap_seconds"), (
+                knob
+            )

@@ -1,0 +1,213 @@
+"""What the doctor finds on machines made up by the tests."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from devices.azure.checks import Check, device_checks
+from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.usb import usb_kinects
+from tests.helpers.standin_library import Standin
+from tests.helpers.standin_pyk4a import Bus, Device
+
+
+def _by_name(checks: list[Check]) -> dict[str, Check]:
+    named = {check.name: check for check in checks}
+    assert len(named) == len(checks)
+    return named
+
+
+def plug_in(
+    root: Path,
+    serial: str = "000123",
+    product: str = "097c",
+    speed: int = 5000,
+    number: int = 7,
+    vendor: str = "045e",
+) -> Path:
+    """Puts a depth camera on a made-up machine's bus, as Linux shows it."""
+    entry = root / "sys/bus/usb/devices" / f"2-{number}"
+    entry.mkdir(parents=True)
+    content = {
+        "idVendor": vendor,
+        "idProduct": product,
+        "serial": serial,
+        "busnum": "2",
+        "devnum": str(number),
+        "speed": str(speed),
+    }
+    for name, text in content.items():
+        (entry / name).write_text(text + "\n")
+    node = root / "dev/bus/usb/002" / f"{number:03d}"
+    node.parent.mkdir(parents=True, exist_ok=True)
+    node.touch()
+    return node
+
+
+@pytest.fixture
+def forbidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every device file refused, also to root."""
+    monkeypatch.setattr(os, "access", lambda *_: False)
+
+
+def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    checks = device_checks(TrackerSettings(library=tmp_path / "libk4abt.so"), tmp_path)
+    named = _by_name(checks)
+    for name in (
+        "pyk4a and the Sensor SDK",
+        "body tracker",
+        "body tracker's network",
+        "depth engine",
+        "USB permission",
+        "two Kinects",
+        "GPU",
+    ):
+        assert not named[name].ok, name
+        assert named[name].needed, name
+    assert all(check.advice for check in checks if not check.ok)
+    assert "pip install '.[kinect]'" in named["pyk4a and the Sensor SDK"].advice
+
+
+def furnish(root: Path) -> None:
+    """Puts on a made-up machine what the sensors and the tracker need beside their libraries."""
+    for file in (
+        "usr/bin/dnn_model_2_0_op11.onnx",
+        "usr/lib/x86_64-linux-gnu/libk4a1.4/libdepthengine.so.2.0",
+        "proc/driver/nvidia/version",
+    ):
+        (root / file).parent.mkdir(parents=True)
+        (root / file).touch()
+
+
+def test_a_machine_with_all_of_it_can_start(
+    bus: Bus, standin: Standin, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("DISPLAY", ":0")
+    furnish(tmp_path)
+    bus.devices = [Device("000123", jacks=(False, True)), Device("000456", jacks=(True, False))]
+    for number, serial in enumerate(("000123", "000456")):
+        plug_in(tmp_path, serial, number=number)
+    checks = device_checks(TrackerSettings(library=standin.path), tmp_path)
+    assert [check.name for check in checks if check.needed and not check.ok] == []
+    named = _by_name(checks)
+    assert named["Kinect 000123"].detail == "sync in empty, sync out connected"
+    assert named["Kinect 000456"].detail == "sync in connected, sync out empty"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere no display is asked for")
+@pytest.mark.parametrize(
+    ("lacks", "check", "needed"),
+    [
+        ("DISPLAY", "depth engine", True),
+        ("libdepthengine", "depth engine", False),
+        ("nvidia", "GPU", True),
+        ("onnx", "body tracker's network", True),
+    ],
+)
+@pytest.mark.usefixtures("bus")
+def test_one_thing_that_is_missing_is_the_one_that_fails(
+    standin: Standin, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, lacks: str, check: str, needed: bool
+) -> None:
+    monkeypatch.setenv("DISPLAY", "" if lacks == "DISPLAY" else ":0")
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    furnish(tmp_path)
+    for file in tmp_path.rglob("*"):
+        if lacks in str(file.relative_to(tmp_path)) and file.is_file():
+            file.unlink()
+    named = _by_name(device_checks(TrackerSettings(library=standin.path), tmp_path))
+    wanted = {"depth engine", "GPU", "body tracker's network", "body tracker"}
+    assert [name for name in named if name in wanted and not named[name].ok] == [check]
+    assert named[check].needed == needed
+    assert named[check].advice
+
+
+def test_a_tracker_on_the_cpu_needs_no_gpu(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    gpu = _by_name(device_checks(TrackerSettings(processing="cpu"), tmp_path))["GPU"]
+    assert (gpu.ok, gpu.needed) == (False, False)
+    assert "hardly ever pair" in gpu.advice
+    assert "duplex fuse" in gpu.advice
+
+
+def test_an_orbbecs_udev_rule_counts_too(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    rules = tmp_path / "etc/udev/rules.d"
+    rules.mkdir(parents=True)
+    assert not _by_name(device_checks(root=tmp_path))["USB permission"].ok
+    (rules / "99-obsensor-libusb.rules").touch()
+    assert _by_name(device_checks(root=tmp_path))["USB permission"].ok
+
+
+@pytest.mark.parametrize(("vendor", "product"), [("045e", "097c"), ("2bc5", "066b"), ("2bc5", "0669")])
+def test_the_azure_kinect_and_its_successors_are_known(tmp_path: Path, vendor: str, product: str) -> None:
+    plug_in(tmp_path, product=product, vendor=vendor)
+    assert [kinect.serial for kinect in usb_kinects(tmp_path)] == ["000123"]
+
+
+def test_it_says_what_has_never_met_hardware(bus: Bus, tmp_path: Path) -> None:
+    assert bus.devices == []
+    unproven = _by_name(device_checks(root=tmp_path))["proven on hardware"]
+    assert "never a real sensor" in unproven.detail
+    assert not unproven.needed
+
+
+def test_one_kinect_is_not_enough(bus: Bus, tmp_path: Path) -> None:
+    bus.devices = [Device("000123"), Device("000456", busy=True)]
+    named = _by_name(device_checks(root=tmp_path))
+    assert not named["two Kinects"].ok
+    assert named["two Kinects"].detail == "2 connected, 1 usable"
+    assert "busy" in named["Kinect at place 1"].detail
+    assert "k4aviewer" in named["Kinect at place 1"].advice
+
+
+def test_of_three_kinects_two_must_be_chosen_as_for_live(bus: Bus, tmp_path: Path) -> None:
+    bus.devices = [Device("1"), Device("2", jacks=(False, True)), Device("3", jacks=(True, False))]
+    named = _by_name(device_checks(root=tmp_path))
+    assert (named["two Kinects"].ok, named["two Kinects"].needed) == (False, True)
+    assert (
+        named["two Kinects"].advice == "3 Kinects are connected: 1, 2, 3. Choose two: --kinect-a, --kinect-b."
+    )
+    named = _by_name(device_checks(root=tmp_path, choice=("3", "2", None)))
+    assert named["two Kinects"].ok
+    assert named["sync cable"].detail == "from 2 to 3"
+    named = _by_name(device_checks(root=tmp_path, choice=(None, "1", "2")))
+    assert (named["sync cable"].ok, named["sync cable"].needed) == (False, True)
+    named = _by_name(device_checks(root=tmp_path, choice=("9", "2", None)))
+    assert "No Kinect with serial 9" in named["two Kinects"].advice
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux restricts USB devices")
+@pytest.mark.usefixtures("forbidden")
+def test_missing_usb_permission_names_the_rule(tmp_path: Path) -> None:
+    node = plug_in(tmp_path)
+    check = _by_name(device_checks(root=tmp_path))["USB permission"]
+    assert not check.ok
+    assert str(node) in check.detail
+    assert "99-k4a.rules" in check.advice
+
+
+def test_a_usb_2_port_is_told(tmp_path: Path) -> None:
+    plug_in(tmp_path, speed=480)
+    check = _by_name(device_checks(root=tmp_path))["USB speed"]
+    assert (check.ok, check.detail) == (False, "000123 runs at 480 Mbit/s")
+
+
+def test_the_bus_shows_depth_cameras_only(tmp_path: Path) -> None:
+    plug_in(tmp_path, number=1)
+    plug_in(tmp_path, product="097d", number=2)  # the colour camera of the same Kinect
+    (kinect,) = usb_kinects(tmp_path)
+    assert (kinect.serial, kinect.megabits, kinect.allowed) == ("000123", 5000, True)
+    assert kinect.node.name == "001"

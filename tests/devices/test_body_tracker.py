@@ -1,0 +1,261 @@
+"""The binding to libk4abt, against a stand-in with its prototypes and struct sizes."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
+from devices.azure.tracking.recorded_captures import CaptureMaker
+from devices.azure.tracking.tracker_queue import TrackerQueue
+from devices.sensor import DeviceError, SensorFrame
+from fusion.skeleton import TrackingState
+from tests.helpers.standin_library import Standin
+
+TIME_NS = 123_456_000
+
+
+def _frame(time_ns: int = TIME_NS, millimetres: int = 2500) -> SensorFrame:
+    image = np.full((576, 640), millimetres, np.uint16)
+    return SensorFrame(time_ns, depth=image, ir=image)
+
+
+class _Rig:
+    """An open tracker and something to feed it."""
+
+    def __init__(self, standin: Standin, **settings: object) -> None:
+        self.maker = CaptureMaker(standin.path)
+        self.calibration = self.maker.calibration(b"{}", "NFOV_UNBINNED")
+        self.tracker = BodyTracker(TrackerSettings(library=standin.path, **settings))  # type: ignore[arg-type]
+
+    def open(self) -> None:
+        self.tracker.open(ctypes.addressof(self.calibration))
+
+    def enqueue(self, frame: SensorFrame) -> None:
+        with self.maker.capture(frame) as capture:
+            self.tracker.enqueue(capture)
+
+
+@contextmanager
+def rig(standin: Standin, **settings: object) -> Iterator[_Rig]:
+    result = _Rig(standin, **settings)
+    result.open()
+    try:
+        yield result
+    finally:
+        result.tracker.close()
+
+
+def test_joints_come_in_metres_with_their_states_and_time(standin: Standin) -> None:
+    with rig(standin) as r:
+        r.enqueue(_frame())
+        bodies = r.tracker.pop()
+    assert bodies is not None
+    assert bodies.time_ns == TIME_NS
+    skeleton = bodies.people["7"]
+    assert skeleton.time_ns == TIME_NS
+    # The stand-in puts joint j at (j, -10 j, depth) mm, with confidence j mod 4.
+    joints = np.arange(32)
+    expected = np.stack((joints / 1000, joints / -100, np.full(32, 2.5)), axis=-1)
+    seen = joints % 4 != 0
+    np.testing.assert_allclose(skeleton.positions[seen], expected[seen], rtol=1e-6)
+    assert np.isnan(skeleton.positions[~seen]).all()
+    states = [TrackingState.NOT_TRACKED, TrackingState.INFERRED, TrackingState.TRACKED, TrackingState.TRACKED]
+    assert skeleton.states.tolist() == [states[j % 4] for j in joints]
+
+
+def test_every_body_comes_with_its_id(standin: Standin) -> None:
+    standin.bodies, standin.first_id = 3, 41
+    with rig(standin) as r:
+        r.enqueue(_frame())
+        bodies = r.tracker.pop()
+    assert bodies is not None
+    assert list(bodies.people) == ["41", "42", "43"]
+    assert [round(float(s.positions[1, 0]), 3) for s in bodies.people.values()] == [0.001, 1.001, 2.001]
+
+
+def test_a_body_without_an_id_is_left_out(standin: Standin) -> None:
+    standin.first_id = 0xFFFFFFFF
+    with rig(standin) as r:
+        r.enqueue(_frame())
+        bodies = r.tracker.pop()
+    assert bodies is not None
+    assert bodies.people == {}
+
+
+def test_an_empty_room_has_no_people(standin: Standin) -> None:
+    standin.bodies = 0
+    with rig(standin) as r:
+        r.enqueue(_frame())
+        bodies = r.tracker.pop()
+    assert bodies is not None
+    assert bodies.people == {}
+
+
+@pytest.mark.parametrize(
+    ("processing", "number"), [("gpu", 0), ("cpu", 1), ("cuda", 2), ("tensorrt", 3), ("directml", 4)]
+)
+def test_the_configuration_reaches_the_library(
+    standin: Standin, tmp_path: Path, processing: str, number: int
+) -> None:
+    model = tmp_path / "network.onnx"
+    model.touch()
+    with rig(standin, processing=processing, gpu=1, orientation="flip180", model=model, smoothing=0.25):
+        assert (standin.processing, standin.gpu, standin.orientation) == (number, 1, 3)
+        assert (standin.model, standin.smoothing) == (str(model), 0.25)
+
+
+def test_smoothing_is_switched_off_by_default(standin: Standin) -> None:
+    with rig(standin):
+        assert (standin.smoothing, standin.model) == (0.0, "")
+
+
+def test_every_wait_is_finite(standin: Standin) -> None:
+    with rig(standin, timeout_s=2.0) as r:
+        r.enqueue(_frame())
+        assert standin.wait_ms == 20_000  # ten times as long until the first result
+        r.tracker.pop()
+        assert standin.wait_ms == 20_000
+        r.enqueue(_frame())
+        assert standin.wait_ms == 2000
+        r.tracker.pop(0.025)
+        assert standin.wait_ms == 25
+
+
+def test_no_result_yet_is_none(standin: Standin) -> None:
+    with rig(standin) as r:
+        assert r.tracker.pop(0.0) is None
+
+
+def test_tracker_stalls_when_no_result_comes(standin: Standin) -> None:
+    with rig(standin, timeout_s=2.0) as r:
+        r.enqueue(_frame())
+        standin.pop_status = 2
+        with pytest.raises(DeviceError, match=r"stalls: it gave no result for 20 s.*track later"):
+            r.tracker.pop()
+
+
+def test_tracker_stalls_when_it_takes_no_capture(standin: Standin) -> None:
+    with rig(standin) as r:
+        standin.enqueue_status = 2
+        with pytest.raises(DeviceError, match="stalls: it took no capture"):
+            r.enqueue(_frame())
+
+
+def test_tracker_crashes_to_an_error_code(standin: Standin) -> None:
+    with rig(standin) as r:
+        r.enqueue(_frame())
+        standin.pop_status = 1
+        with pytest.raises(DeviceError, match=r"failed \(status 1\).*started again"):
+            r.tracker.pop()
+
+
+def test_a_refused_capture_says_why(standin: Standin) -> None:
+    with rig(standin) as r:
+        standin.enqueue_status = 1
+        with pytest.raises(DeviceError, match=r"refused a capture \(status 1\).*not pyk4a-bundle"):
+            r.enqueue(_frame())
+
+
+def test_a_tracker_that_does_not_start_says_what_to_check(standin: Standin) -> None:
+    standin.create_status = 1
+    with pytest.raises(DeviceError, match=r"did not start \(status 1, gpu\).*onnx.*processing cpu"):
+        _Rig(standin).open()
+
+
+def test_a_depth_mode_the_tracker_cannot_use_is_refused(standin: Standin) -> None:
+    maker = CaptureMaker(standin.path)
+    calibration = maker.calibration(b"{}", "WFOV_UNBINNED")
+    with pytest.raises(DeviceError, match="NFOV_UNBINNED nor WFOV_2X2BINNED"):
+        BodyTracker(TrackerSettings(library=standin.path)).open(ctypes.addressof(calibration))
+
+
+def test_a_calibration_the_sdk_refuses_is_told(standin: Standin) -> None:
+    standin.calibration_status = 1
+    with pytest.raises(DeviceError, match="refuses the recording's calibration"):
+        CaptureMaker(standin.path).calibration(b"{}", "NFOV_UNBINNED")
+
+
+def test_a_frame_without_infrared_cannot_be_tracked(standin: Standin) -> None:
+    depth = np.zeros((576, 640), np.uint16)
+    with (
+        pytest.raises(DeviceError, match="needs depth and infrared"),
+        CaptureMaker(standin.path).capture(SensorFrame(0, depth=depth)),
+    ):
+        pass
+
+
+def test_settings_out_of_range_are_told(standin: Standin, tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match=r"Smoothing is 0 to 1, not 1\.5"):
+        _Rig(standin, smoothing=1.5).open()
+    with pytest.raises(DeviceError, match="No network at"):
+        _Rig(standin, model=tmp_path / "none.onnx").open()
+
+
+def test_a_missing_library_says_how_to_get_it(tmp_path: Path) -> None:
+    missing = TrackerSettings(library=tmp_path / "libk4abt.so")
+    with pytest.raises(DeviceError, match=r"No library at .*libk4abt\.so.*--k4abt PATH"):
+        BodyTracker(missing).open(0)
+
+
+def test_a_library_that_is_none_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "libk4abt.so"
+    path.write_text("not a library")
+    with pytest.raises(DeviceError, match=r"cannot be loaded.*Body Tracking SDK"):
+        BodyTracker(TrackerSettings(library=path)).open(0)
+
+
+def test_another_library_is_told() -> None:
+    import _ctypes
+
+    with pytest.raises(DeviceError, match=r"has no k4abt_tracker_create: it is not libk4abt 1\.1"):
+        BodyTracker(TrackerSettings(library=Path(_ctypes.__file__))).open(0)
+
+
+def test_a_closed_tracker_refuses_work(standin: Standin) -> None:
+    tracker = BodyTracker(TrackerSettings(library=standin.path))
+    with pytest.raises(DeviceError, match="not open"):
+        tracker.pop()
+    tracker.close()
+
+
+def test_opening_again_leaves_no_tracker_behind(standin: Standin) -> None:
+    with rig(standin) as r:
+        r.open()
+        assert standin.alive == 1
+
+
+def test_queue_joins_each_frame_with_its_own_people(standin: Standin) -> None:
+    with rig(standin) as r:
+        queue, out = TrackerQueue(r.tracker, wait_s=0.0), []
+        for index in range(5):
+            frame = _frame(TIME_NS + index * 33_333_000, 2000 + index)
+            with r.maker.capture(frame) as capture:
+                queue.put(frame, capture)
+            out += queue.done()
+        out += queue.flush()
+    assert [frame.time_ns for frame in out] == [TIME_NS + index * 33_333_000 for index in range(5)]
+    depths = [float(frame.people["7"].positions[1, 2]) for frame in out]
+    np.testing.assert_allclose(depths, [2.0, 2.001, 2.002, 2.003, 2.004], rtol=1e-6)
+
+
+def test_queue_waits_only_while_more_than_two_are_at_work(standin: Standin) -> None:
+    with rig(standin, timeout_s=2.0) as r:
+        queue = TrackerQueue(r.tracker, wait_s=0.025)
+        standin.pop_status = 2
+        for index in range(2):
+            frame = _frame(TIME_NS + index * 33_333_000)
+            with r.maker.capture(frame) as capture:
+                queue.put(frame, capture)
+            assert list(queue.done()) == []
+            assert standin.wait_ms == 25
+        frame = _frame(TIME_NS + 2 * 33_333_000)
+        with r.maker.capture(frame) as capture:
+            queue.put(frame, capture)
+        with pytest.raises(DeviceError, match="stalls"):
+            list(queue.done())

@@ -1,0 +1,311 @@
+"""Live sensors, through a stand-in for pyk4a with the real module's names and capsules."""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.azure.kinect import KinectSensor, KinectSettings
+from devices.azure.pyk4a_access import ConnectedKinect, capsule_pointer, connected_kinects
+from devices.azure.sensor_roles import NeedsChoiceError, choose_two, sync_master
+from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.live.sensor_thread import SensorThread
+from devices.sensor import ColorCamera, ColorImage, DeviceError, Interruptible
+from fusion.intrinsics import Intrinsics
+from fusion.rigid import RigidTransform
+from tests.helpers.standin_library import Standin
+from tests.helpers.standin_pyk4a import JPEG, Bus, Device
+
+
+@pytest.fixture
+def two(bus: Bus) -> Bus:
+    bus.devices = [Device("000456", jacks=(True, False)), Device("000123", jacks=(False, True))]
+    return bus
+
+
+def _sensor(serial: str = "000123", **settings: object) -> KinectSensor:
+    return KinectSensor(serial, KinectSettings(**settings), track=False)  # type: ignore[arg-type]
+
+
+def test_a_sensor_is_found_by_its_serial_not_its_place(two: Bus) -> None:
+    with _sensor() as sensor:
+        assert two.open_serials == ["000123"]
+        assert two.started == ["000123"]
+        assert sensor.name == "000123"
+    assert two.open_serials == []
+
+
+@pytest.mark.usefixtures("two")
+def test_frames_carry_depth_and_the_sensors_own_time() -> None:
+    with _sensor(infrared=True) as sensor:
+        first, second = itertools.islice(sensor.frames(), 2)
+    assert (first.time_ns, second.time_ns) == (1_033_333_000, 1_066_666_000)
+    assert first.depth is not None
+    assert second.ir is not None
+    assert first.depth.dtype == np.uint16
+    assert (int(first.depth[0, 0]), int(second.ir[0, 0])) == (2001, 900)
+    assert first.host_ns is not None
+    assert second.host_ns is not None
+    assert first.host_ns <= second.host_ns
+
+
+def test_frames_that_the_sdk_had_no_room_for_are_counted(two: Bus) -> None:
+    (device,) = (device for device in two.devices if device.serial == "000123")
+    device.skips = 3  # the tracker takes four frames' time for each
+    thread = SensorThread(sensor := _sensor())
+    with sensor:
+        frames = sensor.frames()
+        next(frames)
+        assert sensor.missed == 0, "before the first frame nothing is known"
+        next(frames)
+        next(frames)
+        assert sensor.missed == thread.dropped == 6
+        device.skips, device.clock_usec = 0, 5_000  # a reset
+        next(frames)
+        next(frames)
+        device.interval_usec = 40_000  # 5 fps slower: nothing is missing
+        next(frames)
+        assert sensor.missed == 6
+    device.clock_usec += 10_000_000
+    with sensor:
+        next(sensor.frames())
+    assert sensor.missed == 6, "closed meanwhile"
+
+
+@pytest.mark.usefixtures("two")
+def test_intrinsics_are_the_calibrations_in_opencvs_order() -> None:
+    with _sensor() as sensor:
+        lens = sensor.intrinsics
+    assert lens is not None
+    assert (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy) == (640, 576, 504, 505, 332, 348)
+    assert lens.distortion == (0.5, -0.02, 1e-5, -7e-5, -0.003, 0.9, 0.09, -0.01)
+
+
+def test_the_gil_is_never_held_and_every_wait_is_finite(two: Bus) -> None:
+    with _sensor(timeout_ms=400) as sensor:
+        next(sensor.frames())
+    connected_kinects()
+    assert set(two.thread_safe) == {False}
+    assert set(two.timeouts) == {400}
+
+
+def test_a_subordinate_captures_later_than_its_master(two: Bus) -> None:
+    with _sensor("000456", sync="subordinate"), _sensor("000123", sync="master"):
+        subordinate, master = two.configs
+    assert (subordinate.wired_sync_mode, subordinate.subordinate_delay_off_master_usec) == (2, 160)
+    assert (master.wired_sync_mode, master.subordinate_delay_off_master_usec) == (1, 0)
+    assert two.started == ["000456", "000123"]
+
+
+def test_colour_off_asks_for_unsynchronised_images(two: Bus) -> None:
+    with _sensor():
+        pass
+    with _sensor(color="1080P"):
+        pass
+    off, on = two.configs
+    assert (off.color_resolution, off.synchronized_images_only) == (0, False)
+    assert (on.color_resolution, on.synchronized_images_only, on.color_format) == (2, True, 0)
+
+
+def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two: Bus) -> None:
+    for device in two.devices:
+        device.color = True
+    with _sensor(color="720P") as sensor:
+        (frame,) = itertools.islice(sensor.frames(), 1)
+    assert frame.color is not None
+    assert frame.color.jpeg == JPEG
+    lens = frame.color.camera.intrinsics
+    assert (lens.width, lens.height, lens.fx, lens.cy) == (1280, 720, 610, 365)
+    assert frame.color.camera.color_from_depth.translation.tolist() == [-0.032, 0.0, 0.004]
+
+
+def test_a_thousand_openings_of_sensor_and_tracker_leak_nothing(bus: Bus, standin: Standin) -> None:
+    bus.native, bus.devices = standin.library, [Device("000123")]
+    descriptors = Path("/proc/self/fd")
+
+    def cycle() -> None:
+        sensor = KinectSensor("000123", tracker=TrackerSettings(library=standin.path))
+        with SensorThread(sensor) as thread:
+            while thread.received == 0:
+                thread.arrival.wait(10.0)
+                thread.arrival.clear()
+
+    def held() -> tuple[int, int, object]:
+        gc.collect()
+        open_files = len(list(descriptors.iterdir())) if descriptors.is_dir() else 0
+        return threading.active_count(), open_files, standin.alive
+
+    cycle()
+    before = held()
+    for _ in range(1000):
+        cycle()
+    assert held() == before == (*before[:2], 0)
+    assert bus.open_serials == []
+
+
+@pytest.mark.usefixtures("two")
+def test_a_colour_image_that_is_cut_off_is_left_out() -> None:
+    camera = ColorCamera(Intrinsics(128, 72, 60, 60, 64, 36), RigidTransform.identity())
+    assert ColorImage.of(JPEG, camera) is not None
+    for damaged in (b"", JPEG[:-1], JPEG[1:], JPEG[: len(JPEG) // 2]):
+        assert ColorImage.of(damaged, camera) is None
+    with _sensor(color="720P") as sensor:  # whose captures have no colour here
+        (frame,) = itertools.islice(sensor.frames(), 1)
+    assert frame.color is None
+    assert frame.depth is not None
+
+
+@pytest.mark.parametrize(("sync", "jack"), [("master", "out"), ("subordinate", "in")])
+def test_a_missing_sync_cable_is_explained(bus: Bus, sync: str, jack: str) -> None:
+    bus.devices = [Device("000123")]
+    with pytest.raises(DeviceError, match=rf"no cable is in its sync {jack} jack.*3\.5 mm"):
+        _sensor(sync=sync).__enter__()
+    assert bus.open_serials == []
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"depth_mode": "PASSIVE_IR"}, r"PASSIVE_IR is not supported\. Supported: NFOV"),
+        ({"depth_mode": "WFOV_UNBINNED"}, "at most, not 30"),
+        ({"color": "4K"}, "No colour mode 4K"),
+    ],
+)
+def test_a_mode_the_sensor_lacks_is_refused(two: Bus, settings: dict[str, object], message: str) -> None:
+    with pytest.raises(DeviceError, match=message):
+        _sensor(**settings).__enter__()
+    assert two.open_serials == []
+
+
+def test_people_come_with_the_frame_they_are_in(bus: Bus, standin: Standin) -> None:
+    bus.native, bus.devices = standin.library, [Device("000123")]
+    with KinectSensor("000123", tracker=TrackerSettings(library=standin.path)) as sensor:
+        frames = list(itertools.islice(sensor.frames(), 5))
+    for frame in frames:
+        assert frame.depth is not None
+        skeleton = frame.people["7"]
+        assert skeleton.time_ns == frame.time_ns
+        # The stand-in tracker puts joints at the depth of the first pixel of the capture it was given.
+        assert skeleton.positions[1, 2] == np.float32(frame.depth[0, 0] / 1000)
+    gc.collect()
+
+
+def test_a_handle_of_another_pyk4a_is_refused(two: Bus) -> None:
+    with _sensor() as sensor:
+        calibration = sensor._device.calibration
+        with pytest.raises(DeviceError, match=r"no 'pyk4a capture handle'.*another version"):
+            capsule_pointer(calibration._calibration_handle, b"pyk4a capture handle")
+    assert two.open_serials == []
+
+
+def test_interrupting_ends_the_wait_of_a_silent_sensor(two: Bus) -> None:
+    two.devices[1].silent = True
+    sensor = _sensor(stall_s=1e9)
+    assert isinstance(sensor, Interruptible)
+    with sensor:
+        threading.Timer(0.05, sensor.interrupt).start()
+        assert list(sensor.frames()) == []
+
+
+def test_cameras_that_do_not_start_leave_the_sensor_closed(two: Bus) -> None:
+    two.devices[1].starts = False
+    with pytest.raises(DeviceError, match=r"did not start its cameras.*two USB controllers"):
+        _sensor().__enter__()
+    assert two.open_serials == []
+
+
+def test_a_tracker_that_is_missing_leaves_the_sensor_closed(two: Bus, tmp_path: object) -> None:
+    sensor = KinectSensor("000123", tracker=TrackerSettings(library=tmp_path / "libk4abt.so"))  # type: ignore[operator]
+    with pytest.raises(DeviceError, match="No library at"):
+        sensor.__enter__()
+    assert two.open_serials == []
+
+
+def test_without_pyk4a_the_way_to_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    with pytest.raises(DeviceError, match=r"pyk4a.*pip install '\.\[kinect\]'"):
+        connected_kinects()
+
+
+@pytest.mark.usefixtures("two")
+def test_the_second_sensor_of_this_program_is_not_called_busy() -> None:
+    with (
+        _sensor("000123"),
+        pytest.raises(DeviceError, match=r"No Kinect with serial 000999\. Connected: 000123"),
+    ):
+        _sensor("000999").__enter__()
+
+
+def test_connected_sensors_are_listed_with_their_jacks(two: Bus) -> None:
+    two.devices.append(Device("000789", busy=True))
+    a, b, c = connected_kinects()
+    assert a == ConnectedKinect(0, "000456", True, False)
+    assert b == ConnectedKinect(1, "000123", False, True)
+    assert c.serial is None
+    assert "busy" in c.fault
+    assert two.open_serials == []
+
+
+A, B = ConnectedKinect(0, "000123", False, False), ConnectedKinect(1, "000456", False, False)
+C = ConnectedKinect(2, "000789", False, False)
+
+
+def test_two_sensors_and_no_name_asks_which_is_which() -> None:
+    with pytest.raises(NeedsChoiceError, match="--principal 000123 or --principal 000456") as asked:
+        choose_two([B, A])
+    assert asked.value.serials == ("000123", "000456")
+
+
+@pytest.mark.parametrize(
+    ("names", "chosen"),
+    [
+        ({"principal": "000456"}, ("000456", "000123")),
+        ({"a": "000456"}, ("000456", "000123")),
+        ({"b": "000456"}, ("000123", "000456")),
+        ({"a": "000123", "b": "000456"}, ("000123", "000456")),
+    ],
+)
+def test_one_name_leaves_the_other_to_what_is_connected(
+    names: dict[str, str], chosen: tuple[str, str]
+) -> None:
+    assert choose_two([A, B], **names) == chosen
+
+
+@pytest.mark.parametrize(
+    ("connected", "names", "message"),
+    [
+        ([A, B], {"a": "000999"}, r"No Kinect with serial 000999\. Connected: 000123, 000456"),
+        ([A, B], {"a": "000123", "b": "000123"}, "both 000123"),
+        ([A, B, C], {}, "3 Kinects are connected"),
+    ],
+)
+def test_a_choice_that_cannot_be_made_is_explained(
+    connected: list[ConnectedKinect], names: dict[str, str], message: str
+) -> None:
+    with pytest.raises(DeviceError, match=message):
+        choose_two(connected, **names)
+
+
+def _jacks(serial: str, sync_in: bool, sync_out: bool) -> ConnectedKinect:
+    return ConnectedKinect(0, serial, sync_in, sync_out)
+
+
+def test_the_master_is_where_the_cable_leads_out() -> None:
+    leads, follows = _jacks("000456", False, True), _jacks("000123", True, False)
+    assert sync_master(follows, leads) == sync_master(leads, follows) == "000456"
+
+
+def test_without_a_cable_nobody_leads() -> None:
+    assert sync_master(A, B) is None
+
+
+def test_a_cable_that_joins_no_out_to_an_in_is_explained() -> None:
+    wrong = _jacks("000123", True, False), _jacks("000456", True, False)
+    with pytest.raises(DeviceError, match="000123: in connected, out empty; 000456: in connected"):
+        sync_master(*wrong)

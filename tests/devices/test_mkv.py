@@ -1,0 +1,234 @@
+"""Azure Kinect recordings: a real one, longer ones in the same layout, and broken ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from devices.azure.recording.mkv import MkvRecording
+from devices.sensor import ColorImage, DeviceError
+from tests.helpers.mkv_writer import INTERVAL_US, depth_image, write_mkv
+
+FRAMES = 12
+_EXAMPLES = settings(
+    max_examples=60,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_mkv(tmp_path_factory.mktemp("mkv") / "whole.mkv", FRAMES, color=True)
+
+
+def _pixels(color: ColorImage) -> np.ndarray:
+    return cv2.imdecode(np.frombuffer(color.jpeg, np.uint8), cv2.IMREAD_COLOR)
+
+
+def test_frames_can_be_read_again(recording: Path) -> None:
+    with MkvRecording(recording) as opened:
+        begun = opened.frames()
+        first = next(begun)
+        times = [[frame.time_ns for frame in opened.frames()] for _ in range(2)]
+        assert times[0] == times[1] == [first.time_ns + 1000 * k * INTERVAL_US for k in range(FRAMES)]
+        assert len(list(begun)) == FRAMES - 1
+        assert opened.warnings == []
+
+
+def test_real_recording_gives_its_one_capture(shared: Path) -> None:
+    with MkvRecording(shared / "azure" / "recording.mkv") as recording:
+        (frame,) = recording.frames()
+        info = recording.info
+        assert recording.warnings == []
+    # Start offset 336.277 ms and packet time 463.945 ms, both in the file's own metadata.
+    assert frame.time_ns == 336_277_000 + 463_945_000
+    assert frame.depth is not None
+    assert frame.ir is not None
+    assert frame.color is not None
+    assert (frame.depth.shape, frame.ir.shape) == ((576, 640), (576, 640))
+    assert _pixels(frame.color).shape == (720, 1280, 3)
+    # A room: most pixels have a reading, none beyond the sensor's 5.5 m; a wrong byte order gives 65 m.
+    assert (frame.depth > 0).mean() > 0.5
+    assert frame.depth.max() < 5500
+    assert info is not None
+    assert (info.serial, info.sync_mode, info.depth_mode) == ("001514394512", "STANDALONE", "NFOV_UNBINNED")
+
+
+def test_real_calibration_is_that_of_its_modes(shared: Path) -> None:
+    with MkvRecording(shared / "azure" / "recording.mkv") as recording:
+        assert recording.info is not None
+        calibration = recording.info.calibration
+    assert calibration.color is not None
+    depth, color = calibration.depth, calibration.color.intrinsics
+    # The rule that was checked against the SDK, with the numbers in the file.
+    assert depth.fx == pytest.approx(0.4927808940410614 * 1024)
+    assert depth.cx == pytest.approx(0.51296979188919067 * 1024 - 192.5)
+    assert depth.cy == pytest.approx(0.51692354679107666 * 1024 - 180.5)
+    # The file orders k1..k6, codx, cody, p2, p1; OpenCV k1, k2, p1, p2, k3..k6.
+    assert depth.distortion[:5] == pytest.approx(
+        (
+            0.54793977737426758,
+            -0.020971370860934258,
+            2.0557534298859537e-05,
+            -7.2104157879948616e-05,
+            -0.00265223,
+        )
+    )
+    assert depth.distortion[5:] == pytest.approx(
+        (0.88967907428741455, 0.086130209267139435, -0.013910384848714)
+    )
+    assert color.fy == pytest.approx(0.63742393255233765 * 960)
+    assert color.cy == pytest.approx(0.50661760568618774 * 960 - 120.5)
+    # The colour camera stands 32 mm beside the depth camera and looks 5 degrees (0.0863 rad) further up.
+    aside = calibration.color.color_from_depth.translation
+    assert aside[0] == pytest.approx(-0.0321, abs=1e-4)
+    assert np.linalg.norm(aside) == pytest.approx(0.0324, abs=2e-4)
+
+
+def test_real_imu_measures_gravity(shared: Path) -> None:
+    (sample,) = MkvRecording(shared / "azure" / "recording.mkv").imu()
+    assert np.linalg.norm(sample.acceleration) == pytest.approx(9.81, abs=0.15)
+    assert sample.time_ns == 336_277_000
+
+
+def test_frames_come_in_order_with_their_images(recording: Path) -> None:
+    with MkvRecording(recording) as source:
+        frames = list(source.frames())
+        assert source.warnings == []
+    assert [f.time_ns for f in frames] == [336_277_000 + i * INTERVAL_US * 1000 for i in range(FRAMES)]
+    for index, frame in enumerate(frames):
+        assert frame.ir is not None
+        assert frame.color is not None
+        np.testing.assert_array_equal(frame.depth, depth_image(index))
+        np.testing.assert_array_equal(frame.ir, depth_image(index) + 1)
+        assert abs(int(_pixels(frame.color).mean()) - 100) <= 1
+
+
+def test_imu_samples_are_read_beside_the_images(recording: Path) -> None:
+    samples = list(MkvRecording(recording).imu())
+    assert [sample.time_ns for sample in samples] == [index * 1000 for index in range(FRAMES)]
+    assert samples[0].acceleration[2] == pytest.approx(-9.81)
+
+
+def test_sync_mode_and_delay_are_read(recording: Path) -> None:
+    with MkvRecording(recording) as source:
+        assert source.info is not None
+        assert (source.info.sync_mode, source.info.subordinate_delay_ns) == ("SUBORDINATE", 160_000)
+
+
+def test_color_is_left_out_when_not_wanted(recording: Path) -> None:
+    with MkvRecording(recording, color=False) as source:
+        assert all(frame.color is None for frame in source.frames())
+        assert source.info is not None
+        assert source.info.calibration.color is None
+
+
+def _frames_of(path: Path) -> tuple[int, list[str]]:
+    with MkvRecording(path) as source:
+        return len(list(source.frames())), source.warnings
+
+
+@_EXAMPLES
+@given(share=st.floats(0.0, 1.0))
+def test_a_recording_cut_anywhere_gives_its_frames_or_says_why(
+    recording: Path, tmp_path: Path, share: float
+) -> None:
+    content = recording.read_bytes()
+    length = int(share * len(content))
+    cut = tmp_path / "cut.mkv"
+    cut.write_bytes(content[:length])
+    # A frame is there if its depth image is: the file says where each one starts, and 32 bytes are more than
+    # the head of a block takes.
+    whole = _depth_images_within(recording, length)
+    perhaps = _depth_images_within(recording, length + 32)
+    if perhaps == 0:
+        with pytest.raises(DeviceError, match=r"cut\.mkv"):
+            _frames_of(cut)
+    elif whole > 0:
+        count, warnings = _frames_of(cut)
+        assert whole <= count <= perhaps
+        assert count == FRAMES or any("cut off" in warning for warning in warnings)
+
+
+def _depth_images_within(path: Path, length: int) -> int:
+    with av.open(str(path)) as container:
+        depth = next(stream for stream in container.streams if stream.metadata.get("title") == "DEPTH")
+        return sum(packet.pos + packet.size <= length for packet in container.demux(depth) if packet.size)
+
+
+@_EXAMPLES
+@given(flips=st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 255)), min_size=1, max_size=12))
+def test_a_damaged_head_gives_frames_or_a_device_error(
+    recording: Path, tmp_path: Path, flips: list[tuple[int, int]]
+) -> None:
+    content = bytearray(recording.read_bytes())
+    for at, value in flips:
+        content[at] = value
+    damaged = tmp_path / "damaged.mkv"
+    damaged.write_bytes(content)
+    try:
+        count, _ = _frames_of(damaged)
+    except DeviceError:
+        count = 0
+    assert 0 <= count <= FRAMES
+
+
+def test_a_cut_through_the_last_image_is_told(recording: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mkv"
+    cut.write_bytes(recording.read_bytes()[:-100_000])
+    _, warnings = _frames_of(cut)
+    assert warnings
+
+
+def test_passive_infrared_is_refused_by_name(tmp_path: Path) -> None:
+    path = write_mkv(tmp_path / "passive.mkv", 1)
+    # Same length, so the file stays well-formed.
+    path.write_bytes(path.read_bytes().replace(b"NFOV_2X2BINNED", b"PASSIVE_IR\0\0\0\0"))
+    with pytest.raises(DeviceError, match=r"PASSIVE_IR.*Supported: NFOV_2X2BINNED, NFOV_UNBINNED"):
+        MkvRecording(path).__enter__()
+
+
+def test_a_mode_that_its_images_contradict_is_refused(tmp_path: Path) -> None:
+    path = write_mkv(tmp_path / "odd.mkv", 1, mode="NFOV_UNBINNED", size=(320, 288))
+    with pytest.raises(DeviceError, match="640 x 576, but its images are 320 x 288"):
+        MkvRecording(path).__enter__()
+
+
+def test_damaged_calibration_is_told(tmp_path: Path) -> None:
+    path = write_mkv(tmp_path / "bad.mkv", 1, calibration=b'{"CalibrationInformation": {}}')
+    with pytest.raises(DeviceError, match="calibration cannot be read"):
+        MkvRecording(path).__enter__()
+
+
+@pytest.mark.parametrize("content", [b"", b"not a film", bytes(4096)])
+def test_another_kind_of_file_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "other.mkv"
+    path.write_bytes(content)
+    with pytest.raises(DeviceError, match="cannot be opened"):
+        MkvRecording(path).__enter__()
+
+
+def test_missing_recording_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match="No recording at"):
+        MkvRecording(tmp_path / "none.mkv").__enter__()
+
+
+def test_frames_of_a_closed_recording_are_refused(recording: Path) -> None:
+    with pytest.raises(DeviceError, match="not open"):
+        next(MkvRecording(recording).frames())
+
+
+def test_a_recording_opens_twice_and_closes_twice(recording: Path) -> None:
+    source = MkvRecording(recording)
+    for _ in range(2):
+        with source:
+            assert len(list(source.frames())) == FRAMES
+        source.__exit__()

@@ -1,0 +1,121 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from devices.pairing import pair_recordings
+from devices.recorded_person import choose_person, with_successors
+from devices.sensor import DeviceError, SensorFrame
+from fusion.body import KINECT_V1
+from fusion.skeleton import Skeleton
+from tests.conftest import FRAME_NS, standing
+
+
+def frames_at(times_ns: list[int], person: str = "0") -> list[SensorFrame]:
+    skeleton = Skeleton.of(KINECT_V1, standing(KINECT_V1))
+    return [SensorFrame(t, {person: skeleton}) for t in times_ns]
+
+
+def test_frames_pair_with_the_nearest_within_half_a_frame() -> None:
+    a = frames_at([t * FRAME_NS for t in range(100)])
+    b = frames_at([t * FRAME_NS + 5_000_000 for t in range(100) if t not in (10, 11, 50)])
+    pairing = pair_recordings(a, b, "0", "0")
+    assert len(pairing.pairs) == 97
+    assert (pairing.dropped_a, pairing.dropped_b) == (3, 0)
+    assert {pair.skew_ns for pair in pairing.pairs} == {5_000_000}
+
+
+def test_frames_in_a_gap_of_the_other_recording_are_given_alone() -> None:
+    a = frames_at([t * FRAME_NS for t in range(100)])
+    b = frames_at([t * FRAME_NS for t in range(10, 90) if not 40 <= t < 60])
+    pairing = pair_recordings(a, b, "0", "0")
+    alone = [pair.time_ns // FRAME_NS for pair in pairing.pairs if pair.b is None]
+    assert alone == list(range(41, 59))  # the gap's edges are within 1.5 frames of a frame of B
+    assert (pairing.alone_a, pairing.dropped_a) == (18, 22)
+    assert [pair.skeletons.b for pair in pairing.pairs if pair.b is None] == [None] * 18
+
+
+def test_a_slower_sensor_has_no_gaps() -> None:
+    a = frames_at([t * FRAME_NS for t in range(300)])
+    b = frames_at([t * FRAME_NS * 6 // 5 for t in range(250)])  # 25 fps
+    pairing = pair_recordings(a, b, "0", "0")
+    assert (pairing.alone_a, pairing.alone_b) == (0, 0)
+    assert pairing.dropped_a >= 49
+
+
+@given(
+    st.lists(st.integers(0, 2000), min_size=1, max_size=60, unique=True),
+    st.lists(st.integers(0, 2000), min_size=1, max_size=60, unique=True),
+    st.integers(1, 300),
+)
+def test_no_frame_pairs_twice_or_beyond_the_tolerance(
+    times_a: list[int], times_b: list[int], tolerance: int
+) -> None:
+    a, b = frames_at(sorted(times_a)), frames_at(sorted(times_b))
+    try:
+        pairing = pair_recordings(a, b, "0", "0", tolerance)
+    except DeviceError:
+        assert min(abs(x - y) for x in times_a for y in times_b) > tolerance
+        return
+    used_b = [pair.b.time_ns for pair in pairing.pairs if pair.b is not None]
+    assert len(set(used_b)) == len(used_b)
+    assert [pair.time_ns for pair in pairing.pairs] == sorted(pair.time_ns for pair in pairing.pairs)
+    assert all(abs(pair.skew_ns) <= tolerance for pair in pairing.pairs)
+    paired = [pair for pair in pairing.pairs if pair.a is not None and pair.b is not None]
+    assert len(paired) + pairing.alone_a + pairing.dropped_a == len(times_a)
+    assert len(paired) + pairing.alone_b + pairing.dropped_b == len(times_b)
+    assert len(pairing.pairs) == len(paired) + pairing.alone_a + pairing.alone_b
+    # the closest two frames of all always find each other
+    closest = min(abs(x - y) for x in times_a for y in times_b)
+    assert min(abs(pair.skew_ns) for pair in paired) == closest
+
+
+def test_recordings_that_never_overlap_are_refused_with_their_times() -> None:
+    with pytest.raises(
+        DeviceError, match=r"never overlap.*A runs from 0\.000 s to 0\.033 s, B from 10\.000 s"
+    ):
+        pair_recordings(frames_at([0, FRAME_NS]), frames_at([10_000_000_000]), "0", "0")
+
+
+def test_a_person_absent_from_a_frame_is_none_there() -> None:
+    a = [*frames_at([0]), SensorFrame(FRAME_NS)]
+    pairing = pair_recordings(a, frames_at([0, FRAME_NS], "5"), "0", "5")
+    assert pairing.pairs[0].skeletons.a is not None
+    assert pairing.pairs[1].skeletons.a is None
+    assert pairing.pairs[1].skeletons.b is not None
+
+
+def test_the_person_seen_longest_is_followed_unless_another_is_wanted() -> None:
+    frames = [*frames_at(list(range(5)), "1"), *frames_at(list(range(5, 12)), "2")]
+    assert choose_person(frames, None, "a.csv", "--person-a") == "2"
+    assert choose_person(frames, "1", "a.csv", "--person-a") == "1"
+    with pytest.raises(DeviceError, match=r"no person '9'.*'2' \(7 frames\).*--person-a"):
+        choose_person(frames, "9", "a.csv", "--person-a")
+    with pytest.raises(DeviceError, match="no person in any"):
+        choose_person([SensorFrame(0)], None, "a.csv", "--person-a")
+
+
+def test_whoever_comes_after_is_followed_under_the_same_id() -> None:
+    frames = [
+        *frames_at(list(range(7)), "2"),
+        SensorFrame(7),
+        *frames_at([8, 9, 10], "4"),
+        *frames_at([11], "5"),
+    ]
+    beside = frames_at([3], "3")[0].people | frames[3].people
+    frames[3] = SensorFrame(3, beside)  # someone else, at the same time
+    followed, others = with_successors(frames, "2")
+    assert others == ("4", "5")
+    assert [list(frame.people) for frame in followed] == [["2"]] * 3 + [["3", "2"]] + [["2"]] * 3 + [[]] + [
+        ["2"]
+    ] * 4
+    assert followed[9].people["2"] is frames[9].people["4"]
+    alone = frames_at([0, 1], "2")
+    assert with_successors(alone, "2") == (alone, ())
+
+
+def test_times_far_from_zero_pair_exactly() -> None:
+    start = 1_700_000_000_000_000_000  # a wall clock in ns is beyond a float's whole numbers
+    times = [start + t * FRAME_NS for t in range(10)]
+    pairing = pair_recordings(frames_at(times), frames_at([t + 1 for t in times]), "0", "0")
+    assert np.all([pair.skew_ns == 1 for pair in pairing.pairs])

@@ -1,0 +1,290 @@
+"""Sensors on their own threads, driven step by step: no test sleeps, each waits for an event."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import threading
+import weakref
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from devices.live.sensor_state import SensorState
+from devices.live.sensor_thread import SensorThread
+from devices.sensor import DeviceError
+from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
+
+
+def _after(sensor: ScriptedSensor) -> None:
+    """Returns when the sensor's thread has done all that was put before."""
+    done = threading.Event()
+    sensor.put(done.set)
+    assert done.wait(PATIENCE_S)
+
+
+@pytest.fixture
+def sensor() -> ScriptedSensor:
+    return ScriptedSensor()
+
+
+@pytest.fixture
+def thread(sensor: ScriptedSensor) -> Iterator[SensorThread]:
+    with SensorThread(sensor, keep=2) as running:
+        yield running
+
+
+def test_frames_come_in_order(sensor: ScriptedSensor, thread: SensorThread) -> None:
+    sensor.put(frame_at(1), frame_at(2))
+    _after(sensor)
+    assert [frame.time_ns for _, frame in thread.take()] == [1, 2]
+    assert thread.take() == []
+    assert (thread.received, thread.dropped) == (2, 0)
+
+
+def test_the_newest_frames_win_and_drops_are_counted(sensor: ScriptedSensor, thread: SensorThread) -> None:
+    sensor.put(*(frame_at(index) for index in range(100)))
+    _after(sensor)
+    assert [frame.time_ns for _, frame in thread.take()] == [98, 99]
+    assert (thread.received, thread.dropped) == (100, 98)
+
+
+def test_dropped_frames_are_freed(sensor: ScriptedSensor, thread: SensorThread) -> None:
+    frames = [frame_at(index) for index in range(50)]
+    alive = [weakref.ref(frame) for frame in frames]
+    sensor.put(*frames)
+    frames.clear()
+    _after(sensor)
+    thread.take()
+    gc.collect()
+    # Delivery adds the arrival time to a copy, so of what was put the generator holds the last at most.
+    assert sum(ref() is not None for ref in alive) <= 1
+
+
+def test_every_arrival_wakes_the_reader(sensor: ScriptedSensor, thread: SensorThread) -> None:
+    for index in range(3):
+        thread.arrival.clear()
+        sensor.put(frame_at(index))
+        assert thread.arrival.wait(PATIENCE_S)
+
+
+def test_frames_get_their_time_of_arrival(sensor: ScriptedSensor) -> None:
+    with SensorThread(sensor, clock=lambda: 42.5) as thread:
+        sensor.put(frame_at(1), frame_at(2, host_ns=7))
+        _after(sensor)
+        assert [frame.host_ns for _, frame in thread.take()] == [42_500_000_000, 7]
+
+
+def test_a_sensor_that_does_not_open_raises_in_the_reader() -> None:
+    sensor = ScriptedSensor(open_faults=[DeviceError("No Kinect with serial 000123.")])
+    with pytest.raises(DeviceError, match="No Kinect"):
+        SensorThread(sensor).open()
+    assert all_threads_end()
+
+
+def test_opening_waits_only_so_long() -> None:
+    sensor, release = ScriptedSensor(), threading.Event()
+
+    class Slow(ScriptedSensor):
+        def __enter__(self) -> ScriptedSensor:
+            assert release.wait(PATIENCE_S)
+            return sensor
+
+    with pytest.raises(DeviceError, match=r"did not open in 0\.01 s"):
+        SensorThread(Slow()).open(within_s=0.01)
+    release.set()
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
+def test_ctrl_c_while_a_sensor_opens_closes_it() -> None:
+    pressed = threading.Event()
+
+    class Interrupted(ScriptedSensor):
+        def __enter__(self) -> ScriptedSensor:
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            assert pressed.wait(PATIENCE_S)
+            return super().__enter__()
+
+        def interrupt(self) -> None:
+            pressed.set()
+
+    sensor = Interrupted()
+    thread = SensorThread(sensor)
+    with pytest.raises(KeyboardInterrupt):
+        thread.open()
+    assert thread.state is SensorState.CLOSED
+    assert all_threads_end()
+    assert sensor.opened == sensor.closed
+
+
+def test_a_lost_sensor_is_reopened_until_it_is_back(sensor: ScriptedSensor) -> None:
+    pauses: list[float] = []
+
+    def pause(stopping: threading.Event, seconds: float) -> bool:
+        pauses.append(seconds)
+        return stopping.is_set()
+
+    with SensorThread(sensor, retry_s=1.5, wait=pause) as thread:
+        sensor.put(frame_at(1))
+        _after(sensor)
+        sensor.open_faults = [DeviceError("No Kinect with serial 000123.") for _ in range(3)]
+        sensor.put(unplugged())
+        sensor.put(frame_at(2))
+        _after(sensor)
+        assert [frame.time_ns for _, frame in thread.take()] == [1, 2]
+        assert pauses == [1.5] * 4
+        assert thread.returns == 1
+        assert thread.state is SensorState.RUNNING
+        told = [event.message for event in thread.events()]
+    # Lost, tried again in vain (told once, not three times), back.
+    assert ["unplugged" in told[0], "No Kinect" in told[1], "back" in told[2]] == [True] * 3
+    assert len(told) == 3
+    assert (sensor.opened, sensor.closed) == (2, 2)
+
+
+def test_a_lost_sensor_says_so_while_it_is_gone(sensor: ScriptedSensor) -> None:
+    reached, go_on = threading.Event(), threading.Event()
+
+    def pause(_stopping: threading.Event, _seconds: float) -> bool:
+        reached.set()
+        return go_on.wait(PATIENCE_S)
+
+    with SensorThread(sensor, wait=pause) as thread:
+        assert not thread.gone
+        sensor.put(unplugged())
+        assert reached.wait(PATIENCE_S)
+        assert thread.state is SensorState.LOST
+        assert thread.gone
+        go_on.set()
+
+
+def test_the_first_frame_may_take_longer_and_that_is_told_once(sensor: ScriptedSensor) -> None:
+    now = [100.0]
+    with SensorThread(
+        sensor, stall_s=2.0, first_s=60.0, clock=lambda: now[0], wait=lambda *_: False
+    ) as thread:
+        for opening in range(2):
+            now[0] += 1.9
+            assert all("is back" in event.message for event in thread.events())
+            now[0] += 57.9
+            assert thread.state is SensorState.RUNNING
+            assert [event.message for event in thread.events()] == [
+                "000123: waiting for the body tracker's first result."
+            ]
+            assert thread.events() == []
+            if opening == 0:
+                sensor.put(frame_at(1), unplugged())
+                _after(sensor)
+                thread.events()
+        now[0] += 0.3
+        assert thread.state is SensorState.STALLED
+        assert ["stalls: no frame for 60 s" in event.message for event in thread.events()] == [True]
+
+
+def test_a_silent_sensor_is_stalled_and_then_not(sensor: ScriptedSensor) -> None:
+    now = [100.0]
+    with SensorThread(sensor, stall_s=2.0, clock=lambda: now[0]) as thread:
+        sensor.put(frame_at(0))
+        _after(sensor)
+        now[0] = 101.9
+        assert thread.state is SensorState.RUNNING
+        now[0] = 102.1
+        assert thread.state is SensorState.STALLED
+        assert thread.gone
+        assert ["stalls" in event.message for event in thread.events()] == [True]
+        assert thread.events() == []
+        sensor.put(frame_at(1))
+        _after(sensor)
+        assert thread.state is SensorState.RUNNING
+        assert ["again" in event.message for event in thread.events()] == [True]
+
+
+def test_a_source_that_ends_is_ended_not_lost(sensor: ScriptedSensor) -> None:
+    with SensorThread(sensor) as thread:
+        sensor.put(frame_at(1))
+        _after(sensor)
+        thread.arrival.clear()
+        sensor.put(None)
+        assert thread.arrival.wait(PATIENCE_S)
+        assert thread.state is SensorState.ENDED
+        assert [frame.time_ns for _, frame in thread.take()] == [1]
+    assert sensor.opened == 1
+
+
+def test_a_fault_of_the_program_reaches_the_reader(sensor: ScriptedSensor, thread: SensorThread) -> None:
+    thread.arrival.clear()
+    sensor.put(ZeroDivisionError("a bug"))
+    assert thread.arrival.wait(PATIENCE_S)
+    with pytest.raises(DeviceError, match=r"000123 failed .*\(ZeroDivisionError: a bug\)") as told:
+        thread.take()
+    assert isinstance(told.value.__cause__, ZeroDivisionError)
+
+
+def test_closing_a_waiting_sensor_does_not_hang(sensor: ScriptedSensor) -> None:
+    thread = SensorThread(sensor).open()
+    assert thread.close(PATIENCE_S)
+    assert (sensor.opened, sensor.closed) == (1, 1)
+    assert thread.state is SensorState.CLOSED
+    assert thread.close()
+
+
+def test_closing_a_driver_that_hangs_leaves_it_behind(sensor: ScriptedSensor) -> None:
+    release = threading.Event()
+    thread = SensorThread(sensor).open()
+    sensor.put(lambda: release.wait(PATIENCE_S))
+    assert not thread.close(within_s=0.01)
+    assert any("left behind" in event.message for event in thread.events())
+    with pytest.raises(DeviceError, match="left behind"):
+        thread.open()
+    release.set()
+
+
+def test_closing_during_a_retry_ends_the_retries(sensor: ScriptedSensor) -> None:
+    reached = threading.Event()
+
+    def pause(stopping: threading.Event, _seconds: float) -> bool:
+        reached.set()
+        return stopping.wait(PATIENCE_S)
+
+    thread = SensorThread(sensor, wait=pause).open()
+    sensor.put(unplugged())
+    assert reached.wait(PATIENCE_S)
+    assert thread.close(PATIENCE_S)
+    assert sensor.opened == 1
+
+
+def test_a_thousand_openings_leak_nothing() -> None:
+    descriptors = Path("/proc/self/fd")
+    sensors: list[weakref.ref[ScriptedSensor]] = []
+
+    class Files(ScriptedSensor):
+        """Holds a file as long as it is open, as a driver does."""
+
+        def __enter__(self) -> ScriptedSensor:
+            self.file = os.open(os.devnull, os.O_RDONLY)
+            return super().__enter__()
+
+        def __exit__(self, *exc_info: object) -> None:
+            os.close(self.file)
+            super().__exit__()
+
+    def cycle() -> None:
+        sensor = Files()
+        sensors.append(weakref.ref(sensor))
+        sensor.put(frame_at(1), frame_at(2))
+        with SensorThread(sensor) as thread:
+            _after(sensor)
+            frames = [frame for _, frame in thread.take()]
+            assert len(frames) == 2
+
+    cycle()
+    gc.collect()
+    before = threading.active_count(), len(list(descriptors.iterdir())) if descriptors.is_dir() else 0
+    for _ in range(1000):
+        cycle()
+    gc.collect()
+    after = threading.active_count(), len(list(descriptors.iterdir())) if descriptors.is_dir() else 0
+    assert after == before
+    assert sum(ref() is not None for ref in sensors) == 0

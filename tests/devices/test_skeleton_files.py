@@ -1,0 +1,234 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.sensor import DeviceError, SensorFrame
+from devices.skeletons.recording import SkeletonRecording
+from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2, Body
+from tests.conftest import FRAME_NS, standing
+
+HEADER = "time_us,body,joint,x,y,z,state"
+
+
+def csv_rows(body: Body, frames: int = 3, people: tuple[str, ...] = ("0",)) -> list[str]:
+    at = standing(body)
+    return [
+        f"{t * FRAME_NS // 1000},{person},{joint},{x:.5f},{y:.5f},{z + 0.01 * t:.5f},tracked"
+        for t in range(frames)
+        for person in people
+        for joint, (x, y, z) in zip(body.joints, at, strict=True)
+    ]
+
+
+def write_csv(path: Path, rows: list[str], header: str = HEADER) -> Path:
+    path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+def read(path: Path) -> tuple[Body, list[SensorFrame]]:
+    with SkeletonRecording(path) as recording:
+        return recording.body, list(recording.frames())
+
+
+@pytest.mark.parametrize("body", [KINECT_V1, KINECT_V2, AZURE_KINECT], ids=str)
+def test_csv_gives_the_joints_of_every_frame(tmp_path: Path, body: Body) -> None:
+    found, frames = read(write_csv(tmp_path / "a.csv", csv_rows(body)))
+    assert found is body
+    assert [frame.time_ns for frame in frames] == [t * FRAME_NS // 1000 * 1000 for t in range(3)]
+    np.testing.assert_allclose(
+        frames[2].people["0"].positions, standing(body) + [0.0, 0.0, 0.02], atol=6e-6
+    )  # five decimals
+    assert frames[0].people["0"].tracked.all()
+
+
+def test_csv_states_are_names_or_numbers_and_may_be_missing(tmp_path: Path) -> None:
+    rows = csv_rows(KINECT_V1, 1)
+    for joint, state in enumerate(["inferred", "1", "not_tracked", "0", "2", "Tracked"]):
+        rows[joint] = rows[joint].replace("tracked", state)
+    _, frames = read(write_csv(tmp_path / "a.csv", rows))
+    assert frames[0].people["0"].states[:7].tolist() == [1, 1, 0, 0, 2, 2, 2]
+    bare = [row.rsplit(",", 1)[0] for row in rows]
+    _, frames = read(write_csv(tmp_path / "b.csv", bare, HEADER.removesuffix(",state")))
+    assert frames[0].people["0"].tracked.all()
+
+
+def test_csv_rows_may_come_in_any_order_and_joints_may_be_missing(tmp_path: Path) -> None:
+    rows = csv_rows(KINECT_V2, 4)
+    kept = [row for row in rows if "ThumbLeft" not in row]
+    np.random.default_rng(0).shuffle(kept)
+    body, frames = read(write_csv(tmp_path / "a.csv", kept))
+    assert body is KINECT_V2
+    assert len(frames) == 4
+    assert all(frame.people["0"].has_position.sum() == 24 for frame in frames)
+
+
+def test_csv_coordinates_that_are_no_numbers_count_as_not_tracked(tmp_path: Path) -> None:
+    rows = csv_rows(KINECT_V1, 1)
+    for joint, value in enumerate(["nan", "inf", ""]):
+        parts = rows[joint].split(",")
+        parts[4] = value
+        rows[joint] = ",".join(parts)
+    _, frames = read(write_csv(tmp_path / "a.csv", rows))
+    assert frames[0].people["0"].states[:4].tolist() == [0, 0, 0, 2]
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        (lambda rows: (["t,body,joint,x,y,z"], rows), "no column time_us"),
+        (lambda rows: ([HEADER + ",x"], rows), "stands twice"),
+        (lambda rows: ([HEADER], [rows[0].replace("HipCenter", "Tail"), *rows[1:]]), "Unknown joint 'Tail'"),
+        (
+            lambda rows: ([HEADER], [rows[0], rows[1].replace(",0,", ",0,", 1).replace("0.", "zero.", 1)]),
+            "x must",
+        ),
+        (lambda rows: ([HEADER], ["now" + rows[0][1:]]), "line 2: time_us must be a whole number; got 'now'"),
+        (lambda rows: ([HEADER], [rows[0].replace("tracked", "seen")]), "state 'seen' is none of"),
+        (lambda rows: ([HEADER], [*rows, rows[0]]), "HipCenter of one person stands twice"),
+        (lambda rows: ([HEADER], [*rows[:-1], rows[-1][:20]]), "line 61.*not 7 columns; the file is cut off"),
+        (lambda rows: ([HEADER], []), "has a header and no rows"),
+        (lambda rows: ([""], []), "is empty"),
+    ],
+)
+def test_a_broken_csv_says_what_is_wrong(tmp_path: Path, broken: object, message: str) -> None:
+    header, rows = broken(csv_rows(KINECT_V1))
+    with pytest.raises(DeviceError, match=message):
+        read(write_csv(tmp_path / "a.csv", rows, header[0]))
+
+
+@pytest.mark.parametrize("cut", range(1, 45))
+def test_a_csv_cut_off_anywhere_in_its_last_row_is_refused(tmp_path: Path, cut: int) -> None:
+    path = write_csv(tmp_path / "a.csv", csv_rows(KINECT_V1)[:-5])
+    whole = path.read_bytes()
+    last_row = len(whole) - whole[:-1].rindex(b"\n") - 1
+    if cut >= last_row - 1:
+        pytest.skip("cuts more than the last row")
+    path.write_bytes(whole[:-cut])
+    with pytest.raises(DeviceError, match=r"cut off|none of tracked"):
+        read(path)
+
+
+@pytest.mark.parametrize("cut", range(1, 25))
+def test_a_csv_without_states_cut_off_in_its_last_row_is_refused(tmp_path: Path, cut: int) -> None:
+    rows = [row.rsplit(",", 1)[0] for row in csv_rows(KINECT_V1)]
+    rows[-1] = rows[-1].rsplit(",", 1)[0] + ",2.42715"
+    rows[3] = rows[3].rsplit(",", 1)[0] + ",2.42715"
+    path = write_csv(tmp_path / "a.csv", rows, HEADER.rsplit(",", 1)[0])
+    path.write_bytes(path.read_bytes().rstrip(b"\n"))
+    read(path)  # whole, but for the newline, which some writers leave out
+    path.write_bytes(path.read_bytes()[:-cut])
+    with pytest.raises(DeviceError, match=r"cut off|number|unknown"):
+        read(path)
+
+
+def offline_processor(body: Body, frames: int = 3) -> dict[str, object]:
+    return {
+        "k4abt_sdk_version": "1.1.2",
+        "source_file": "own.mkv",
+        "joint_names": list(body.joints),
+        "bone_list": [],
+        "frames": [
+            {
+                "timestamp_usec": 33_333 * t,
+                "frame_id": t,
+                "num_bodies": int(t > 0),
+                "bodies": []
+                if t == 0
+                else [
+                    {
+                        "body_id": 7,
+                        "joint_positions": (1000.0 * standing(body)).tolist(),
+                        "joint_orientations": [[1.0, 0.0, 0.0, 0.0]] * len(body),
+                    }
+                ],
+            }
+            for t in range(frames)
+        ],
+    }
+
+
+def test_offline_processor_json_is_read_in_metres(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(offline_processor(AZURE_KINECT)), encoding="utf-8")
+    body, frames = read(path)
+    assert body is AZURE_KINECT
+    assert [frame.time_ns for frame in frames] == [0, 33_333_000, 66_666_000]
+    assert frames[0].people == {}
+    np.testing.assert_allclose(frames[1].people["7"].positions, standing(AZURE_KINECT), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("break_it", "message"),
+    [
+        (lambda text: text[: len(text) // 2], "not whole JSON"),
+        (lambda text: "", "is empty"),
+        (lambda text: "[]", "not as offline_processor"),
+        (lambda text: "{}", "no 'joint_names'"),
+        (lambda text: text.replace('"PELVIS"', '"TAIL"'), "Unknown joint 'TAIL'"),
+        (lambda text: text.replace("33333,", '"soon",'), "frame 1"),
+        (lambda text: text.replace('"joint_positions": [[', '"joint_positions": [["x", ', 1), "frame 1"),
+        (lambda text: text.replace('"frames"', '"pictures"'), "no 'frames'"),
+        (lambda text: text.replace('"SPINE_NAVEL"', '"PELVIS"'), "names a joint twice"),
+    ],
+)
+def test_broken_json_says_what_is_wrong(tmp_path: Path, break_it: object, message: str) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(break_it(json.dumps(offline_processor(AZURE_KINECT))), encoding="utf-8")
+    with pytest.raises(DeviceError, match=message):
+        read(path)
+
+
+def ntu(frames: int = 2) -> list[str]:
+    lines = [str(frames)]
+    for _ in range(frames):
+        lines += ["1", "72057594037931101 0 1 1 1 1 0 0.02 0.01 2", "25"]
+        for x, y, z in standing(KINECT_V2) * [-1.0, -1.0, 1.0]:
+            lines.append(f"{x:.7f} {y:.7f} {z:.7f} 277.4 191.8 1036.1 519.1 -0.2 0.03 0.9 0.05 2")
+    return lines
+
+
+def test_ntu_camera_space_becomes_the_sensor_frame(tmp_path: Path) -> None:
+    path = tmp_path / "a.skeleton"
+    path.write_text("\n".join(ntu()), encoding="utf-8")
+    body, frames = read(path)
+    assert body is KINECT_V2
+    assert frames[1].time_ns == 33_333_333
+    np.testing.assert_allclose(
+        frames[1].people["72057594037931101"].positions, standing(KINECT_V2), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("break_it", "message"),
+    [
+        (lambda lines: [], "is empty"),
+        (lambda lines: lines[:20], "cut off at line 21"),
+        (lambda lines: [*lines[:9], lines[9][:30]], "12 numbers"),
+        (lambda lines: ["many", *lines[1:]], "line 1: frame count must be a whole number; got 'many'"),
+        (lambda lines: [*lines[:5], lines[5].replace("277.4", "left"), *lines[6:]], "line 6: text"),
+        (lambda lines: [*lines[:3], "20", *lines[4:]], "a body has 20 joints"),
+    ],
+)
+def test_a_broken_ntu_file_says_what_is_wrong(tmp_path: Path, break_it: object, message: str) -> None:
+    path = tmp_path / "a.skeleton"
+    path.write_text("\n".join(break_it(ntu())), encoding="utf-8")
+    with pytest.raises(DeviceError, match=message):
+        read(path)
+
+
+def test_files_that_are_no_recordings_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match="No file"):
+        read(tmp_path / "none.csv")
+    with pytest.raises(DeviceError, match=r"\.txt is no format.*\.csv"):
+        read(tmp_path / "none.txt")
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(DeviceError, match="cannot be read"):
+        read(tmp_path / "folder.csv")
+    (tmp_path / "noise.json").write_bytes(bytes(range(256)))
+    with pytest.raises(DeviceError, match="not text"):
+        read(tmp_path / "noise.json")
+    (tmp_path / "noise.csv").write_bytes(bytes(range(256)))
+    with pytest.raises(DeviceError, match="not text"):
+        read(tmp_path / "noise.csv")

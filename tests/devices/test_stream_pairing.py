@@ -1,0 +1,288 @@
+"""Pairing of live streams, against frames whose true capture times are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from devices.live.stream_pairing import LivePair, LivePairing
+from devices.sensor import SensorFrame
+from tests.helpers.two_clocks import INTERVAL_NS, SECOND_NS, Shot, run, shots, true_skews
+
+MILLISECOND_NS = 1_000_000
+WARM_UP = 90  # frames: by then the least delay of both sensors has been seen
+
+
+def _both(pairs: list[LivePair]) -> list[LivePair]:
+    return [pair for pair in pairs if pair.a is not None and pair.b is not None]
+
+
+def _in_order(pairs: list[LivePair]) -> bool:
+    times = [pair.time_ns for pair in pairs]
+    return all(earlier < later for earlier, later in pairwise(times))
+
+
+def _every_frame_of_a_once(pairs: list[LivePair], a: list[Shot]) -> bool:
+    return [pair.a for pair in pairs if pair.a is not None] == [shot.frame for shot in a]
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    phase_ms=st.floats(-12, 12),
+    clock_s=st.floats(-1000, 1000),
+    ppm=st.floats(-100, 100),
+    extra_latency_ms=st.floats(0, 2),
+    seed=st.integers(0, 1000),
+)
+def test_frames_of_one_moment_pair_whatever_the_clocks_say(
+    phase_ms: float, clock_s: float, ppm: float, extra_latency_ms: float, seed: int
+) -> None:
+    phase_ns = round(phase_ms * MILLISECOND_NS)
+    a = shots("a", 12, seed=seed)
+    b = shots(
+        "b",
+        12,
+        phase_ns=phase_ns,
+        clock_ns=round(clock_s * SECOND_NS),
+        ppm=ppm,
+        latency_ns=20_000_000 + round(extra_latency_ms * MILLISECOND_NS),
+        seed=seed,
+    )
+    pairing = LivePairing(INTERVAL_NS)
+    pairs = run(pairing, a, b)
+    assert _every_frame_of_a_once(pairs, a)
+    assert _in_order(pairs)
+    settled = _both(pairs)[WARM_UP:]
+    np.testing.assert_allclose(true_skews(settled, a, b), phase_ns, atol=2)
+    # Told skew: off by the difference of the two least delays, by jitter not yet seen to be zero (3 ms
+    # exponential, least of 90 frames: below 0.2 ms but for one run in 400), and by the drift of ten seconds.
+    told = np.array([pair.skew_ns for pair in settled], dtype=np.float64)
+    slack_ns = (extra_latency_ms + 0.4 + abs(ppm) * 0.01 + 0.01) * MILLISECOND_NS
+    assert np.abs(told - phase_ns).max() <= slack_ns
+
+
+@pytest.mark.parametrize("ppm", [50, -50])
+def test_no_pair_is_lost_while_clocks_drift_by_frames(ppm: float) -> None:
+    a = shots("a", 900)
+    b = shots("b", 900, phase_ns=4_000_000, clock_ns=-77 * SECOND_NS, ppm=ppm)
+    pairing = LivePairing(INTERVAL_NS)
+    pairs = run(pairing, a, b)
+    # 50 ppm of a quarter of an hour are 45 ms, more than a frame; in true time B stays where it was.
+    assert pairing.figures.pairs == len(a)
+    np.testing.assert_allclose(true_skews(pairs, a, b), 4_000_000, atol=2)
+    # Ten seconds of drift are 0.5 ms, and the least of 300 jitters is below 0.1 ms.
+    told = np.array([pair.skew_ns for pair in pairs[WARM_UP:]], dtype=np.float64)
+    assert np.abs(told - 4_000_000).max() <= 0.8 * MILLISECOND_NS
+    # Theil-Sen over a minute of one-second minima, each 3 ms / 30 frames = 0.1 ms off: 0.1 ms / 60 s = 2 ppm.
+    assert pairing.figures.drift_ppm == pytest.approx(ppm, abs=4)
+
+
+def test_a_constant_sync_delay_is_expected_and_found_to_the_microsecond() -> None:
+    a = shots("a", 20)
+    b = shots("b", 20, phase_ns=160_000, clock_ns=123_456_789_000, latency_ns=26_000_000)
+    pairing = LivePairing(INTERVAL_NS, sync_delay_ns=160_000)
+    pairs = run(pairing, a, b)
+    settled = [pair.skew_ns for pair in _both(pairs)[WARM_UP:]]
+    # By arrivals alone it would be 6 ms: B takes that much longer on its way.
+    np.testing.assert_allclose(np.array(settled, dtype=np.float64), 160_000, atol=1000)
+    assert pairing.figures.offset_ns == pytest.approx(123_456_789_000, abs=1000)
+
+
+def test_a_subordinate_that_is_a_may_capture_later_than_b() -> None:
+    a, b = shots("a", 5, phase_ns=160_000), shots("b", 5)
+    pairing = LivePairing(INTERVAL_NS, sync_delay_ns=-160_000)
+    assert _both(run(pairing, a, b))[-1].skew_ns == pytest.approx(-160_000, abs=1000)
+
+
+@pytest.mark.parametrize("side", ["a", "b"])
+@pytest.mark.parametrize("restart_ns", [0, 900 * SECOND_NS])
+def test_a_reset_clock_is_found_and_pairing_goes_on(side: str, restart_ns: int) -> None:
+    a, b = (
+        shots("a", 10, clock_ns=50 * SECOND_NS),
+        shots("b", 10, clock_ns=50 * SECOND_NS, phase_ns=3_000_000),
+    )
+    stream = a if side == "a" else b
+    half = len(stream) // 2
+    moved_ns = restart_ns - stream[half].frame.time_ns
+    stream[half:] = [
+        replace(shot, frame=replace(shot.frame, time_ns=shot.frame.time_ns + moved_ns))
+        for shot in stream[half:]
+    ]
+    pairing = LivePairing(INTERVAL_NS)
+    pairs = run(pairing, a, b)
+    assert pairing.figures.resets == 1
+    np.testing.assert_allclose(true_skews(pairs, a, b), 3_000_000, atol=2)
+    # A reset that looks like lateness costs the frame that must confirm it, and what waited for a partner.
+    assert pairing.figures.pairs >= len(a) - 3
+    assert _in_order(pairs)
+    # Time goes on over the reset: 10 s of frames take 10 s, give or take the jitter of the two anchors.
+    assert pairs[-1].time_ns - pairs[0].time_ns == pytest.approx(10 * SECOND_NS, abs=0.06 * SECOND_NS)
+
+
+def test_a_sensor_5_fps_slower_costs_only_its_missing_frames() -> None:
+    a, b = shots("a", 20), shots("b", 20, fps=25)
+    pairing = LivePairing(INTERVAL_NS)
+    pairs = run(pairing, a, b)
+    assert _every_frame_of_a_once(pairs, a)
+    figures = pairing.figures
+    # Frames of B are 40 ms apart, A's 33.3 ms: every one of B's has one of A's within 16.7 ms.
+    assert figures.pairs >= len(b) - 2
+    assert figures.pairs + figures.alone_a == len(a)
+    assert np.abs(true_skews(pairs, a, b)).max() <= INTERVAL_NS / 2 + MILLISECOND_NS
+
+
+def test_a_faster_b_gives_its_nearest_frames_and_the_rest_are_counted() -> None:
+    a, b = shots("a", 20, fps=25), shots("b", 20)
+    pairing = LivePairing(INTERVAL_NS)
+    pairs = run(pairing, a, b)
+    figures = pairing.figures
+    assert _every_frame_of_a_once(pairs, a)
+    assert figures.alone_b == 0
+    assert figures.pairs >= len(a) - 2
+    assert figures.pairs + figures.unmatched_b == len(b)
+
+
+def test_it_goes_on_with_a_while_b_is_gone_and_takes_b_back() -> None:
+    a, b = shots("a", 9), shots("b", 9, clock_ns=7 * SECOND_NS)
+    b = [shot for shot in b if not 3 * SECOND_NS < shot.true_ns - b[0].true_ns < 6 * SECOND_NS]
+    pairing = LivePairing(INTERVAL_NS)
+    pairs = run(pairing, a, b)
+    assert _every_frame_of_a_once(pairs, a)
+    # The frame of A that B comes back to was not waited for, and may be out already.
+    figures = pairing.figures
+    assert figures.pairs in (len(b) - 1, len(b))
+    assert figures.pairs + figures.alone_a == len(a)
+    assert all(pair.b is not None for pair in pairs[-80:])
+
+
+def test_it_goes_on_with_b_while_a_is_gone_and_takes_a_back() -> None:
+    a, b = shots("a", 9), shots("b", 9, clock_ns=7 * SECOND_NS)
+    a = [shot for shot in a if not 3 * SECOND_NS < shot.true_ns - a[0].true_ns < 6 * SECOND_NS]
+    pairing = LivePairing(INTERVAL_NS)
+    pairs = run(pairing, a, b)
+    figures = pairing.figures
+    assert figures.pairs == len(a)
+    # B waits half a second before it knows that A is gone; those frames' wait of 0.1 s runs out meanwhile.
+    gone = len(b) - len(a)
+    assert gone - 17 <= figures.alone_b <= gone
+    assert figures.alone_b + figures.unmatched_b == gone
+    assert _in_order(pairs)
+    alone = next(pair for pair in pairs if pair.a is None)
+    truth = {id(shot.frame): shot.true_ns for shot in b}
+    # On A's clock, which here is the host's: off by latency jitter only.
+    assert alone.time_ns == pytest.approx(truth[id(alone.b)], abs=MILLISECOND_NS)
+
+
+def test_a_sensor_said_to_be_gone_is_not_waited_for() -> None:
+    pairing = _aligned()
+    pairing.set_gone("b", True)
+    (pair,) = pairing.add("a", SensorFrame(30 * INTERVAL_NS), 30 * INTERVAL_NS)
+    assert pair.b is None
+    # Its next frame takes it back.
+    assert pairing.add("b", SensorFrame(31 * INTERVAL_NS), 31 * INTERVAL_NS) == []
+    (pair,) = pairing.add("a", SensorFrame(31 * INTERVAL_NS), 31 * INTERVAL_NS)
+    assert pair.b is not None
+    assert pairing.add("a", SensorFrame(32 * INTERVAL_NS), 32 * INTERVAL_NS) == []
+
+
+def test_waiting_for_a_partner_is_bounded() -> None:
+    pairing = LivePairing(INTERVAL_NS, max_wait_ns=100_000_000)
+    pairing.add("b", SensorFrame(0), 0)
+    assert [pair.b is None for pair in pairing.add("a", SensorFrame(0), 0)] == [False]
+    assert pairing.add("a", SensorFrame(INTERVAL_NS), INTERVAL_NS) == []
+    assert pairing.poll(INTERVAL_NS + 99_999_999) == []
+    (pair,) = pairing.poll(INTERVAL_NS + 100_000_000)
+    assert pair.b is None
+
+
+def _aligned(count: int = 30) -> LivePairing:
+    """After ``count`` pairs without jitter; the next frames are at ``count`` times the interval."""
+    pairing = LivePairing(INTERVAL_NS)
+    for index in range(count):
+        for side in ("a", "b"):
+            pairing.add(side, SensorFrame(index * INTERVAL_NS), index * INTERVAL_NS)  # type: ignore[arg-type]
+    assert pairing.figures.pairs == count
+    return pairing
+
+
+def test_a_repeated_frame_is_left_out() -> None:
+    pairing = _aligned()
+    assert pairing.add("a", SensorFrame(29 * INTERVAL_NS), 30 * INTERVAL_NS) == []
+    assert (pairing.figures.repeated, pairing.figures.pairs) == (1, 30)
+
+
+def test_a_frame_whose_time_has_passed_is_left_out() -> None:
+    pairing = _aligned()
+    assert pairing.add("b", SensorFrame(28 * INTERVAL_NS + 1), 30 * INTERVAL_NS) == []
+    assert (pairing.figures.late, pairing.figures.pairs) == (1, 30)
+
+
+def test_frames_out_of_order_are_put_in_their_place() -> None:
+    pairing = _aligned()
+    now = 32 * INTERVAL_NS
+    assert pairing.add("a", SensorFrame(31 * INTERVAL_NS), now) == []
+    assert pairing.add("a", SensorFrame(30 * INTERVAL_NS), now) == []
+    pairs = pairing.add("b", SensorFrame(30 * INTERVAL_NS), now)
+    pairs += pairing.add("b", SensorFrame(31 * INTERVAL_NS), now)
+    assert [(p.a and p.a.time_ns, p.b and p.b.time_ns) for p in pairs] == [
+        (index * INTERVAL_NS, index * INTERVAL_NS) for index in (30, 31)
+    ]
+    assert pairing.figures.reordered == 1
+
+
+def test_time_never_goes_back_when_a_returns() -> None:
+    pairing = _aligned()
+    pairing.set_gone("a", True)
+    (alone,) = pairing.add("b", SensorFrame(31 * INTERVAL_NS), 31 * INTERVAL_NS)
+    # A's frame of a moment that B's already stood for, as their clocks are known to a millisecond only.
+    pairing.set_gone("b", True)
+    (back,) = pairing.add("a", SensorFrame(31 * INTERVAL_NS - MILLISECOND_NS), 31 * INTERVAL_NS)
+    assert alone.a is None
+    assert back.b is None
+    assert back.time_ns > alone.time_ns
+
+
+def test_memory_is_bounded_when_the_other_sensor_hangs() -> None:
+    pairing = LivePairing(INTERVAL_NS, max_wait_ns=10**18, gone_after_ns=10**18)
+    pairing.add("b", SensorFrame(0), 0)
+    given_out = sum(len(pairing.add("a", SensorFrame(i * INTERVAL_NS), i * INTERVAL_NS)) for i in range(1000))
+    assert given_out >= 1000 - 8
+
+
+def test_a_sensor_opened_anew_starts_its_clock_anew() -> None:
+    pairing = _aligned()
+    # Back after 0.2 s with a clock 0.2 s behind: too little to be told from lateness.
+    pairing.restart("b")
+    for index in range(30, 40):
+        pairing.add("a", SensorFrame(index * INTERVAL_NS), index * INTERVAL_NS)
+        pairing.add("b", SensorFrame(index * INTERVAL_NS - 200_000_000), index * INTERVAL_NS)
+    assert pairing.figures.pairs == 40
+    assert pairing.figures.skew_ns == 0
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(data=st.data())
+def test_any_mixture_of_faults_keeps_order_and_loses_no_frame_unseen(data: st.DataObject) -> None:
+    streams = []
+    for side in ("a", "b"):
+        stream = shots(side, 4, clock_ns=data.draw(st.integers(0, 10**12)))  # type: ignore[arg-type]
+        kept = []
+        for shot in stream:
+            fate = data.draw(st.sampled_from(["ok"] * 6 + ["lost", "twice", "held up"]))
+            if fate == "held up":
+                kept.append(replace(shot, arrives_ns=shot.arrives_ns + data.draw(st.integers(0, 3 * 10**8))))
+            elif fate != "lost":
+                kept += [shot] * (2 if fate == "twice" else 1)
+        streams.append(kept)
+    pairing = LivePairing(INTERVAL_NS)
+    pairs = run(pairing, *streams)
+    f = pairing.figures
+    assert _in_order(pairs)
+    given_in = sum(len(stream) for stream in streams)
+    assert given_in == 2 * f.pairs + f.alone_a + f.alone_b + f.unmatched_b + f.late + f.repeated
+    assert len(pairs) == f.pairs + f.alone_a + f.alone_b

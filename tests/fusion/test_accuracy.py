@@ -1,0 +1,143 @@
+import numpy as np
+import pytest
+
+from fusion.body import KINECT_V1
+from fusion.evaluation import baselines
+from fusion.evaluation.accuracy import accuracy
+from tests.conftest import FRAME_NS, moving
+
+DT = FRAME_NS * 1e-9
+TRACKED = np.full((150, 20), 2, dtype=np.uint8)
+
+
+@pytest.fixture(scope="module")
+def truth() -> np.ndarray:
+    return moving(KINECT_V1, 150)
+
+
+def measure(found: np.ndarray, truth: np.ndarray, a: np.ndarray = TRACKED, b: np.ndarray = TRACKED):
+    return accuracy(KINECT_V1, found, truth, a, b, DT)
+
+
+def test_the_truth_itself_has_no_error(truth: np.ndarray) -> None:
+    of = measure(truth, truth)
+    assert (of.mpjpe, of.p95, of.acceleration, of.swapped) == (0.0, 0.0, 0.0, 0.0)
+    assert of.bone_error < 1e-12
+    assert of.lag == pytest.approx(0.0, abs=0.01)  # what a parabola makes of an uneven peak
+    assert np.isnan(of.hidden_one)
+
+
+def test_an_offset_is_the_error_and_nothing_else(truth: np.ndarray) -> None:
+    of = measure(truth + [0.03, 0.0, 0.04], truth)
+    assert of.mpjpe == pytest.approx(0.05)
+    assert of.bone_error < 1e-12
+    assert of.acceleration < 1e-12
+
+
+def test_noise_while_still_is_jitter(truth: np.ndarray) -> None:
+    rng = np.random.default_rng(0)
+    of = measure(truth + rng.normal(0, 0.01, truth.shape), truth)
+    # white noise against its own mean over 5: variance (1 - 1/5) a coordinate, three coordinates
+    assert of.jitter == pytest.approx(0.01 * np.sqrt(3 * 0.8), rel=0.1)
+
+
+def test_bones_err_by_their_worst_and_deviate_by_their_mean(truth: np.ndarray) -> None:
+    hand, foot = KINECT_V1.joint("HandLeft"), KINECT_V1.joint("FootRight")  # ends: one bone each
+    longer = np.zeros((150, 20))
+    longer[:, foot] = 0.02  # always: an error, no deviation
+    longer[::2, hand] = 0.06  # every second frame: a deviation of half as much
+    parents = np.array([max(parent, 0) for parent in KINECT_V1.parents])
+    along = truth - truth[:, parents]
+    along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-9)
+    of = measure(truth + longer[..., None] * along, truth)
+    assert of.bone_error == pytest.approx(0.06)
+    assert of.bone_deviation == pytest.approx(0.03 / len(KINECT_V1.bone_joints))
+
+
+def test_95_of_100_errors_are_smaller_than_p95(truth: np.ndarray) -> None:
+    # 3000 errors, evenly from 0 to 0.3 m, over joints and frames
+    size = np.random.default_rng(3).permutation(np.linspace(0.0, 0.3, 3000)).reshape(150, 20)
+    of = measure(truth + size[..., None] * [1.0, 0.0, 0.0], truth)
+    assert of.p95 == pytest.approx(0.95 * 0.3)
+    assert of.mpjpe == pytest.approx(0.5 * 0.3)
+
+
+def test_exchanged_sides_are_seen(truth: np.ndarray) -> None:
+    found = np.array(truth)
+    found[100:130] = found[100:130][:, KINECT_V1.mirror]
+    assert measure(found, truth).swapped == pytest.approx(30 / 150)
+
+
+@pytest.mark.parametrize("frames", [1, 3])
+def test_a_delay_is_the_lag(truth: np.ndarray, frames: int) -> None:
+    assert measure(
+        np.concatenate([truth[:1].repeat(frames, axis=0), truth[:-frames]]), truth
+    ).lag == pytest.approx(frames, abs=0.15)
+
+
+def test_joints_that_are_missing_for_a_while_leave_the_lag(truth: np.ndarray) -> None:
+    found = np.concatenate([truth[:1].repeat(2, axis=0), truth[:-2]])
+    found[40:90, 5] = found[70] = found[:15, 11] = np.nan
+    assert measure(found, truth).lag == pytest.approx(2, abs=0.15)
+
+
+def test_a_lag_is_not_read_out_of_noise(truth: np.ndarray) -> None:
+    noise = np.random.default_rng(2).normal(0, 0.2, truth.shape)
+    assert np.isnan(measure(truth + noise, truth).lag)
+
+
+@pytest.mark.parametrize("frames", [10, 14])
+def test_a_lag_at_the_end_of_the_search_is_none(frames: int) -> None:
+    # a speed that rises once and falls once: it matches the better the nearer the delays are
+    t = np.arange(150.0)
+    along = np.cumsum(np.exp(-(((t - 75.0) / 30.0) ** 2)) * 0.03)
+    truth = moving(KINECT_V1, 1).repeat(150, axis=0) + along[:, None, None]
+    late = np.concatenate([truth[:1].repeat(frames, axis=0), truth[:-frames]])
+    assert np.isnan(measure(late, truth).lag)
+    assert measure(np.concatenate([truth[:1].repeat(8, axis=0), truth[:-8]]), truth).lag == pytest.approx(8)
+
+
+def test_errors_of_hidden_joints_are_told_apart(truth: np.ndarray) -> None:
+    a, b, found = TRACKED.copy(), TRACKED.copy(), np.array(truth)
+    a[:, 4] = 1
+    a[:, 8] = b[:, 8] = 0
+    found[:, 4, 0] += 0.1
+    found[:, 8, 0] += 0.2
+    of = measure(found, truth, a, b)
+    assert of.hidden_one == pytest.approx(0.1)
+    assert of.hidden_both == pytest.approx(0.2)
+
+
+def test_baselines_agree_on_two_flawless_views(truth: np.ndarray) -> None:
+    for found in (
+        baselines.alone(truth),
+        baselines.mean(truth, truth),
+        baselines.tracked_wins(truth, truth, TRACKED, TRACKED),
+    ):
+        np.testing.assert_allclose(found, truth, atol=1e-15)
+
+
+def test_a_lost_joint_stays_where_it_was(truth: np.ndarray) -> None:
+    a = np.array(truth)
+    a[50:60, 7] = np.nan
+    assert (baselines.alone(a)[50:60, 7] == truth[49, 7]).all()
+    np.testing.assert_allclose(baselines.mean(a, truth), truth, atol=1e-15)
+
+
+def test_the_tracked_view_wins(truth: np.ndarray) -> None:
+    wrong, states = truth + 1.0, TRACKED.copy()
+    states[:] = 1
+    np.testing.assert_allclose(baselines.tracked_wins(wrong, truth, states, TRACKED), truth)
+
+
+def test_the_kalman_filter_settles_on_a_still_person_and_follows_a_steady_one() -> None:
+    rng = np.random.default_rng(1)
+    states = np.full((300, 20), 2, dtype=np.uint8)
+    line = np.arange(300)[:, None, None] * DT * np.array([0.5, 0.0, -0.2]) + rng.normal(size=(1, 20, 3))
+    noisy = [line + rng.normal(0, 0.02, line.shape) for _ in range(2)]
+    found = baselines.kalman(*noisy, states, states, DT)
+    raw = np.linalg.norm(noisy[0] - line, axis=2)[50:].mean()
+    # two views' mean alone would be raw/√2; time makes it better still
+    assert np.linalg.norm(found - line, axis=2)[50:].mean() < raw / np.sqrt(2)
+    # the steady-state filter of a constant velocity has no bias
+    assert np.abs((found - line)[50:].mean(axis=(0, 1))).max() < 4 * 0.02 / np.sqrt(250 * 20)

@@ -1,0 +1,128 @@
+import numpy as np
+import pytest
+
+from fusion.body import AZURE_KINECT, BODIES, KINECT_V1, Body
+from fusion.calibration.bone_lengths import measure_bone_lengths
+from fusion.calibration.calibration import (
+    StartUpPose,
+    _tremble,
+    _window_tremble,
+    calibrate,
+    find_start_up_pose,
+    limbs_apart,
+)
+from fusion.errors import CalibrationError
+from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from tests.conftest import A_FROM_B, FRAME_NS, moving, pair_of, standing
+
+
+def pairs_of(truth: np.ndarray, body: Body = KINECT_V1) -> list[SkeletonPair]:
+    return [pair_of(body, at, t * FRAME_NS) for t, at in enumerate(truth)]
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_the_start_up_pose_is_recognised_where_it_is_held(body: Body) -> None:
+    pairs = pairs_of(moving(body, 120), body)
+    held, how = find_start_up_pose(body, pairs)
+    assert held[0] is pairs[0]
+    # still for 1.5 s, then the first 40 mm (RMS) of movement still count as still
+    assert 1.4e9 < held[-1].time_ns < 2.2e9
+    assert how.startswith("start-up pose at 0.0 s")
+
+
+def test_a_pose_held_for_less_than_a_second_is_not_taken() -> None:
+    watcher = StartUpPose(KINECT_V1)
+    rng = np.random.default_rng(0)
+    for t in range(60):
+        jump = rng.normal(0, 0.3, 3) if t % 25 == 0 else np.zeros(3)  # moves every 0.83 s
+        if t % 25 == 0:
+            at = standing(KINECT_V1) + jump
+        assert watcher.watch(pair_of(KINECT_V1, at, t * FRAME_NS)) is None
+    assert watcher.end() is None
+
+
+def test_arms_hanging_down_are_no_start_up_pose() -> None:
+    assert limbs_apart(Skeleton.of(KINECT_V1, standing(KINECT_V1)))
+    assert not limbs_apart(Skeleton.of(KINECT_V1, standing(KINECT_V1, arms_out=5.0)))
+    assert not limbs_apart(Skeleton.of(KINECT_V1, standing(KINECT_V1, legs_out=-4.0)))  # feet together
+    pairs = pairs_of(np.array([standing(KINECT_V1, arms_out=5.0)] * 60))
+    _, how = find_start_up_pose(KINECT_V1, pairs)
+    assert how.startswith("no start-up pose found; calmest window")
+
+
+def test_a_main_joint_only_inferred_breaks_the_pose() -> None:
+    watcher = StartUpPose(KINECT_V1)
+    states = np.full(20, 2)
+    states[KINECT_V1.joint("KneeLeft")] = TrackingState.INFERRED
+    for t in range(60):
+        pair = pair_of(KINECT_V1, standing(KINECT_V1), t * FRAME_NS)
+        hidden = Skeleton.of(KINECT_V1, standing(KINECT_V1), states)
+        assert watcher.watch(SkeletonPair(hidden, pair.b, pair.time_ns)) is None
+
+
+def test_without_a_start_up_pose_the_calmest_window_serves() -> None:
+    rng = np.random.default_rng(1)
+    truth = np.array([standing(KINECT_V1, arms_out=5.0)] * 150)
+    truth[:60] += rng.normal(0, 0.05, (60, 20, 3))
+    truth[125:] += rng.normal(0, 0.05, (25, 20, 3))
+    held, how = find_start_up_pose(KINECT_V1, pairs_of(truth))
+    assert held[0].time_ns >= 59 * FRAME_NS
+    assert held[-1].time_ns <= 125 * FRAME_NS
+    assert "no start-up pose" in how
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_bone_lengths_of_flawless_views_are_the_persons(body: Body) -> None:
+    calibration = calibrate(body, pairs_of(moving(body, 40), body), "test")
+    np.testing.assert_allclose(calibration.bone_lengths, body.nominal_lengths, atol=2e-6)  # float32 at 4 m
+
+
+def test_bone_lengths_average_both_views_before_measuring() -> None:
+    # eq. (13): the length of the mean skeleton, not the mean of the lengths
+    pair = pair_of(KINECT_V1, standing(KINECT_V1))
+    assert pair.a is not None
+    elbow = KINECT_V1.joint("ElbowLeft")
+    shifted = np.array(pair.a.positions)
+    shift = np.array([0.0, 0.0, 0.2])
+    shifted[elbow] += shift
+    lengths = measure_bone_lengths(
+        KINECT_V1, [SkeletonPair(Skeleton.of(KINECT_V1, shifted), pair.b, 0)], A_FROM_B
+    )
+    upper_arm = standing(KINECT_V1)[elbow] - standing(KINECT_V1)[KINECT_V1.parents[elbow]]
+    assert lengths[elbow] == pytest.approx(np.linalg.norm(upper_arm + 0.5 * shift), abs=1e-6)
+
+
+def test_a_bone_no_one_sees_takes_its_mirror_image_or_an_adults_proportions() -> None:
+    body = AZURE_KINECT
+    scale = 0.9
+    states = np.full(len(body), 2)
+    states[[body.joint("FOOT_LEFT"), body.joint("HAND_LEFT"), body.joint("HAND_RIGHT")]] = 0
+    truth = standing(body, scale * body.nominal_lengths)
+    truth[body.joint("FOOT_RIGHT")] += [0.0, 0.05, 0.0]
+    pairs = [
+        SkeletonPair(
+            Skeleton.of(body, truth, states), Skeleton.of(body, A_FROM_B.inverse().apply(truth), states), 0
+        )
+    ]
+    lengths = measure_bone_lengths(body, pairs, A_FROM_B)
+    assert lengths[body.bone("foot_left")] == lengths[body.bone("foot_right")]
+    assert lengths[body.bone("hand_left")] == pytest.approx(
+        scale * body.nominal_lengths[body.bone("hand_left")], rel=1e-4
+    )
+
+
+def test_no_person_in_both_views_is_said() -> None:
+    pair = pair_of(KINECT_V1, standing(KINECT_V1))
+    with pytest.raises(CalibrationError, match="No frame shows a person to both sensors"):
+        find_start_up_pose(KINECT_V1, [SkeletonPair(pair.a, None, 0)])
+
+
+def test_windows_searched_at_once_are_as_calm_as_each_looked_at_singly() -> None:
+    rng = np.random.default_rng(4)
+    at = (rng.normal(0, 0.02, (80, 13, 3)) + rng.normal(size=(1, 13, 3)) + [0.0, 0.0, 3.0]).astype(np.float32)
+    at[rng.random((80, 13)) < 0.1] = np.nan
+    starts = np.arange(60)
+    ends = starts + rng.integers(1, 20, 60)
+    singly = [_tremble(at[first:end]) for first, end in zip(starts, ends, strict=True)]
+    # sums of 80 squares of up to 3 m carry 80 · 9 · 2e-16 m² of rounding; its root is 4e-7 m
+    np.testing.assert_allclose(_window_tremble(at, starts, ends), singly, atol=1e-6)

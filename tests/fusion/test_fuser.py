@@ -1,0 +1,391 @@
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba.core import event
+from numba.core.runtime import _nrt_python, rtsys
+from scipy.spatial.transform import Rotation
+
+from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
+from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.calibration.calibration import Calibration, calibrate
+from fusion.compiling.kernels import kernel
+from fusion.errors import FusionError
+from fusion.fuser import FusedFrame, Fuser, FuserSettings
+from fusion.methods import paper as frame
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from tests.conftest import A_FROM_B, FRAME_NS, moving, pair_of, standing
+
+# float32 positions at up to 4 m from a sensor are exact to 2.4e-7 m in each coordinate; R and t of the torso
+# add as much again, and turning an error over the longest chain of a body triples it at most.
+FLOAT32 = 3e-6
+
+Weights = Literal["paper", "equal"]
+WEIGHTS: tuple[Weights, ...] = ("paper", "equal")
+
+
+def flawless_calibration(body: Body) -> Calibration:
+    return Calibration(body, A_FROM_B, body.nominal_lengths, "known truth")
+
+
+def noisy(pair: SkeletonPair, rng: np.random.Generator, sd: float) -> SkeletonPair:
+    def shaken(skeleton: Skeleton | None) -> Skeleton | None:
+        if skeleton is None:
+            return None
+        moved = skeleton.positions + rng.normal(0.0, sd, skeleton.positions.shape)
+        return Skeleton.of(skeleton.body, moved, skeleton.states, skeleton.time_ns)
+
+    return SkeletonPair(shaken(pair.a), shaken(pair.b), pair.time_ns)
+
+
+def with_states(skeleton: Skeleton | None, states: dict[str, TrackingState]) -> Skeleton:
+    assert skeleton is not None
+    all_states = np.array(skeleton.states)
+    for name, state in states.items():
+        all_states[skeleton.body.joint(name)] = state
+    return Skeleton.of(skeleton.body, skeleton.positions, all_states, skeleton.time_ns)
+
+
+def bone_error(body: Body, frame: FusedFrame) -> float:
+    lengths = bone_lengths_of(body, frame.positions)[body.bone_joints]
+    return float(np.abs(lengths - body.nominal_lengths[body.bone_joints]).max())
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_two_flawless_views_give_the_truth(body: Body) -> None:
+    truth = moving(body, 90)
+    pairs = [pair_of(body, at, t * FRAME_NS) for t, at in enumerate(truth)]
+    fuser = Fuser(calibrate(body, pairs[:40], "test"))
+    for pair, at in zip(pairs, truth, strict=True):
+        np.testing.assert_allclose(fuser.update(pair).positions, at, atol=FLOAT32)
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_fused_bones_have_their_length_whatever_the_noise(body: Body) -> None:
+    rng = np.random.default_rng(5)
+    fuser = Fuser(flawless_calibration(body))
+    for t, at in enumerate(moving(body, 40)):
+        frame = fuser.update(noisy(pair_of(body, at, t * FRAME_NS), rng, 0.06))
+        assert bone_error(body, frame) < 1e-9
+
+
+def test_a_mistracked_elbow_follows_the_view_that_keeps_it_apart() -> None:
+    # fig. 3: in A's picture the elbow lies on the hip's place; B sees them far apart, and is believed
+    body = KINECT_V1
+    truth = standing(body)
+    pair = pair_of(body, truth)
+    assert pair.a is not None
+    elbow, hip = body.joint("ElbowRight"), body.joint("HipRight")
+    mixed_up = np.array(pair.a.positions)
+    mixed_up[elbow] = mixed_up[hip] + [0.01, 0.0, 0.0]
+    frame = Fuser(flawless_calibration(body)).update(
+        SkeletonPair(Skeleton.of(body, mixed_up), pair.b, pair.time_ns)
+    )
+    assert frame.misleading[elbow] == hip
+    assert frame.weights_b[elbow] > 0.99
+    off = np.linalg.norm(frame.positions[elbow] - truth[elbow])
+    equal = Fuser(flawless_calibration(body), FuserSettings(weights="equal")).update(
+        SkeletonPair(Skeleton.of(body, mixed_up), pair.b, pair.time_ns)
+    )
+    assert off < 0.02 < 0.1 < np.linalg.norm(equal.positions[elbow] - truth[elbow])
+
+
+def test_a_tracked_view_outweighs_an_inferred_one() -> None:
+    body = KINECT_V1
+    pair = pair_of(body, standing(body))
+    hidden = with_states(pair.a, {"KneeLeft": TrackingState.INFERRED})
+    plain = Fuser(flawless_calibration(body)).update(pair)
+    frame = Fuser(flawless_calibration(body)).update(SkeletonPair(hidden, pair.b, 0))
+    knee = body.joint("KneeLeft")
+    ratio = (0.786 / (1.0 - 0.786)) ** 4  # eq. (11)
+    assert frame.weights_b[knee] / frame.weights_a[knee] == pytest.approx(
+        ratio * plain.weights_b[knee] / plain.weights_a[knee], rel=1e-6
+    )
+
+
+@pytest.mark.parametrize("weights", WEIGHTS)
+def test_a_joint_one_view_lost_takes_the_others(weights: Weights) -> None:
+    body = KINECT_V2
+    truth = standing(body)
+    pair = pair_of(body, truth)
+    frame = Fuser(flawless_calibration(body), FuserSettings(weights=weights)).update(
+        SkeletonPair(with_states(pair.a, {"WristLeft": TrackingState.NOT_TRACKED}), pair.b, 0)
+    )
+    wrist = body.joint("WristLeft")
+    assert (frame.weights_a[wrist], frame.weights_b[wrist]) == (0.0, 1.0)
+    assert not frame.predicted[wrist]
+    np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
+
+
+def test_a_joint_both_lost_hangs_on_its_bones_and_the_frame_before() -> None:
+    body = KINECT_V2
+    truth = standing(body)
+    pair = pair_of(body, truth)
+    fuser = Fuser(flawless_calibration(body))
+    fuser.update(pair)
+    lost = dict.fromkeys(("HandLeft", "HandTipLeft", "ElbowRight"), TrackingState.NOT_TRACKED)
+    step = np.array([0.05, 0.0, 0.1])
+    moved = pair_of(body, truth + step, FRAME_NS)
+    frame = fuser.update(SkeletonPair(with_states(moved.a, lost), with_states(moved.b, lost), FRAME_NS))
+    assert [body.joints[j] for j in np.flatnonzero(frame.predicted)] == [
+        "HandLeft", "ElbowRight", "HandTipLeft",
+    ]  # fmt: skip
+    # the body moved as a whole, so what hangs on it moved with it
+    np.testing.assert_allclose(frame.positions, truth + step, atol=1e-3)
+    assert bone_error(body, frame) < 1e-9
+
+
+def test_one_sensor_alone_still_gives_a_skeleton_with_the_same_bones() -> None:
+    body = KINECT_V1
+    truth = standing(body)
+    pair = pair_of(body, truth)
+    for alone in (SkeletonPair(pair.a, None, 0), SkeletonPair(None, pair.b, 0)):
+        frame = Fuser(flawless_calibration(body)).update(alone)
+        assert frame.has_person
+        np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
+
+
+def test_without_anyone_there_is_no_skeleton_and_the_next_person_is_picked_up() -> None:
+    body = KINECT_V1
+    fuser = Fuser(flawless_calibration(body))
+    fuser.update(pair_of(body, standing(body)))
+    empty = fuser.update(SkeletonPair(None, None, FRAME_NS))
+    assert not empty.has_person
+    assert np.isnan(empty.positions).all()
+    elsewhere = standing(body) @ Rotation.from_euler("y", 150, degrees=True).as_matrix().T + [0.0, 0.0, 5.0]
+    back = fuser.update(pair_of(body, elsewhere, 100 * FRAME_NS))
+    np.testing.assert_allclose(back.positions, elsewhere, atol=2 * FLOAT32)
+
+
+@pytest.mark.parametrize(("seconds", "forgotten"), [(0.5, False), (1.5, True)])
+def test_after_a_second_without_anyone_the_frame_before_is_forgotten(seconds: float, forgotten: bool) -> None:
+    body = KINECT_V2
+    lost = dict.fromkeys(("ElbowLeft", "WristLeft", "HandLeft", "HandTipLeft"), TrackingState.NOT_TRACKED)
+    back = pair_of(body, standing(body, arms_out=20.0), round(seconds * 1e9))
+    back = SkeletonPair(with_states(back.a, lost), with_states(back.b, lost), back.time_ns)
+    fuser = Fuser(flawless_calibration(body))
+    fuser.update(pair_of(body, standing(body, arms_out=80.0)))
+    found = fuser.update(back).positions
+    anew = Fuser(flawless_calibration(body)).update(back).positions
+    elbow = body.joint("ElbowLeft")
+    assert (np.linalg.norm(found[elbow] - anew[elbow]) < FLOAT32) == forgotten
+
+
+def test_a_repeated_frame_is_noticed_a_sensor_at_a_time() -> None:
+    body = KINECT_V1
+    fuser = Fuser(flawless_calibration(body))
+    first, second = (pair_of(body, at, t) for t, at in enumerate(moving(body, 60)[58:]))
+    assert not fuser.update(first).stale_a
+    frame = fuser.update(SkeletonPair(first.a, second.b, 1))
+    assert (frame.stale_a, frame.stale_b) == (True, False)
+
+
+def test_t_follows_the_torso_when_a_sensor_is_pushed() -> None:
+    body = KINECT_V1
+    truth = standing(body)
+    push = np.array([0.1, -0.03, 0.2])
+    pushed = RigidTransform(A_FROM_B.rotation, A_FROM_B.translation + push)
+    frame = Fuser(flawless_calibration(body)).update(pair_of(body, truth, 0, pushed))
+    np.testing.assert_allclose(frame.a_from_b.translation, pushed.translation, atol=FLOAT32)
+    np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
+
+
+def test_the_same_pairs_give_the_same_skeleton_bit_for_bit() -> None:
+    body = KINECT_V2
+    rng = np.random.default_rng(2)
+    pairs = [noisy(pair_of(body, at, t * FRAME_NS), rng, 0.03) for t, at in enumerate(moving(body, 30))]
+    one, two = (Fuser(flawless_calibration(body)) for _ in range(2))
+    for pair in pairs:
+        assert (one.update(pair).positions == two.update(pair).positions).all()
+
+
+@pytest.mark.parametrize("h", [0.5, 1.0, 2.0, float("nan")])
+def test_h_outside_its_range_is_refused(h: float) -> None:
+    with pytest.raises(FusionError, match=r"between 0\.5 and 1"):
+        FuserSettings(h=h)
+
+
+def test_a_sequence_is_bit_for_bit_the_pairs_one_by_one() -> None:
+    body = KINECT_V2
+    rng = np.random.default_rng(9)
+    pairs = [noisy(pair_of(body, at, t * FRAME_NS), rng, 0.05) for t, at in enumerate(moving(body, 60))]
+    pairs[20] = SkeletonPair(None, pairs[20].b, pairs[20].time_ns)
+    pairs[21] = SkeletonPair(None, None, pairs[21].time_ns)
+    pairs[22] = SkeletonPair(
+        with_states(pairs[22].a, {"HandLeft": TrackingState.NOT_TRACKED}), None, 22 * FRAME_NS
+    )
+    one_by_one, at_once = (Fuser(flawless_calibration(body)) for _ in range(2))
+    for single, of_sequence in zip(
+        [one_by_one.update(pair) for pair in pairs], at_once.fuse_sequence(pairs), strict=True
+    ):
+        assert single.positions.tobytes() == of_sequence.positions.tobytes()
+        assert single.weights_a.tobytes() == of_sequence.weights_a.tobytes()
+        assert single.a_from_b.translation.tobytes() == of_sequence.a_from_b.translation.tobytes()
+        assert (single.iterations, single.stale_a, single.stale_b) == (
+            of_sequence.iterations, of_sequence.stale_a, of_sequence.stale_b,
+        )  # fmt: skip
+
+
+def test_a_frame_allocates_nothing() -> None:
+    """Calls allocate what a call needs, however many frames it fuses."""
+    _nrt_python.memsys_enable_stats()
+    pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 20))]
+    fuser = Fuser(flawless_calibration(KINECT_V1))
+    allocated = []
+    try:
+        for some in (pairs[:1], pairs[:1], pairs):
+            before = rtsys.get_allocation_stats()
+            fuser.fuse_sequence(some)
+            after = rtsys.get_allocation_stats()
+            allocated.append((after.alloc - before.alloc, after.mi_alloc - before.mi_alloc))
+    finally:
+        _nrt_python.memsys_disable_stats()
+    assert allocated[1] > (0, 0)  # they are counted
+    assert allocated[2] == allocated[1]
+
+
+@pytest.mark.parametrize(
+    ("solver", "name"), [("exact", "fuse_frames"), ("paper", "fuse_frames_as_published")]
+)
+def test_no_frame_after_warming_up_compiles(solver: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    fresh: Any = kernel(getattr(frame, name).py_func)  # as in a process that begins
+    monkeypatch.setattr(frame, name, fresh)
+    pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 8))]
+    pairs += [
+        SkeletonPair(None, None, 8 * FRAME_NS),
+        SkeletonPair(pairs[0].a, None, 9 * FRAME_NS),
+        SkeletonPair(None, pairs[0].b, 10 * FRAME_NS),
+        replace(a_noisy_pair(KINECT_V1, 0), time_ns=11 * FRAME_NS),
+    ]
+    fuser = Fuser(flawless_calibration(KINECT_V1), FuserSettings(solver=solver))
+    fuser.warm_up()
+    assert len(fresh.signatures) == 1
+    with event.install_recorder("numba:compile") as compiling:
+        for pair in pairs:
+            fuser.update(pair)
+        fuser.fuse_sequence(pairs)
+    assert compiling.buffer == []
+    assert len(fresh.signatures) == 1  # one found on disk here is one to compile elsewhere
+
+
+def test_warming_up_leaves_no_trace() -> None:
+    body = KINECT_V1
+    pairs = [pair_of(body, at, t * FRAME_NS) for t, at in enumerate(moving(body, 5))]
+    cold, warm = (Fuser(flawless_calibration(body)) for _ in range(2))
+    warm.warm_up()
+    for pair in pairs:
+        assert cold.update(pair).positions.tobytes() == warm.update(pair).positions.tobytes()
+
+
+def a_noisy_pair(body: Body, seed: int) -> SkeletonPair:
+    """Views that differ by 20 mm a coordinate, with an inferred joint in each and one that B lost."""
+    rng = np.random.default_rng(seed)
+    pair = noisy(pair_of(body, standing(body)), rng, 0.02)
+    i, j, k = rng.choice(len(body), 3, replace=False)
+    a = with_states(pair.a, {body.joints[i]: TrackingState.INFERRED})
+    b = with_states(
+        pair.b, {body.joints[j]: TrackingState.INFERRED, body.joints[k]: TrackingState.NOT_TRACKED}
+    )
+    return SkeletonPair(a, b, 0)
+
+
+def moved_by(skeleton: Skeleton | None, by: RigidTransform) -> Skeleton:
+    assert skeleton is not None
+    return Skeleton.of(skeleton.body, by.apply(skeleton.positions), skeleton.states, skeleton.time_ns)
+
+
+def fused_in_moved_frames(
+    pair: SkeletonPair, weights: Weights, by_a: RigidTransform, by_b: RigidTransform
+) -> tuple[np.ndarray, np.ndarray]:
+    """S* of a pair, moved; and S* of the pair whose views were moved, each sensor's with its own motion."""
+    assert pair.a is not None
+    chosen = FuserSettings(weights=weights)
+    calibration = flawless_calibration(pair.a.body)
+    other = replace(calibration, a_from_b=by_a @ calibration.a_from_b @ by_b.inverse())
+    plain = Fuser(calibration, chosen).update(pair)
+    moved = Fuser(other, chosen).update(SkeletonPair(moved_by(pair.a, by_a), moved_by(pair.b, by_b), 0))
+    return by_a.apply(plain.positions), moved.positions
+
+
+# Both runs round to float32, each in its own frame.
+TWICE = 2 * FLOAT32
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), angles=st.tuples(*[st.floats(-180.0, 180.0)] * 2))
+def test_a_sensor_turned_about_its_optical_axis_turns_the_skeleton_with_it(
+    seed: int, angles: tuple[float, float]
+) -> None:
+    """The motion that leaves all distances in a viewing plane as they are, and so eqs. (10), (11)."""
+    turns = [
+        RigidTransform.of(Rotation.from_euler("z", angle, degrees=True).as_matrix(), np.zeros(3))
+        for angle in angles
+    ]
+    expected, got = fused_in_moved_frames(a_noisy_pair(KINECT_V2, seed), "paper", *turns)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=TWICE)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-0.5, 0.5)] * 3))
+def test_with_equal_weights_any_motion_of_a_sensor_moves_the_skeleton_with_it(
+    seed: int, shift: tuple[float, float, float]
+) -> None:
+    centre = np.array([0.0, 0.0, 2.6])  # about which the person stays before the sensor
+    motions = []
+    for rotation in Rotation.random(2, rng=seed):
+        R = rotation.as_matrix()
+        motions.append(RigidTransform.of(R, centre - R @ centre + shift))
+    expected, got = fused_in_moved_frames(a_noisy_pair(KINECT_V2, seed), "equal", *motions)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=TWICE)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_the_order_of_joints_does_not_matter_to_the_skeleton(seed: int) -> None:
+    body = KINECT_V2
+    new = np.random.default_rng(seed).permutation(len(body))  # new[k]: the joint that stands at k now
+    place = np.argsort(new)
+    shuffled = replace(
+        body,
+        joints=tuple(body.joints[j] for j in new),
+        parents=tuple(-1 if body.parents[j] < 0 else int(place[body.parents[j]]) for j in new),
+        bones=tuple(body.bones[j] for j in new),
+        torso=tuple(int(place[j]) for j in body.torso),
+        rest=body.rest[new],
+        nominal_lengths=body.nominal_lengths[new],
+    )
+
+    def reordered(skeleton: Skeleton | None) -> Skeleton:
+        assert skeleton is not None
+        return Skeleton.of(shuffled, skeleton.positions[new], skeleton.states[new], skeleton.time_ns)
+
+    pair = a_noisy_pair(body, seed)
+    plain = Fuser(flawless_calibration(body)).update(pair)
+    other = Fuser(flawless_calibration(shuffled)).update(
+        SkeletonPair(reordered(pair.a), reordered(pair.b), 0)
+    )
+    # t sums the torso in another order, so no more than rounding in double precision differs; the solver's
+    # own criterion allows 1e-8 m (SAME in test_tree_solver)
+    np.testing.assert_allclose(other.positions, plain.positions[new], rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(other.misleading >= 0, plain.misleading[new] >= 0)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), weights=st.sampled_from(WEIGHTS))
+def test_a_weighted_mean_with_the_right_bones_is_the_skeleton(seed: int, weights: Weights) -> None:
+    body = KINECT_V2
+    pair = a_noisy_pair(body, seed)
+    assert pair.a is not None
+    assert pair.b is not None
+    chosen = FuserSettings(weights=weights)
+    first = Fuser(flawless_calibration(body), chosen).update(pair)
+    b_in_a = np.nan_to_num(first.a_from_b.apply(pair.b.positions))  # where B has no joint its weight is 0
+    mean = first.weights_a[:, None] * pair.a.positions + first.weights_b[:, None] * b_in_a
+    calibration = replace(flawless_calibration(body), bone_lengths=bone_lengths_of(body, mean))
+    frame = Fuser(calibration, chosen).update(pair)
+    # no step is needed: what remains is the rounding of a few metres, summed along the longest chain
+    np.testing.assert_allclose(frame.positions, mean, rtol=0, atol=1e-12)

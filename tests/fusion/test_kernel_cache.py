@@ -1,0 +1,89 @@
+"""Claims about compiled kernels on disk."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from fusion.compiling.kernel_cache import drop_stale_kernels
+
+CALLED = """
+from numba import njit
+
+@njit(cache=True)
+def answer():
+    return {value}
+"""
+CALLER = """
+from numba import njit
+from {package}.called import answer
+
+@njit(cache=True)
+def ask():
+    return answer()
+
+print(ask())
+"""
+INIT = """
+from pathlib import Path
+from fusion.compiling.kernel_cache import drop_stale_kernels
+drop_stale_kernels(Path(__file__).parent)
+"""
+
+
+def ask(folder: Path) -> str:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(Path.cwd())])}
+    return subprocess.run(
+        [sys.executable, "-m", "edited.caller"], capture_output=True, text=True, env=environment, check=True
+    ).stdout.strip()
+
+
+def test_a_kernel_follows_an_edit_of_what_it_calls(tmp_path: Path) -> None:
+    package = tmp_path / "edited"
+    package.mkdir()
+    (package / "__init__.py").write_text(INIT)
+    (package / "caller.py").write_text(CALLER.format(package="edited"))
+    (package / "called.py").write_text(CALLED.format(value=1))
+    assert ask(tmp_path) == "1"
+    (package / "called.py").write_text(CALLED.format(value=2))
+    assert ask(tmp_path) == "2"
+
+
+def test_only_kernels_older_than_a_source_go(tmp_path: Path) -> None:
+    cache = tmp_path / "__pycache__"
+    cache.mkdir()
+    for name, age in (("old.nbi", 1), ("new.nbi", 3), ("module.pyc", 1)):
+        (cache / name).touch()
+        os.utime(cache / name, ns=(age, age))
+    (tmp_path / "source.py").touch()
+    os.utime(tmp_path / "source.py", ns=(2, 2))
+    drop_stale_kernels(tmp_path)
+    assert sorted(path.name for path in cache.iterdir()) == ["module.pyc", "new.nbi"]
+
+
+def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path: Path) -> None:
+    """Files stand where folders would be made: that stops root too, whom no permission does."""
+    for package in ("fusion", "devices", "recordings"):
+        shutil.copytree(package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    for source in [*tmp_path.rglob("__init__.py")]:
+        (source.parent / "__pycache__").touch()
+    (tmp_path / "home").touch()
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    for name in ("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA", "USERPROFILE"):
+        environment[name] = str(tmp_path / "home")
+    code = (
+        "import recordings.images.rvl\n"
+        "import devices.simulated.imaging.rendering, devices.simulated.tracking.tracker\n"
+        "import os, pathlib\n"
+        "folder = pathlib.Path(os.environ['NUMBA_CACHE_DIR'])\n"
+        "print(recordings.images.rvl.__file__, folder.is_dir(), folder)"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=environment
+    )
+    assert run.returncode == 0, run.stderr
+    source, there, folder = run.stdout.split()
+    assert source.startswith(str(tmp_path))
+    assert there == "True"
+    assert not Path(folder).exists()  # it goes with the process

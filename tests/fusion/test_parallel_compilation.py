@@ -1,0 +1,58 @@
+"""Claims about compiling on a first run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from unittest.mock import Mock
+
+import pytest
+
+from fusion.compiling import parallel_compilation as first_run
+from fusion.compiling.parallel_compilation import tree_solver_compiled_meanwhile
+
+PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
+COLD = """
+from fusion.body import AZURE_KINECT
+from fusion.calibration.calibration import nominal_calibration
+from fusion.fuser import Fuser
+from fusion.methods.paper import prepare
+from fusion.solvers.tree_solver import solve_tree
+Fuser(nominal_calibration(AZURE_KINECT)).warm_up()
+print(*(sum(counts.values()) for counts in (solve_tree.stats.cache_hits, solve_tree.stats.cache_misses)))
+print(len(prepare.signatures))
+"""
+
+
+def test_another_process_compiles_the_solver_on_a_first_run(tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(Path.cwd()), "NUMBA_CACHE_DIR": str(tmp_path)}
+    cold = subprocess.run(
+        [sys.executable, "-c", COLD], capture_output=True, text=True, env=environment, check=True
+    )
+    # found on disk, not compiled here; and what is compiled beside it is what the loop over frames calls
+    assert cold.stdout.split() == ["1", "0", "1"]
+
+
+def test_where_no_process_starts_all_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(first_run, "_is_on_disk", lambda: False)
+    monkeypatch.setattr(sys, "executable", "/nonexistent")
+    with tree_solver_compiled_meanwhile():
+        pass
+
+
+def test_only_what_this_interpreter_compiled_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(first_run, "solve_tree", Mock(__name__="solve_tree", stats=Mock(cache_path=tmp_path)))
+    (tmp_path / "tree_solver.solve_tree-163.py27.nbi").touch()
+    (tmp_path / f"tree_solver.solve_tree-163.{PYTHON}x.nbi").touch()
+    assert not first_run._is_on_disk()
+    (tmp_path / f"tree_solver.solve_tree-163.{PYTHON}.nbi").touch()
+    assert first_run._is_on_disk()
+
+
+def test_a_later_run_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    first_run.compile_tree_solver()
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process"))
+    with tree_solver_compiled_meanwhile():
+        pass

@@ -1,0 +1,106 @@
+"""Claims about eqs. (10), (11)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fusion.body import BODIES, KINECT_V2
+from fusion.methods.reliability import PAPER_H, reliability_weights
+
+
+def by_the_paper(pixels_a, pixels_b, states_a, states_b, linked, h):
+    """Sec. 3 word by word, one joint at a time."""
+    joints = range(len(pixels_a))
+    has_a = [bool(np.isfinite(pixels_a[i]).all()) for i in joints]
+    has_b = [bool(np.isfinite(pixels_b[i]).all()) for i in joints]
+    result = []
+    for i in joints:
+        if not (has_a[i] and has_b[i]):
+            result.append((float(has_a[i]), float(has_b[i]), -1))
+            continue
+        in_a = {j: np.linalg.norm(pixels_a[i] - pixels_a[j]) for j in joints if has_a[j] and has_b[j]}
+        in_b = {j: np.linalg.norm(pixels_b[i] - pixels_b[j]) for j in in_a}
+        candidates = [j for j in in_a if not linked[i, j]]
+        basic_a = basic_b = 0.5
+        m = -1
+        if candidates:
+            j, k = min(candidates, key=in_a.__getitem__), min(candidates, key=in_b.__getitem__)
+            m = j if in_a[j] < in_b[k] else k
+            if in_a[m] + in_b[m] > 0:
+                basic_a, basic_b = in_a[m] / (in_a[m] + in_b[m]), in_b[m] / (in_a[m] + in_b[m])
+        h_a, h_b = (h if states_a[i] == 2 else 1 - h), (h if states_b[i] == 2 else 1 - h)
+        power_a, power_b = (h_a * basic_a) ** 4, (h_b * basic_b) ** 4
+        result.append((power_a / (power_a + power_b), power_b / (power_a + power_b), m))
+    return tuple(np.array(column) for column in zip(*result, strict=True))
+
+
+def random_views(rng, body):
+    pixels_a, pixels_b = rng.uniform(0, 500, (2, len(body), 2))
+    states_a, states_b = rng.choice([1, 2], (2, len(body)), p=[0.3, 0.7]).astype(np.uint8)
+    for pixels, states in ((pixels_a, states_a), (pixels_b, states_b)):
+        hole = rng.random(len(body)) < rng.choice([0.0, 0.2, 0.9])
+        pixels[hole], states[hole] = np.nan, 0
+    return pixels_a, pixels_b, states_a, states_b, body.linked
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
+def test_weights_are_those_of_the_paper_word_by_word(body):
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        views = random_views(rng, body)
+        h = rng.uniform(0.5, 1.0)
+        weights_a, weights_b, misleading = reliability_weights(*views, h)
+        expected_a, expected_b, expected_misleading = by_the_paper(*views, h)
+        np.testing.assert_allclose(weights_a, expected_a, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(weights_b, expected_b, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(misleading, expected_misleading)
+
+
+def test_weights_of_a_seen_joint_sum_to_one_and_of_an_unseen_one_to_zero():
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        views = random_views(rng, KINECT_V2)
+        weights_a, weights_b, _ = reliability_weights(*views)
+        seen = np.isfinite(views[0]).all(axis=1) | np.isfinite(views[1]).all(axis=1)
+        np.testing.assert_allclose(weights_a + weights_b, seen.astype(float), atol=1e-15)
+
+
+def test_a_joint_hidden_behind_another_in_one_view_is_taken_from_the_other():
+    rng = np.random.default_rng(2)
+    pixels_a, pixels_b = rng.uniform(0, 500, (2, len(KINECT_V2), 2))
+    elbow, hip = KINECT_V2.joint("ElbowLeft"), KINECT_V2.joint("HipLeft")
+    pixels_a[elbow] = pixels_a[hip] + 0.5
+    tracked = np.full(len(KINECT_V2), 2, np.uint8)
+    weights_a, weights_b, misleading = reliability_weights(
+        pixels_a, pixels_b, tracked, tracked, KINECT_V2.linked
+    )
+    assert misleading[elbow] == hip
+    assert weights_a[elbow] < 1e-4
+    assert weights_b[elbow] > 1 - 1e-4
+
+
+def test_a_tracked_joint_outweighs_an_inferred_one_by_h():
+    rng = np.random.default_rng(3)
+    pixels = rng.uniform(0, 500, (len(KINECT_V2), 2))
+    tracked, inferred = np.full(len(KINECT_V2), 2, np.uint8), np.full(len(KINECT_V2), 1, np.uint8)
+    weights_a, weights_b, _ = reliability_weights(pixels, pixels, tracked, inferred, KINECT_V2.linked)
+    np.testing.assert_allclose(weights_a / weights_b, (PAPER_H / (1 - PAPER_H)) ** 4)
+
+
+def test_equal_states_leave_the_weights_to_the_distances():
+    rng = np.random.default_rng(4)
+    pixels_a, pixels_b = rng.uniform(0, 500, (2, len(KINECT_V2), 2))
+    tracked, inferred = np.full(len(KINECT_V2), 2, np.uint8), np.full(len(KINECT_V2), 1, np.uint8)
+    both_tracked = reliability_weights(pixels_a, pixels_b, tracked, tracked, KINECT_V2.linked)
+    both_inferred = reliability_weights(pixels_a, pixels_b, inferred, inferred, KINECT_V2.linked)
+    for one, other in zip(both_tracked, both_inferred, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_joints_on_one_spot_in_both_views_share_equally():
+    pixels = np.full((len(KINECT_V2), 2), 100.0)
+    tracked = np.full(len(KINECT_V2), 2, np.uint8)
+    weights_a, weights_b, _ = reliability_weights(pixels, pixels, tracked, tracked, KINECT_V2.linked)
+    np.testing.assert_array_equal(weights_a, 0.5)
+    np.testing.assert_array_equal(weights_b, 0.5)

@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
+from fusion.errors import CalibrationError, FusionError
+from fusion.registration.rigid_fit import fit_rigid, register
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton, SkeletonPair
+from tests.conftest import A_FROM_B, moving, pair_of, standing
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@given(SEEDS)
+def test_the_fit_finds_the_optimum_of_scipys_align_vectors(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    q = rng.normal(size=(20, 3))
+    p = Rotation.random(rng=rng).apply(q) + rng.normal(size=3) + rng.normal(0, 0.05, (20, 3))
+    oracle, _ = Rotation.align_vectors(p - p.mean(axis=0), q - q.mean(axis=0))
+    fit = fit_rigid(p, q)
+    np.testing.assert_allclose(fit.rotation, oracle.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(fit.apply(q.mean(axis=0)), p.mean(axis=0), atol=1e-12)
+
+
+@given(SEEDS)
+def test_a_mirrored_person_is_not_met_by_a_reflection(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    q = rng.normal(size=(20, 3))
+    assert np.linalg.det(fit_rigid(q * [-1.0, 1.0, 1.0], q).rotation) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("body", [KINECT_V1, KINECT_V2, AZURE_KINECT], ids=str)
+def test_the_sensors_place_is_recovered_to_the_precision_of_their_floats(body: object) -> None:
+    pairs = [pair_of(body, truth) for truth in moving(body, 60)]
+    found = register(pairs)
+    # float32 at 4 m is exact to 2.4e-7 m; a body of 1 m turns that into at most as many radians
+    assert found.a_from_b.angle_to(A_FROM_B) < 1e-6
+    np.testing.assert_allclose(found.a_from_b.translation, A_FROM_B.translation, atol=3e-6)
+    assert found.residual_median < 1e-6
+    assert found.frames == 60
+
+
+def test_joints_only_inferred_do_not_count() -> None:
+    truth = standing(KINECT_V1)
+    pair = pair_of(KINECT_V1, truth)
+    assert pair.a is not None
+    wrong = np.array(pair.a.positions)
+    wrong[5] += 0.5
+    states = np.full(20, 2)
+    states[5] = 1
+    found = register([SkeletonPair(Skeleton.of(KINECT_V1, wrong, states), pair.b, 0)])
+    assert found.residual_rms < 1e-6
+    assert np.isnan(found.joint_residuals[5])
+
+
+def test_the_joints_that_disagree_most_are_named() -> None:
+    pairs = []
+    for truth in moving(KINECT_V1, 40):
+        pair = pair_of(KINECT_V1, truth)
+        assert pair.a is not None
+        wrong = np.array(pair.a.positions)
+        wrong[KINECT_V1.joint("HandLeft")] += [0.0, 0.2, 0.0]
+        pairs.append(SkeletonPair(Skeleton.of(KINECT_V1, wrong), pair.b, 0))
+    (name, distance), *_ = register(pairs).worst_joints()
+    assert name == "HandLeft"
+    assert 0.1 < distance < 0.2
+
+
+def test_the_stated_certainty_is_the_error_seen_over_many_trials() -> None:
+    # joints with independent errors, one frame each: the standard error must describe the real errors
+    rng = np.random.default_rng(3)
+    truth, errors, stated = standing(KINECT_V1), [], []
+    for _ in range(300):
+        pair = pair_of(KINECT_V1, truth)
+        assert pair.a is not None
+        assert pair.b is not None
+        noisy = SkeletonPair(
+            Skeleton.of(KINECT_V1, pair.a.positions + rng.normal(0, 0.02, (20, 3))),
+            Skeleton.of(KINECT_V1, pair.b.positions + rng.normal(0, 0.02, (20, 3))),
+            0,
+        )
+        found = register([noisy])
+        rotation_error = found.a_from_b.rotation @ A_FROM_B.rotation.T
+        errors.append(Rotation.from_matrix(rotation_error).as_rotvec())
+        stated.append(found.rotation_sd)
+    worst_axis = np.sqrt(np.linalg.eigvalsh(np.cov(np.array(errors).T))[-1])
+    # 300 trials give a standard deviation to 4 %; the residual's own loss of 6 of 60 degrees is 5 % more
+    assert np.mean(stated) == pytest.approx(worst_axis, rel=0.15)
+
+
+def test_a_fit_that_cannot_be_right_says_so() -> None:
+    rng = np.random.default_rng(0)
+    one = pair_of(KINECT_V1, standing(KINECT_V1))
+    other = Skeleton.of(KINECT_V1, rng.normal(0, 1, (20, 3)))
+    with pytest.raises(CalibrationError, match="cannot be right"):
+        register([SkeletonPair(one.a, other, 0)])
+    with pytest.raises(CalibrationError, match="No frame shows a person to both"):
+        register([SkeletonPair(one.a, None, 0)])
+    states = np.zeros(20)
+    states[:4] = 2
+    few = Skeleton.of(KINECT_V1, standing(KINECT_V1), states)
+    with pytest.raises(CalibrationError, match="Only 4 joints"):
+        register([SkeletonPair(few, one.b, 0)])
+    line = np.linspace(0, 1, 20)[:, None] * [[1.0, 2.0, 3.0]]
+    with pytest.raises(CalibrationError, match="one line"):
+        fit_rigid(line, line)
+
+
+def test_transforms_form_a_group() -> None:
+    rng = np.random.default_rng(1)
+    x, y = (RigidTransform.of(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)) for _ in range(2))
+    points = rng.normal(size=(7, 3))
+    np.testing.assert_allclose((x @ y).apply(points), x.apply(y.apply(points)), atol=1e-12)
+    np.testing.assert_allclose(x.inverse().apply(x.apply(points)), points, atol=1e-12)
+    assert (x @ x.inverse()).angle_to(RigidTransform.identity()) == pytest.approx(0.0, abs=1e-7)
+    with pytest.raises(FusionError, match="reflection"):
+        RigidTransform.of(np.diag([1.0, 1.0, -1.0]), np.zeros(3))

@@ -1,0 +1,59 @@
+"""A moving person as two sensors' frames: what the loop is fed with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from devices.pairing import FramePair
+from devices.sensor import SensorFrame
+from fusion.body import Body
+from fusion.calibration.calibration import Calibration
+from fusion.skeleton import Skeleton
+from tests.conftest import A_FROM_B, FRAME_NS, moving
+
+
+def calibration_of(body: Body) -> Calibration:
+    return Calibration(body, A_FROM_B, body.nominal_lengths, "known truth")
+
+
+def frame_pairs(
+    body: Body,
+    frames: int,
+    gap: Sequence[int] = (),
+    only_a: Sequence[int] = (),
+    no_b: Sequence[int] = (),
+    jitter_ns: int = 0,
+    noise: float = 0.02,
+    depth: bool = False,
+) -> list[FramePair]:
+    """Both sensors' noisy views.
+
+    Args:
+        body: The body.
+        frames: How many.
+        gap: Frames in which no one is seen.
+        only_a: Frames in which B sees no one.
+        no_b: Frames that B did not deliver.
+        jitter_ns: By how much the times vary.
+        noise: Metres, on each axis.
+        depth: With small depth images.
+    """
+    rng = np.random.default_rng(4)
+    pairs = []
+    for t, at in enumerate(moving(body, frames)):
+        time_ns = t * FRAME_NS + int(rng.integers(0, jitter_ns + 1)) * (t > 0)
+        seen = []
+        for side, points in enumerate((at, A_FROM_B.inverse().apply(at))):
+            states = rng.choice([0, 1, 2], len(body), p=[0.02, 0.08, 0.9])
+            own_ns = time_ns + side * 77_000_123
+            skeleton = Skeleton.of(body, points + rng.normal(0, noise, points.shape), states, own_ns)
+            absent = t in gap or (side == 1 and t in only_a)
+            image = rng.integers(0, 4000, (24, 32)).astype(np.uint16) if depth else None
+            seen.append(SensorFrame(own_ns, {} if absent else {"7": skeleton}, image))
+        b = None if t in no_b else seen[1]
+        pairs.append(
+            FramePair(seen[0], b, "7", "7", time_ns, 0 if b is None else int(rng.integers(-9e6, 9e6)))
+        )
+    return pairs

@@ -1,0 +1,95 @@
+"""Writes recordings in the Azure Kinect's layout, for tests: as long and as broken as they need."""
+
+from __future__ import annotations
+
+import json
+import struct
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+
+from devices.azure.calibration import DEPTH_MODES
+
+INTERVAL_US = 33_000  # whole milliseconds: the muxer's own time scale
+_MICROSECONDS = Fraction(1, 1_000_000)
+
+
+def calibration_json() -> bytes:
+    """A calibration as a sensor stores it: an ideal lens of the nominal focal length, colour 32 mm aside."""
+    ideal = [0.5, 0.5, 0.4921875, 0.4921875, *[0.0] * 10]
+
+    def camera(purpose: str, size: tuple[int, int], translation: list[float]) -> dict[str, object]:
+        return {
+            "Purpose": f"CALIBRATION_CameraPurpose{purpose}",
+            "Intrinsics": {"ModelParameters": ideal, "ModelParameterCount": 14},
+            "Rt": {"Rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1], "Translation": translation},
+            "SensorWidth": size[0],
+            "SensorHeight": size[1],
+        }
+
+    cameras = [camera("Depth", (1024, 1024), [0, 0, 0]), camera("PhotoVideo", (4096, 3072), [-0.032, 0, 0])]
+    return json.dumps({"CalibrationInformation": {"Cameras": cameras}}).encode()
+
+
+def depth_image(index: int, mode: str = "NFOV_2X2BINNED") -> np.ndarray:
+    """The depth image of a frame: a slope that names its frame."""
+    shape = DEPTH_MODES[mode].height, DEPTH_MODES[mode].width
+    return (np.arange(shape[0] * shape[1]) % 4000 + index + 1).astype(np.uint16).reshape(shape)
+
+
+def write_mkv(
+    path: Path,
+    frames: int,
+    mode: str = "NFOV_2X2BINNED",
+    start_offset_ns: int = 336_277_000,
+    serial: str = "000123",
+    color: bool = False,
+    calibration: bytes | None = None,
+    size: tuple[int, int] | None = None,
+    sync: str = "SUBORDINATE",
+) -> Path:
+    """Writes a recording; infrared is depth + 1, colour one grey, and every frame has one IMU sample."""
+    width, height = size or (DEPTH_MODES[mode].width, DEPTH_MODES[mode].height)
+    with av.open(str(path), "w", options={"allow_raw_vfw": "1"}) as container:
+        container.metadata.update(
+            K4A_START_OFFSET_NS=str(start_offset_ns),
+            K4A_DEVICE_SERIAL_NUMBER=serial,
+            K4A_WIRED_SYNC_MODE=sync,
+            K4A_SUBORDINATE_DELAY_NS="160000" if sync == "SUBORDINATE" else "0",
+        )
+        streams = {}
+        for title in ("DEPTH", "IR"):
+            streams[title] = container.add_stream("rawvideo", rate=30)
+            streams[title].width, streams[title].height = width, height
+            streams[title].pix_fmt, streams[title].time_base = "gray16be", _MICROSECONDS
+            streams[title].metadata["title"] = title
+        streams["DEPTH"].metadata["K4A_DEPTH_MODE"] = mode
+        if color:
+            streams["COLOR"] = container.add_stream("mjpeg", rate=30)
+            streams["COLOR"].width, streams["COLOR"].height = 1280, 720
+            streams["COLOR"].pix_fmt, streams["COLOR"].time_base = "yuvj422p", _MICROSECONDS
+            streams["COLOR"].metadata.update(title="COLOR", K4A_COLOR_MODE="MJPG_720P")
+        streams["IMU"] = container.add_mux_stream("subrip")
+        streams["IMU"].metadata["title"] = "IMU"
+        container.add_attachment(
+            "calibration.json", "application/octet-stream", calibration or calibration_json()
+        )
+        container.start_encoding()
+        grey = cv2.imencode(".jpg", np.full((720, 1280, 3), 100, np.uint8))[1].tobytes()
+        for index in range(frames):
+            depth = np.resize(depth_image(index, mode), (height, width))
+            sample = struct.pack("<Q3fQ3f", index * 1000, 0.0, 0.0, -9.81, index * 1000 + 1, 0.1, 0.2, 0.3)
+            images = {"DEPTH": depth, "IR": depth + 1}
+            content = {title: image.astype(">u2").tobytes() for title, image in images.items()}
+            content |= {"COLOR": grey, "IMU": sample}
+            for title in streams:
+                packet = av.Packet(content[title])
+                packet.stream, packet.time_base = streams[title], _MICROSECONDS
+                # Colour exposes a little later than depth, as real sensors do.
+                packet.pts = packet.dts = index * INTERVAL_US + (3000 if title == "COLOR" else 0)
+                packet.duration = INTERVAL_US
+                container.mux(packet)
+    return path

@@ -1,0 +1,76 @@
+"""A sensor that does what a test tells it, frame by frame, from another thread; nothing sleeps."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from devices.sensor import DeviceError, SensorFrame
+from fusion.body import AZURE_KINECT, Body
+from fusion.intrinsics import Intrinsics
+from fusion.skeleton import Skeleton
+
+PATIENCE_S = 10.0  # how long a test waits for a thread before it fails; never waited when all is well
+
+
+def frame_at(time_ns: int, host_ns: int | None = None, people: bool = False) -> SensorFrame:
+    person = {"1": Skeleton.of(AZURE_KINECT, np.ones((32, 3)), time_ns=time_ns)} if people else {}
+    return SensorFrame(time_ns, person, host_ns=host_ns)
+
+
+class ScriptedSensor:
+    """Gives what is put: a frame, an error to raise, a function to call, or None for the end."""
+
+    body: Body = AZURE_KINECT
+    intrinsics: Intrinsics | None = None
+
+    def __init__(self, name: str = "000123", open_faults: list[Exception] | None = None) -> None:
+        self.name = name
+        self.open_faults = open_faults or []
+        self.script: queue.Queue[SensorFrame | BaseException | Callable[[], object] | None] = queue.Queue()
+        self.opened = self.closed = 0
+        self.close_hook: Callable[[], object] = lambda: None
+
+    def put(self, *steps: SensorFrame | BaseException | Callable[[], object] | None) -> None:
+        for step in steps:
+            self.script.put(step)
+
+    def __enter__(self) -> ScriptedSensor:
+        if self.open_faults:
+            raise self.open_faults.pop(0)
+        self.opened += 1
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.closed += 1
+        self.close_hook()
+
+    def interrupt(self) -> None:
+        self.script.put(None)
+
+    def frames(self) -> Iterator[SensorFrame]:
+        while True:
+            step = self.script.get(timeout=PATIENCE_S)
+            if step is None:
+                return
+            if isinstance(step, BaseException):
+                raise step
+            if isinstance(step, SensorFrame):
+                yield step
+            else:
+                step()
+
+
+def all_threads_end() -> bool:
+    """Whether every thread but the caller's ends; one whose reader stopped waiting may take a moment."""
+    others = set(threading.enumerate()) - {threading.current_thread()}
+    for thread in others:
+        thread.join(PATIENCE_S)
+    return not any(thread.is_alive() for thread in others)
+
+
+def unplugged(name: str = "000123") -> DeviceError:
+    return DeviceError(f"Kinect {name} was unplugged.")

@@ -1,0 +1,28 @@
+"""What stands in a saved session, for tests that ask only whether it can be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from recordings.reading.rrd_file import RrdFile
+
+
+def rows_of(path: Path, entity: str) -> int:
+    """In how many frames an entity was logged; it may be in several parts in each."""
+    frames: set[int] = set()
+    with RrdFile(path) as file:
+        for of, batch in file.chunks(images=True):
+            if of == entity and "frame" in batch.schema.names:
+                frames.update(batch.column("frame").to_pylist())
+    return len(frames)
+
+
+def events_of(path: Path) -> list[str]:
+    """The texts of all events, in order."""
+    texts: list[str] = []
+    with RrdFile(path) as file:
+        for of, batch in file.chunks(images=False):
+            if of == "/events":
+                for row in batch.column("TextLog:text").to_pylist():
+                    texts += row
+    return texts

@@ -1,0 +1,42 @@
+"""``duplex demo`` as a process that tells of each frame when it has been recorded: a dot on stderr."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+_PROGRAM = """
+import sys
+from viewer_app import cli
+from viewer_app.sinks.live_session import LiveSession
+record = LiveSession.record
+def telling(session, frame):
+    record(session, frame)
+    sys.stderr.write(".")
+    sys.stderr.flush()
+LiveSession.record = telling
+sys.argv[1:] = ["demo", "--no-viewer", "--save", *sys.argv[1:]]
+cli.script()
+"""
+
+
+def telling_demo(save: Path, *more: str) -> subprocess.Popen[bytes]:
+    """Starts it."""
+    return subprocess.Popen(
+        [sys.executable, "-u", "-c", _PROGRAM, str(save), *more],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+
+
+def wait_for_frames(process: subprocess.Popen[bytes], frames: int) -> None:
+    """Until so many more frames have been recorded."""
+    assert process.stderr is not None
+    told = process.stderr.read(frames)
+    assert told == b"." * frames, told + process.stderr.read()

@@ -1,0 +1,74 @@
+"""Colour images in a session: back as they were given, and never damaged unseen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rerun as rr
+
+from devices.sensor import ColorCamera, ColorImage
+from fusion.body import KINECT_V2
+from fusion.fuser import Fuser
+from fusion.intrinsics import Intrinsics
+from fusion.rigid import RigidTransform
+from recordings import layout
+from recordings.images.color_images import read_color
+from recordings.writing.recorder import Recorder
+from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from viewer_app.loop.fusing import fuse_one
+
+ALL = range(100)
+_TURN = RigidTransform.of([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [-0.032, 0.002, 0.004])
+_CAMERA = ColorCamera(Intrinsics(64, 48, 60.5, 61.5, 31.5, 24.5, (0.1, -0.2, 0.3)), _TURN)
+
+
+@pytest.fixture
+def images() -> list[ColorImage]:
+    """Noise, which nothing can compress: the file holds these very bytes."""
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 255, (4, 48, 64, 3), dtype=np.uint8)
+    return [ColorImage(cv2.imencode(".jpg", image)[1].tobytes(), _CAMERA) for image in noise]
+
+
+@pytest.fixture
+def session(images: list[ColorImage], tmp_path: Path) -> Path:
+    """Four frames, of which A has colour in all and B in none."""
+    fuser = Fuser(calibration_of(KINECT_V2))
+    made = []
+    for pair, image in zip(frame_pairs(KINECT_V2, len(images)), images, strict=True):
+        assert pair.a is not None
+        made.append(fuse_one(fuser, replace(pair, a=replace(pair.a, color=image))))
+    path = tmp_path / "s.rrd"
+    stream = rr.RecordingStream(layout.APPLICATION_ID)
+    stream.set_sinks(rr.FileSink(str(path)))
+    recorder = Recorder(stream, fuser, ("a", "b"), depth_every=1)
+    recorder.record_all(made)
+    recorder.finish()
+    stream.flush()
+    stream.disconnect()
+    return path
+
+
+def test_images_come_back_with_lens_and_place(session: Path, images: list[ColorImage]) -> None:
+    read = list(read_color(session, "a", ALL))
+    assert [(frame, image.jpeg) for frame, image in read] == [(k, i.jpeg) for k, i in enumerate(images)]
+    for _, image in read:
+        assert image.camera.intrinsics == _CAMERA.intrinsics
+        np.testing.assert_array_equal(image.camera.color_from_depth.rotation, _TURN.rotation)
+        np.testing.assert_array_equal(image.camera.color_from_depth.translation, _TURN.translation)
+    assert list(read_color(session, "b", ALL)) == []
+
+
+def test_a_damaged_image_is_left_out_and_counted(session: Path, images: list[ColorImage]) -> None:
+    data = bytearray(session.read_bytes())
+    at = data.find(images[2].jpeg[-400:-300])
+    assert at > 0, "the image is not in the file as it is"
+    data[at + 50] ^= 1
+    session.write_bytes(data)
+    reader = read_color(session, "a", ALL)
+    assert [frame for frame, _ in reader] == [0, 1, 3]
+    assert reader.damaged == 1

@@ -1,0 +1,200 @@
+"""Each format read back by a library that is not ours."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fusion.body import BODIES, KINECT_V2, Body
+from fusion.rigid import RigidTransform
+from recordings.errors import RecordingError
+from recordings.export import writer_for
+from recordings.export.even_frames import EvenFrames, even_frames
+from recordings.session import Session
+from recordings.testing import record_fused
+from recordings.writing.rewritten_session import rewrite
+from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.recalibrated import record_recalibrated
+
+GAP = (20, 21, 22)
+
+
+@pytest.fixture(params=BODIES.values(), ids=str)
+def session(request: pytest.FixtureRequest, tmp_path: Path) -> Session:
+    """A moving person, whom no sensor sees in three frames; timestamps jitter by up to 3 ms."""
+    body: Body = request.param
+    pairs = frame_pairs(body, 60, gap=GAP, jitter_ns=3_000_000)
+    return record_fused(tmp_path / "s.rrd", pairs, calibration_of(body))
+
+
+def y_up(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([positions[..., 0], -positions[..., 1], -positions[..., 2]], axis=-1)
+
+
+def exported(session: Session, name: str, **how: str) -> Path:
+    path = session.path.with_name(name)
+    writer_for(path, **how)(session, path)
+    return path
+
+
+def test_long_csv_has_every_skeleton_in_k_a_s_frame(session: Session) -> None:
+    pandas = pytest.importorskip("pandas")
+    table = pandas.read_csv(exported(session, "s.csv"))
+    rows, T, J = session.rows, len(session), len(session.body)
+    for name, expected in (("a", rows.positions_a), ("b", rows.b_in_a), ("fused", rows.fused)):
+        part = table[table.skeleton == name]
+        assert part.joint.tolist()[:J] == list(session.body.joints)
+        np.testing.assert_allclose(part[["x", "y", "z"]].to_numpy().reshape(T, J, 3), expected, atol=1e-9)
+    np.testing.assert_allclose(part.time_s.to_numpy()[::J], rows.time_ns * 1e-9, atol=1e-9)
+    assert table[(table.frame == GAP[0]) & (table.skeleton == "fused")].x.isna().all()
+
+
+def test_wide_csv_has_a_row_a_frame(session: Session) -> None:
+    pandas = pytest.importorskip("pandas")
+    table = pandas.read_csv(exported(session, "s.csv", table="wide"))
+    joint = session.body.joints[5]
+    np.testing.assert_allclose(table[f"{joint}_y"].to_numpy(), session.rows.fused[:, 5, 1], atol=1e-9)
+    assert len(table.columns) == 2 + 3 * len(session.body)
+
+
+def test_parquet_has_the_same_rows_and_says_its_units(session: Session) -> None:
+    pandas = pytest.importorskip("pandas")
+    pyarrow_parquet = pytest.importorskip("pyarrow.parquet")
+    path = exported(session, "s.parquet")
+    table = pandas.read_parquet(path)
+    fused = table[table.skeleton == "fused"][["x", "y", "z"]].to_numpy()
+    np.testing.assert_array_equal(fused.reshape(session.rows.fused.shape), session.rows.fused)
+    assert pyarrow_parquet.read_schema(path).metadata[b"units"] == b"metres, seconds"
+
+
+def test_npz_has_every_array(session: Session) -> None:
+    with np.load(exported(session, "s.npz")) as arrays:
+        np.testing.assert_array_equal(arrays["fused"], session.rows.fused)
+        np.testing.assert_array_equal(arrays["positions_b"], session.rows.positions_b)
+        assert tuple(arrays["joints"]) == session.body.joints
+
+
+def test_trc_is_in_millimetres_y_up_with_empty_cells_for_gaps(session: Session) -> None:
+    pandas = pytest.importorskip("pandas")
+    path = exported(session, "s.trc")
+    lines = path.read_text(encoding="utf-8").split("\n")
+    head = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
+    assert (head["Units"], head["DataRate"], head["NumFrames"]) == ("mm", "30", "60")
+    assert [name for name in lines[3].split("\t")[2:] if name] == list(session.body.joints)
+    table = pandas.read_csv(path, sep="\t", skiprows=6, header=None, skip_blank_lines=False)
+    at = table.iloc[:, 2:].to_numpy(dtype=float).reshape(session.rows.fused.shape)
+    np.testing.assert_allclose(at, 1e3 * y_up(session.rows.fused), atol=1e-4)
+    np.testing.assert_allclose(table[1], session.rows.time_ns * 1e-9, atol=1e-6)
+
+
+def test_c3d_is_read_by_another_library(session: Session) -> None:
+    pytest.importorskip("ezc3d")
+    c3d = pytest.importorskip("c3d")
+    path = exported(session, "s.c3d")
+    even = even_frames(session.rows)
+    with path.open("rb") as file:
+        reader = c3d.Reader(file)
+        assert reader.point_rate == 30.0
+        assert reader.get("POINT").get("UNITS").string_value.strip() == "mm"
+        assert [label.strip() for label in reader.point_labels] == list(session.body.joints)
+        frames = [points for _, points, _ in reader.read_frames()]
+    assert len(frames) == len(even.index)
+    for points, index in zip(frames, even.index, strict=True):
+        if index in GAP:
+            assert (points[:, 3] == -1).all()
+            continue
+        x, y, z = 1e3 * session.rows.fused[index].T
+        np.testing.assert_allclose(
+            points[:, :3], np.stack([x, z, -y], axis=1), atol=1e-3
+        )  # float32 of metres
+
+
+def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(session: Session) -> None:
+    path = exported(session, "s.bvh")
+    even = even_frames(session.rows)
+    body = session.body
+    header = path.read_text(encoding="utf-8")
+    assert f"Frames: {len(even.index)}\nFrame Time: 0.033333" in header
+    held = [GAP[0] - 1 if index in GAP else index for index in even.index]  # the last pose
+    np.testing.assert_allclose(bvh_joints(path, body), y_up(session.rows.fused[held]), atol=1e-4)
+
+
+def bvh_joints(path: Path, body: Body) -> NDArray[np.float64]:
+    """(N, J, 3) metres, as another library makes them of the file."""
+    bvhio = pytest.importorskip("bvhio")
+    root = bvhio.readAsHierarchy(str(path))
+    nodes = {node.Name: node for node, _, _ in root.layout()}
+    found = []
+    for moment in range(len(root.Keyframes)):
+        root.loadPose(moment)
+        found.append([np.array(nodes[joint].PositionWorld) for joint in body.joints])
+    return np.array(found) / 100.0
+
+
+def test_bvh_has_the_frames_of_the_last_bone_lengths_and_says_so(tmp_path: Path) -> None:
+    first = calibration_of(KINECT_V2)
+    other = replace(first, bone_lengths=first.bone_lengths * 1.1)
+    moved = replace(other, a_from_b=RigidTransform.of(first.a_from_b.rotation, [2.3, 0.1, 2.6]))
+    session = record_recalibrated(
+        tmp_path / "s.rrd", frame_pairs(KINECT_V2, 30), [(0, first), (12, other), (20, moved)]
+    )
+    path = tmp_path / "s.bvh"
+    said = writer_for(path)(session, path)
+    assert "18 frames at an even 30 Hz; without the 12 frames before" in said
+    assert "duplex trim --to 0.383" in said  # between frames 11 and 12
+    np.testing.assert_allclose(bvh_joints(path, KINECT_V2), y_up(session.rows.fused[12:]), atol=1e-4)
+    rewrite(session, tmp_path / "before.rrd", None, 0, 12)
+    before = Session.open(tmp_path / "before.rrd")
+    assert "without" not in writer_for(path)(before, path)
+    np.testing.assert_allclose(bvh_joints(path, KINECT_V2), y_up(session.rows.fused[:12]), atol=1e-4)
+
+
+def paused(tmp_path: Path, frames: int) -> Session:
+    """Three frames at 30 Hz and one after a pause, so that there are so many moments of 30 Hz."""
+    pairs = frame_pairs(KINECT_V2, 4)
+    pairs[3] = replace(pairs[3], time_ns=round((frames - 1) * 1e9 / 30))
+    return record_fused(tmp_path / "paused.rrd", pairs, calibration_of(KINECT_V2))
+
+
+def test_c3d_holds_as_many_frames_as_it_can_count(tmp_path: Path) -> None:
+    ezc3d, c3d = pytest.importorskip("ezc3d"), pytest.importorskip("c3d")
+    session = paused(tmp_path, 65_535)
+    path = exported(session, "s.c3d")
+    points = ezc3d.c3d(str(path))["data"]["points"]
+    assert points.shape == (4, 25, 65_535)
+    last = 1e3 * session.rows.fused[3][:, [0, 2, 1]] * [1, 1, -1]
+    np.testing.assert_allclose(points[:3, :, -1].T, last, atol=1e-3)
+    with path.open("rb") as file:
+        assert c3d.Reader(file).last_frame == 65_535
+
+
+def test_c3d_refuses_what_its_readers_would_silently_lose(tmp_path: Path) -> None:
+    pytest.importorskip("ezc3d")
+    session = paused(tmp_path, 65_536)
+    with pytest.raises(RecordingError, match=r"holds 65535 frames, 36 min at 30 Hz; .* has 65536"):
+        exported(session, "s.c3d")
+    assert not (tmp_path / "s.c3d").exists()
+
+
+def test_an_even_rate_says_what_it_did_to_the_frames() -> None:
+    even = EvenFrames(30.0, np.array([0, 1, 1, -1, 4]))
+    assert even.in_words(5) == "5 frames at an even 30 Hz (1 repeated, 2 left out, 1 of nothing)"
+    assert EvenFrames(15.0, np.arange(3)).in_words(3) == "3 frames at an even 15 Hz"
+
+
+def test_a_pause_in_the_recording_is_a_gap_at_an_even_rate(tmp_path: Path) -> None:
+    pairs = frame_pairs(KINECT_V2, 40)
+    late = [p for k, p in enumerate(pairs) if not 10 <= k < 25]
+    session = record_fused(tmp_path / "s.rrd", late, calibration_of(KINECT_V2))
+    even = even_frames(session.rows)
+    assert even.rate == 30.0
+    assert (even.index[12:23] == -1).all()
+    np.testing.assert_array_equal(even.index[:10], np.arange(10))
+    np.testing.assert_array_equal(even.index[25:], np.arange(10, 25))
+
+
+def test_an_unknown_ending_says_which_are_known(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"Known: \.bvh, \.c3d"):
+        writer_for(tmp_path / "s.fbx")

@@ -1,0 +1,427 @@
+"""Nothing is lost: not to a kill, not to a full disk; and a live session can be read while it grows."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from uuid import uuid4
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from fusion.body import KINECT_V1
+from fusion.fuser import Fuser
+from recordings import layout
+from recordings.errors import RecordingError
+from recordings.reading.rrd_file import RrdFile
+from recordings.session import Session
+from recordings.session_arrays import RecordedFrame
+from recordings.testing import assert_sessions_match, record_fused
+from recordings.writing import growing_file as growing
+from recordings.writing.recorder import Recorder
+from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.telling_demo import telling_demo, wait_for_frames
+from viewer_app.cli import main
+from viewer_app.loop.image_thinning import without_images
+from viewer_app.sinks import compact_copy, session_file
+from viewer_app.sinks.session_file import SessionFile
+from viewer_app.sinks.viewer_feed import Note
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+_MADE: list[SessionFile] = []
+
+
+@pytest.fixture(autouse=True)
+def closed() -> Iterator[None]:
+    """Ends the threads that a failed test leaves behind: Python would wait for them."""
+    yield
+    while _MADE:
+        with suppress(OSError):
+            _MADE.pop().close(whole=False)
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session_file, "_BLOCK_SECONDS", 0.02)
+    monkeypatch.setattr(session_file, "_LOOK_SECONDS", 0.01)
+
+
+def fused_frames(count: int, depth: bool = False) -> tuple[Fuser, list[RecordedFrame]]:
+    fuser = Fuser(calibration_of(KINECT_V1))
+    pairs = frame_pairs(KINECT_V1, count, no_b=(5,), depth=depth)
+    return Fuser(calibration_of(KINECT_V1)), [
+        RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs
+    ]
+
+
+def growing_file(path: Path, fuser: Fuser, **options: object) -> SessionFile:
+    identity = uuid4()
+    file = SessionFile(
+        path,
+        lambda: rr.RecordingStream(layout.APPLICATION_ID, recording_id=identity),
+        lambda stream: Recorder(stream, fuser, ("a", "b"), depth_every=1),
+        **options,  # type: ignore[arg-type]
+    )
+    _MADE.append(file)
+    return file
+
+
+def eventually(true: Callable[[], bool], within: float = 20.0) -> bool:
+    deadline = time.monotonic() + within
+    while not true():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def duplex(*arguments: object) -> int:
+    """The exit code of a command run in this process."""
+    try:
+        main([str(argument) for argument in arguments])
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+def times_of(path: Path, entity: str) -> dict[int, int]:
+    """When an entity was logged: ns by frame."""
+    times: dict[int, int] = {}
+    with RrdFile(path) as file:
+        for of, batch in file.chunks(images=True):
+            if of == entity and "frame" in batch.schema.names:
+                ns = batch.column("time").cast("int64").to_pylist()
+                times.update(zip(batch.column("frame").to_pylist(), ns, strict=True))
+    return times
+
+
+def frames_in(path: Path) -> int:
+    """How many frames can be read; 0 while there is none."""
+    try:
+        return len(Session.open(path))
+    except RecordingError:
+        return 0
+
+
+def test_it_is_the_same_session_as_one_written_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compact_copy, "_BLOCK", 20)
+    fuser, frames = fused_frames(50)
+    file = growing_file(tmp_path / "s.rrd", fuser)
+    for number, frame in enumerate(frames):
+        file.offer((number, frame))
+        if number in (9, 29):
+            assert eventually(lambda: file.waiting == 0)
+            file.offer(Note(f"after {number}", "WARN"))
+    file.close(whole=True)
+    assert file.saved == 50
+    at_once = record_fused(tmp_path / "o.rrd", [frame.pair for frame in frames], calibration_of(KINECT_V1))
+    session = Session.open(tmp_path / "s.rrd")
+    assert_sessions_match(session, at_once, position_mm=0.0)
+    assert [(event.frame, event.text, event.level) for event in session.events] == [
+        (9, "after 9", "WARN"),
+        (29, "after 29", "WARN"),
+    ]
+    assert {path.name for path in tmp_path.iterdir()} == {"s.rrd", "o.rrd"}
+    # as Rerun's own tools want it
+    assert "/fused/skeleton" in rr.chunk.RrdReader(session.path).store().schema().entity_paths()
+
+
+def test_images_are_written_as_they_come_and_skeletons_in_blocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session_file, "_BLOCK_SECONDS", 60.0)
+    written: list[int] = []
+    record_images, record_all = Recorder.record_images, Recorder.record_all
+    monkeypatch.setattr(
+        Recorder,
+        "record_images",
+        lambda self, number, frame: (record_images(self, number, frame), written.append(number)),
+    )
+    blocks: list[list[int]] = []
+    monkeypatch.setattr(
+        Recorder,
+        "record_all",
+        lambda self, frames, numbers=(): (
+            blocks.append(list(numbers)),
+            record_all(self, frames, numbers or None),
+        ),
+    )
+    fuser, frames = fused_frames(10, depth=True)
+    frames[0] = replace(frames[0], pair=without_images(frames[0].pair))  # the first begins the session
+    file = growing_file(tmp_path / "s.rrd", fuser)
+    for number, frame in enumerate(frames):
+        file.offer((number, frame))
+    assert eventually(lambda: written[:10] == list(range(10)))
+    assert blocks == []
+    file.close(whole=True)
+    assert blocks == [list(range(10))]
+    session = Session.open(tmp_path / "s.rrd")
+    at_once = record_fused(tmp_path / "o.rrd", [frame.pair for frame in frames], calibration_of(KINECT_V1))
+    assert_sessions_match(session, at_once, position_mm=0.0)
+    for side in ("a", "b"):
+        seen = {k: getattr(frame.pair, side) for k, frame in enumerate(frames)}
+        images = dict(session.depth(side))
+        assert list(images) == [k for k, frame in seen.items() if frame is not None and k > 0]
+        assert all((image == seen[k].depth).all() for k, image in images.items())
+        assert times_of(session.path, layout.depth(side)) == {k: int(session.time_ns[k]) for k in images}
+
+
+def test_the_file_waits_for_who_goes_first(tmp_path: Path) -> None:
+    over = threading.Event()
+    fuser, frames = fused_frames(3)
+    file = growing_file(tmp_path / "s.rrd", fuser, turn=lambda seconds: over.wait(5.0))
+    file.offer((0, frames[0]))
+    time.sleep(0.2)
+    assert file.waiting == 1
+    over.set()
+    assert eventually(lambda: file.saved == 1)
+    file.close(whole=False)
+
+
+def test_it_can_be_read_while_it_grows(tmp_path: Path) -> None:
+    path = tmp_path / "s.rrd"
+    fuser, frames = fused_frames(40, depth=True)
+    file = growing_file(path, fuser)
+    for number, frame in enumerate(frames[:20]):
+        file.offer((number, frame))
+    assert eventually(lambda: frames_in(path) == 20)
+    session = Session.open(path)
+    assert (session.damage, session.frames_lost) == ("it was not ended", 0)
+    assert [frame for frame, _ in session.depth("a")] == list(range(20))
+    with pytest.warns(rr.error_utils.RerunWarning, match="no footer"):  # and Rerun reads it all the same
+        chunks = rr.chunk.RrdReader(path).stream().to_chunks()
+    assert sum(chunk.num_rows for chunk in chunks if chunk.entity_path == "/fused/skeleton") == 20 + 1
+    for number, frame in enumerate(frames[20:], 20):
+        file.offer((number, frame))
+    file.close(whole=True)
+    session = Session.open(path)
+    assert (len(session), session.damage) == (40, None)
+    assert [frame for frame, _ in session.depth("b")] == [n for n in range(40) if n != 5]
+
+
+def grown(path: Path, whole: bool) -> Path:
+    """A file of 200 frames in blocks of ten."""
+    fuser, frames = fused_frames(200)
+    file = growing_file(path, fuser)
+    for number, frame in enumerate(frames):
+        file.offer((number, frame))
+        if number % 10 == 9:
+            assert eventually(lambda: file.saved == number + 1)  # noqa: B023
+    file.close(whole)
+    assert frames_in(path) == 200
+    return path
+
+
+def test_small_blocks_become_large_ones_at_the_end(tmp_path: Path) -> None:
+    sizes = [grown(tmp_path / f"{whole}.rrd", whole).stat().st_size for whole in (True, False)]
+    assert sizes[0] < 0.7 * sizes[1]
+
+
+def test_a_copy_that_fails_leaves_the_file_that_grew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(compact_copy.shutil, "copyfile", full)
+    fuser, frames = fused_frames(20)
+    file = growing_file(tmp_path / "s.rrd", fuser)
+    for number, frame in enumerate(frames):
+        file.offer((number, frame))
+    file.close(whole=True)
+    assert file.failure is None
+    session = Session.open(tmp_path / "s.rrd")
+    assert (len(session), session.damage) == (20, None)
+    assert [path.name for path in tmp_path.iterdir()] == ["s.rrd"]
+
+
+def test_a_file_of_the_name_stays_until_there_is_something_to_put_there(tmp_path: Path) -> None:
+    path = tmp_path / "s.rrd"
+    path.write_text("precious")
+    fuser, frames = fused_frames(10)
+    file = growing_file(path, fuser, overwrite=True)
+    file.offer(Note("nobody there"))
+    file.close(whole=True)
+    assert path.read_text() == "precious"
+    file = growing_file(path, fuser, overwrite=True)
+    for number, frame in enumerate(frames):
+        file.offer((number, frame))
+    file.close(whole=True)
+    assert frames_in(path) == 10
+    assert [path.name for path in tmp_path.iterdir()] == ["s.rrd"]
+
+
+def test_a_file_that_came_in_between_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "s.rrd"
+    fuser, frames = fused_frames(10)
+    file = growing_file(path, fuser)
+    path.write_text("precious")
+    for number, frame in enumerate(frames):
+        file.offer((number, frame))
+    file.close(whole=True)
+    assert file.failure is not None
+    assert "File exists" in file.failure
+    assert path.read_text() == "precious"
+
+
+# ------------------------------------------------------------------ the disk
+
+
+class Disk:
+    """Where a test's file is, and how its saving is made to fail."""
+
+    def __init__(self, folder: Path, fail: Callable[[], object], words: str) -> None:
+        self.folder, self.fail, self.words = folder, fail, words
+
+
+@pytest.fixture(params=["full", "read-only", "limit", "gone"])
+def disk(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    if request.param == "gone":
+        yield Disk(folder, lambda: str(folder.rename(tmp_path / "elsewhere")), "moved or deleted")
+    elif request.param == "full":
+        mount = ["mount", "-t", "tmpfs", "-o", "size=2M", "tmpfs", str(folder)]
+        if subprocess.run(mount, capture_output=True, check=False).returncode:
+            pytest.skip("this user may not mount a small disk")
+        yield Disk(folder, lambda: "", "No space left on device")
+        subprocess.call(["umount", "-l", str(folder)])
+    else:
+        number, most = {"read-only": (errno.EROFS, 0), "limit": (errno.EFBIG, 1_000_000)}[request.param]
+        real, failing = growing.FileIO.write, threading.Event()
+
+        def write(file: growing.FileIO, block: memoryview) -> int:
+            room = most - file.tell() if failing.is_set() else len(block)
+            if room <= 0:
+                raise OSError(number, os.strerror(number))
+            return int(real(file, block[:room]))
+
+        monkeypatch.setattr(growing, "FileIO", type("Failing", (growing.FileIO,), {"write": write}))
+        yield Disk(folder, failing.set, os.strerror(number))
+
+
+def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None:
+    path = disk.folder / "s.rrd"
+    fuser, frames = fused_frames(600)
+    said: list[str] = []
+    file = growing_file(path, fuser, on_failure=said.append)
+    for number, frame in enumerate(frames):
+        file.offer((number, frame))
+        if number == 9:
+            assert eventually(lambda: file.saved == 10)
+            disk.fail()
+        if number > 9 and number % 40 == 0:
+            assert eventually(lambda: file.waiting == 0)
+    file.close(whole=True)
+    assert file.failure is not None
+    assert disk.words in file.failure
+    assert f"not saved from frame {file.saved} on" in file.failure
+    assert said == [file.failure]
+    found = path if path.exists() else disk.folder.parent / "elsewhere" / "s.rrd"
+    session = Session.open(found)
+    assert len(session) == file.saved >= 10
+    assert session.damage == "it was not ended", "cut after a whole block"
+    assert [path.name for path in found.parent.iterdir()] == ["s.rrd"]
+
+
+def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
+    path, limit = tmp_path / "s.rrd", 850_000  # what is static, and some seconds
+    arguments = ("--seconds", "10", "--depth", "none", "--no-viewer", "--save", str(path))
+    done = subprocess.run(
+        [sys.executable, "-m", "viewer_app.cli", "demo", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+    assert done.returncode == 2
+    ours = [
+        line for line in done.stderr.splitlines() if "re_log_encoding" not in line
+    ]  # Rerun may say so too
+    assert len(ours) == 1
+    assert "File too large" in ours[0]
+    said = " ".join(done.stdout.split())
+    assert "The fusion goes on." in said
+    assert "of 300 (A) and 300 (B)" in said
+    saved = int(done.stderr.split("from frame ")[1].split()[0])
+    assert frames_in(path) == saved > 0
+
+
+def test_a_disk_with_little_room_is_said_and_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 3_000_000))  # type: ignore[attr-defined]
+    path = tmp_path / "s.rrd"
+    main(["demo", "--seconds", "1", "--depth", "none", "--no-viewer", "--save", str(path)])
+    assert "Only 3 MB are free" in capsys.readouterr().out
+    assert frames_in(path) > 0
+
+
+def test_a_name_that_cannot_be_written_is_a_mistake_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    taken = tmp_path / "taken.rrd"
+    taken.write_text("precious")
+    for path in (taken, tmp_path, tmp_path / "none" / "s.rrd"):
+        with pytest.raises(SystemExit) as stop:
+            main(["demo", "--no-viewer", "--save", str(path)])
+        assert stop.value.code == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert taken.read_text() == "precious"
+
+
+# ------------------------------------------------------------------ kill -9
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
+@pytest.mark.parametrize(("depth", "frames"), [("none", 35), ("none", 97), ("half", 62)])
+def test_a_killed_demo_leaves_all_but_the_last_second(tmp_path: Path, depth: str, frames: int) -> None:
+    path = tmp_path / "s.rrd"
+    child = telling_demo(path, "--depth", depth, "--quiet")
+    wait_for_frames(child, frames - 10)
+    readable = frames_in(path)
+    wait_for_frames(child, 10)
+    child.kill()
+    _, more = child.communicate()
+    assert more == b"." * len(more)
+    told = frames + len(more)
+    # on a machine that does other things too, a second's work takes longer
+    busy = max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+    if busy > 1.0 and not path.exists():
+        pytest.skip("this machine is too busy to write a first block so soon")
+    session = Session.open(path)
+    assert len(session) >= max(told - 30 * busy, readable)
+    assert (session.damage is None, session.frames_lost) == (False, 0)
+    images = [frame for frame, _ in session.depth("a")]
+    # a demo that is late leaves out images
+    assert images == (sorted(set(images) & set(range(len(session)))) if depth == "half" else [])
+    assert (images != []) == (depth == "half")
+    assert [path.name for path in tmp_path.iterdir()] == ["s.rrd"]
+    assert duplex("info", path) == 0
+    assert duplex("replay", path, "--verify", "--no-viewer") == 0
+
+
+def test_the_threads_end_with_the_file(tmp_path: Path) -> None:
+    fuser, frames = fused_frames(3)
+    before = threading.active_count()
+    for k in range(3):
+        file = growing_file(tmp_path / f"{k}.rrd", fuser)
+        file.offer((0, frames[0]))
+        file.close(whole=True)
+    assert threading.active_count() == before
+    np.testing.assert_array_equal([frames_in(tmp_path / f"{k}.rrd") for k in range(3)], 1)

@@ -1,0 +1,284 @@
+"""What is read back is what was written; what is damaged says so."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from unittest import mock
+from uuid import uuid4
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import rerun as rr
+
+from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
+from fusion.fuser import Fuser, FuserSettings
+from recordings import layout
+from recordings.errors import RecordingError
+from recordings.reading.rrd_file import _decode_names
+from recordings.session import Session
+from recordings.session_arrays import RecordedFrame
+from recordings.testing import FusedRun, assert_sessions_match, fused_run, record_fused
+from recordings.writing.checksums import event_checksum, frame_checksums, fused_checksums
+from recordings.writing.recorder import Recorder
+from recordings.writing.rewritten_session import rewrite
+from tests.campaigns import sessions as campaign_sessions
+from tests.helpers.frame_pairs import calibration_of, frame_pairs
+
+__all__ = ["fused_run"]  # a fixture
+
+FRAMES = 70
+
+
+@pytest.fixture(params=BODIES.values(), ids=str)
+def body(request: pytest.FixtureRequest) -> Body:
+    found: Body = request.param
+    return found
+
+
+def full_of_faults(body: Body) -> list:  # type: ignore[type-arg]
+    return frame_pairs(body, FRAMES, gap=(7, 40, 41), only_a=(9, 10), no_b=(15,), jitter_ns=3_000_000)
+
+
+def test_a_session_gives_back_what_the_sensors_said(body: Body, fused_run: FusedRun) -> None:
+    pairs = full_of_faults(body)
+    session = fused_run(pairs, calibration_of(body))
+    assert (len(session), session.damage, session.frames_lost) == (FRAMES, None, 0)
+    for pair, again in zip(pairs, session.pairs(), strict=True):
+        assert (again.b is None) == (pair.b is None)
+        assert again.time_ns == pair.time_ns - pairs[0].time_ns
+        assert again.skew_ns == pair.skew_ns
+        for one, two in ((pair.skeletons.a, again.skeletons.a), (pair.skeletons.b, again.skeletons.b)):
+            assert (one is None) == (two is None)
+            if one is not None and two is not None:
+                np.testing.assert_array_equal(one.positions, two.positions)
+                np.testing.assert_array_equal(one.states, two.states)
+                assert one.time_ns == two.time_ns
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [FuserSettings(), FuserSettings(h=0.9), FuserSettings(solver="paper"), FuserSettings(weights="equal")],
+    ids=str,
+)
+def test_fusing_a_session_again_gives_the_same_bits(settings: FuserSettings, fused_run: FusedRun) -> None:
+    session = fused_run(full_of_faults(KINECT_V2), calibration_of(KINECT_V2), settings)
+    assert session.settings == settings
+    ((fuser, _),) = session.fusers()
+    again = [fuser.update(pair.skeletons) for pair in session.pairs()]
+    fused = np.array([frame.positions for frame in again])
+    np.testing.assert_array_equal(fused_checksums(fused), session.fused_checksums)
+    np.testing.assert_array_equal([frame.stale_a for frame in again], session.rows.stale_a)
+    np.testing.assert_array_equal([frame.a_from_b.translation for frame in again], session.rows.translation)
+
+
+def test_the_checksum_of_s_notices_the_last_bit() -> None:
+    fused = np.random.default_rng(0).normal(size=(3, 20, 3))
+    nudged = fused.copy()
+    nudged[1, 4, 2] = np.nextafter(nudged[1, 4, 2], 9.0)
+    assert (fused_checksums(fused) == fused_checksums(nudged)).tolist() == [True, False, True]
+
+
+def test_calibration_intrinsics_and_events_are_kept(fused_run: FusedRun) -> None:
+    calibration = calibration_of(KINECT_V1)
+    session = fused_run(full_of_faults(KINECT_V1), calibration)
+    np.testing.assert_array_equal(session.calibration.a_from_b.rotation, calibration.a_from_b.rotation)
+    np.testing.assert_array_equal(session.calibration.a_from_b.translation, calibration.a_from_b.translation)
+    np.testing.assert_array_equal(session.calibration.bone_lengths, calibration.bone_lengths)
+    assert session.intrinsics_b == Fuser(calibration).intrinsics_b
+    assert [event.text for event in session.events] == ["calibrated: known truth"]
+
+
+def test_depth_comes_back_exactly_and_only_when_asked_for(fused_run: FusedRun) -> None:
+    pairs = frame_pairs(KINECT_V1, 12, no_b=(4,), depth=True)
+    session = fused_run(pairs, calibration_of(KINECT_V1), depth_every=2)
+    images = dict(session.depth("b"))
+    assert sorted(images) == [0, 2, 6, 8, 10]
+    for frame, image in images.items():
+        expected = pairs[frame].b
+        assert expected is not None
+        np.testing.assert_array_equal(image, expected.depth)
+    with_depth = list(session.pairs(depth=True))
+    assert with_depth[2].a is not None
+    assert with_depth[3].a is not None
+    np.testing.assert_array_equal(with_depth[2].a.depth, dict(session.depth("a"))[2])
+    assert with_depth[3].a.depth is None
+
+
+def test_a_rewritten_session_has_the_same_frames(fused_run: FusedRun, tmp_path: Path) -> None:
+    session = fused_run(frame_pairs(KINECT_V1, 30, depth=True), calibration_of(KINECT_V1), depth_every=1)
+    rewrite(session, tmp_path / "part.rrd", None, 10, 25)
+    part = Session.open(tmp_path / "part.rrd")
+    assert (len(part), part.first_frame, part.damage) == (15, 10, None)
+    np.testing.assert_array_equal(part.rows.fused, session.rows.fused[10:25])
+    np.testing.assert_array_equal(part.fused_checksums, session.fused_checksums[10:25])
+    assert part.rows.time_ns[0] == 0
+    np.testing.assert_array_equal(dict(part.depth("a"))[3], dict(session.depth("a"))[13])
+
+
+def test_a_cut_off_session_gives_the_frames_before(tmp_path: Path) -> None:
+    whole = record_fused(tmp_path / "s.rrd", full_of_faults(KINECT_V1), calibration_of(KINECT_V1), block=10)
+    data = whole.path.read_bytes()
+    (tmp_path / "cut.rrd").write_bytes(data[: int(0.4 * len(data))])
+    cut = Session.open(tmp_path / "cut.rrd")
+    assert 0 < len(cut) < FRAMES
+    assert len(cut) % 10 == 0
+    assert cut.damage is not None
+    assert "cut off" in cut.damage
+    np.testing.assert_array_equal(frame_checksums(cut.rows), frame_checksums(whole.rows)[: len(cut)])
+
+
+def test_a_flipped_number_is_noticed_and_counted(tmp_path: Path) -> None:
+    whole = record_fused(tmp_path / "s.rrd", full_of_faults(KINECT_V1), calibration_of(KINECT_V1), block=10)
+    data = bytearray(whole.path.read_bytes())
+    needle = whole.rows.positions_a[33, 5].tobytes()  # stands as it is: it does not compress
+    assert data.count(needle) == 1
+    data[data.index(needle) + 2] ^= 1
+    (tmp_path / "flipped.rrd").write_bytes(bytes(data))
+    flipped = Session.open(tmp_path / "flipped.rrd")
+    assert len(flipped) == 33
+    assert flipped.frames_lost == FRAMES - 33
+    assert flipped.damage is not None
+    assert "frame 33" in flipped.damage
+
+
+def test_random_damage_gives_the_beginning_or_one_line(tmp_path: Path) -> None:
+    outcomes, wrong = campaign_sessions.campaign(60, tmp_path)
+    assert wrong == []
+    assert outcomes["beginning"] > 0
+    assert outcomes["refused"] < 30
+
+
+def test_files_that_are_no_sessions_are_named_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "text.rrd").write_text("hello, world\n", encoding="utf-8")
+    (tmp_path / "empty.rrd").touch()
+    stream = rr.RecordingStream("something_else")
+    stream.save(tmp_path / "other.rrd")
+    stream.log("x", rr.TextLog("y"))
+    stream.disconnect()
+    for name, words in (
+        ("missing.rrd", "No session"),
+        ("text.rrd", "does not begin as an .rrd"),
+        ("empty.rrd", "no session"),
+        ("other.rrd", "no session of duplex-kinects"),
+        (".", "is a folder"),
+    ):
+        with pytest.raises(RecordingError, match=words) as error:
+            Session.open(tmp_path / name)
+        assert "\n" not in str(error.value)
+
+
+def test_another_layout_says_which_version_wrote_it(
+    monkeypatch: pytest.MonkeyPatch, fused_run: FusedRun
+) -> None:
+    this = layout.VERSION
+    monkeypatch.setattr(layout, "VERSION", this - 1)
+    old = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1))
+    monkeypatch.undo()
+    with pytest.raises(
+        RecordingError, match=rf"layout {this - 1}, written by duplex-kinects .*reads layout {this}"
+    ):
+        Session.open(old.path)
+
+
+def test_sessions_that_match_and_that_do_not(fused_run: FusedRun) -> None:
+    pairs, calibration = full_of_faults(KINECT_V1), calibration_of(KINECT_V1)
+    one, two = fused_run(pairs, calibration), fused_run(pairs, calibration)
+    assert_sessions_match(one, two, position_mm=0.0)
+    other = fused_run(pairs, calibration, FuserSettings(weights="equal"))
+    with pytest.raises(AssertionError, match=r"first at frame \d+, \w+"):
+        assert_sessions_match(other, one, position_mm=1.0)
+    assert_sessions_match(other, one.path, position_mm=500.0)
+    shorter = fused_run(pairs[:-1], calibration)
+    with pytest.raises(AssertionError, match="frames"):
+        assert_sessions_match(shorter, one, position_mm=1.0)
+    for name in ("time_ns", "skew_ns", "clock_b", "positions_a", "states_b"):
+        rows = getattr(one.rows, name).copy()
+        rows[12] += 1
+        moved = replace(one, rows=replace(one.rows, **{name: rows}))
+        with pytest.raises(AssertionError, match=r"frame 12: .* differs; .* different captures"):
+            assert_sessions_match(moved, one, position_mm=500.0)
+    for tolerance in (float("nan"), -1.0, float("inf")):
+        with pytest.raises(ValueError, match="position_mm is"):
+            assert_sessions_match(one, two, position_mm=tolerance)
+    nudged = replace(one, fused_checksums=one.fused_checksums + np.uint32(1))
+    with pytest.raises(AssertionError, match=r"frame 0: S\* differs"):
+        assert_sessions_match(nudged, one, position_mm=0.0)
+
+
+def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path: Path) -> None:
+    pairs, first = frame_pairs(KINECT_V1, 12), calibration_of(KINECT_V1)
+    second = replace(first, bone_lengths=first.bone_lengths * 1.1)
+    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+    stream.save(tmp_path / "s.rrd")
+    fusers = [Fuser(first), Fuser(second)]
+    recorder = Recorder(stream, fusers[0], ("a", "b"))
+    for fuser, own in zip(fusers, (pairs[:5], pairs[5:]), strict=True):
+        if fuser is not fusers[0]:
+            recorder.calibrate(fuser)
+        recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in own])
+    recorder.finish()
+    stream.disconnect()
+    session = Session.open(tmp_path / "s.rrd")
+    np.testing.assert_array_equal(session.rows.bone_lengths[4], first.bone_lengths)
+    np.testing.assert_array_equal(session.rows.bone_lengths[5], second.bone_lengths)
+    # S* is kept in float32: at 4 m its ends are within half of 2⁻²² m on each axis
+    assert session.rows.bone_error.max() < 2 * np.sqrt(3) * 2.0**-23
+    trimmed = tmp_path / "t.rrd"
+    rewrite(session, trimmed, first=3, end=8)
+    np.testing.assert_array_equal(Session.open(trimmed).rows.bone_lengths, session.rows.bone_lengths[3:8])
+
+
+def test_a_session_opens_without_pandas(fused_run: FusedRun) -> None:
+    path = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1)).path
+    program = (
+        "import sys; sys.modules['pandas'] = None; "
+        "from recordings.session import Session; print(len(Session.open(sys.argv[1])))"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=False
+    )
+    assert said.stdout == "3\n", said.stderr
+
+
+def test_checksums_do_not_depend_on_how_many_frames_are_looked_at_together(
+    fused_run: FusedRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = fused_run(full_of_faults(KINECT_V1), calibration_of(KINECT_V1)).rows
+    at_once = frame_checksums(rows)
+    monkeypatch.setattr("recordings.writing.checksums._BLOCK", 9)
+    np.testing.assert_array_equal(frame_checksums(rows), at_once)
+
+
+def test_an_event_moved_to_another_time_is_damage(tmp_path: Path) -> None:
+    path, moved = tmp_path / "s.rrd", tmp_path / "moved.rrd"
+    fuser = Fuser(calibration_of(KINECT_V1))
+    for file, at in ((path, None), (moved, (1, 7))):
+        with rr.RecordingStream("duplex_kinects") as stream:
+            stream.set_sinks(rr.FileSink(str(file)))
+            recorder = Recorder(stream, fuser, ("a", "b"))
+            pairs = frame_pairs(KINECT_V1, 3)
+            recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
+            there = partial(event_checksum, (2, 5))
+            with mock.patch("recordings.writing.recorder.event_checksum", lambda _, *of: there(*of)):  # noqa: B023
+                recorder.event("lost", at=at or (2, 5))
+            recorder.finish()
+    assert [event.text for event in Session.open(path).events] == ["lost"]
+    session = Session.open(moved)
+    assert (session.events, session.damage) == ((), "an event does not match its checksum")
+
+
+def test_a_name_within_a_field_that_is_no_text_is_noticed() -> None:
+    kind = pa.list_(pa.struct([("abcdef", pa.int64())]))
+    batch = pa.RecordBatch.from_arrays([pa.array([[{"abcdef": 1}]], kind)], names=["x"])
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, batch.schema) as stream:
+        stream.write_batch(batch)
+    damaged = sink.getvalue().to_pybytes().replace(b"abcdef", b"\xfabcdef")
+    with pa.ipc.open_stream(damaged) as stream:
+        read = stream.read_next_batch()
+    read.validate(full=True)  # does not
+    with pytest.raises(UnicodeDecodeError):
+        _decode_names(read.schema.field("x").type)

@@ -1,0 +1,92 @@
+"""What ``duplex compare`` says of two fusions, where it is known beforehand."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fusion.body import KINECT_V1
+from fusion.fuser import FuserSettings
+from recordings.errors import RecordingError
+from recordings.session import Session
+from recordings.session_comparison import Comparison, jitter_of
+from recordings.testing import FusedRun, fused_run
+from recordings.writing.rewritten_session import rewrite
+from tests.helpers.frame_pairs import calibration_of, frame_pairs
+
+__all__ = ["fused_run"]  # a fixture
+
+
+@pytest.fixture
+def session(fused_run: FusedRun) -> Session:
+    return fused_run(frame_pairs(KINECT_V1, 40), calibration_of(KINECT_V1))
+
+
+def with_fused(session: Session, fused: NDArray[np.float64]) -> Session:
+    return replace(session, rows=replace(session.rows, fused=fused))
+
+
+def test_white_noise_is_given_back_as_jitter_and_even_movement_as_none() -> None:
+    T, sigma = 4000, 0.005
+    frame = np.arange(T)
+    noise = np.random.default_rng(1).normal(0.0, sigma, (T, 2, 3))
+    noise[:, 1] = 0.02 * frame[:, None]  # 0.6 m/s along each axis
+    # |second difference| / √6 of such noise is chi with 3 degrees of freedom: median 1.5382 σ. The standard
+    # error of the median of T correlated values is below 1.2533 · 0.6734 σ · √(1 + 2·(0.67 + 0.17)) / √T
+    still, moving = jitter_of(noise, frame)
+    assert still == pytest.approx(1.5382 * sigma, rel=4 * 1.2533 * 0.6734 * 1.64 / 1.5382 / np.sqrt(T))
+    assert moving < 1e-12
+
+
+def test_jitter_is_taken_over_frames_that_follow_on_each_other() -> None:
+    fused = np.zeros((9, 1, 3))
+    fused[5:] += 0.3  # while four frames are missing
+    frame = np.array([0, 1, 2, 3, 4, 9, 10, 11, 12])
+    assert jitter_of(fused, frame)[0] == 0.0
+    alternate = np.zeros((4, 1, 3))
+    assert np.isnan(jitter_of(alternate, np.array([0, 2, 4, 6]))[0])
+
+
+def test_a_limb_exchanged_with_its_mirror_image_is_swapped(session: Session) -> None:
+    left, right = KINECT_V1.joint("WristLeft"), KINECT_V1.joint("WristRight")
+    fused = session.rows.fused.copy()
+    fused[7:10, [left, right]] = fused[7:10, [right, left]]
+    comparison = Comparison.of(session, with_fused(session, fused))
+    expected = np.zeros(comparison.swapped.shape, dtype=bool)
+    expected[7:10, [left, right]] = True
+    np.testing.assert_array_equal(comparison.swapped, expected)
+
+
+def test_differences_and_bone_deviations_are_those_put_in(session: Session) -> None:
+    hand = KINECT_V1.joint("HandLeft")
+    fused = session.rows.fused.copy()
+    along = fused[12, hand] - fused[12, KINECT_V1.parents[hand]]
+    fused[12, hand] += 0.03 * along / np.linalg.norm(along)
+    comparison = Comparison.of(session, with_fused(session, fused))
+    apart = np.zeros(comparison.apart.shape)
+    apart[12, hand] = 0.03
+    np.testing.assert_allclose(comparison.apart, apart, atol=1e-12)
+    # both ends of a bone are kept in float32: within 2⁻²³ m each, on each axis, at 4 m
+    rounding = 2 * np.sqrt(3) * 2.0**-23
+    assert np.nanmax(comparison.bone_deviation[0]) < rounding
+    expected = np.zeros(len(KINECT_V1))
+    expected[hand] = 0.03
+    of_bones = KINECT_V1.bone_joints
+    np.testing.assert_allclose(comparison.bone_deviation[1][of_bones], expected[of_bones], atol=rounding)
+    assert comparison.worst(5) == [(12, hand)]
+    assert comparison.worst(0) == []
+
+
+def test_only_fusions_of_the_same_skeletons_are_compared(fused_run: FusedRun, tmp_path: Path) -> None:
+    calibration = calibration_of(KINECT_V1)
+    one = fused_run(frame_pairs(KINECT_V1, 40), calibration)
+    chance = fused_run(frame_pairs(KINECT_V1, 40, noise=0.03), calibration)  # the same times
+    with pytest.raises(RecordingError, match="40 frames of the same time, but S_A or S_B of frame 0"):
+        Comparison.of(one, chance)
+    again = fused_run(frame_pairs(KINECT_V1, 40), calibration, FuserSettings(h=0.9))
+    rewrite(again, tmp_path / "part.rrd", None, 10, 30)
+    part = Comparison.of(one, Session.open(tmp_path / "part.rrd"))
+    assert part.first.frame.tolist() == list(range(10, 30))
+    assert part.second.frame.tolist() == list(range(20))

@@ -1,0 +1,203 @@
+"""``duplex bench accuracy``: what it prints and writes is what was measured."""
+
+import io
+import json
+import re
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from devices.simulated.realism.pair_statistics import PairStatistics
+from devices.simulated.realism.reference_figures import PUBLISHED, REASONS
+from devices.simulated.tracking.tracker_errors import JointGroups
+from viewer_app.bench.accuracy_tables import clearly_best, over_seeds, table_by, tables_of_methods, wins
+from viewer_app.bench.accuracy_trials import METHODS, Outcome, Trial
+from viewer_app.cli import main
+
+FIGURES = ("mpjpe", "p95", "hidden_one", "hidden_both", "bone_error", "bone_deviation", "jitter",
+           "acceleration", "swapped", "lag", "fuse_us")  # fmt: skip
+
+
+def made_up(size: dict[str, float] | None = None) -> list[Outcome]:
+    """Two movements, two angles, three seeds; all figures of a method as large as ``size`` says."""
+    random = np.random.default_rng(0)
+    return [
+        Outcome(
+            Trial(motion, angle, seed),
+            method,
+            {name: (size or {}).get(method, 1.0) + random.uniform(0.0, 0.2) for name in FIGURES},
+        )
+        for motion in ("basketball", "still")
+        for angle in (45.0, 135.0)
+        for seed in range(3)
+        for method in METHODS
+    ]
+
+
+def printed(outcomes: list[Outcome]) -> str:
+    console = Console(file=io.StringIO(), width=80)
+    for table in (*tables_of_methods(outcomes), table_by("movement", lambda trial: trial.motion, outcomes)):
+        console.print(table)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def test_the_tables_can_be_read_at_80_columns() -> None:
+    assert "…" not in printed(made_up(dict.fromkeys(METHODS, 100.0)))
+    text = printed(made_up(dict.fromkeys(METHODS, 0.4)))
+    assert "…" not in text
+    assert max(len(line) for line in text.splitlines()) <= 80
+    for method in METHODS:
+        rows = [
+            line.split(method)[1].split() for line in text.splitlines() if line.startswith(f"  {method} ")
+        ]
+        distances, movement = rows
+        assert all(cell.count("±") == 1 for cell in (*distances[:-1], *movement))
+        assert (len(distances), len(movement)) == (6, 5)
+
+
+def test_a_trial_counts_only_where_every_method_has_the_figure() -> None:
+    outcomes = made_up()
+    for outcome in outcomes:
+        outcome.figures["lag"] = 1.0 if outcome.trial.motion == "still" else 5.0
+        if outcome.method == "B alone" and outcome.trial.motion == "basketball":
+            outcome.figures["lag"] = np.nan
+    for method in METHODS:
+        assert over_seeds(outcomes, method, "lag").tolist() == [1.0, 1.0, 1.0]
+    assert "lag 6 of 12" in " ".join(printed(outcomes).split())
+
+
+@pytest.mark.parametrize(("lead", "best"), [(0.0, None), (0.5, "Kalman")])
+def test_only_a_difference_beyond_its_spread_is_bold(lead: float, best: str | None) -> None:
+    assert clearly_best(made_up({"Kalman": 1.0 - lead}), "mpjpe") == best
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--seeds", "0"), "--seeds must be 1 or more; got 0"),
+        (("--set", "real", "--seeds", "0"), "--seeds must be 1 or more; got 0"),
+        (("--seconds", "nan"), "--seconds must be a positive number; got nan"),
+        (("--seconds", "inf"), "--seconds must be a positive number; got inf"),
+        (("--set", "real", "--picture", "x.png"), "--picture draws the methods"),
+        (("--recordings", "real"), "add --set real"),
+        (("--motions", "walk", "fly"), "got fly"),
+        (("--angles", "nan"), "between 0 and 180 degrees; got nan"),
+        (("--seconds", "1"), "leave less than a second after the start-up pose"),
+    ],
+)
+def test_what_cannot_be_measured_is_one_line_and_exit_code_2(
+    arguments: tuple[str, ...],
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main(["bench", "accuracy", *arguments])
+    said = capsys.readouterr().err
+    assert stop.value.code == 2
+    assert said.startswith("duplex: ")
+    assert said.count("\n") == 1
+    assert words in said
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A small benchmark's folder, and what it printed."""
+    folder = tmp_path_factory.mktemp("bench")
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as said:
+        patch.chdir(folder)
+        patch.setenv("COLUMNS", "80")
+        main(
+            [
+                "bench",
+                "accuracy",
+                "--motions",
+                "arms",
+                "--angles",
+                "90",
+                "--seeds",
+                "2",
+                "--seconds",
+                "5",
+                "--json",
+                "a.json",
+                "--picture",
+                "a.png",
+            ]
+        )
+    return folder, said.getvalue()
+
+
+def test_a_benchmark_writes_every_figure_of_every_method_on_every_recording(
+    measured: tuple[Path, str],
+) -> None:
+    folder, _ = measured
+    document = json.loads((folder / "a.json").read_text(encoding="utf-8"))
+    rows = document["trials"]
+    assert [(row["motion"], row["angle_deg"], row["seed"], row["method"]) for row in rows] == [
+        ("arms", 90.0, seed, method) for seed in (0, 1) for method in METHODS
+    ]
+    for row in rows:
+        assert set(FIGURES) < set(row)
+        assert 0.0 < row["mpjpe"] < row["p95"]
+    ours, published = ([row for row in rows if row["method"] == method] for method in ("ours", "paper"))
+    for one, other in zip(ours, published, strict=True):
+        assert one["bone_deviation"] < 1e-9 < other["bone_deviation"]
+    picture = cv2.imread(str(folder / "a.png"))
+    assert picture is not None
+    assert picture.std() > 10.0  # of 255: not an empty page
+
+
+def test_what_a_benchmark_prints_is_what_it_wrote(measured: tuple[Path, str]) -> None:
+    folder, said = measured
+    rows = json.loads((folder / "a.json").read_text(encoding="utf-8"))["trials"]
+    assert "…" not in said
+    mpjpe = {m: np.array([row["mpjpe"] for row in rows if row["method"] == m]) for m in METHODS}
+    line = next(line for line in said.splitlines() if line.startswith("  arms "))
+    assert line.split()[1:] == [f"{1e3 * mpjpe[m].mean():.1f}" for m in METHODS]
+    shares = said.splitlines()[said.splitlines().index(line) + 1]
+    assert re.findall(r"\d+%", shares) == [f"{np.mean(mpjpe['ours'] < mpjpe[m]):.0%}" for m in METHODS[:-1]]
+    for method in METHODS:
+        row = next(line for line in said.splitlines() if line.startswith(f"  {method} "))
+        spread = 1e3 * mpjpe[method].std(ddof=1)
+        assert f" {1e3 * mpjpe[method].mean():.1f}±{spread:.1f} " in row
+
+
+def test_wins_are_counted_recording_by_recording() -> None:
+    outcomes = made_up()
+    for outcome in outcomes:
+        nearer = outcome.trial.motion == "still" and outcome.trial.seed > 0  # 4 of 12 recordings
+        outcome.figures["mpjpe"] = {"ours": 1.0, "Kalman": 2.0 if nearer else 0.9}.get(outcome.method, 3.0)
+    assert wins(outcomes, "Kalman") == pytest.approx(4 / 12)
+    assert wins(outcomes, "mean") == 1.0
+
+
+def test_set_real_says_which_published_figures_are_out_and_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    middling = {name: float(np.mean(of_it)) for name, of_it in PUBLISHED["azure_squat"].items()}
+    jitter = dict.fromkeys(JointGroups.__dataclass_fields__, 0.004)
+    simulated = PairStatistics(**middling, jitter=jitter, swapped=0.166, swap_frames=20.0)
+    monkeypatch.setattr("viewer_app.bench.accuracy.simulated_statistics", lambda *_: simulated)
+    monkeypatch.setenv("COLUMNS", "80")
+    main(["bench", "accuracy", "--set", "real", "--json", str(tmp_path / "r.json")])
+    said = capsys.readouterr().out
+    assert "…" not in said
+    assert max(len(line) for line in said.splitlines()) <= 80
+    assert "13 of 13 figures within 1.5" in said
+    plain = " ".join(said.split())
+    for (setting, figure), reason in REASONS.items():
+        assert f"{figure.replace('_', ' ')}: {reason}." in plain, setting
+    document = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
+    assert list(document) == [f"{name}, published" for name in PUBLISHED]
+    (swapped,) = (f for f in document["kinect_v2_90deg_walk, published"] if f["figure"] == "swapped")
+    assert swapped["ratio"] == pytest.approx(0.166 / 0.076)
+    assert swapped["within_1.5"] is False

@@ -1,0 +1,57 @@
+"""How much of the depth images is kept, and that everything that is made of them stays right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from devices.point_cloud import depth_to_points, ray_table
+from fusion.body import AZURE_KINECT
+from fusion.fuser import Fuser
+from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
+from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from viewer_app.loop.image_thinning import (
+    Depth,
+    has_images,
+    thinned,
+    thinned_camera,
+    with_depth,
+    without_images,
+)
+
+LENS = Intrinsics(33, 26, 27.1, 26.9, 15.8, 12.3, (0.5, -2.6, 1e-4, -2e-4, 1.5, 0.4, -2.4, 1.4))
+
+
+@pytest.mark.parametrize("depth", ["half", "full"])
+def test_a_thinned_image_gives_the_points_of_the_pixels_that_are_kept(depth: Depth) -> None:
+    image = np.random.default_rng(0).integers(500, 4000, (LENS.height, LENS.width)).astype(np.uint16)
+    kept, camera = thinned(image, depth), thinned_camera(LENS, depth)
+    assert kept.shape == (camera.height, camera.width)
+    step = {"half": 2, "full": 1}[depth]
+    expected = depth_to_points(image[::step, ::step], ray_table(LENS)[::step, ::step])
+    # float32 rays, at 4 m
+    np.testing.assert_allclose(depth_to_points(kept, ray_table(camera)), expected, atol=4 * 2.4e-7)
+
+
+def test_the_fused_skeleton_does_not_depend_on_how_much_depth_is_kept() -> None:
+    pairs = frame_pairs(AZURE_KINECT, 30, only_a=(7,), depth=True)
+    whole = NOMINAL_INTRINSICS[AZURE_KINECT.name]
+    fused = []
+    for camera in (whole, thinned_camera(whole, "half")):
+        fuser = Fuser(calibration_of(AZURE_KINECT), None, camera, camera)
+        fused.append([fuser.update(pair.skeletons).positions for pair in pairs])
+    np.testing.assert_array_equal(fused[0], fused[1])
+
+
+def test_a_pair_keeps_its_skeletons_whatever_becomes_of_its_images() -> None:
+    (pair,) = frame_pairs(AZURE_KINECT, 1, depth=True)
+    shapes = {}
+    depths: tuple[Depth, ...] = ("none", "half", "full")
+    for depth in depths:
+        kept = with_depth(pair, depth)
+        assert kept.skeletons == pair.skeletons
+        assert kept.a is not None
+        shapes[depth] = None if kept.a.depth is None else kept.a.depth.shape
+    assert shapes == {"none": None, "half": (12, 16), "full": (24, 32)}
+    assert has_images(pair)
+    assert not has_images(without_images(pair))

@@ -1,0 +1,295 @@
+"""The loop never waits for a viewer, and the file gets everything."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+import rerun as rr
+
+from devices.pairing import FramePair
+from devices.sensor import SensorFrame
+from fusion.body import KINECT_V2
+from fusion.calibration.calibration import Calibration
+from fusion.fuser import Fuser
+from recordings import layout
+from recordings.session import Session
+from recordings.session_arrays import RecordedFrame
+from recordings.writing.recorder import Recorder
+from tests.conftest import A_FROM_B, FRAME_NS, pair_of, standing
+from tests.helpers.pictures import eventually, headless_viewer
+from viewer_app.loop.fusing import fuse_one
+from viewer_app.sinks.live_session import LiveSession, Viewing
+from viewer_app.sinks.session_file import SessionFile
+from viewer_app.sinks.viewer_feed import Note, ViewerFeed
+from viewer_app.viewer.blueprint import session_blueprint
+from viewer_app.viewer.rerun_process import Hub, stop
+
+BODY = KINECT_V2
+STUCK = [sys.executable, "-c", "import time; time.sleep(600)"]
+"""A process that never reads: a frozen viewer."""
+HUNGRY = [sys.executable, "-c", "import sys; print(len(sys.stdin.buffer.read()))"]
+"""A process that reads all, and says at the end how much that was."""
+
+
+@pytest.fixture
+def fuser() -> Fuser:
+    return Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+
+
+def frames(fuser: Fuser, count: int, depth: bool = False) -> list[RecordedFrame]:
+    image = np.random.default_rng(0).integers(0, 4000, (424, 512)).astype(np.uint16) if depth else None
+    made = []
+    for k in range(count):
+        at = standing(BODY) + [0.1 * np.sin(k / 10), 0.0, 0.0]
+        seen = pair_of(BODY, at, k * FRAME_NS)
+        assert seen.a is not None
+        assert seen.b is not None
+        pair = FramePair(
+            SensorFrame(k * FRAME_NS, {"1": seen.a}, image),
+            SensorFrame(k * FRAME_NS, {"1": seen.b}, image),
+            "1",
+            "1",
+            k * FRAME_NS,
+        )
+        made.append(fuse_one(fuser, pair))
+    return made
+
+
+def session(
+    fuser: Fuser, file: Path | None = None, hub: Hub | None = None, window: bool = False
+) -> LiveSession:
+    viewing = Viewing(window=window, hub=hub, headless=True)
+    blueprint = session_blueprint(fuser, np.array([0.0, 0.0, 2.6]), "inspect")
+    return LiveSession(fuser, ("a", "b"), blueprint, file=file, viewing=viewing)
+
+
+def numbers_in(file: Path) -> list[int]:
+    """The numbers of the frames that a session's file holds."""
+    read = Session.open(file)
+    assert read.damage is None
+    return [int(number) for number in read.rows.frame]
+
+
+def feed_into(command: list[str], fuser: Fuser, **options: object) -> ViewerFeed:
+    return ViewerFeed(
+        lambda: subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, bufsize=0, start_new_session=True
+        ),
+        rr.RecordingStream("test"),
+        lambda stream: Recorder(stream, fuser, ("a", "b")),
+        **options,  # type: ignore[arg-type]
+    )
+
+
+@pytest.fixture
+def stuck(fuser: Fuser) -> Iterator[ViewerFeed]:
+    feed = feed_into(STUCK, fuser, keep=10, patience=60.0)
+    yield feed
+    feed.close(end_process=True)
+
+
+def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
+    stuck: ViewerFeed, fuser: Fuser
+) -> None:
+    made = frames(fuser, 100, depth=True)  # 87 MB: more than any pipe takes
+    slowest = 0.0
+    for number, frame in enumerate(made):
+        before = time.perf_counter()
+        stuck.offer((number, frame))
+        slowest = max(slowest, time.perf_counter() - before)
+        time.sleep(0.002)
+    assert stuck.dropped >= 50
+    waiting = [item[0] for item in stuck._queue if isinstance(item, tuple)]
+    assert waiting == list(range(90, 100))
+    assert slowest < 3.0  # it would be 60 s, the patience, if it waited
+
+
+def test_a_turn_is_over_when_the_feed_has_written_or_time_is_up(stuck: ViewerFeed, fuser: Fuser) -> None:
+    feed = feed_into(HUNGRY, fuser)
+    begun = time.monotonic()
+    for number, frame in enumerate(frames(fuser, 2)):
+        feed.offer((number, frame))
+        feed.wait_for_turn(30.0)
+    assert time.monotonic() - begun < 30.0
+    feed.close(end_process=True)
+    for number, frame in enumerate(frames(fuser, 100, depth=True)):  # more than any pipe takes
+        stuck.offer((number, frame))
+        time.sleep(0.002)
+    stuck._turn_over.set()  # of a turn before
+    begun = time.monotonic()
+    stuck.wait_for_turn(0.3)
+    assert time.monotonic() - begun >= 0.3
+
+
+def test_the_file_goes_after_the_viewer(
+    fuser: Fuser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turns: list[float] = []
+    wait_for_turn = ViewerFeed.wait_for_turn
+    monkeypatch.setattr(
+        ViewerFeed,
+        "wait_for_turn",
+        lambda feed, seconds: (turns.append(seconds), wait_for_turn(feed, seconds)),
+    )
+    with session(fuser, tmp_path / "s.rrd", Hub.on_free_ports(web=False)) as live:
+        for frame in frames(fuser, 3):
+            live.record(frame)
+        assert eventually(lambda: live.saved == 3)
+    assert turns
+
+
+def test_what_is_said_is_not_dropped_with_the_frames(stuck: ViewerFeed, fuser: Fuser) -> None:
+    stuck.offer((0, frames(fuser, 1, depth=True)[0]))
+    for number, frame in enumerate(frames(fuser, 60, depth=True)):
+        stuck.offer((number, frame))
+        time.sleep(0.002)
+    stuck.offer(Note("sensor lost"))
+    for number, frame in enumerate(frames(fuser, 30)):
+        stuck.offer((60 + number, frame))
+    assert sum(isinstance(item, Note) for item in stuck._queue) == 1
+    assert len(stuck._queue) == 10
+
+
+def test_closing_with_a_frozen_viewer_takes_no_time(fuser: Fuser) -> None:
+    feed = feed_into(STUCK, fuser, keep=10, patience=60.0)
+    for number, frame in enumerate(frames(fuser, 40, depth=True)):
+        feed.offer((number, frame))
+    before = time.perf_counter()
+    feed.close(end_process=True)
+    assert time.perf_counter() - before < 20.0  # it would be 600 s if it waited for the process
+    assert feed.process.poll() is not None
+
+
+def test_a_process_without_progress_is_replaced(fuser: Fuser) -> None:
+    feed = feed_into(STUCK, fuser, keep=10, patience=0.2, retry=0.01)
+    made = frames(fuser, 60, depth=True)
+    try:
+        for number, frame in enumerate(made):
+            feed.offer((number, frame))
+        assert eventually(lambda: feed.starts >= 2)
+    finally:
+        feed.close(end_process=True)
+
+
+def test_a_complete_feed_passes_every_frame_on(fuser: Fuser) -> None:
+    written: list[int] = []
+
+    class Spy(Recorder):
+        def record_all(self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None = None) -> Any:
+            written.extend(numbers or ())
+            time.sleep(0.01)  # slower than they come
+            return super().record_all(frames, numbers)
+
+    feed = ViewerFeed(
+        lambda: subprocess.Popen(HUNGRY, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0),
+        rr.RecordingStream("test"),
+        lambda stream: Spy(stream, fuser, ("a", "b")),
+        keep=None,
+        restart=False,
+    )
+    for number, frame in enumerate(frames(fuser, 300)):
+        feed.offer((number, frame))
+    assert feed.finish(20.0)
+    assert written == list(range(300))
+    feed.close(end_process=False)
+    assert feed.process.stdout is not None
+    assert int(feed.process.stdout.read()) > 300 * 25 * 3 * 4  # S* alone, as float32
+
+
+def test_the_file_gets_every_frame_and_closing_writes_them(fuser: Fuser, tmp_path: Path) -> None:
+    out = tmp_path / "s.rrd"
+    with session(fuser, out) as live:
+        for frame in frames(fuser, 200):
+            live.record(frame)
+        live.finish()
+    assert numbers_in(out) == list(range(200))
+    assert live.lost == 0
+
+
+def test_a_disk_that_stands_still_costs_images_first(
+    fuser: Fuser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SessionFile, "_run", lambda self: None)
+    file = SessionFile(
+        tmp_path / "s.rrd",
+        lambda: rr.RecordingStream("test"),
+        lambda stream: Recorder(stream, fuser, ("a", "b")),
+    )
+    made = frames(fuser, 70, depth=True)
+    for number in range(2000):
+        file.offer((number, made[number % 70]))
+    assert file.without_images == 1800 - 60
+    assert file.lost == 200
+    with_images = [
+        item for item in file._queue if isinstance(item, tuple) and item[1].pair.a.depth is not None
+    ]
+    assert len(with_images) == 60
+
+
+def test_the_viewer_gets_images_at_a_capped_rate(fuser: Fuser) -> None:
+    with session(fuser) as live:
+        shown = [live._capped(frame) for frame in frames(fuser, 60, depth=True)]
+    with_images = [
+        [k for k, frame in enumerate(shown) if getattr(frame.pair, side).depth is not None] for side in "ab"
+    ]
+    assert with_images == [list(range(1, 60, 3)), list(range(2, 60, 3))]  # 10 Hz, one at a time
+
+
+def test_a_viewer_killed_again_and_again_loses_no_frame_of_the_file(fuser: Fuser, tmp_path: Path) -> None:
+    with headless_viewer():
+        pass  # skips where there is none
+    out = tmp_path / "s.rrd"
+    made = frames(fuser, 600)
+    hub = Hub.on_free_ports(web=False)
+    kills = 0
+    with session(fuser, out, hub, window=True) as live:
+        assert live._feed is not None
+        assert live._window is not None
+        for k, frame in enumerate(made):
+            live.record(frame)
+            if k % 100 == 50:
+                victim = (live._window.process, live._feed.process)[kills % 2]
+                os.kill(victim.pid, signal.SIGSTOP if k == 550 else signal.SIGKILL)
+                kills += 1
+            time.sleep(0.01)
+        assert live._feed.starts >= 2
+        live.finish()
+        live.save()
+        window = live._window.process
+    stop(window)
+    assert kills == 6
+    assert numbers_in(out) == list(range(600))
+
+
+def test_a_viewer_that_comes_later_sees_the_history(fuser: Fuser) -> None:
+    hub = Hub.on_free_ports(web=False)
+    with session(fuser, None, hub) as live:
+        for frame in frames(fuser, 60):
+            live.record(frame)
+        time.sleep(0.5)
+        with headless_viewer("--connect", hub.url) as viewer:
+
+            def sees_all() -> bool:
+                timelines = [t for r in viewer.get_state().recordings for t in r.timelines]
+                return any(t.name == layout.FRAME and t.start == 0 and t.end == 59 for t in timelines)
+
+            assert eventually(sees_all)
+
+
+def test_nothing_is_left_running(fuser: Fuser) -> None:
+    hub = Hub.on_free_ports(web=False)
+    with session(fuser, None, hub) as live:
+        assert live._feed is not None
+        process = live._feed.process
+        assert psutil.pid_exists(process.pid)
+    assert process.poll() is not None

@@ -1,0 +1,166 @@
+"""The coach's advice drawn into the 3D scene: where to stand, what to mend, where B would see more."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fusion.body import Body
+from fusion.calibration.calibration import Calibration
+from fusion.fuser import FusedFrame
+from fusion.intrinsics import Intrinsics
+from fusion.rigid import RigidTransform
+from recordings.appearance.coach_page import CoachPage, Mark, Point
+from viewer_app.coach.advice import ANGLES, Advice, to_markdown
+from viewer_app.coach.setup_coach import HOLD, Situation
+from viewer_app.coach.standing_spot import CAMERA_HEIGHT, FARTHEST, StandingSpot, standing_spot
+
+_RING = 0.3  # metres, radius
+_UNDER = 1.5  # metres
+_ANKLE = 0.08  # metres above the floor
+_THERE = 0.4  # metres from the spot within which one stands on it
+_FLOOR_OVER = 60  # frames
+_COARSE = 0.1  # metres: what is drawn changes only when there is something to see
+_FRUSTUM = 0.35  # metres: around the sensor's own
+_BEST_ANGLE = 90.0  # degrees
+
+
+class CoachScene:
+    """Makes the coach's page.
+
+    Args:
+        body: What both sensors report.
+        cameras: Of A and B.
+    """
+
+    def __init__(self, body: Body, cameras: tuple[Intrinsics, Intrinsics]) -> None:
+        self._body, self._cameras = body, cameras
+        self._feet = [body.joint("ANKLE_LEFT"), body.joint("ANKLE_RIGHT")]
+        self._lowest: deque[float] = deque(maxlen=_FLOOR_OVER)
+        self._found: tuple[Calibration, float, StandingSpot] | None = None
+
+    def page(self, advice: Sequence[Advice], now: Situation, fused: FusedFrame | None = None) -> CoachPage:
+        """What to show now.
+
+        Args:
+            advice: All there is to say.
+            now: What the loop knows.
+            fused: The newest S*, whose feet are on the floor; None where there is no one.
+        """
+        person = None if fused is None else self._person(fused)
+        marks = {
+            "spot": self._spot(now, person),
+            "sensor_a": self._sensor("A", advice, RigidTransform.identity()),
+            "sensor_b": self._sensor("B", advice, now.calibration.a_from_b),
+            "better_b": self._better(now.calibration),
+        }
+        return CoachPage(
+            to_markdown(advice), tuple((name, mark) for name, mark in marks.items() if mark is not None)
+        )
+
+    def _person(self, fused: FusedFrame) -> NDArray[np.float64] | None:
+        """(2,) x and z of where the person stands, coarsely."""
+        feet = fused.positions[self._feet]
+        if np.isfinite(feet).all():
+            self._lowest.append(float(feet[:, 1].max()) + _ANKLE)
+        torso = fused.positions[list(self._body.torso)]
+        if not np.isfinite(torso).all():
+            return None
+        return _coarse(torso[:, [0, 2]].mean(axis=0))
+
+    @property
+    def _floor(self) -> float:
+        """Its y in K_A's frame, metres."""
+        return float(_coarse(np.median(self._lowest))) if self._lowest else CAMERA_HEIGHT
+
+    def _place(self, calibration: Calibration) -> StandingSpot:
+        floor = self._floor
+        if self._found is None or self._found[:2] != (calibration, floor):
+            known = bool(calibration.a_from_b.translation.any())
+            spot = standing_spot(
+                calibration.a_from_b if known else None, self._cameras, FARTHEST[self._body.name], floor
+            )
+            self._found = calibration, floor, spot
+        return self._found[2]
+
+    def _spot(self, now: Situation, person: NDArray[np.float64] | None) -> Mark | None:
+        if now.settled:
+            return None
+        place, floor = self._place(now.calibration), self._floor
+        round_it = np.linspace(0.0, 2.0 * np.pi, 33)
+        ring = np.stack(
+            (
+                place.x + _RING * np.cos(round_it),
+                np.full_like(round_it, floor),
+                place.z + _RING * np.sin(round_it),
+            ),
+            axis=-1,
+        )
+        # the words stand beside the first line: below ring and point clouds, which would cross them
+        under = np.array([place.x, floor + _UNDER, place.z])
+        post = np.array([[place.x, floor, place.z], under])
+        lines = _line(np.stack((under, under))), _line(ring), _line(post)
+        if now.held > 0.0:
+            return Mark(lines, f"hold still: {math.ceil(max(0.0, HOLD - now.held))} s", "do")
+        if person is None:
+            return Mark(lines, "stand here", "do")
+        to_go = np.array([place.x, place.z]) - person
+        far = float(np.linalg.norm(to_go))
+        if far <= _THERE:
+            return Mark(lines, "here: arms out, legs apart, hold still", "do")
+        along = to_go / far
+        across = np.array([-along[1], along[0]])
+        tip = person + along * (far - _RING)
+        flat = [person, tip, tip - 0.15 * (along + 0.6 * across), tip, tip - 0.15 * (along - 0.6 * across)]
+        arrow = np.array([[x, floor, z] for x, z in flat])
+        return Mark((*lines, _line(arrow)), f"stand here: {far:.1f} m to go", "do")
+
+    def _sensor(self, side: str, advice: Sequence[Advice], in_a: RigidTransform) -> Mark | None:
+        wrong = [
+            each.label for each in advice if each.level == "WARN" and side in each.sensors and each.label
+        ]
+        if not wrong:
+            return None
+        camera = self._cameras["AB".index(side)]
+        return Mark(tuple(_frustum(camera, in_a)), f"{side}: {', '.join(wrong)}", "mend")
+
+    def _better(self, calibration: Calibration) -> Mark | None:
+        """B turned about the standing person until the axes are at a right angle."""
+        angle = math.degrees(calibration.axes_angle)
+        if calibration.registration is None or ANGLES[0] <= angle <= ANGLES[1]:
+            return None
+        place = self._place(calibration)
+        centre = np.array([place.x, 0.0, place.z])
+        turned = []
+        for sign in (-1.0, 1.0):
+            turn = Rotation.from_euler("y", sign * (_BEST_ANGLE - angle), degrees=True).as_matrix()
+            turned.append(RigidTransform.of(turn, centre - turn @ centre) @ calibration.a_from_b)
+        best = min(turned, key=lambda each: abs(each.rotation[2, 2]))  # the cosine of the angle
+        way = np.linspace(calibration.a_from_b.translation, best.translation, 9)
+        lines = (*_frustum(self._cameras[1], best), _line(way))
+        reached = math.degrees(math.acos(float(np.clip(best.rotation[2, 2], -1.0, 1.0))))
+        return Mark(lines, f"B sees more from here: {reached:.0f}° instead of {angle:.0f}°", "better")
+
+
+def _frustum(camera: Intrinsics, in_a: RigidTransform) -> Iterator[tuple[Point, ...]]:
+    """The image's edge, then the lines from it to the sensor."""
+    x = _FRUSTUM * np.array([-camera.cx, camera.width - camera.cx]) / camera.fx
+    y = _FRUSTUM * np.array([-camera.cy, camera.height - camera.cy]) / camera.fy
+    corners = in_a.apply([[x[i], y[j], _FRUSTUM] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))])
+    eye = in_a.translation
+    yield _line(np.concatenate((corners, corners[:1])))
+    for corner in corners:
+        yield _line(np.stack((eye, corner)))
+
+
+def _line(points: NDArray[np.float64]) -> tuple[Point, ...]:
+    return tuple((float(x), float(y), float(z)) for x, y, z in points)
+
+
+def _coarse(values: NDArray[np.float64] | np.floating) -> NDArray[np.float64]:
+    return np.asarray(np.round(np.asarray(values) / _COARSE) * _COARSE)

@@ -1,0 +1,308 @@
+"""What to do next while two sensors are set up: each advice names its figure and its threshold.
+
+Pure: it sees what the loop sees, time is the pairs' own, nothing waits and nothing is printed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.calibration.calibration import Calibration
+from fusion.intrinsics import Intrinsics
+from fusion.skeleton import Skeleton
+from recordings.session_arrays import RecordedFrame
+from viewer_app.coach.advice import Advice, placement
+from viewer_app.coach.standing_spot import CAMERA_HEIGHT, FARTHEST, nearest, standing_spot
+
+UNSEEN = 1.0
+"""Seconds without a person, after which it is said."""
+CUT_OFF = 0.5
+"""Share of the last second in which a foot is not tracked or outside the image."""
+HOLD = 3.0
+"""Seconds to hold the start-up pose: the paper's few seconds."""
+RATE = 0.8
+"""Of the sensor's nominal frames a second."""
+SKEW = 0.5
+"""Of a frame's duration: beyond it another partner would be nearer."""
+MOVED = 0.25
+"""Metres that t drifts, eight seconds' median. People who walk about between two real Kinects shift the three
+seconds' median by up to 0.19; turning a sensor by 5° shifts it by 0.26 at 3 m."""
+WARM_UP = 2400.0
+"""Seconds until an Azure Kinect's distances stay the same (Tölgyessy et al. 2021: 40 to 50 minutes)."""
+_SECOND, _RATE_WINDOW, _MOVED_WINDOW = 1.0, 2.0, 8.0  # seconds
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What the loop knows beside the frame.
+
+    Attributes:
+        calibration: In use now.
+        settled: Whether it comes from a start-up pose or a file.
+        held: Seconds for which the start-up pose has been held.
+        dropped: Frames so far that the program was too slow for, of A and B.
+    """
+
+    calibration: Calibration
+    settled: bool
+    held: float
+    dropped: tuple[int, int] = (0, 0)
+
+
+@dataclass(frozen=True)
+class _View:
+    """One sensor's part of a pair."""
+
+    time: float
+    came: bool
+    seen: bool
+    feet_gone: bool
+
+
+class Coach:
+    """Watches the loop and says what to do.
+
+    Args:
+        body: What both sensors report.
+        intrinsics: Of A's and B's depth camera.
+        rate: Nominal frames a second.
+        warm_up: Seconds that the sensors must run before their distances stay the same.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        intrinsics: tuple[Intrinsics, Intrinsics],
+        rate: float = 30.0,
+        warm_up: float = 0.0,
+    ) -> None:
+        self.body, self.intrinsics = body, intrinsics
+        self._rate, self._warm_up = rate, warm_up
+        self._feet = np.array([body.joint("ANKLE_LEFT"), body.joint("ANKLE_RIGHT")])
+        self._views: tuple[deque[_View], deque[_View]] = (deque(), deque())
+        self._seen_at: list[float | None] = [None, None]
+        self._skews: deque[tuple[float, float]] = deque()
+        self._drops: deque[tuple[float, tuple[int, int]]] = deque()
+        self._shifts: deque[tuple[float, NDArray[np.float64]]] = deque()
+        self._began: float | None = None
+        self._calibration: Calibration | None = None
+        self._overlap_of: tuple[Calibration | None, float] = (None, math.inf)
+
+    def watch(self, frame: RecordedFrame, now: Situation) -> list[Advice]:
+        """Takes the next frame.
+
+        Returns:
+            All that is to be said at this moment, the most urgent first.
+        """
+        time = frame.pair.time_ns * 1e-9
+        self._began = time if self._began is None else self._began
+        self._remember(frame, now, time)
+        advice = [
+            *self._sensors(time),
+            *self._people(frame, time),
+            *placement(now.calibration),
+            *self._overlap(now.calibration),
+            *self._pose(now),
+            *self._moved(now, time),
+        ]
+        return sorted(advice, key=lambda each: each.level != "WARN")
+
+    def _remember(self, frame: RecordedFrame, now: Situation, time: float) -> None:
+        pair, skeletons = frame.pair, frame.pair.skeletons
+        for k, (sensor_frame, skeleton) in enumerate(((pair.a, skeletons.a), (pair.b, skeletons.b))):
+            if skeleton is not None:
+                self._seen_at[k] = time
+            feet = skeleton is not None and self._feet_gone(skeleton, self.intrinsics[k])
+            self._views[k].append(_View(time, sensor_frame is not None, skeleton is not None, feet))
+            while time - self._views[k][0].time > _RATE_WINDOW:
+                self._views[k].popleft()
+        if pair.a is not None and pair.b is not None:
+            self._skews.append((time, abs(pair.skew_ns) * 1e-6))
+        self._drops.append((time, now.dropped))
+        if now.calibration is not self._calibration:
+            self._calibration = now.calibration
+            self._shifts.clear()
+        if skeletons.a is not None and skeletons.b is not None:
+            shift = frame.fused.a_from_b.translation - now.calibration.a_from_b.translation
+            self._shifts.append((time, shift))
+        for history, window in (
+            (self._skews, _RATE_WINDOW),
+            (self._drops, _RATE_WINDOW),
+            (self._shifts, _MOVED_WINDOW),
+        ):
+            while history and time - history[0][0] > window:
+                history.popleft()
+
+    def _feet_gone(self, skeleton: Skeleton, camera: Intrinsics) -> bool:
+        pixels = camera.project(skeleton.positions[self._feet])
+        inside = (pixels >= 0.0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
+        return not bool((skeleton.tracked[self._feet] & inside).all())
+
+    def _sensors(self, time: float) -> Iterator[Advice]:
+        assert self._began is not None
+        if time - self._began < _RATE_WINDOW:
+            return
+        for k, side in enumerate("AB"):
+            came = sum(view.came for view in self._views[k]) / _RATE_WINDOW
+            if came < RATE * self._rate:
+                few = int(came)  # rounded it might be the limit itself
+                yield Advice(
+                    f"rate {side}",
+                    f"Sensor {side} gives {few} frames a second; below {RATE * self._rate:.0f} "
+                    "movements are missed. Give it a USB controller of its own, and light.",
+                    "WARN",
+                    came,
+                    RATE * self._rate,
+                    side,
+                    f"{few} frames a second",
+                )
+            dropped = self._drops[-1][1][k] - self._drops[0][1][k]
+            if dropped > 0:
+                yield Advice(
+                    f"drops {side}",
+                    f"{dropped} frames of {side} came too fast for this machine in {_RATE_WINDOW:g} s (0 is "
+                    "good). Close other programs.",
+                    "WARN",
+                    dropped,
+                    0.0,
+                    side,
+                    "drops frames",
+                )
+        if self._skews:
+            skew, limit = float(np.median([ms for _, ms in self._skews])), SKEW * 1e3 / self._rate
+            if skew > limit:
+                yield Advice(
+                    "skew",
+                    f"A and B are captured {skew:.0f} ms apart; half a frame is {limit:.0f} ms. "
+                    "Connect the sync cable, or move slowly.",
+                    "WARN",
+                    skew,
+                    limit,
+                )
+        run = time - self._began
+        if run < self._warm_up:
+            yield Advice(
+                "warm-up",
+                f"The sensors have run for {run / 60.0:.0f} min; for the first {self._warm_up / 60.0:.0f} "
+                "their distances drift by millimetres. Calibrate again after that if you need them.",
+                "INFO",
+                run,
+                self._warm_up,
+            )
+
+    def _people(self, frame: RecordedFrame, time: float) -> Iterator[Advice]:
+        assert self._began is not None
+        skeletons = (frame.pair.skeletons.a, frame.pair.skeletons.b)
+        for k, (side, skeleton) in enumerate(zip("AB", skeletons, strict=True)):
+            since = time - (self._began if self._seen_at[k] is None else self._seen_at[k] or 0.0)
+            if skeleton is None:
+                if since >= UNSEEN:
+                    yield Advice(
+                        f"person {side}",
+                        f"Sensor {side} has seen no one for {since:.0f} s (more than {UNSEEN:g} s). "
+                        "Step into its view, and turn off what stands in the way.",
+                        "WARN",
+                        since,
+                        UNSEEN,
+                        side,
+                        "sees no one",
+                    )
+                continue
+            yield from self._distance(side, skeleton, self.intrinsics[k])
+            lately = [view.feet_gone for view in self._views[k] if view.seen and time - view.time <= _SECOND]
+            gone = float(np.mean(lately))
+            if gone > CUT_OFF:
+                yield Advice(
+                    f"feet {side}",
+                    f"Sensor {side} does not see both feet in {100 * gone:.0f} % of frames (limit "
+                    f"{100 * CUT_OFF:.0f} %). Step back, or tilt the sensor down.",
+                    "WARN",
+                    gone,
+                    CUT_OFF,
+                    side,
+                    "feet cut off",
+                )
+
+    def _distance(self, side: str, skeleton: Skeleton, camera: Intrinsics) -> Iterator[Advice]:
+        torso = skeleton.positions[list(self.body.torso), 2]
+        if not np.isfinite(torso).any():
+            return
+        away = float(np.nanmean(torso))
+        near, far = nearest(camera), FARTHEST[self.body.name]
+        if away < near:
+            yield Advice(
+                f"distance {side}",
+                f"Too close to sensor {side}: {away:.1f} m; a whole person fits from "
+                f"{near:.1f} m on. Step back.",
+                "WARN",
+                away,
+                near,
+                side,
+                f"too close, {away:.1f} m",
+            )
+        elif away > far:
+            yield Advice(
+                f"distance {side}",
+                f"Too far from sensor {side}: {away:.1f} m; it measures well up to {far:.1f} m. Come closer.",
+                "WARN",
+                away,
+                far,
+                side,
+                f"too far, {away:.1f} m",
+            )
+
+    def _overlap(self, calibration: Calibration) -> Iterator[Advice]:
+        if calibration is not self._overlap_of[0]:
+            self._overlap_of = calibration, math.inf
+            if calibration.registration is not None:
+                far = FARTHEST[self.body.name]
+                spot = standing_spot(calibration.a_from_b, self.intrinsics, far, CAMERA_HEIGHT)
+                self._overlap_of = calibration, spot.room
+        if (room := self._overlap_of[1]) < 0.0:
+            yield Advice(
+                "overlap",
+                f"Nowhere do both sensors see a whole person with arms out: the best place lacks "
+                f"{-room:.1f} m (0 is enough). Turn both to the same place, 2.5 m from each.",
+                "WARN",
+                room,
+                0.0,
+            )
+
+    def _pose(self, now: Situation) -> Iterator[Advice]:
+        if now.settled:
+            return
+        if now.held > 0.0:
+            left = max(0.0, HOLD - now.held)
+            yield Advice("pose", f"Hold still: {math.ceil(left)} s more.", "INFO", now.held, HOLD)
+        else:
+            yield Advice(
+                "pose",
+                f"Stand where both sensors see all of you, turned half to each; arms out, legs apart, and "
+                f"hold still for {HOLD:.0f} s.",
+                "INFO",
+                0.0,
+                HOLD,
+            )
+
+    def _moved(self, now: Situation, time: float) -> Iterator[Advice]:
+        if not now.settled or not self._shifts or time - self._shifts[0][0] < 0.9 * _MOVED_WINDOW:
+            return
+        shift = float(np.linalg.norm(np.median([shift for _, shift in self._shifts], axis=0)))
+        if shift > MOVED:
+            yield Advice(
+                "moved",
+                f"One sensor was moved: the views fit {1e3 * shift:.0f} mm off their calibration (limit "
+                f"{1e3 * MOVED:.0f} mm). Calibrate again: hold the start-up pose after a restart.",
+                "WARN",
+                shift,
+                MOVED,
+                "AB",
+                "moved? calibrate again",
+            )

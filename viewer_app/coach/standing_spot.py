@@ -1,0 +1,74 @@
+"""Where a person is to stand so that both sensors see all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.intrinsics import Intrinsics
+from fusion.rigid import RigidTransform
+
+FARTHEST = {"kinect_v1": 4.0, "kinect_v2": 4.5, "azure_kinect": 3.9}
+"""Metres to which the makers promise a depth, by body (Azure: NFOV, not binned)."""
+TALL = 2.0
+"""Metres that must fit into the image: a tall adult, and some room."""
+ARM = 0.9
+"""Metres from the trunk to a fingertip, arms out."""
+CAMERA_HEIGHT = 1.0
+"""Metres above the floor at which a sensor is taken to stand until feet have been seen."""
+_STEP = 0.1  # metres between the places that are tried
+_TORSO_HEIGHT = 1.0  # metres above the floor
+
+
+@dataclass(frozen=True)
+class StandingSpot:
+    """A place on the floor.
+
+    Attributes:
+        x, z: Metres in K_A's frame.
+        room: Metres that are to spare at the tightest limit of either sensor; negative: not all is seen.
+    """
+
+    x: float
+    z: float
+    room: float
+
+
+def nearest(camera: Intrinsics) -> float:
+    """Metres from which on a tall person fits into the image's height."""
+    return TALL * camera.fy / camera.height
+
+
+def standing_spot(
+    a_from_b: RigidTransform | None, cameras: tuple[Intrinsics, Intrinsics], far: float, floor: float
+) -> StandingSpot:
+    """The place with the most room to spare.
+
+    The limits of each sensor are the nearest and the farthest distance, and the image's sides for a person
+    with both arms out. K_A is taken to stand upright: the floor is a plane of equal y.
+
+    Args:
+        a_from_b: Where K_B stands; None where that is not known, and K_A alone decides.
+        cameras: Of A and B.
+        far: Metres to which the sensors measure.
+        floor: Its y in K_A's frame.
+    """
+    x, z = np.meshgrid(np.arange(-4.0, 4.0, _STEP), np.arange(0.5, 6.0, _STEP))
+    torso = np.stack((x, np.full_like(x, floor - _TORSO_HEIGHT), z), axis=-1)
+    room = _room(torso, cameras[0], far)
+    if a_from_b is not None:
+        in_b = a_from_b.inverse().apply(torso.reshape(-1, 3)).reshape(torso.shape)
+        room = np.minimum(room, _room(in_b, cameras[1], far))
+    best = np.unravel_index(int(np.argmax(room)), room.shape)
+    return StandingSpot(float(x[best]), float(z[best]), float(room[best]))
+
+
+def _room(torso: NDArray[np.float64], camera: Intrinsics, far: float) -> NDArray[np.float64]:
+    """Metres to the tightest limit, for torsos (…, 3) in the sensor's frame."""
+    across, away = torso[..., 0], torso[..., 2]
+    left = across + away * camera.cx / camera.fx
+    right = away * (camera.width - camera.cx) / camera.fx - across
+    limits = np.stack((away - nearest(camera), far - away, left - ARM, right - ARM))
+    return np.asarray(limits.min(axis=0))

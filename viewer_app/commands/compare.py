@@ -1,0 +1,121 @@
+"""``duplex compare``: two fusions of the same capture side by side."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from recordings import layout
+from recordings.session import Session
+from recordings.session_comparison import DIFFERENCE, LARGEST, Comparison, record_comparison
+from viewer_app.commands.replay import print_damage
+from viewer_app.errors import UsageError
+from viewer_app.options import CompareOptions
+from viewer_app.output_files import check_outputs
+from viewer_app.viewer.display import has_display
+from viewer_app.viewer.file_window import written_and_shown
+
+_APPLICATION_ID = f"{layout.APPLICATION_ID}_compare"
+
+
+def run(options: CompareOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        RecordingError, UsageError: With one line for the person who asked.
+    """
+    console = Console()
+    if options.worst < 0:
+        raise UsageError(f"--worst {options.worst}: how many moments to list, 0 or more.")
+    check_outputs([options.save], [options.first, options.second], options.force)
+    sessions = [Session.open(path) for path in (options.first, options.second)]
+    for session in sessions:
+        print_damage(console, session)
+    comparison = Comparison.of(*sessions)
+    worst = comparison.worst(options.worst)
+    window = not options.no_viewer and has_display()
+    with written_and_shown(options.save, window, _blueprint(), _APPLICATION_ID) as stream:
+        record_comparison(stream, comparison, worst)
+    console.print(
+        f"[bold]{len(comparison)}[/] frames in common, of {len(sessions[0])} and {len(sessions[1])}.",
+        highlight=False,
+    )
+    for name, values in sessions[0].about["settings"].items():
+        other = sessions[1].about["settings"].get(name)
+        if other != values:
+            other_value = other[0] if other else "–"
+            console.print(f"  {name}: {values[0]} against {other_value}", highlight=False, markup=False)
+    if comparison.one_missing:
+        console.print(f"Only one of them has an S* in {comparison.one_missing} frames.")
+    console.print(_joint_table(comparison))
+    console.print(_bone_table(comparison))
+    if not np.any(comparison.apart > 0.0) and not comparison.one_missing:
+        console.print("S* is the same in every frame they share.")
+    for t, j in worst:
+        console.print(
+            f"  {comparison.first.time_ns[t] * 1e-9:8.2f} s  frame {comparison.first.frame[t]}: "
+            f"{comparison.body.joints[j]} differs by {comparison.apart[t, j] * 1e3:.3g} mm",
+            highlight=False,
+        )
+    if options.save is not None:
+        console.print(f"Saved {options.save}.", highlight=False, markup=False)
+
+
+def _joint_table(comparison: Comparison) -> Table:
+    table = Table(title="Joints, mm: distance of the two S*, and jitter of each", title_justify="left")
+    for column in ("joint", "median", "95 %", "max", "jitter 1", "jitter 2", "swapped"):
+        table.add_column(column, justify="left" if column == "joint" else "right")
+    apart, jitter = comparison.apart * 1e3, comparison.jitter * 1e3
+    for j, name in enumerate(comparison.body.joints):
+        of = apart[:, j][np.isfinite(apart[:, j])]
+        figures = [_mm(np.percentile(of, p)) if len(of) else "–" for p in (50, 95, 100)]
+        swapped = int(comparison.swapped[:, j].sum())
+        table.add_row(name, *figures, _mm(jitter[0, j]), _mm(jitter[1, j]), str(swapped) if swapped else "")
+    return table
+
+
+def _bone_table(comparison: Comparison) -> Table:
+    table = Table(title="Bones, mm: length, and largest deviation from it", title_justify="left")
+    for column in ("bone", "length 1", "length 2", "deviation 1", "deviation 2"):
+        table.add_column(column, justify="left" if column == "bone" else "right")
+    target, deviation = comparison.target * 1e3, comparison.bone_deviation * 1e3
+    for j in comparison.body.bone_joints:
+        name = comparison.body.bones[j].replace("_", " ")
+        table.add_row(name, *(_mm(v) for v in (*target[:, j], *deviation[:, j])))
+    return table
+
+
+def _mm(value: float | NDArray[np.float64]) -> str:
+    value = float(value)
+    if not np.isfinite(value):
+        return "–"
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
+def _blueprint() -> rrb.Blueprint:
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Spatial3DView(
+                origin=layout.ROOT,
+                name="first S* purple, second green",
+                line_grid=rrb.LineGrid3D(visible=False),
+            ),
+            rrb.Horizontal(
+                rrb.TimeSeriesView(origin=LARGEST, name="largest difference (mm)"),
+                rrb.TimeSeriesView(
+                    origin=DIFFERENCE,
+                    name="difference of each joint (mm)",
+                    plot_legend=rrb.PlotLegend(visible=False),
+                ),
+                rrb.TextLogView(origin=layout.EVENTS, name="worst moments"),
+            ),
+            row_shares=[3, 2],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=layout.TIME),
+        auto_views=False,
+    )

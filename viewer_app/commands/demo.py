@@ -1,0 +1,141 @@
+"""``duplex demo``: two simulated Kinects, live pace, through the loop that real sensors go through."""
+
+from __future__ import annotations
+
+import math
+import threading
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from devices.live.sensor_pair import TwoSensors
+from devices.simulated.kinect import Truth, TruthAhead, simulated_pair
+from devices.simulated.person.movements import MOTIONS
+from devices.simulated.real_time import paced_together
+from fusion.body import BODIES
+from fusion.calibration.calibration import nominal_calibration
+from fusion.fuser import Fuser, FuserSettings
+from recordings.session_arrays import RecordedFrame, SessionArrays
+from viewer_app.coach.setup_coach import Coach
+from viewer_app.errors import UsageError
+from viewer_app.loop.fusing import warm_up
+from viewer_app.loop.interruption import CtrlC
+from viewer_app.loop.live_loop import run_live
+from viewer_app.loop.live_summary import check_saved, print_saved, print_session
+from viewer_app.loop.status_line import LiveDisplay
+from viewer_app.options import DemoOptions
+from viewer_app.output_files import check_writable, free_name, warn_of_little_room
+from viewer_app.sinks.live_session import LiveSession
+from viewer_app.viewer.blueprint import session_blueprint
+from viewer_app.viewer.display import has_display
+from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
+
+_SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
+
+
+def run(options: DemoOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        DeviceError, UsageError: With one line for the person who asked.
+    """
+    console = Console()
+    if options.motion == "list":
+        console.print("\n".join(MOTIONS))
+        return
+    if not 0.0 < options.seconds < float("inf"):
+        raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
+    save = options.save
+    if save is None and not (options.no_viewer or options.web or has_display()):
+        save = free_name(_SAVED_WITHOUT_DISPLAY)
+    viewing = choose_viewing(
+        no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=save, live=True
+    )
+    if save is not None:
+        check_writable(save, options.force)
+    body = BODIES[options.body]
+    a, b, truth = simulated_pair(
+        motion=options.motion,
+        seed=options.seed,
+        body=body,
+        angle_deg=options.angle,
+        seconds=options.seconds,
+        depth="off" if options.depth == "none" else options.depth,
+    )
+    start = truth.positions_at(0)
+    nominal = Fuser(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
+    blueprint = session_blueprint(nominal, np.asarray(start.mean(axis=0)), options.layout, live=True)
+    warm_up(nominal, console, lambda: next(a.frames(), None))
+    console.print(
+        f"A simulated person ({escape(options.motion)}) before two Kinects {options.angle:.0f}° apart, "
+        f"{options.seconds:g} s. Ctrl-C ends it."
+    )
+    if save is not None:
+        warn_of_little_room(save, console)
+    announce(viewing, console)
+    with CtrlC() as ctrl_c:
+        with ExitStack() as stack:
+            session = stack.enter_context(
+                LiveSession(
+                    nominal, (a.name, b.name), blueprint, file=save, overwrite=options.force, viewing=viewing
+                )
+            )
+            sensors = stack.enter_context(TwoSensors(*paced_together(a, b)))
+            ctrl_c.calls(sensors.stop)
+            coach = Coach(body, (nominal.intrinsics_a, nominal.intrinsics_b))
+            show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))
+            fuser, frames = run_live(
+                sensors,
+                body=body,
+                settings=FuserSettings(),
+                intrinsics=(a.intrinsics, b.intrinsics),
+                calibration=None,
+                recorder_for=lambda _: session,
+                truth_at=TruthAhead(truth),
+                go_on=show,
+            )
+            session.save()
+            with suppress(KeyboardInterrupt):  # whoever ended the run with Ctrl-C need not press it again
+                again = threading.Event()
+                ctrl_c.calls(again.set)
+                stay_for_visitors(viewing, console, again)
+        print_session(console, fuser, frames, sensors)
+        left_out = a.images_left_out + b.images_left_out
+        if left_out:
+            of = sensors.a.received + sensors.b.received
+            console.print(
+                f"To keep pace, {left_out} of {of} depth images were left out; a smaller --depth takes less.",
+                highlight=False,
+            )
+        if frames:
+            _print_truth(console, fuser, frames, truth)
+        if save is not None:
+            print_saved(console, save, session)
+        check_saved(session)
+
+
+def _print_truth(console: Console, fuser: Fuser, frames: list[RecordedFrame], truth: Truth) -> None:
+    rows = SessionArrays.stack(fuser.calibration.body, fuser.calibration.bone_lengths, frames)
+    assert rows.truth is not None
+    angle = math.degrees(fuser.calibration.a_from_b.angle_to(truth.a_from_b))
+    console.print(f"The sensors' true rotation lies {angle:.1f}° from the one found.")
+    calibrated = rows.frame >= len(rows) // 4  # by then the start-up pose is over
+    skeletons: dict[str, NDArray[np.float64]] = {
+        "S_A": rows.positions_a.astype(np.float64),
+        "S_B": rows.b_in_a,
+        "S*": rows.fused,
+    }
+    table = Table(min_width=44, title="Distance from the true joints, after the start", title_justify="left")
+    for column in ("skeleton", "mean", "95 %"):
+        table.add_column(column, justify="left" if column == "skeleton" else "right")
+    for name, positions in skeletons.items():
+        off = np.linalg.norm(positions - rows.truth, axis=2)[calibrated] * 1e3
+        off = off[np.isfinite(off)]
+        if off.size:
+            table.add_row(name, f"{off.mean():.0f} mm", f"{np.percentile(off, 95):.0f} mm")
+    console.print(table)

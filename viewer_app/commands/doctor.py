@@ -1,0 +1,116 @@
+"""``duplex doctor``: what of live capture works on this machine, and what to do where it does not."""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+import platform
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from rich.console import Console
+from rich.text import Text
+
+from devices.azure.checks import Check, device_checks
+from devices.azure.tracking.body_tracker import TrackerSettings
+from viewer_app.options import DoctorOptions
+from viewer_app.viewer.display import why_no_window, why_no_x
+
+_VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program from a slow disk
+
+
+def run(options: DoctorOptions) -> None:
+    """Carries out the command; exits with 1 if ``duplex live`` could not start."""
+    console = Console()
+    tracker = TrackerSettings(library=options.k4abt, processing=options.processing)
+    choice = options.kinect_a, options.kinect_b, options.principal
+    devices = device_checks(tracker, choice=choice, x_answers=why_no_x() is None)
+    checks = [*devices, *program_checks()]
+    for check in checks:
+        console.print(line(check), soft_wrap=True)
+    missing = [check.name for check in checks if check.needed and not check.ok]
+    if missing:
+        console.print(f"duplex live cannot start: {', '.join(missing)}.", highlight=False, soft_wrap=True)
+        sys.exit(1)
+    console.print("duplex live can start.")
+
+
+def line(check: Check) -> Text:
+    """A check as one line: a mark, what it is, what was found, what to do."""
+    mark, style = ("✓", "green") if check.ok else ("✗", "bold red") if check.needed else ("–", "yellow")
+    text = Text(f"{mark} ", style=style)
+    text.append(check.name, style="bold")
+    text.append(f": {check.detail}", style="default")
+    if check.advice:
+        separator = " " if check.detail.endswith(".") else ". "
+        text.append(f"{separator}{check.advice}", style="default")
+    return text
+
+
+def program_checks(root: Path = Path("/")) -> list[Check]:
+    """What the rest of the program needs: somewhere to show, the viewer, the reader of recordings.
+
+    Args:
+        root: Where the file system starts; tests put their own there.
+    """
+    return [_display(), _graphics(root), _viewer(), _recordings()]
+
+
+def _display() -> Check:
+    why_not = why_no_window()
+    if why_not is None:
+        return Check("display", True, os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY") or "yes")
+    advice = "Use duplex live --save FILE.rrd --no-viewer and look at the file on another machine."
+    # live saves without one; what sensors need of a display is the depth engine's line
+    return Check("display", False, why_not, advice, needed=False)
+
+
+def _graphics(root: Path) -> Check:
+    if platform.system() != "Linux":
+        return Check("graphics", True, f"the system's own on {platform.system()}", needed=False)
+    libraries = [name for name in ("vulkan", "EGL", "GL") if ctypes.util.find_library(name)]
+    if not libraries:
+        advice = "Install the graphics driver, or for software rendering mesa-vulkan-drivers."
+        return Check("graphics", False, "neither Vulkan nor OpenGL is installed", advice, needed=False)
+    devices = sorted(path.name for path in (root / "dev/dri").glob("render*"))
+    by = f"device {devices[0]}" if devices else "no graphics device: drawn in software, slowly"
+    return Check("graphics", True, f"{', '.join(libraries)}; {by}", needed=False)
+
+
+def _viewer() -> Check:
+    try:
+        installed = version("rerun-sdk")
+    except PackageNotFoundError:
+        return Check("viewer", False, "rerun-sdk is not installed", "pip install 'rerun-sdk>=0.41,<0.42'")
+    try:
+        answer = subprocess.run(
+            [sys.executable, "-m", "rerun", "--version"],
+            capture_output=True,
+            text=True,
+            timeout=_VIEWER_ANSWERS_WITHIN,
+            env={**os.environ, "RERUN_ANALYTICS": "0"},
+        )
+    except (OSError, subprocess.TimeoutExpired) as fault:
+        return Check("viewer", False, f"rerun does not start ({fault})", _REINSTALL)
+    if answer.returncode != 0:
+        last = (answer.stderr.strip() or "no word").splitlines()[-1]
+        return Check("viewer", False, f"rerun does not start ({last})", _REINSTALL)
+    found = answer.stdout.split()
+    if installed not in found:
+        detail = f"the program is {' '.join(found[:2])}, rerun-sdk {installed}"
+        return Check("viewer", False, detail, _REINSTALL)
+    return Check("viewer", True, f"rerun {installed}")
+
+
+_REINSTALL = "Reinstall it: pip install --force-reinstall rerun-sdk."
+
+
+def _recordings() -> Check:
+    name = "recordings (.mkv)"
+    try:
+        import av
+    except (ImportError, OSError) as fault:
+        return Check(name, False, f"PyAV cannot be imported ({fault})", "pip install av", needed=False)
+    return Check(name, True, f"PyAV {av.__version__}", needed=False)

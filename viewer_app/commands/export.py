@@ -1,0 +1,27 @@
+"""``duplex export``: S* for other programs."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from recordings.export import writer_for
+from recordings.session import Session
+from viewer_app.commands.replay import print_damage
+from viewer_app.options import ExportOptions
+from viewer_app.output_files import check_outputs, whole_file
+
+
+def run(options: ExportOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        RecordingError, UsageError: With one line for the person who asked.
+    """
+    console = Console()
+    write = writer_for(options.to, options.table)
+    check_outputs([options.to], [options.session], options.force)
+    session = Session.open(options.session)
+    print_damage(console, session)
+    with whole_file(options.to) as partial:
+        written = write(session, partial)
+    console.print(f"Wrote {options.to}: {written}.", highlight=False, markup=False, soft_wrap=True)

@@ -1,0 +1,63 @@
+"""``duplex info``: what a session holds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from recordings import layout
+from recordings.reading.image_reader import ImageReader
+from recordings.session import Session
+from viewer_app.options import InfoOptions
+from viewer_app.report.figures import calibration_in_words
+
+
+def run(options: InfoOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        RecordingError: With one line for the person who asked.
+    """
+    session = Session.open(options.session)
+    rows = session.rows
+    seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
+    size = session.path.stat().st_size
+    table = Table(show_header=False, box=None)
+
+    def row(name: str, value: object) -> None:
+        table.add_row(f"[bold]{name}[/]", escape(str(value)))
+
+    row("session", session.path)
+    row("written by", f"{session.about['session']['written_by'][0]}, layout {layout.VERSION}")
+    row("body", f"{session.body.name}, {len(session.body)} joints")
+    row("sensors", f"A {session.sources[0]}, B {session.sources[1]}")
+    row("frames", f"{len(session)} in {seconds:.2f} s, {session.frame_rate:.1f} a second")
+    row("without S*", int(rows.predicted.all(axis=1).sum()))
+    row("settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items()))
+    for k, line in enumerate(calibration_in_words(session.calibration)):
+        row("" if k else "calibration", line)
+    images: dict[str, dict[str, ImageReader[Any]]] = {
+        "depth": {side: session.depth(side) for side in layout.SIDES},
+        "colour": {side: session.color(side) for side in layout.SIDES},
+    }
+    damage = [] if session.damage is None else [f"{session.damage}; {session.frames_lost} frames lost"]
+    for kind, of_sides in images.items():
+        counts = {side: reader.count() for side, reader in of_sides.items()}
+        if kind == "depth" or any(counts.values()):
+            row(f"{kind} images", ", ".join(f"{side.upper()} {count}" for side, count in counts.items()))
+        damage += [
+            f"{reader.damaged} damaged {kind} images of {side.upper()}"
+            for side, reader in of_sides.items()
+            if reader.damaged
+        ]
+    row("size", f"{size / 1e6:.1f} MB, {size / max(seconds, 1e-9) * 60 / 1e6:.1f} MB a minute")
+    row("events", len(session.events))
+    row("whole", f"no: {', '.join(damage)}" if damage else "yes")
+    console = Console()
+    console.print(table, highlight=False)
+    for event in session.events:
+        at = "" if event.time_ns is None else f"{event.time_ns * 1e-9:8.2f} s  "
+        console.print(f"  {at}{event.text}", highlight=False, markup=False)

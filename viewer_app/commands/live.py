@@ -1,0 +1,286 @@
+"""``duplex live``: two real Kinects through the loop, into the viewer, a file or both."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+
+from devices.azure.kinect import LASER_GAP_US, KinectSensor, KinectSettings
+from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects
+from devices.azure.sensor_roles import NeedsChoiceError, choose_two, sync_master
+from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.live.sensor_pair import TwoSensors
+from devices.live.sensor_state import SensorEvent
+from devices.live.stream_pairing import LivePairing, Side
+from devices.sensor import Sensor
+from fusion.calibration.calibration import Calibration, nominal_calibration
+from fusion.fuser import Fuser, FuserSettings
+from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
+from recordings.calibration_file import calibration_to_json, read_calibration
+from viewer_app.coach.setup_coach import WARM_UP, Coach
+from viewer_app.errors import UsageError
+from viewer_app.loop.fusing import warm_up
+from viewer_app.loop.image_thinning import thinned_camera
+from viewer_app.loop.interruption import CtrlC
+from viewer_app.loop.live_loop import Status, run_live
+from viewer_app.loop.live_summary import check_saved, print_saved, print_session, session_report
+from viewer_app.loop.status_line import LiveDisplay
+from viewer_app.options import LiveOptions
+from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
+from viewer_app.report.figures import report_to_json
+from viewer_app.sinks.live_session import LiveSession, Viewing
+from viewer_app.viewer.blueprint import session_blueprint
+from viewer_app.viewer.viewer_choice import announce, choose_viewing
+
+_PERSON_AT = np.array([0.0, 0.0, 2.5])  # where the viewer looks at first, metres in K_A's frame
+
+
+def run(options: LiveOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        DeviceError, FusionError, RecordingError, UsageError: With one line for the person who asked.
+    """
+    console = Console()
+    check(options)
+    sensors = two_kinects(options, console)
+    show(options, sensors, console)
+
+
+def check(options: LiveOptions) -> None:
+    """Finds out before any sensor is opened what of the options cannot be.
+
+    Raises:
+        UsageError: With one line for the person who asked.
+    """
+    _viewing(options)
+    read = () if options.calibrate == "auto" else (Path(options.calibrate),)
+    check_outputs((options.save, options.report, options.save_calibration), read, options.force)
+    if options.seconds is not None and not 0.0 < options.seconds < float("inf"):
+        raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
+    if options.calibrate != "auto" and not Path(options.calibrate).exists():
+        raise UsageError(
+            f"--calibrate {options.calibrate}: neither auto nor a file that is there. Make one with "
+            f"--save-calibration."
+        )
+
+
+def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
+    """The two sensors that the options, the sync cable and the person at the terminal choose; not yet open.
+
+    Raises:
+        DeviceError: Not two usable Kinects, no SDK, a cable that joins nothing.
+    """
+    connected = connected_kinects()
+    serials = _choose(connected, options, console)
+    kinect_a, kinect_b = (next(k for k in connected if k.serial == serial) for serial in serials)
+    master = sync_master(kinect_a, kinect_b)
+    if master is None:
+        console.print(
+            "No sync cable: pairs are up to half a frame apart, and the sensors' lasers disturb each other "
+            "where both shine. A 3.5 mm cable from one's sync out to the other's sync in mends both."
+        )
+    else:
+        leads, follows = ("A", "B") if master == serials[0] else ("B", "A")
+        console.print(
+            f"Sync cable: {leads} leads, {follows} captures {LASER_GAP_US} µs later and is started first, to "
+            f"be there at the first pulse."
+        )
+    tracker = TrackerSettings(
+        processing=options.processing, smoothing=options.smoothing, library=options.k4abt
+    )
+    if options.processing == "cpu":
+        console.print(
+            "A CPU tracks about one frame a second, and A's and B's hardly ever pair: for a fused session "
+            "record with k4arecorder, then duplex fuse a.mkv b.mkv.",
+            style="yellow",
+            highlight=False,
+        )
+    if options.processing == "tensorrt":
+        console.print("TensorRT builds its engine; minutes the first time.")
+    a, b = (KinectSensor(serial, _settings(options, serial, master), tracker) for serial in serials)
+    interval_ns = round(1e9 / options.fps)
+    delay_ns = {None: None, serials[0]: 1000 * LASER_GAP_US}.get(master, -1000 * LASER_GAP_US)
+    pairing = LivePairing(
+        interval_ns,
+        # at 5 fps a partner may come 100 ms later by itself
+        max_wait_ns=max(100_000_000, interval_ns),
+        gone_after_ns=max(500_000_000, 4 * interval_ns),
+        sync_delay_ns=delay_ns,
+    )
+    first: Side = "a" if master == serials[1] else "b"
+    return TwoSensors(
+        *(a, b), pairing=pairing, first=first, open_s=_opens_within(options), tell=_teller(console)
+    )
+
+
+def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
+    """Fuses what two sensors give, until they end, Ctrl-C, or the time is up; saves and sums up."""
+    viewing = _viewing(options)
+    settings = FuserSettings(h=options.h, solver=options.solver, weights=options.weights)
+    a, b = sensors.a.sensor, sensors.b.sensor
+    calibration = _given_calibration(options, a)
+    nominal = Fuser(calibration or nominal_calibration(a.body), settings)
+    warm_up(nominal, console)
+    watch = _Watch(console)
+    with CtrlC() as ctrl_c:
+        with ExitStack() as opened:
+            console.print(f"Opening {a.name} (A) and {b.name} (B) …", highlight=False, markup=False)
+            with ctrl_c.raising():  # a body tracker may load its network for minutes
+                opened.enter_context(sensors)
+            ctrl_c.calls(sensors.stop)
+            cameras = _camera(options, a), _camera(options, b)
+            nominal = Fuser(nominal.calibration, settings, *cameras)
+            if options.save is not None:
+                warn_of_little_room(options.save, console)
+            announce(viewing, console)
+            blueprint = session_blueprint(
+                nominal, _PERSON_AT, options.layout, live=True, color=options.color != "off"
+            )
+            session = opened.enter_context(
+                LiveSession(
+                    *(nominal, (a.name, b.name), blueprint),
+                    file=options.save,
+                    overwrite=options.force,
+                    viewing=viewing,
+                )
+            )
+            coach = Coach(a.body, (nominal.intrinsics_a, nominal.intrinsics_b), options.fps, warm_up=WARM_UP)
+            display = opened.enter_context(
+                LiveDisplay(console, session, coach, options.quiet, options.verbose)
+            )
+            console.print("Running. Ctrl-C ends it.")
+            with _Timer(options.seconds, sensors):
+                fuser, frames = run_live(
+                    sensors,
+                    body=a.body,
+                    settings=settings,
+                    intrinsics=cameras,
+                    depth=options.depth,
+                    calibration=calibration,
+                    recorder_for=lambda _: session,
+                    # events are told at once, by the sensors: also while no frame comes
+                    go_on=lambda status: watch(status) and display(replace(status, events=())),
+                )
+        for sensor in (a, b):
+            for warning in sensor.warnings if isinstance(sensor, KinectSensor) else ():
+                console.print(warning, style="yellow", highlight=False, markup=False)
+        print_session(console, fuser, frames, sensors)
+        if options.report is not None:
+            with whole_file(options.report) as partial:
+                figures = session_report(fuser, frames, sensors)
+                partial.write_text(report_to_json(figures), encoding="utf-8")
+        if options.save is not None:
+            print_saved(console, options.save, session)
+        if options.save_calibration is not None:
+            _save_calibration(options.save_calibration, watch.settled)
+        check_saved(session)
+
+
+def _viewing(options: LiveOptions) -> Viewing | None:
+    return choose_viewing(
+        no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=options.save, live=True
+    )
+
+
+class _Watch:
+    """Says on the terminal when the calibration is found, and remembers it."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self.settled: Calibration | None = None
+
+    def __call__(self, status: Status) -> bool:
+        if self.settled is None and status.calibrator.settled:
+            self.settled = status.calibrator.calibration
+            self._console.print(f"[bold]Calibrated[/]: {escape(self.settled.how)}.", highlight=False)
+        return True
+
+
+class _Timer:
+    """Stops the sensors when the time is up, whether frames come or not."""
+
+    def __init__(self, seconds: float | None, sensors: TwoSensors) -> None:
+        self._timer = None if seconds is None else threading.Timer(seconds, sensors.stop)
+
+    def __enter__(self) -> None:
+        if self._timer is not None:
+            self._timer.daemon = True
+            self._timer.start()
+
+    def __exit__(self, *exc_info: object) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+
+
+def _choose(connected: Sequence[ConnectedKinect], options: LiveOptions, console: Console) -> tuple[str, str]:
+    try:
+        return choose_two(connected, options.kinect_a, options.kinect_b, options.principal)
+    except NeedsChoiceError as choice:
+        if not sys.stdin.isatty():
+            raise
+        principal = _ask(choice, console)
+        console.print(f"Next time: --principal {principal}", highlight=False)
+        return choose_two(connected, principal=principal)
+
+
+def _ask(choice: NeedsChoiceError, console: Console) -> str:
+    one, two = choice.serials
+    console.print(f"Two Kinects are connected: [bold]1[/] {one}, [bold]2[/] {two}.", highlight=False)
+    console.print("Their serial numbers are on the labels beneath. S* will be in the principal one's frame.")
+    while True:
+        try:
+            answer = console.input("Which one is the principal sensor A? [1/2] ").strip()
+        except EOFError:
+            raise choice from None
+        if answer in ("1", one):
+            return one
+        if answer in ("2", two):
+            return two
+
+
+def _settings(options: LiveOptions, serial: str, master: str | None) -> KinectSettings:
+    return KinectSettings(
+        depth_mode=options.depth_mode,
+        fps=options.fps,
+        color=None if options.color == "off" else options.color,
+        sync="standalone" if master is None else "master" if serial == master else "subordinate",
+        start_s=_opens_within(options),
+    )
+
+
+def _opens_within(options: LiveOptions) -> float:
+    """Seconds that a sensor with its body tracker may take to open; its subordinate waits as long for it."""
+    return 900.0 if options.processing == "tensorrt" else 120.0
+
+
+def _camera(options: LiveOptions, sensor: Sensor) -> Intrinsics:
+    return thinned_camera(sensor.intrinsics or NOMINAL_INTRINSICS[sensor.body.name], options.depth)
+
+
+def _given_calibration(options: LiveOptions, sensor: Sensor) -> Calibration | None:
+    if options.calibrate == "auto":
+        return None
+    return read_calibration(Path(options.calibrate), sensor.body)
+
+
+def _save_calibration(path: Path, calibration: Calibration | None) -> None:
+    if calibration is None:
+        raise UsageError(
+            f"{path} was not written, for no calibration was found. Stand where both sensors see all of you, "
+            f"turned half-way between them, arms and legs apart, and hold still for a second."
+        )
+    with whole_file(path) as partial:
+        partial.write_text(calibration_to_json(calibration), encoding="utf-8")
+
+
+def _teller(console: Console) -> Callable[[SensorEvent], None]:
+    return lambda event: console.print(event.message, style="yellow", highlight=False, markup=False)

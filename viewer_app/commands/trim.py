@@ -1,0 +1,41 @@
+"""``duplex trim``: a stretch of a session as a session of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+from rich.console import Console
+
+from recordings.session import Session
+from recordings.writing.rewritten_session import rewrite
+from viewer_app.commands.replay import print_damage, print_damaged_images, whereabouts
+from viewer_app.errors import UsageError
+from viewer_app.options import TrimOptions
+from viewer_app.output_files import check_outputs, whole_file
+from viewer_app.viewer.blueprint import inspect_blueprint
+
+
+def run(options: TrimOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        RecordingError, UsageError: With one line for the person who asked.
+    """
+    console = Console()
+    check_outputs([options.save], [options.session], options.force)
+    session = Session.open(options.session)
+    print_damage(console, session)
+    time = session.rows.time_ns * 1e-9
+    last = time[-1] if options.end is None else options.end
+    first, end = np.searchsorted(time, options.start), np.searchsorted(time, last, side="right")
+    if first >= end:
+        raise UsageError(
+            f"No frame from {options.start:g} s to {last:g} s; "
+            f"{session.path} runs from 0 to {time[-1]:.3f} s."
+        )
+    with whole_file(options.save) as partial:
+        blueprint = inspect_blueprint(session.body, whereabouts(session))
+        damaged = rewrite(session, partial, blueprint, int(first), int(end))
+    console.print(
+        f"Saved {options.save}: {end - first} of {len(session)} frames.", highlight=False, markup=False
+    )
+    print_damaged_images(console, damaged)

@@ -1,0 +1,64 @@
+"""The images of a pair: whether there are some, the pair without them, and how much of its depth is kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.pairing import FramePair
+from devices.sensor import SensorFrame
+from fusion.intrinsics import Intrinsics
+
+Depth = Literal["none", "half", "full"]
+"""Depth images: none, every second pixel in both directions, or all of them."""
+
+
+def has_images(pair: FramePair) -> bool:
+    """Whether a frame of the pair has an image."""
+    return any(f is not None and (f.depth is not None or f.color is not None) for f in (pair.a, pair.b))
+
+
+def without_images(pair: FramePair, of: str = "ab") -> FramePair:
+    """The pair with skeletons only, or with the images of one sensor only: the other than `of`."""
+
+    def bare(frame: SensorFrame | None, side: str) -> SensorFrame | None:
+        return frame if frame is None or side not in of else replace(frame, depth=None, color=None)
+
+    return replace(pair, a=bare(pair.a, "a"), b=bare(pair.b, "b"))
+
+
+def with_depth(pair: FramePair, depth: Depth) -> FramePair:
+    """The pair with so much of its depth images; they are views of the sensor's, not copies."""
+
+    def of(frame: SensorFrame | None) -> SensorFrame | None:
+        if frame is None or frame.depth is None:
+            return frame
+        return replace(frame, depth=None if depth == "none" else thinned(frame.depth, depth))
+
+    return pair if depth == "full" else replace(pair, a=of(pair.a), b=of(pair.b))
+
+
+def thinned(image: NDArray[np.uint16], depth: Depth) -> NDArray[np.uint16]:
+    """An image as it is kept. Pixels are left out, not averaged: a mean over an edge lies nowhere."""
+    return image[::2, ::2] if depth == "half" else image
+
+
+def thinned_camera(camera: Intrinsics, depth: Depth) -> Intrinsics:
+    """The camera of :func:`thinned` images: its pixel (u, v) is (2u, 2v) of the whole image.
+
+    Trust compares distances within an image, so that S* is the same bit for bit with either.
+    """
+    if depth != "half":
+        return camera
+    return replace(
+        camera,
+        width=(camera.width + 1) // 2,
+        height=(camera.height + 1) // 2,
+        fx=camera.fx / 2.0,
+        fy=camera.fy / 2.0,
+        cx=camera.cx / 2.0,
+        cy=camera.cy / 2.0,
+    )

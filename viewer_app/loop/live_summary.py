@@ -1,0 +1,118 @@
+"""What a live session came to: the figures at its end, for real and simulated sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from devices.live.sensor_pair import TwoSensors
+from fusion.fuser import Fuser
+from recordings.session_arrays import RecordedFrame, SessionArrays
+from viewer_app.errors import UsageError
+from viewer_app.report.figures import Figures, fusion_figures, method_figures, print_method, say_saved
+from viewer_app.sinks.live_session import LiveSession
+
+
+def print_frames(console: Console, sensors: TwoSensors) -> None:
+    """How many frames came, were paired, and were not."""
+    figures = sensors.figures
+    console.print(
+        f"[bold]Paired[/] {figures.pairs} frames of {sensors.a.received} (A) and {sensors.b.received} (B); "
+        f"alone {figures.alone_a} and {figures.alone_b}; of B {figures.unmatched_b} that A has no frame for."
+    )
+    trouble = {
+        "frames of A we were too slow for": sensors.a.dropped,
+        "frames of B we were too slow for": sensors.b.dropped,
+        "A lost and back": sensors.a.returns,
+        "B lost and back": sensors.b.returns,
+        "frames late": figures.late,
+        "repeated": figures.repeated,
+        "out of order": figures.reordered,
+        "clocks reset": figures.resets,
+    }
+    if any(trouble.values()):
+        console.print(", ".join(f"{what} {count}" for what, count in trouble.items() if count) + ".")
+    if figures.offset_ns is not None:
+        console.print(
+            f"B's clock less A's: {figures.offset_ns * 1e-6:.1f} ms, drifting {figures.drift_ppm:.0f} ppm."
+        )
+
+
+def rows_since_calibration(fuser: Fuser, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
+    """The frames fused with the last calibration: earlier ones have other bone lengths. None without any."""
+    rotation = fuser.calibration.a_from_b.rotation
+    last = [frame for frame in frames if frame.fused.a_from_b.rotation is rotation]
+    calibration = fuser.calibration
+    return SessionArrays.stack(calibration.body, calibration.bone_lengths, last) if last else None
+
+
+def session_report(fuser: Fuser, frames: Sequence[RecordedFrame], sensors: TwoSensors) -> Figures:
+    """What ``duplex fuse --report`` writes, of a live session, and how its streams went.
+
+    As in the summary, frames are counted since the start, and the rest is of the last minute, whose length is
+    ``seconds``; without a fused frame there is no rest.
+    """
+    counted = sensors.figures
+    figures: Figures = {
+        "frames": {"a": sensors.a.received, "b": sensors.b.received},
+        "paired": counted.pairs,
+        "alone": {"a": counted.alone_a, "b": counted.alone_b},
+        "dropped": {"a": sensors.a.dropped, "b": sensors.b.dropped + counted.unmatched_b},
+        "streams": {
+            "too_slow_for": {"a": sensors.a.dropped, "b": sensors.b.dropped},
+            "unmatched_b": counted.unmatched_b,
+            "late": counted.late,
+            "repeated": counted.repeated,
+            "out_of_order": counted.reordered,
+            "clock_resets": counted.resets,
+            "lost_and_back": {"a": sensors.a.returns, "b": sensors.b.returns},
+            "clock_offset_ms": None if counted.offset_ns is None else counted.offset_ns * 1e-6,
+            "drift_ppm": counted.drift_ppm,
+        },
+    }
+    rows = rows_since_calibration(fuser, frames)
+    if rows is not None:
+        figures["seconds"] = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
+        figures |= fusion_figures(fuser.calibration, fuser.settings, rows)
+    return figures
+
+
+def print_session(
+    console: Console, fuser: Fuser, frames: Sequence[RecordedFrame], sensors: TwoSensors
+) -> None:
+    """The whole summary. Frames are counted since the start; the method's figures are of the last minute."""
+    print_frames(console, sensors)
+    rows = rows_since_calibration(fuser, frames)
+    if rows is None:
+        console.print("No frame was fused.")
+        return
+    seconds = (rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
+    rate = f", {(len(rows) - 1) / seconds:.1f} a second" if seconds > 0.0 else ""
+    console.print(f"[bold]The last {seconds:.1f} s[/]: {len(rows)} frames{rate}.")
+    print_method(console, fuser.calibration, method_figures(rows))
+
+
+def print_saved(console: Console, path: Path, session: LiveSession) -> None:
+    """Where the session is, if all of it is there."""
+    if session.saved == 0 and session.failure is None:
+        console.print(f"{path} was not written: no frame came.", highlight=False, markup=False)
+    elif session.failure is None:
+        say_saved(console, path)
+    for count, what in (
+        (session.lost, "not saved: the disk stood still"),
+        (session.without_images, "saved without their images, which came too fast for this machine"),
+    ):
+        if count:
+            console.print(f"[yellow]{count} frames are {what}.[/]", highlight=False)
+
+
+def check_saved(session: LiveSession) -> None:
+    """Ends a session whose saving stopped as a mistake does: with one line, and exit code 2.
+
+    Raises:
+        UsageError: It did.
+    """
+    if session.failure is not None:
+        raise UsageError(session.failure)

@@ -1,0 +1,146 @@
+"""What a person sees of a running loop beside the viewer: one status line, and the coach's advice."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+from rich.console import Console
+from rich.live import Live
+from rich.markup import escape
+from rich.text import Text
+
+from recordings.appearance.coach_page import CoachPage
+from viewer_app.coach.advice import Advice
+from viewer_app.coach.scene import CoachScene
+from viewer_app.coach.setup_coach import Coach, Situation
+from viewer_app.loop.live_loop import Status
+from viewer_app.sinks.live_session import LiveSession
+
+_EVERY = 0.5  # seconds between two status lines: as often as a person can read one
+_RATE_OVER = 2.0  # seconds
+
+
+class LiveDisplay:
+    """Call it with each :class:`~viewer_app.loop.live_loop.Status`; it returns True: go on.
+
+    Args:
+        console: Where to write. It heeds NO_COLOR.
+        session: Which gets the coach's page, and says how much is saved and dropped.
+        coach: Whose advice is shown.
+        quiet: No status line and no advice, only warnings.
+        verbose: Every status line stays, with more figures.
+        clock: Seconds; tests put their own.
+    """
+
+    def __init__(
+        self,
+        console: Console,
+        session: LiveSession,
+        coach: Coach,
+        quiet: bool = False,
+        verbose: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._console, self._session, self._coach = console, session, coach
+        self._verbose, self._clock = verbose, clock
+        self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._shows = not quiet and not verbose and console.is_terminal
+        self._said: dict[str, str] = {}
+        self._scene = CoachScene(coach.body, coach.intrinsics)
+        self._page: CoachPage | None = None
+        self._failure_told = False
+        self._frames: deque[Status] = deque()
+        self._next = -np.inf
+
+    def __enter__(self) -> LiveDisplay:
+        """Begins the status line, where there is a terminal."""
+        if self._shows:
+            self._live.start()
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Ends it."""
+        if self._shows:
+            self._live.stop()
+
+    def __call__(self, status: Status) -> bool:
+        """Takes what the loop tells after a frame."""
+        self._frames.append(status)
+        newest = status.frame.pair.time_ns
+        while newest - self._frames[0].frame.pair.time_ns > _RATE_OVER * 1e9:
+            self._frames.popleft()
+        self._advise(status)
+        for event in status.events:
+            self._console.print(str(event), style="yellow", highlight=False, markup=False, soft_wrap=True)
+        failure = self._session.failure
+        if failure is not None and not self._failure_told:
+            self._failure_told = True
+            self._console.print(f"[bold red]{escape(failure)}[/] The fusion goes on.", highlight=False)
+        now = self._clock()
+        if now >= self._next:
+            self._next = now + _EVERY
+            line = self.line()
+            if self._shows:
+                self._live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
+            elif self._verbose:
+                self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+        return True
+
+    def line(self) -> str:
+        """The status line: fps A/B, skew, trust A/B, fuse µs, saving MB."""
+        frames = [status.frame for status in self._frames]
+        span = max((frames[-1].pair.time_ns - frames[0].pair.time_ns) * 1e-9, 1e-3)
+        rates = [sum(getattr(f.pair, side) is not None for f in frames[1:]) / span for side in "ab"]
+        weights = np.array([[f.fused.weights_a.mean(), f.fused.weights_b.mean()] for f in frames])
+        trust = weights.mean(axis=0)
+        skew = np.median([abs(f.pair.skew_ns) for f in frames]) * 1e-6
+        fuse = np.median([f.fuse_ns for f in frames]) * 1e-3
+        parts = [
+            f"fps {rates[0]:.0f}/{rates[1]:.0f}",
+            f"skew {skew:.1f} ms",
+            f"trust {trust[0]:.2f}/{trust[1]:.2f}",
+            f"fuse {fuse:.0f} µs",
+        ]
+        if self._session.failure is not None:
+            parts.append("SAVING STOPPED")
+        elif self._session.saves:
+            parts.append(f"saving {self._session.saved_bytes / 1e6:.1f} MB")
+        for count, what in ((self._session.dropped, "not shown"), (self._session.lost, "NOT SAVED")):
+            if count:
+                parts.append(f"{count} {what}")
+        if self._session.window_closed:
+            parts.append("viewer closed")
+        if self._verbose:
+            sensors = self._frames[-1].sensors
+            parts.append(f"dropped {sensors.a.dropped}/{sensors.b.dropped}")
+        return " · ".join(parts)
+
+    def _advise(self, status: Status) -> None:
+        calibrator = status.calibrator
+        sensors = status.sensors
+        situation = Situation(
+            calibrator.calibration,
+            calibrator.settled,
+            calibrator.held,
+            (sensors.a.dropped, sensors.b.dropped),
+        )
+        advice = self._coach.watch(status.frame, situation)
+        page = self._scene.page(advice, situation, status.frame.fused)
+        if page != self._page:
+            self._page = page
+            self._session.coach(page)
+        self._say(advice)
+
+    def _say(self, advice: list[Advice]) -> None:
+        """An event when something begins to be wrong, or to be right again; the page has the rest."""
+        wrong = {each.topic: each.text for each in advice if each.level == "WARN"}
+        for topic, text in wrong.items():
+            if topic not in self._said:
+                self._session.event(text, "WARN")
+                self._console.print(text, style="yellow", highlight=False, markup=False, soft_wrap=True)
+        for topic in self._said.keys() - wrong.keys():
+            self._session.event(f"{topic}: all right again")
+        self._said = wrong

@@ -1,0 +1,100 @@
+"""Files that are either whole or not there."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from itertools import chain, count
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from recordings.writing.growing_file import partial_beside
+from viewer_app.errors import UsageError
+
+_LITTLE_FREE = 500_000_000  # bytes; with depth images a session takes some 300 MB a minute
+
+
+def check_writable(path: Path, force: bool) -> None:
+    """Finds out before the work, not after it, that a file could not be written.
+
+    Raises:
+        UsageError: The file exists and `force` is not set, or its folder is missing or read-only.
+    """
+    try:
+        there = path.exists()
+    except OSError as error:
+        raise UsageError(f"{path} is no name for a file: {error.strerror or error}.") from None
+    if path.is_dir():
+        raise UsageError(f"{path} is a folder; name a file.")
+    if there and not path.is_file():
+        raise UsageError(f"{path} is no plain file; name another.")
+    if there and not force:
+        raise UsageError(f"{path} exists already. Choose another name, or overwrite it with --force.")
+    if not path.parent.is_dir():
+        raise UsageError(f"No folder {path.parent} to write {path.name} into.")
+    if not os.access(path.parent, os.W_OK):
+        raise UsageError(f"The folder {path.parent} is not writable.")
+
+
+def warn_of_little_room(path: Path, console: Console) -> None:
+    """Says so where a session of unknown length may fill the disk; how much is enough, no one knows."""
+    free = shutil.disk_usage(path.parent).free
+    if free < _LITTLE_FREE:
+        console.print(
+            f"[yellow]Only {free / 1e6:.0f} MB are free where {escape(str(path))} is saved.[/] When that is "
+            "full, saving stops and everything else goes on.",
+            highlight=False,
+        )
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path], force: bool) -> None:
+    """:func:`check_writable` for all files that a command will write.
+
+    Raises:
+        UsageError: As there; or two outputs are one file, or an output is an input.
+    """
+    taken = {_real(path): f"is also read, as {path}" for path in inputs}
+    for path in filter(None, outputs):
+        if _real(path) in taken:
+            raise UsageError(f"{path} cannot be written: it {taken[_real(path)]}. Choose another name.")
+        taken[_real(path)] = "is to be written twice"
+        check_writable(path, force)
+
+
+def _real(path: Path) -> Path:
+    """Where the path leads; a loop of links leads to itself, where ``Path.resolve`` raises."""
+    return Path(os.path.realpath(path))
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Gives a temporary name beside `path`, renamed to it when all went well and removed when not.
+
+    Raises:
+        UsageError: It could not be written; or another program has made a file of that name meanwhile: that
+            one is left alone, and the name of ours is said.
+    """
+    path = _real(path)
+    partial = partial_beside(path)
+    was_there = path.exists()
+    try:
+        yield partial
+        if path.exists() and not was_there:
+            other = free_name(path)
+            partial.replace(other)
+            raise UsageError(f"{path} was made by another program meanwhile. What this one made is {other}.")
+        partial.replace(path)
+    except OSError as error:
+        raise UsageError(f"{path} could not be written: {error.strerror or error}.") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def free_name(path: Path) -> Path:
+    """The path, or where that exists the first of ``name-2``, ``name-3`` … that does not."""
+    names = (path.with_stem(f"{path.stem}-{k}") for k in count(2))
+    return next(name for name in chain([path], names) if not os.path.lexists(name))

@@ -1,0 +1,92 @@
+"""Which viewer a command opens, and what is said about it."""
+
+from __future__ import annotations
+
+import ipaddress
+import threading
+import webbrowser
+from pathlib import Path
+
+from rich.console import Console
+
+from viewer_app.errors import UsageError
+from viewer_app.sinks.live_session import Viewing
+from viewer_app.viewer.display import has_display, why_no_window
+from viewer_app.viewer.rerun_process import Hub
+
+
+def choose_viewing(
+    *, no_viewer: bool, web: bool, listen: str | None, save: Path | None, live: bool
+) -> Viewing | None:
+    """The viewer that the options ask for.
+
+    Args:
+        no_viewer, web, listen, save: As the options of that name.
+        live: Whether a loop runs at its own pace; then a window that is closed can be opened again.
+
+    Returns:
+        None where none is wanted; one that says why it opens nothing where none can be.
+
+    Raises:
+        UsageError: The options contradict each other, or there is neither a display nor a file.
+    """
+    if listen is not None and not web:
+        raise UsageError(f"--listen {listen} is the address of --web; give both.")
+    if no_viewer:
+        if web:
+            raise UsageError("--web and --no-viewer contradict each other.")
+        return None
+    if web:
+        return Viewing(hub=Hub.on_free_ports(web=True, address=listen))
+    why_not = why_no_window()
+    if why_not is None:
+        return Viewing(window=True, hub=Hub.on_free_ports(web=False) if live else None)
+    if save is None:
+        raise UsageError(
+            f"{why_not}, and there is no --save. Use --save FILE.rrd to keep the session, --web to look at "
+            "it in a browser, or --no-viewer for the summary alone."
+        )
+    return Viewing(why_not=why_not)
+
+
+def announce(viewing: Viewing | None, console: Console) -> None:
+    """Says where the viewer is, and who else can see it; opens the browser where there is one."""
+    if viewing is None:
+        return
+    if viewing.why_not:
+        console.print(f"{viewing.why_not}; the session is saved.", highlight=False, markup=False)
+    hub = viewing.hub
+    if hub is None:
+        return
+    if hub.web_port is None:
+        console.print(f"Reopen a closed viewer with: rerun --connect {hub.url}", highlight=False)
+        return
+    if not _is_loopback(hub.address):
+        console.print(
+            f"[bold yellow]Warning[/]: listening on {hub.address}: whoever reaches this machine's ports "
+            f"{hub.port} and {hub.web_port} sees the session, video included, without a password.",
+            highlight=False,
+        )
+    console.print(f"[bold]Viewer[/]: {hub.page}", highlight=False, soft_wrap=True)
+    if has_display():
+        webbrowser.open(hub.page)
+
+
+def stay_for_visitors(
+    viewing: Viewing | None, console: Console, until: threading.Event | None = None
+) -> None:
+    """Keeps a page that is served until Ctrl-C, or the event; returns at once where there is none."""
+    if viewing is None or viewing.hub is None or viewing.hub.web_port is None:
+        return
+    console.print("The page stays until Ctrl-C.")
+    try:
+        (until or threading.Event()).wait()
+    except KeyboardInterrupt:
+        return
+
+
+def _is_loopback(address: str) -> bool:
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return address == "localhost"
