@@ -20,10 +20,10 @@ from recordings.appearance.joint_trust import StateLanes, TrustMatrix, details, 
 from recordings.reading.rrd_file import RrdFile
 from recordings.session_arrays import SessionArrays
 from recordings.writing.recorder import Recorder
-from tests.conftest import A_FROM_B
+from tests.helpers.live_frames import frames
 from tests.helpers.pictures import pixels_near
 from tests.helpers.session_text import rows_of
-from tests.viewer_app.test_live_session import frames
+from tests.helpers.two_views import A_FROM_B
 
 BODY = KINECT_V2
 ELBOW = BODY.joint("ELBOW_RIGHT")
