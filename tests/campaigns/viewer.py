@@ -26,7 +26,7 @@ from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser, FuserSettings
 from tests.campaigns.soak import GROWTH_MB, SETTLED_S, resident_mb
-from tests.viewer_app.test_live_session import numbers_in
+from tests.helpers.live_frames import numbers_in
 from viewer_app.loop.live_loop import Status, run_live
 from viewer_app.sinks.live_session import LiveSession, Viewing
 from viewer_app.viewer.blueprint import session_blueprint

@@ -25,11 +25,11 @@ from devices.live.sensor_pair import TwoSensors
 from devices.live.sensor_state import SensorState
 from devices.live.stream_pairing import LivePair, LivePairing
 from devices.sensor import DeviceError
-from tests.devices.test_azure_checks import plug_in
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import Bus, Device
 from tests.helpers.two_clocks import INTERVAL_NS, SECOND_NS, run, shots
+from tests.helpers.usb_tree import plug_in
 
 
 def _kinect(serial: str = "000123", **settings: object) -> KinectSensor:

@@ -9,13 +9,8 @@ import numpy as np
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.body import Body
-from fusion.calibration.calibration import Calibration
 from fusion.skeleton import Skeleton
-from tests.conftest import A_FROM_B, FRAME_NS, moving
-
-
-def calibration_of(body: Body) -> Calibration:
-    return Calibration(body, A_FROM_B, body.nominal_lengths, "known truth")
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
 
 def frame_pairs(

@@ -18,7 +18,8 @@ from fusion.rigid import RigidTransform
 from recordings import layout
 from recordings.images.color_images import read_color
 from recordings.writing.recorder import Recorder
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 from viewer_app.loop.fusing import fuse_one
 
 ALL = range(100)

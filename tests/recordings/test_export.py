@@ -15,8 +15,9 @@ from recordings.export.even_frames import EvenFrames, even_frames
 from recordings.session import Session
 from recordings.testing import record_fused
 from recordings.writing.rewritten_session import rewrite
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.recalibrated import record_recalibrated
+from tests.helpers.two_views import calibration_of
 
 GAP = (20, 21, 22)
 

@@ -31,8 +31,11 @@ from recordings.session_arrays import RecordedFrame
 from recordings.testing import assert_sessions_match, record_fused
 from recordings.writing import growing_file as growing
 from recordings.writing.recorder import Recorder
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.command_line import duplex
+from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.telling_demo import telling_demo, wait_for_frames
+from tests.helpers.two_views import calibration_of
+from tests.helpers.waiting import eventually
 from viewer_app.cli import main
 from viewer_app.loop.image_thinning import without_images
 from viewer_app.sinks import compact_copy, session_file
@@ -78,24 +81,6 @@ def growing_file(path: Path, fuser: Fuser, **options: object) -> SessionFile:
     )
     _MADE.append(file)
     return file
-
-
-def eventually(true: Callable[[], bool], within: float = 20.0) -> bool:
-    deadline = time.monotonic() + within
-    while not true():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.02)
-    return True
-
-
-def duplex(*arguments: object) -> int:
-    """The exit code of a command run in this process."""
-    try:
-        main([str(argument) for argument in arguments])
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
 
 
 def times_of(path: Path, entity: str) -> dict[int, int]:

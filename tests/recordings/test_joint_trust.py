@@ -21,10 +21,10 @@ from recordings.reading.rrd_file import RrdFile
 from recordings.session_arrays import SessionArrays
 from recordings.writing.frame_streams import frame_streams
 from recordings.writing.recorder import Recorder
-from tests.conftest import A_FROM_B
+from tests.helpers.live_frames import frames
 from tests.helpers.pictures import pixels_near
 from tests.helpers.session_text import rows_of
-from tests.viewer_app.test_live_session import frames
+from tests.helpers.two_views import A_FROM_B
 
 BODY = KINECT_V2
 ELBOW = BODY.joint("ELBOW_RIGHT")

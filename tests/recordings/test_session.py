@@ -25,7 +25,8 @@ from recordings.writing.checksums import event_checksum, frame_checksums, fused_
 from recordings.writing.recorder import Recorder
 from recordings.writing.rewritten_session import rewrite
 from tests.campaigns import sessions as campaign_sessions
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 
 __all__ = ["fused_run"]  # a fixture
 

@@ -9,7 +9,8 @@ import numpy as np
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
 from recordings.session_arrays import SessionArrays
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 from viewer_app.loop.fusing import fuse_one
 
 

@@ -18,7 +18,7 @@ from fusion.body import KINECT_V1, KINECT_V2, Body
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
 from fusion.skeleton import SkeletonPair
-from tests.conftest import A_FROM_B, FRAME_NS, moving, pair_of
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of
 from viewer_app import cli
 from viewer_app.bench import solvers as bench_solvers
 from viewer_app.bench import speed as bench_speed

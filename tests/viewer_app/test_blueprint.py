@@ -18,9 +18,10 @@ from fusion.fuser import Fuser
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.session_arrays import RecordedFrame
-from tests.conftest import A_FROM_B
-from tests.helpers.pictures import eventually, headless_viewer, pixels_near
-from tests.viewer_app.test_live_session import BODY, frames
+from tests.helpers.live_frames import BODY, frames
+from tests.helpers.pictures import headless_viewer, pixels_near
+from tests.helpers.two_views import A_FROM_B
+from tests.helpers.waiting import eventually
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import LAYOUTS, Layout, bone_title, session_blueprint
 

@@ -17,7 +17,7 @@ from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, TrackingState
-from tests.conftest import A_FROM_B, FRAME_NS, pair_of, standing
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
 from viewer_app.coach.advice import ANGLES, Advice, to_markdown, verdict
 from viewer_app.coach.setup_coach import HOLD, MOVED, Coach, Situation
 from viewer_app.coach.standing_spot import FARTHEST, nearest

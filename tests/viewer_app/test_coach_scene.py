@@ -17,7 +17,7 @@ from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage, Mark
-from tests.conftest import A_FROM_B, FRAME_NS, pair_of, standing
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import HOLD, Situation

@@ -9,7 +9,8 @@ from devices.point_cloud import depth_to_points, ray_table
 from fusion.body import AZURE_KINECT
 from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 from viewer_app.loop.image_thinning import (
     Depth,
     has_images,

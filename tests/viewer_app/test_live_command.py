@@ -29,11 +29,11 @@ from fusion.fuser import Fuser, FuserSettings
 from recordings.calibration_file import calibration_to_json
 from recordings.reading.rrd_file import read_columns
 from recordings.session import Session
-from tests.devices.test_azure_checks import furnish, plug_in
+from tests.helpers.command_line import duplex
 from tests.helpers.session_text import events_of, rows_of
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import JPEG, Bus, Device, make_module
-from viewer_app.cli import main
+from tests.helpers.usb_tree import furnish, plug_in
 from viewer_app.commands import live as live_command
 from viewer_app.commands.live import two_kinects
 from viewer_app.options import LiveOptions
@@ -42,15 +42,6 @@ from viewer_app.report.figures import report as report_of
 from viewer_app.viewer import display
 
 FRAME_S = 1 / 30
-
-
-def duplex(*arguments: object) -> int:
-    """The exit code of a command run in this process."""
-    try:
-        main([str(argument) for argument in arguments])
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
 
 
 @pytest.fixture

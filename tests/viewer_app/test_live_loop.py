@@ -23,9 +23,8 @@ from fusion.body import KINECT_V1, KINECT_V2
 from fusion.calibration.calibration import calibrate
 from fusion.fuser import Fuser, FuserSettings
 from recordings.session_arrays import SessionArrays
-from tests import conftest
-from tests.conftest import FRAME_NS, moving, pair_of, standing
 from tests.helpers.session_text import rows_of
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing
 from viewer_app.cli import main
 from viewer_app.commands import demo
 from viewer_app.loop.fusing import fuse_one
@@ -245,7 +244,7 @@ class TwoPeople:
 
 @pytest.mark.parametrize(("known", "b_follows"), [(False, "8"), (True, "9")])
 def test_both_sensors_follow_one_person_once_they_know_each_others_place(known: bool, b_follows: str) -> None:
-    a_from_b = conftest.A_FROM_B
+    a_from_b = A_FROM_B
     middle = standing(KINECT_V1)[list(KINECT_V1.torso)].mean(axis=0)
     # the first 1.9 m before A, the second 2.6 m before B, each on that sensor's axis; about a metre apart
     first, second = np.array([0.0, 0.0, 1.9]), a_from_b.apply([0.0, 0.0, 2.6])

@@ -14,9 +14,11 @@ from recordings.images.rvl import encode_depth
 from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
 from recordings.writing.rewritten_session import rewrite
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.recalibrated import record_recalibrated
-from tests.viewer_app.test_fuse_command import REAL, duplex, one_line
+from tests.helpers.skeleton_views import REAL
+from tests.helpers.two_views import calibration_of
 from viewer_app.commands.replay import verify
 
 __all__ = ["fused_run"]  # a fixture

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
-from tests.conftest import A_FROM_B
-from tests.viewer_app.test_live_session import BODY, frames
+from tests.helpers.live_frames import BODY, frames
+from tests.helpers.two_views import A_FROM_B
 from viewer_app.coach.advice import Advice
 from viewer_app.loop.status_line import LiveDisplay
 
