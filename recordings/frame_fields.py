@@ -90,7 +90,7 @@ class FrameField:
         if self.names is not None and np.issubdtype(self.dtype, np.signedinteger):
             values = np.where(values < 0, len(self.names(body)) - 1, values)
         if self.scale is not None:
-            values = values * self.scale
+            values = values.astype(np.float64) * self.scale
         return values.astype(self.stored, copy=False)
 
     def from_file(self, body: Body, stored: NDArray[Any]) -> NDArray[Any]:
@@ -99,7 +99,7 @@ class FrameField:
         if self.names is not None and np.issubdtype(self.dtype, np.signedinteger):
             values = np.where(values == len(self.names(body)) - 1, -1, values)
         if self.scale is not None:
-            values = values / self.scale
+            values = values.astype(np.float64) / self.scale  # not in float16
             if np.issubdtype(self.dtype, np.integer):
                 values = np.rint(values)
         return values.astype(self.dtype, copy=False)

@@ -1,8 +1,8 @@
 """Sessions that version 0.1 wrote open, and replay bit for bit.
 
-Of the three in ``tests/data/sessions_v0_1``, ``duplex demo --seconds 1 --depth none`` made the one of the Azure
-Kinect (three calibrations, truth); ``recordings.testing.record_fused`` made the others: one with depth images,
-frames without a person and frames of A alone, one by the published solver with equal weights.
+``duplex demo --seconds 1 --depth none`` made the one of the Azure Kinect, which has two calibrations and the
+truth. ``recordings.testing.record_fused`` made the others: one with depth images, frames without a person and
+frames of A alone, one by the published solver with equal weights.
 """
 
 from __future__ import annotations
