@@ -61,6 +61,14 @@ SESSIONS = {
         "9bc023088aa63d814b256b60f9d6f2ae3369c17e53454339d5d410ef19fe3e69",
         ("calibrated: known truth", "calibrated: known truth, moved by 20 mm"),
     ),
+    "published": Saved(
+        "kinect_v2",
+        20,
+        "33d8d049eaffc089004a16e8522984531cb4f85a28e6b1b26f1842106a537b12",
+        0,
+        _NOTHING,
+        ("calibrated: known truth",),
+    ),
 }
 
 
