@@ -130,7 +130,7 @@ def test_a_browser_shows_it_light_and_dark_without_network(page: Path) -> None:
             browser.close()
 
 
-def test_what_a_session_says_is_text_and_never_markup(fused_run: FusedRun, tmp_path: Path) -> None:
+def test_what_a_session_says_is_text_and_never_markup(fused_run: FusedRun) -> None:
     session = fused_run(frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
     session.about["settings"]["note"] = ["<script>alert(1)</script>"]
     hostile = replace(session.events[0], text="<img src=x onerror=alert(1)> & more")
