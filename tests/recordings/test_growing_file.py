@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -168,11 +167,11 @@ def test_images_are_written_as_they_come_and_skeletons_in_blocks(
 
 
 def test_the_file_waits_for_who_goes_first(tmp_path: Path) -> None:
-    over = threading.Event()
+    asked, over = threading.Event(), threading.Event()
     fuser, frames = fused_frames(3)
-    file = growing_file(tmp_path / "s.rrd", fuser, turn=lambda seconds: over.wait(5.0))
+    file = growing_file(tmp_path / "s.rrd", fuser, turn=lambda seconds: (asked.set(), over.wait(5.0)))
     file.offer((0, frames[0]))
-    time.sleep(0.2)
+    assert asked.wait(5.0)
     assert file.waiting == 1
     over.set()
     assert eventually(lambda: file.saved == 1)
