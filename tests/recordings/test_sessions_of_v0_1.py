@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fusion.fuser import Fuser
 from recordings.session import Session
 from recordings.writing.checksums import fused_checksums
 
@@ -41,5 +42,6 @@ def test_an_old_session_is_whole(old: Session) -> None:
 
 def test_an_old_session_replays_bit_for_bit(old: Session) -> None:
     pairs = [pair.skeletons for pair in old.pairs()]
-    fused = [frame.positions for fuser, own in old.fusers() for frame in fuser.fuse_sequence(pairs[own])]
+    setups = old.setups()
+    fused = [f.positions for setup, own in setups for f in Fuser(setup).fuse_sequence(pairs[own])]
     np.testing.assert_array_equal(fused_checksums(np.array(fused)), old.fused_checksums)

@@ -21,7 +21,8 @@ from devices.simulated.real_time import PacedSensor, paced_together
 from devices.simulated.tracking.tracker import TrackerErrors
 from fusion.body import KINECT_V1, KINECT_V2
 from fusion.calibration.calibration import calibrate
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
 from recordings.session_arrays import SessionArrays
 from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing
@@ -262,7 +263,7 @@ def test_both_sensors_follow_one_person_once_they_know_each_others_place(known: 
 
 def test_stacking_keeps_what_the_loop_gave() -> None:
     pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 20))]
-    fuser = Fuser(calibrate(KINECT_V1, pairs, "test"))
+    fuser = Fuser(FusionSetup(calibrate(KINECT_V1, pairs, "test")))
     frames = [
         fuse_one(
             fuser,
@@ -276,7 +277,7 @@ def test_stacking_keeps_what_the_loop_gave() -> None:
         )
         for t, p in enumerate(pairs)
     ]
-    rows = SessionArrays.stack(KINECT_V1, fuser.calibration.bone_lengths, frames)
+    rows = SessionArrays.stack(KINECT_V1, fuser.setup.calibration.bone_lengths, frames)
     assert len(rows) == 20
     assert np.isnan(rows.positions_b[0]).all()
     assert (rows.states_b[0] == 0).all()

@@ -20,9 +20,10 @@ from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, StartUpPose, calibrate, nominal_calibration
 from fusion.errors import CalibrationError
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import SkeletonPair
 from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder
@@ -124,11 +125,11 @@ def run_live(
     settings: FuserSettings,
     intrinsics: tuple[Intrinsics | None, Intrinsics | None],
     calibration: Calibration | None,
-    recorder_for: Callable[[Fuser], Recorder | LiveSession],
+    recorder_for: Callable[[FusionSetup], Recorder | LiveSession],
     depth: Depth = "full",
     truth_at: Callable[[int], NDArray[np.float64]] | None = None,
     go_on: Callable[[Status], bool] = lambda _: True,
-) -> tuple[Fuser, list[RecordedFrame]]:
+) -> tuple[FusionSetup, list[RecordedFrame]]:
     """Fuses and records what two open sensors give until they end or ``go_on`` says no.
 
     Args:
@@ -143,11 +144,12 @@ def run_live(
         go_on: Asked after each frame; shows the status in passing.
 
     Returns:
-        The fuser of the last calibration, and the last frames, without their images.
+        The last setup, and the last frames, without their images.
     """
     calibrator = Calibrator(body, calibration)
-    fuser = Fuser(calibrator.calibration, settings, *intrinsics)
-    recorder = recorder_for(fuser)
+    setup = FusionSetup(calibrator.calibration, settings, *intrinsics)
+    fuser = Fuser(setup)
+    recorder = recorder_for(setup)
     people = PersonChoice(), PersonChoice()
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
     ahead_ns = 0
@@ -156,8 +158,9 @@ def run_live(
         pair = with_depth(_with_people(live, people, b_from_a), depth)
         found = calibrator.watch(pair.skeletons)
         if found is not None:
-            fuser = Fuser(found, settings, *intrinsics)
-            recorder.calibrate(fuser)
+            setup = FusionSetup(found, settings, *intrinsics)
+            fuser = Fuser(setup)
+            recorder.recalibrated(setup)
         frame = replace(fuse_one(fuser, pair), streams=sensors.stream_figures)
         if truth_at is not None:
             if pair.a is not None:  # A's own time: a pair's goes on where A's clock is reset
@@ -175,7 +178,7 @@ def run_live(
     for late in sensors.events():  # what happened after the last pair
         recorder.event(late.message, "WARN")
     recorder.finish()
-    return fuser, list(kept)
+    return setup, list(kept)
 
 
 def _with_people(
