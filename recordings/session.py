@@ -240,7 +240,7 @@ class Session:
                 if image is not None and image[0] == t:
                     seen[side] = image[1]
                     ahead[side] = next(images[side], None)
-            yield FramePair(
+            yield FramePair.of(
                 _sensor_frame(
                     self.body, rows.clock_a[t], rows.positions_a[t], rows.states_a[t], seen.get("a")
                 ),

@@ -36,7 +36,7 @@ def frames(fuser: Fuser, count: int, depth: bool = False) -> list[RecordedFrame]
         seen = pair_of(BODY, at, k * FRAME_NS)
         assert seen.a is not None
         assert seen.b is not None
-        pair = FramePair(
+        pair = FramePair.of(
             SensorFrame(k * FRAME_NS, {"1": seen.a}, image),
             SensorFrame(k * FRAME_NS, {"1": seen.b}, image),
             "1",

@@ -158,9 +158,7 @@ def test_states_of_the_limbs_stand_second_among_the_tabs() -> None:
 def test_a_report_has_full_rows_and_short_titles(body: Body) -> None:
     setup = FusionSetup(nominal_calibration(body))
     *rows, words = (
-        session_blueprint(setup, np.array([0.1, 0.1, 2.6]), "report")
-        .root_container.contents[2]
-        .contents
+        session_blueprint(setup, np.array([0.1, 0.1, 2.6]), "report").root_container.contents[2].contents
     )
     counts = [len(row.contents) for row in rows]
     assert sum(counts) == len(body.bone_joints)

@@ -59,7 +59,7 @@ def watched(
                 states[BODY.joint("ANKLE_LEFT")] = TrackingState.INFERRED
                 skeleton = Skeleton.of(BODY, skeleton.positions, states, time_ns)
             people.append({"1": skeleton} if shown else {})
-        pair = FramePair(
+        pair = FramePair.of(
             SensorFrame(time_ns, people[0]), SensorFrame(time_ns, people[1]), "1", "1", time_ns, skew_ns
         )
         drops = replace(now, dropped=(k * dropping, 0))

@@ -12,17 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.following import PersonChoice, centre
+from devices.following import PersonOfPair
 from devices.live.sensor_pair import TwoSensors
-from devices.live.stream_pairing import LivePair
-from devices.pairing import FramePair
-from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, StartUpPose, calibrate, nominal_calibration
 from fusion.errors import CalibrationError
 from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
-from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import SkeletonPair
 from recordings.session_arrays import RecordedFrame
@@ -150,12 +146,12 @@ def run_live(
     setup = FusionSetup(calibrator.calibration, settings, *intrinsics)
     fuser = Fuser(setup)
     recorder = recorder_for(setup)
-    people = PersonChoice(), PersonChoice()
+    people = PersonOfPair()
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
     ahead_ns = 0
     for live in sensors.pairs():
         b_from_a = calibrator.calibration.a_from_b.inverse() if calibrator.settled else None
-        pair = with_depth(_with_people(live, people, b_from_a), depth)
+        pair = with_depth(people.chosen(live, b_from_a), depth)
         found = calibrator.watch(pair.skeletons)
         if found is not None:
             setup = FusionSetup(found, settings, *intrinsics)
@@ -179,26 +175,3 @@ def run_live(
         recorder.event(late.message, "WARN")
     recorder.finish()
     return setup, list(kept)
-
-
-def _with_people(
-    live: LivePair, people: tuple[PersonChoice, PersonChoice], b_from_a: RigidTransform | None
-) -> FramePair:
-    """The pair with the one person that is followed in each view: in both the same, once it can be."""
-
-    def followed(
-        frame: SensorFrame | None, choice: PersonChoice, at: NDArray[np.float64] | None = None
-    ) -> tuple[str, NDArray[np.float64] | None]:
-        chosen = None if frame is None else choice.choose(frame.people, frame.time_ns, at)
-        return ("", None) if chosen is None else (choice.identity or "", centre(chosen))
-
-    person_a, at = followed(live.a, people[0])
-    person_b, _ = followed(live.b, people[1], None if b_from_a is None or at is None else b_from_a.apply(at))
-    return FramePair(
-        live.a,
-        live.b,
-        person_a,
-        person_b,
-        live.time_ns,
-        live.skew_ns or 0,
-    )
