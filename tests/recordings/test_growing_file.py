@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -324,6 +323,7 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
 
 
 def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource", reason="only POSIX limits the size of a process's files")
     path, limit = tmp_path / "s.rrd", 850_000  # what is static, and some seconds
     arguments = ("--seconds", "10", "--depth", "none", "--no-viewer", "--save", str(path))
     done = subprocess.run(

@@ -16,6 +16,8 @@ from viewer_app.sinks.live_session import Viewing
 from viewer_app.viewer import display
 from viewer_app.viewer.viewer_choice import choose_viewing
 
+pytest.importorskip("Xlib", reason="python-xlib is installed on Linux only")
+
 
 @pytest.fixture(autouse=True)
 def _linux(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
