@@ -10,7 +10,8 @@ from scipy.optimize import minimize
 from devices.pairing import pair_recordings
 from devices.skeletons.recording import SkeletonRecording
 from fusion.body import Body
-from fusion.calibration.calibration import Calibration, calibrate, find_start_up_pose
+from fusion.calibration.calibration import Calibration, calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import FusedFrame, Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair

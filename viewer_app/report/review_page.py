@@ -44,7 +44,7 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
         session: The session.
         figures: Its report, :func:`viewer_app.report.figures.report`.
     """
-    name = escape(session.path.name)
+    name = escape(session.name)
     body = "\n".join(
         (
             f"<h1>{name}</h1>",
