@@ -12,13 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.following import PersonOfPair
 from devices.image_thinning import Depth, with_depth, without_images
 from devices.live.sensor_pair import TwoSensors
 from fusion.calibration.calibrator import Calibrator
-from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.fusing import fuse_one
+from recordings.live_fusing import LiveFusion
 from recordings.session_arrays import RecordedFrame
 from viewer_app.sinks.sink import Sink
 
@@ -80,34 +78,29 @@ def run_live(
     Returns:
         The last setup, and the last frames, without their images.
     """
-    calibrator = Calibrator(setup.body, setup.calibration if calibrated else None)
-    fuser = Fuser(setup)
-    people = PersonOfPair()
+    fusion = LiveFusion(setup, calibrated)
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
     ahead_ns = 0
     for live in sensors.pairs():
-        b_from_a = calibrator.calibration.a_from_b.inverse() if calibrator.settled else None
-        pair = with_depth(people.chosen(live, b_from_a), depth)
-        found = calibrator.watch(pair.skeletons)
-        if found is not None:
-            setup = replace(setup, calibration=found)
-            fuser = Fuser(setup)
-            sink.recalibrated(setup)
-        frame = replace(fuse_one(fuser, pair), streams=sensors.stream_figures)
+        pair = with_depth(fusion.chosen(live), depth)
+        recalibrated = fusion.recalibrated(pair)
+        if recalibrated:
+            sink.recalibrated(fusion.setup)
+        frame = replace(fusion.fuse(pair), streams=sensors.stream_figures)
         if truth_at is not None:
             if pair.a is not None:  # A's own time: a pair's goes on where A's clock is reset
                 ahead_ns = pair.time_ns - pair.a.time_ns
             frame = replace(frame, truth=truth_at(pair.time_ns - ahead_ns))
         events = tuple(event.message for event in sensors.events())
         sink.write(frame)
-        if found is not None:
-            sink.event(f"calibrated: {found.how}")
+        if recalibrated:
+            sink.event(f"calibrated: {fusion.setup.calibration.how}")
         for event in events:
             sink.event(event, "WARN")
         kept.append(replace(frame, pair=without_images(pair)))
-        if not go_on(Status(frame, calibrator, sensors, events)):
+        if not go_on(Status(frame, fusion.calibrator, sensors, events)):
             break
     for late in sensors.events():  # what happened after the last pair
         sink.event(late.message, "WARN")
     sink.finish()
-    return setup, list(kept)
+    return fusion.setup, list(kept)
