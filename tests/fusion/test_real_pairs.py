@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from devices.pairing import pair_recordings
 from devices.skeletons.recording import SkeletonRecording
-from fusion.calibration.calibration import Calibration, calibrate, find_start_up_pose
+from fusion.calibration.calibration import Calibration, calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import FusedFrame, Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import pytest
 
 from viewer_app.errors import UsageError
-from viewer_app.sinks.live_session import Viewing
+from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer import display
 from viewer_app.viewer.viewer_choice import choose_viewing
 

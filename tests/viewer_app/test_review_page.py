@@ -14,7 +14,6 @@ from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.machine import need_browser
 from tests.helpers.two_views import calibration_of
-from viewer_app.commands.replay import pairing_of
 from viewer_app.report.figures import FusionResult, report
 from viewer_app.report.review_page import _without_folders, review_page
 from viewer_app.report.svg_plots import _columns_of_time, _figure, _legend
@@ -135,7 +134,7 @@ def test_what_a_session_says_is_text_and_never_markup(fused_run: FusedRun) -> No
     session.about["settings"]["note"] = ["<script>alert(1)</script>"]
     hostile = replace(session.events[0], text="<img src=x onerror=alert(1)> & more")
     session = replace(session, events=(*session.events, hostile))
-    result = FusionResult(pairing_of(session), session.calibration, session.settings, session.rows)
+    result = FusionResult(session.pairing, session.calibration, session.settings, session.rows)
     text = review_page(session, report(result))
     assert "<script" not in text
     assert "<img" not in text

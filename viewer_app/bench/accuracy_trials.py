@@ -13,13 +13,14 @@ from devices.pairing import FramePair, pair_recordings
 from devices.sensor import DeviceError
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import Body
-from fusion.calibration.calibration import Calibration, calibrate, find_start_up_pose
+from fusion.calibration.calibration import Calibration, calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.evaluation import baselines
 from fusion.evaluation.accuracy import accuracy
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
+from recordings.fusing import fuse_one
 from recordings.session_arrays import SessionArrays
-from viewer_app.loop.fusing import fuse_one
 
 METHODS = ("A alone", "B alone", "mean", "tracked wins", "Kalman", "paper", "ours")
 """In the order of the tables. ``paper`` is eqs. (3)-(11) as published, ``ours`` the default."""

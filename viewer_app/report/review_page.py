@@ -35,7 +35,7 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
     source_a, source_b = _without_folders(session.sources)
     time_ns = session.rows.time_ns
     return environment.get_template("review_page.html").render(
-        name=session.path.name,
+        name=session.name,
         damage=session.damage,
         frames_lost=session.frames_lost,
         frames=len(session),
