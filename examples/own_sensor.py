@@ -1,0 +1,30 @@
+"""Two sensors of your own in the live loop: python own_sensor.py"""
+
+import time
+
+from devices import SensorFrame, simulated_pair
+from fusion import KINECT_V2, Skeleton
+from recordings import fuse_live
+
+
+class OwnSensor:
+    body, intrinsics, warnings = KINECT_V2, None, ()
+
+    def __init__(self, name, camera):
+        self.name, self.camera = name, camera
+
+    def __enter__(self):  # open your camera here
+        return self
+
+    def __exit__(self, *error): ...  # and close it here
+
+    def frames(self):  # wait for your camera here; a simulated one stands in for it
+        for seen in self.camera.frames():
+            time.sleep(1 / 30)
+            person = Skeleton.of(KINECT_V2, seen.people["1"].positions)
+            yield SensorFrame(seen.time_ns, {"1": person})
+
+
+camera_a, camera_b, _ = simulated_pair(motion="walk", seconds=5.0, body=KINECT_V2)
+for frame in fuse_live(OwnSensor("left", camera_a), OwnSensor("right", camera_b)):
+    print("head at", frame.fused.positions[KINECT_V2.joint("Head")].round(3), "m")
