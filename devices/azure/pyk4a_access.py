@@ -18,6 +18,7 @@ from devices.sensor import AbsentError, DeviceError
 
 _opening = threading.Lock()
 _open_here: set[str] = set()  # serial numbers that this process holds open
+_seen_on_bus: set[str] = set()  # serial numbers that the system's list of USB devices has shown, too
 
 
 @dataclass(frozen=True)
@@ -96,10 +97,9 @@ def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
         DeviceError: It cannot be opened.
     """
     with _opening:
-        on_bus = [device.serial for device in usb_kinects() if device.serial]
         others, faults = sorted(_open_here), []
-        if on_bus and serial not in on_bus:  # says Linux, which is asked without holding the GIL
-            raise AbsentError(_not_found(serial, sorted({*others, *on_bus}), []))
+        if _on_bus(serial) is False:  # says Linux, which is asked without holding the GIL
+            raise AbsentError(_not_found(serial, others, []))
         count = sdk.connected_device_count()
         if count <= len(others):  # ours cannot be opened twice, so a bus with no more holds no other
             raise AbsentError(_not_found(serial, others, []))
@@ -114,6 +114,8 @@ def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
                 continue
             if found == serial:
                 _open_here.add(serial)
+                if serial in _serials_on_bus():
+                    _seen_on_bus.add(serial)
                 return device
             if found not in others:  # one of ours, where opening is lazy
                 others.append(found)
@@ -131,14 +133,24 @@ def close_kinect(sdk: Any, serial: str, device: Any) -> str:
 def is_connected(sdk: Any, serial: str) -> bool:
     """Whether a Kinect that this process has open is still there. Ask only when its frames stay away.
 
-    Where the system tells the serial numbers on its bus, they decide. Elsewhere (Windows) the SDK counts
+    Where the system has listed it by its serial number (Linux), that list decides. Elsewhere (Windows) the SDK counts
     what is connected: fewer than this process has open means that the one that fails is gone. The SDK
     searches the bus for that, and pyk4a holds the GIL meanwhile.
     """
-    on_bus = [device.serial for device in usb_kinects() if device.serial]
-    if on_bus:
-        return serial in on_bus
+    on_bus = _on_bus(serial)
+    if on_bus is not None:
+        return on_bus
     return bool(sdk.connected_device_count() >= max(1, len(_open_here)))
+
+
+def _on_bus(serial: str) -> bool | None:
+    """Whether the system's list of USB devices has it; None where the list is empty or never had it."""
+    listed = _serials_on_bus()
+    return serial in listed if listed and serial in _seen_on_bus else None
+
+
+def _serials_on_bus() -> list[str]:
+    return [device.serial for device in usb_kinects() if device.serial]
 
 
 def _not_found(serial: str, others: list[str], faults: list[str]) -> str:

@@ -131,10 +131,11 @@ class SensorThread:
         return self
 
     def count_from_now(self) -> None:
-        """Forgets the frames that came so far, and the counts of frames and drops."""
+        """Counts frames and drops anew. Frames that wait are kept, unless so many came that some were dropped."""
         with self._lock:
-            self._frames.clear()
-            self._received = self._dropped = 0
+            if self._dropped:
+                self._frames.clear()
+            self._received, self._dropped = len(self._frames), 0
             self._missed_before = self._missed()
 
     def end(self) -> None:

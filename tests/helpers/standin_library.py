@@ -24,6 +24,7 @@ _SETTINGS = {
     "gpu": ctypes.c_int,
     "wait_ms": ctypes.c_int32,
     "smoothing": ctypes.c_float,
+    "tracking_ms": ctypes.c_int32,
 }
 _AT_START = {"bodies": 1, "first_id": 7, "smoothing": -1.0}
 

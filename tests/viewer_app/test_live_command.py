@@ -17,7 +17,7 @@ import pytest
 from rich.console import Console
 
 from devices.azure import checks as device_doctor
-from devices.azure import kinect
+from devices.azure import pyk4a_access
 from devices.azure.tracking.body_tracker import BodyTracker
 from devices.azure.usb import UsbKinect
 from devices.live.sensor_thread import SensorThread
@@ -66,7 +66,7 @@ def kinects(standin: Standin, monkeypatch: pytest.MonkeyPatch) -> Bus:
     def on_usb() -> list[UsbKinect]:
         return [UsbKinect(device.serial, Path("usb"), True, 5000) for device in bus.plugged()]
 
-    monkeypatch.setattr(kinect, "usb_kinects", on_usb)
+    monkeypatch.setattr(pyk4a_access, "usb_kinects", on_usb)
     Fuser(nominal_calibration(AZURE_KINECT)).warm_up()  # compiling takes longer than these sessions
     return bus
 

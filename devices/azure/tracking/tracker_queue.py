@@ -41,6 +41,7 @@ class TrackerQueue:
         self._took, self._clock = took, clock
         self._inside: OrderedDict[int, tuple[SensorFrame, int]] = OrderedDict()  # and when it went in
         self._result_ns: int | None = None
+        self._waited_s = 0.0  # for the oldest frame, in waits that ended without a result
 
     @property
     def empty(self) -> bool:
@@ -63,13 +64,14 @@ class TrackerQueue:
         self._inside[frame.time_ns // 1000] = frame, self._clock()
 
     def done(self) -> Iterator[SensorFrame]:
-        """The frames whose people are found; waits for one only while two are at work.
+        """The frames whose people are found; waits for one only while more than two are at work.
 
         Raises:
             DeviceError: The tracker failed or stalls.
         """
         while self._inside:
-            yielded = yield from self._take(None if self.full else self._wait_s)
+            overdue = self._waited_s >= self._tracker.patience_s
+            yielded = yield from self._take(None if len(self._inside) > _AT_WORK or overdue else self._wait_s)
             if not yielded:
                 return
 
@@ -85,7 +87,9 @@ class TrackerQueue:
     def _take(self, wait_s: float | None) -> Generator[SensorFrame, None, bool]:
         bodies = self._tracker.pop(wait_s)
         if bodies is None:
+            self._waited_s += self._wait_s
             return False
+        self._waited_s = 0.0
         time_us = bodies.time_ns // 1000
         if time_us not in self._inside:
             return True  # a result of before a restart
