@@ -14,7 +14,11 @@ from fusion.body import Body
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
 
-pytest_plugins = ("tests.helpers.standin_library", "tests.helpers.standin_pyk4a")
+pytest_plugins = (
+    "tests.helpers.standin_library",
+    "tests.helpers.standin_pyk4a",
+    "tests.helpers.real_pyk4a",
+)
 
 FRAME_NS = 33_333_333
 

@@ -63,6 +63,7 @@ class CaptureStream:
         self._silent_s = 0.0
         self._patience_s = settings.start_s if settings.sync == "subordinate" else settings.stall_s
         self._last_ns: int | None = None
+        self._delayed: list[_Seen] = []
         self.missed = 0
 
     def take(self, wait: bool) -> tuple[SensorFrame, Any] | None:
@@ -74,6 +75,9 @@ class CaptureStream:
         Raises:
             DeviceError: Unplugged, or stalled.
         """
+        if self._delayed:
+            seen = self._delayed.pop(0)
+            return self._frame(seen), seen.capture
         newest: _Seen | None = None
         timeout_ms = self._settings.timeout_ms if wait else 0
         while True:
@@ -89,9 +93,19 @@ class CaptureStream:
             if seen is None:
                 self._stay_silent(1 / self._settings.fps)
             elif self._is_wanted(seen):
-                self.missed += newest is not None
+                if newest is not None and self._waited_for_color(newest):
+                    self._delayed.append(newest)
+                else:
+                    self.missed += newest is not None
                 newest = seen
+        if newest is not None and self._delayed:
+            self._delayed.append(newest)
+            newest = self._delayed.pop(0)
         return None if newest is None else (self._frame(newest), newest.capture)
+
+    def _waited_for_color(self, seen: _Seen) -> bool:
+        """Whether capture sync held a depth image back in vain: it comes together with the next one."""
+        return self._settings.camera_color is not None and seen.capture.color is None and not self._delayed
 
     def _look(self, capture: Any) -> _Seen | None:
         """When a capture was made; None without depth: a colour image alone."""

@@ -133,9 +133,9 @@ def close_kinect(sdk: Any, serial: str, device: Any) -> str:
 def is_connected(sdk: Any, serial: str) -> bool:
     """Whether a Kinect that this process has open is still there. Ask only when its frames stay away.
 
-    Where the system has listed it by its serial number (Linux), that list decides. Elsewhere (Windows) the SDK counts
-    what is connected: fewer than this process has open means that the one that fails is gone. The SDK
-    searches the bus for that, and pyk4a holds the GIL meanwhile.
+    Where the system has listed it by its serial number (Linux), that list decides. Elsewhere (Windows) the
+    SDK counts what is connected: fewer than this process has open means that the one that fails is gone.
+    The SDK searches the bus for that, and pyk4a holds the GIL meanwhile.
     """
     on_bus = _on_bus(serial)
     if on_bus is not None:

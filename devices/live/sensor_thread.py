@@ -131,7 +131,7 @@ class SensorThread:
         return self
 
     def count_from_now(self) -> None:
-        """Counts frames and drops anew. Frames that wait are kept, unless so many came that some were dropped."""
+        """Counts frames and drops anew. Frames that wait are kept, unless there were too many to keep."""
         with self._lock:
             if self._dropped:
                 self._frames.clear()

@@ -90,7 +90,7 @@ def run_slow_trackers(
     serials = ("000001", "000002")
     times = [VirtualTime(), VirtualTime()]
     bus.devices = [
-        Device(serial, jacks=jacks, paced=True, time=time, color_latency_ns=color_latency_ns, clock_usec=clock)
+        Device(serial, jacks, paced=True, time=time, color_latency_ns=color_latency_ns, clock_usec=clock)
         for serial, jacks, time, clock in zip(
             serials, ((False, cable), (cable, False)), times, (1_000_000, 777_000_123), strict=True
         )

@@ -99,11 +99,12 @@ class Device:
         until_ns = self.time.now_ns() + timeout_ms * 1_000_000
         self._fill()
         while not self._queue:
-            following = self._upcoming()
-            if following is None or following.ready_ns > until_ns or self.silent:
-                self.time.wait_until(until_ns)
+            following = None if self.silent else self._upcoming()
+            # A subordinate waits for a master that another thread will start.
+            ready_ns = self.time.now_ns() + 2_000_000 if following is None else following.ready_ns
+            self.time.wait_until(min(ready_ns, until_ns))
+            if self.time.now_ns() >= until_ns:
                 return None
-            self.time.wait_until(following.ready_ns)
             self._fill()
         return self._queue.popleft()
 

@@ -60,6 +60,15 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="session")
+def wheel_library(compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The stand-in loaded as libk4a from a wheel, whose libraries carry a hash in their names."""
+    path = tmp_path_factory.mktemp("wheel.libs") / "libk4a-f64cb9eb.so.1.4.2"
+    shutil.copyfile(compiled, path)
+    ctypes.CDLL(str(path))
+    return path
+
+
 @pytest.fixture
 def standin(compiled: Path):
     """The stand-in as a test finds it, and checked after: nothing left alive, no handle misused."""
