@@ -76,8 +76,8 @@ class CaptureStream:
             DeviceError: Unplugged, or stalled.
         """
         if self._delayed:
-            seen = self._delayed.pop(0)
-            return self._frame(seen), seen.capture
+            held = self._delayed.pop(0)
+            return self._frame(held), held.capture
         newest: _Seen | None = None
         timeout_ms = self._settings.timeout_ms if wait else 0
         while True:
