@@ -11,6 +11,7 @@ import numpy as np
 
 from devices.azure.kinect_settings import KinectSettings
 from devices.azure.pyk4a_access import is_connected
+from devices.azure.pyk4a_leaks import image_of
 from devices.live.frame_decimation import FrameDecimation
 from devices.sensor import ColorCamera, ColorImage, DeviceError, SensorFrame
 
@@ -105,11 +106,13 @@ class CaptureStream:
 
     def _waited_for_color(self, seen: _Seen) -> bool:
         """Whether capture sync held a depth image back in vain: it comes together with the next one."""
-        return self._settings.camera_color is not None and seen.capture.color is None and not self._delayed
+        if self._settings.camera_color is None or self._delayed:
+            return False
+        return image_of(seen.capture, "color") is None
 
     def _look(self, capture: Any) -> _Seen | None:
         """When a capture was made; None without depth: a colour image alone."""
-        if capture.depth is None or capture.ir is None:
+        if image_of(capture, "depth") is None or image_of(capture, "ir") is None:
             return None
         now_ns, host_ns = self._clock(), int(capture.depth_system_timestamp_nsec)
         return _Seen(
@@ -131,7 +134,7 @@ class CaptureStream:
     def _frame(self, seen: _Seen) -> SensorFrame:
         """The capture's images, copied so that the SDK has its memory back."""
         capture = seen.capture
-        jpeg = None if self._color is None else capture.color
+        jpeg = None if self._color is None else image_of(capture, "color")
         return SensorFrame(
             time_ns=seen.time_ns,
             depth=np.array(capture.depth, dtype=np.uint16),

@@ -13,6 +13,7 @@ from typing import Any
 
 from devices.azure.firmware import firmware_version
 from devices.azure.installing import how_to_install
+from devices.azure.pyk4a_leaks import put_back_none
 from devices.azure.usb import UDEV_ADVICE, UsbKinect, usb_kinects
 from devices.sensor import AbsentError, DeviceError
 
@@ -58,7 +59,7 @@ def connected_kinects() -> list[ConnectedKinect]:
     for index in range(sdk.connected_device_count()):
         device = sdk.PyK4A(device_id=index, thread_safe=False)
         try:
-            device.open()
+            _open(device, sdk)
             sync_in, sync_out = device.sync_jack_status
             serial, firmware = device.serial, firmware_version(device)
             found.append(ConnectedKinect(index, serial, sync_in, sync_out, firmware=firmware))
@@ -106,7 +107,7 @@ def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
         for index in range(count):
             device = sdk.PyK4A(config=configuration, device_id=index, thread_safe=False)
             try:
-                device.open()
+                _open(device, sdk)
                 found = device.serial
             except sdk.K4AException as fault:
                 faults.append(why_not_open(fault))
@@ -121,6 +122,14 @@ def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
                 others.append(found)
             let_go(device, sdk)
         raise DeviceError(_not_found(serial, others, faults[len(_open_here) :]))
+
+
+def _open(device: Any, sdk: Any) -> None:
+    try:
+        device.open()
+    except sdk.K4AException:
+        put_back_none()
+        raise
 
 
 def close_kinect(sdk: Any, serial: str, device: Any) -> str:

@@ -10,9 +10,8 @@ _LONGEST_S = 10.0
 class Retries:
     """Waits twice as long after each opening that fails, up to ten seconds.
 
-    pyk4a loses a reference to ``None`` at each opening that libk4a refuses; up to Python 3.11 a process that
-    tries every second aborts after some hours. A sensor that is not connected is not opened at all, so that
-    is asked at the first interval again and again.
+    Each opening that libk4a refuses searches the USB bus while pyk4a holds the GIL, and leaks in pyk4a. A
+    sensor that is not connected is not opened at all, so that is asked at the first interval again and again.
 
     Args:
         first_s: How long to wait after the first failure.

@@ -226,8 +226,9 @@ def main() -> int:
         f"{figures.unmatched_b}, late {figures.late}; at most {seen.waiting} frames waited; not saved "
         f"{seen.lost}, saved without images {seen.without_images}, not shown {seen.not_shown}; memory grew "
         f"{seen.growth_mb:.1f} MB after the first minute (end {seen.memory[-1][1]:.0f} MB); file "
-        f"{seen.saved_mb:.1f} MB; real sensors would add {PYK4A_MB_PER_HOUR * seen.seconds / 3600:.1f} MB, which "
-        f"pyk4a leaks ({PYK4A_MB_PER_HOUR:.0f} MB per hour); {seen.processor:.0%} of a processor, simulation included; "
+        f"{seen.saved_mb:.1f} MB; real sensors would add {PYK4A_MB_PER_HOUR * seen.seconds / 3600:.1f} MB "
+        f"({PYK4A_MB_PER_HOUR:.0f} MB per hour, which pyk4a leaks); {seen.processor:.0%} of a processor, "
+        f"simulation included; "
         f"{seen.stolen:.1%} of the processors stolen"
     )
     for what, ms in (

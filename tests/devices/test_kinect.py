@@ -383,3 +383,20 @@ def test_orbbecs_epoch_times_do_not_become_host_times(bus: Bus) -> None:
     with _sensor("CL8H741005K") as sensor:
         (frame,) = itertools.islice(sensor.frames(), 1)
     assert abs(time.perf_counter_ns() - (frame.host_ns or 0)) < 60_000_000_000
+
+
+@pytest.mark.skipif(sys.version_info >= (3, 12), reason="None is immortal from Python 3.12 on")
+def test_references_to_none_that_pyk4a_gives_away_are_put_back(bus: Bus) -> None:
+    bus.gives_none_away = True
+    bus.devices = [Device("000123", color=False), Device("000456", busy=True)]
+    gc.collect()
+    before = sys.getrefcount(None)
+    for _ in range(1000):
+        connected_kinects()
+    with _sensor(color="720P") as sensor:
+        for _ in itertools.islice(sensor.frames(), 1000):
+            pass
+    assert bus.failed_opens >= 1000
+    gc.collect()
+    # the stand-in gave 2000 away; other objects that come and go hold some
+    assert abs(sys.getrefcount(None) - before) < 1000

@@ -156,6 +156,18 @@ def stop_before_open(sdk: Any, recording: str) -> None:  # noqa: ARG001
     sdk.PyK4A(thread_safe=False).stop()
 
 
+def none_references(sdk: Any, recording: str) -> None:  # noqa: ARG001
+    """An opening that fails loses at most one reference to None, which can be put back."""
+    increase = ctypes.pythonapi.Py_IncRef
+    increase.restype, increase.argtypes = None, [ctypes.py_object]
+    device = sdk.PyK4A(device_id=0, thread_safe=False)
+    before = sys.getrefcount(None)
+    for _ in range(1000):
+        _raises(sdk.K4AException, device.open)
+        increase(None)
+    assert sys.getrefcount(None) >= before - 100
+
+
 def host_clock(sdk: Any, recording: str) -> None:  # noqa: ARG001
     """perf_counter is the monotonic clock on Linux, which is what libk4a's host times are of."""
     assert abs(time.perf_counter_ns() - time.clock_gettime_ns(time.CLOCK_MONOTONIC)) < 1_000_000_000
@@ -174,6 +186,7 @@ CLAUSES: tuple[Callable[[Any, str], object], ...] = (
     errors,
     configurations,
     stop_before_open,
+    none_references,
     host_clock,
 )
 

@@ -24,9 +24,11 @@ from tests.helpers.standin_values import (
     Calibration,
     K4AException,
     K4ATimeoutException,
+    LeakyCapture,
     PyK4ACapture,
     WouldCrashError,
     borrowed,
+    give_none_away,
     new_capsule,
 )
 
@@ -52,6 +54,7 @@ class Bus:
         self.started: list[str] = []
         self.counts = self.failed_opens = 0  # searches of the bus, and references to None that pyk4a lost
         self.master_begun_ns: int | None = None
+        self.gives_none_away = False  # as pyk4a 1.5.0 does
 
     def plugged(self) -> list[Device]:
         return [device for device in self.devices if device.plugged]
@@ -84,6 +87,8 @@ def make_module(bus: Bus) -> types.ModuleType:
             taken = device is not None and (device.busy or device.opened_by is not None)
             if device is None or (taken and not device.orbbec):
                 bus.failed_opens += 1
+                if bus.gives_none_away:
+                    give_none_away()
                 raise K4AException
             self._device = device
             if not taken:
@@ -171,9 +176,10 @@ def make_module(bus: Bus) -> types.ModuleType:
             return self._capture(device, shot)
 
         def _capture(self, device: Device, shot: Shot) -> PyK4ACapture:
+            kind = LeakyCapture if bus.gives_none_away else PyK4ACapture
             shape = _SHAPES.get(int(self._config.depth_mode), (576, 640))
             host_ns = time.time_ns() if device.orbbec else shot.depth_host_ns
-            return PyK4ACapture(
+            return kind(
                 bus.native,
                 np.full(shape, 2000 + device.captures, np.uint16) if shot.has_depth else None,
                 np.full(shape, 900, np.uint16) if shot.has_depth else None,

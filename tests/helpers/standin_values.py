@@ -79,6 +79,22 @@ class PyK4ACapture:
             self._native.k4a_capture_release(self._handle)
 
 
+def give_none_away() -> None:
+    decrease = ctypes.pythonapi.Py_DecRef
+    decrease.restype, decrease.argtypes = None, [ctypes.py_object]
+    decrease(None)
+
+
+class LeakyCapture(PyK4ACapture):
+    """A capture that gives a reference to None away for each image that it lacks, as pyk4a 1.5.0."""
+
+    def __getattribute__(self, name: str) -> object:
+        value = object.__getattribute__(self, name)
+        if name in ("depth", "ir", "color") and value is None:
+            give_none_away()
+        return value
+
+
 def borrowed(image: np.ndarray) -> np.ndarray:
     """As pyk4a's: an array over memory that is the SDK's."""
     return np.frombuffer(bytearray(image.tobytes()), image.dtype).reshape(image.shape)
