@@ -9,9 +9,10 @@ from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import replace
 
+from devices.live import sensor_messages as messages
 from devices.live.retries import Retries
-from devices.live.sensor_state import SensorEvent, SensorState, failed_within, not_closed, not_opened
-from devices.sensor import CountsMissed, DeviceError, Interruptible, NamesItsWait, Sensor, SensorFrame
+from devices.live.sensor_state import SensorEvent, SensorState
+from devices.sensor import DeviceError, Interruptible, Sensor, SensorFrame
 
 _EVENTS_KEPT = 100
 
@@ -53,7 +54,6 @@ class SensorThread:
         """
         self.sensor = sensor
         self.arrival = arrival or threading.Event()
-        self._counts = sensor if isinstance(sensor, CountsMissed) else None
         self._keep, self._retries = keep, Retries(retry_s)
         self._stall_s, self._first_s = stall_s, first_s
         self._clock, self._wait = clock, wait
@@ -63,9 +63,8 @@ class SensorThread:
         self._state = SensorState.CLOSED
         self._received = self._dropped = self._returns = self._missed_before = 0
         self._last_s = 0.0
-        self._told, self._stall_told = "", False
         self._left_behind: threading.Thread | None = None
-        self._first = self._first_told = False
+        self._told, self._stall_told, self._first, self._first_told = "", False, False, False
         self._fault: BaseException | None = None
         self._stopping, self._settled = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
@@ -78,7 +77,7 @@ class SensorThread:
     @property
     def dropped(self) -> int:
         """How many frames we were too slow for: this thread's reader, or the thread for the sensor itself."""
-        return self._dropped + self._missed() - self._missed_before
+        return self._dropped + messages.missed_by(self.sensor) - self._missed_before
 
     @property
     def returns(self) -> int:
@@ -108,7 +107,7 @@ class SensorThread:
         """
         self.close()
         if self._left_behind is not None and self._left_behind.is_alive():
-            raise DeviceError(not_closed(self.sensor.name, self._waits_for()))
+            raise DeviceError(messages.not_closed(self.sensor.name, messages.wait_of(self.sensor)))
         self._stopping, self._settled = threading.Event(), threading.Event()
         self._fault, self._state = None, SensorState.OPENING
         # A daemon: a driver that hangs forever must not keep the program from ending.
@@ -121,12 +120,12 @@ class SensorThread:
         try:
             self._thread.start()
             opened = self._settled.wait(within_s)
-        except BaseException:  # Ctrl-C while it opens: nobody will leave a with block that was never entered
+        except BaseException:  # Ctrl-C while it opens
             self.close()
             raise
         if not opened:
             self.close(0.0)
-            raise not_opened(self.sensor.name, within_s, self._waits_for())
+            raise messages.not_opened(self.sensor.name, within_s, messages.wait_of(self.sensor))
         self._raise_fault()
         return self
 
@@ -136,7 +135,7 @@ class SensorThread:
             if self._dropped:
                 self._frames.clear()
             self._received, self._dropped = len(self._frames), 0
-            self._missed_before = self._missed()
+            self._missed_before = messages.missed_by(self.sensor)
 
     def end(self) -> None:
         """Makes the thread end, without waiting for that: frames to come are not wanted, nor counted."""
@@ -166,7 +165,7 @@ class SensorThread:
                 self._state = SensorState.CLOSED
         if thread.is_alive():
             self._left_behind = thread
-            self._tell(not_closed(self.sensor.name, self._waits_for()))
+            self._tell(messages.not_closed(self.sensor.name, messages.wait_of(self.sensor)))
             return False
         return True
 
@@ -220,7 +219,7 @@ class SensorThread:
         self.close()
         if not isinstance(self._fault, Exception) or isinstance(self._fault, DeviceError):
             raise self._fault
-        raise failed_within(self.sensor.name, self._fault) from self._fault
+        raise messages.failed_within(self.sensor.name, self._fault) from self._fault
 
     def _run(self, stopping: threading.Event, settled: threading.Event) -> None:
         ran = False
@@ -294,12 +293,6 @@ class SensorThread:
             self._told = message
             self._tell(f"{message} Going on without it; it is taken back when it returns.")
         self.arrival.set()
-
-    def _missed(self) -> int:
-        return 0 if self._counts is None else self._counts.missed
-
-    def _waits_for(self) -> str:
-        return self.sensor.waits_for if isinstance(self.sensor, NamesItsWait) else ""
 
     def _tell(self, message: str) -> None:
         event = SensorEvent(self.sensor.name, message, self._clock())

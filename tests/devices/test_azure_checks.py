@@ -16,39 +16,13 @@ from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.azure.usb import usb_kinects
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import Bus, Device
+from tests.helpers.usb_tree import furnish, plug_in
 
 
 def _by_name(checks: list[Check]) -> dict[str, Check]:
     named = {check.name: check for check in checks}
     assert len(named) == len(checks)
     return named
-
-
-def plug_in(
-    root: Path,
-    serial: str = "000123",
-    product: str = "097c",
-    speed: int = 5000,
-    number: int = 7,
-    vendor: str = "045e",
-) -> Path:
-    """Puts a depth camera on a made-up machine's bus, as Linux shows it."""
-    entry = root / "sys/bus/usb/devices" / f"2-{number}"
-    entry.mkdir(parents=True)
-    content = {
-        "idVendor": vendor,
-        "idProduct": product,
-        "serial": serial,
-        "busnum": "2",
-        "devnum": str(number),
-        "speed": str(speed),
-    }
-    for name, text in content.items():
-        (entry / name).write_text(text + "\n")
-    node = root / "dev/bus/usb/002" / f"{number:03d}"
-    node.parent.mkdir(parents=True, exist_ok=True)
-    node.touch()
-    return node
 
 
 @pytest.fixture
@@ -79,17 +53,6 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
         assert named[name].needed, name
     assert all(check.advice for check in checks if not check.ok)
     assert "pip install '.[kinect]'" in named["pyk4a and the Sensor SDK"].advice
-
-
-def furnish(root: Path) -> None:
-    """Puts on a made-up machine what the sensors and the tracker need beside their libraries."""
-    for file in (
-        "usr/bin/dnn_model_2_0_op11.onnx",
-        "usr/lib/x86_64-linux-gnu/libk4a1.4/libdepthengine.so.2.0",
-        "proc/driver/nvidia/version",
-    ):
-        (root / file).parent.mkdir(parents=True)
-        (root / file).touch()
 
 
 def test_a_machine_with_all_of_it_can_start(

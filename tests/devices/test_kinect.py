@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devices.azure import firmware
 from devices.azure.capsules import capsule_pointer
+from devices.azure.firmware import loaded_libk4a
 from devices.azure.kinect import KinectSensor
 from devices.azure.kinect_settings import KinectSettings
 from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects
@@ -316,11 +318,15 @@ def test_a_cable_that_joins_no_out_to_an_in_is_explained() -> None:
         sync_master(*wrong)
 
 
-def test_the_firmwares_version_is_read_from_libk4a(bus: Bus, wheel_library: Path) -> None:
+def test_the_firmwares_version_is_read_from_libk4a(
+    bus: Bus, wheel_library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(firmware, "loaded_libk4a", loaded_libk4a)
     version = (ctypes.c_uint32 * 3).in_dll(ctypes.CDLL(str(wheel_library)), "standin_firmware")
     version[:] = (1, 6, 102)
     bus.devices = [Device("000123")]
     (kinect,) = connected_kinects()
+    version[:] = (1, 6, 110)  # it stays loaded for the tests that follow
     assert kinect.firmware == (1, 6, 102)
 
 

@@ -4,7 +4,7 @@ import pytest
 from fusion.body import KINECT_V1
 from fusion.evaluation import baselines
 from fusion.evaluation.accuracy import accuracy
-from tests.conftest import FRAME_NS, moving
+from tests.helpers.two_views import FRAME_NS, moving
 
 DT = FRAME_NS * 1e-9
 TRACKED = np.full((150, 20), 2, dtype=np.uint8)

@@ -13,7 +13,7 @@ from fusion.calibration.calibration import (
 )
 from fusion.errors import CalibrationError
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
-from tests.conftest import A_FROM_B, FRAME_NS, moving, pair_of, standing
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing
 
 
 def pairs_of(truth: np.ndarray, body: Body = KINECT_V1) -> list[SkeletonPair]:

@@ -16,7 +16,8 @@ from devices.azure.kinect import KinectSensor
 from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings
 from devices.azure.tracking.body_tracker import TrackedBodies
 from devices.live.frame_decimation import FrameDecimation
-from devices.live.stream_pairing import LivePair, LivePairing
+from devices.live.stream_pairing import LivePairing
+from devices.pairing import FramePair
 from tests.helpers.standin_camera import DEPTH_LATENCY_NS, Device, VirtualTime
 from tests.helpers.standin_pyk4a import Bus
 
@@ -104,7 +105,7 @@ def run_slow_trackers(
     for sensor, time, takes in zip(sensors, times, tracking_ns, strict=True):
         sensor._tracker = SlowTracker(time, lambda takes=takes: takes + int(rng.integers(0, jitter_ns + 1)))  # type: ignore[assignment]
     pairing = LivePairing(round(1e9 / 30), sync_delay_ns=1000 * LASER_GAP_US if cable else None)
-    pairs: list[tuple[int, LivePair]] = []
+    pairs: list[tuple[int, FramePair]] = []
     with sensors[1], sensors[0]:
         streams = [sensor.frames() for sensor in sensors]
         arrivals: list[tuple[int, int, object]] = []

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.machine import need_compiler
+
 _SOURCE = Path(__file__).with_name("standin_k4abt.c")
 _SETTINGS = {
     "create_status": ctypes.c_int,
@@ -51,11 +53,8 @@ class Standin:
 
 @pytest.fixture(scope="session")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    compiler = shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("needs gcc to compile the stand-in for libk4abt")
     path = tmp_path_factory.mktemp("standin") / "libk4abt.so"
-    command = [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Werror", "-o", str(path), str(_SOURCE)]
+    command = [need_compiler(), "-shared", "-fPIC", "-O1", "-Wall", "-Werror", "-o", str(path), str(_SOURCE)]
     subprocess.run(command, check=True)
     return path
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devices.azure import firmware
 from devices.azure.calibration import DEPTH_MODES
 from devices.azure.recording.mkv import MkvRecording
 from tests.helpers.standin_camera import Device, Shot, refused
@@ -289,4 +290,5 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> Bus:
     """An empty bus behind a stand-in pyk4a, without libk4a: captures carry images only."""
     result = Bus(None)
     monkeypatch.setitem(sys.modules, "pyk4a", make_module(result))
+    monkeypatch.setattr(firmware, "loaded_libk4a", lambda: None)  # one that another test has loaded
     return result

@@ -23,6 +23,7 @@ import rerun as rr
 
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.reading.rrd_file import RrdFile
@@ -31,8 +32,11 @@ from recordings.session_arrays import RecordedFrame
 from recordings.testing import assert_sessions_match, record_fused
 from recordings.writing import growing_file as growing
 from recordings.writing.recorder import Recorder
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.command_line import duplex
+from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.telling_demo import telling_demo, wait_for_frames
+from tests.helpers.two_views import calibration_of
+from tests.helpers.waiting import eventually
 from viewer_app.cli import main
 from viewer_app.loop.image_thinning import without_images
 from viewer_app.sinks import compact_copy, session_file
@@ -61,9 +65,9 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def fused_frames(count: int, depth: bool = False) -> tuple[Fuser, list[RecordedFrame]]:
-    fuser = Fuser(calibration_of(KINECT_V1))
+    fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     pairs = frame_pairs(KINECT_V1, count, no_b=(5,), depth=depth)
-    return Fuser(calibration_of(KINECT_V1)), [
+    return Fuser(FusionSetup(calibration_of(KINECT_V1))), [
         RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs
     ]
 
@@ -73,29 +77,11 @@ def growing_file(path: Path, fuser: Fuser, **options: object) -> SessionFile:
     file = SessionFile(
         path,
         lambda: rr.RecordingStream(layout.APPLICATION_ID, recording_id=identity),
-        lambda stream: Recorder(stream, fuser, ("a", "b"), depth_every=1),
+        lambda stream: Recorder(stream, fuser.setup, ("a", "b"), depth_every=1),
         **options,  # type: ignore[arg-type]
     )
     _MADE.append(file)
     return file
-
-
-def eventually(true: Callable[[], bool], within: float = 20.0) -> bool:
-    deadline = time.monotonic() + within
-    while not true():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.02)
-    return True
-
-
-def duplex(*arguments: object) -> int:
-    """The exit code of a command run in this process."""
-    try:
-        main([str(argument) for argument in arguments])
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
 
 
 def times_of(path: Path, entity: str) -> dict[int, int]:

@@ -8,13 +8,14 @@ import pytest
 from numpy.typing import NDArray
 
 from fusion.body import KINECT_V1
-from fusion.fuser import FuserSettings
+from fusion.setup import FuserSettings
 from recordings.errors import RecordingError
 from recordings.session import Session
 from recordings.session_comparison import Comparison, jitter_of
 from recordings.testing import FusedRun, fused_run
 from recordings.writing.rewritten_session import rewrite
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 
 __all__ = ["fused_run"]  # a fixture
 

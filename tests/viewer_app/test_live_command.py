@@ -25,15 +25,16 @@ from devices.live.stream_pairing import LivePairing
 from devices.pairing import Pairing
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
 from recordings.calibration_file import calibration_to_json
 from recordings.reading.rrd_file import read_columns
 from recordings.session import Session
-from tests.devices.test_azure_checks import furnish, plug_in
+from tests.helpers.command_line import duplex
 from tests.helpers.session_text import events_of, rows_of
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import JPEG, Bus, Device, make_module
-from viewer_app.cli import main
+from tests.helpers.usb_tree import furnish, plug_in
 from viewer_app.commands import live as live_command
 from viewer_app.commands.live import two_kinects
 from viewer_app.options import LiveOptions
@@ -42,15 +43,6 @@ from viewer_app.report.figures import report as report_of
 from viewer_app.viewer import display
 
 FRAME_S = 1 / 30
-
-
-def duplex(*arguments: object) -> int:
-    """The exit code of a command run in this process."""
-    try:
-        main([str(argument) for argument in arguments])
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
 
 
 @pytest.fixture
@@ -67,7 +59,9 @@ def kinects(standin: Standin, monkeypatch: pytest.MonkeyPatch) -> Bus:
         return [UsbKinect(device.serial, Path("usb"), True, 5000) for device in bus.plugged()]
 
     monkeypatch.setattr(pyk4a_access, "usb_kinects", on_usb)
-    Fuser(nominal_calibration(AZURE_KINECT)).warm_up()  # compiling takes longer than these sessions
+    Fuser(
+        FusionSetup(nominal_calibration(AZURE_KINECT))
+    ).warm_up()  # compiling takes longer than these sessions
     return bus
 
 

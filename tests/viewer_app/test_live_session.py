@@ -11,73 +11,26 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import psutil
 import pytest
 import rerun as rr
 
-from devices.pairing import FramePair
-from devices.sensor import SensorFrame
-from fusion.body import KINECT_V2
-from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
 from recordings import layout
-from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder
-from tests.conftest import A_FROM_B, FRAME_NS, pair_of, standing
-from tests.helpers.pictures import eventually, headless_viewer
-from viewer_app.loop.fusing import fuse_one
-from viewer_app.sinks.live_session import LiveSession, Viewing
+from tests.helpers.live_frames import frames, numbers_in, session
+from tests.helpers.machine import need_viewer
+from tests.helpers.pictures import headless_viewer
+from tests.helpers.waiting import eventually
 from viewer_app.sinks.session_file import SessionFile
 from viewer_app.sinks.viewer_feed import Note, ViewerFeed
-from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.rerun_process import Hub, stop
 
-BODY = KINECT_V2
 STUCK = [sys.executable, "-c", "import time; time.sleep(600)"]
 """A process that never reads: a frozen viewer."""
 HUNGRY = [sys.executable, "-c", "import sys; print(len(sys.stdin.buffer.read()))"]
 """A process that reads all, and says at the end how much that was."""
-
-
-@pytest.fixture
-def fuser() -> Fuser:
-    return Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
-
-
-def frames(fuser: Fuser, count: int, depth: bool = False) -> list[RecordedFrame]:
-    image = np.random.default_rng(0).integers(0, 4000, (424, 512)).astype(np.uint16) if depth else None
-    made = []
-    for k in range(count):
-        at = standing(BODY) + [0.1 * np.sin(k / 10), 0.0, 0.0]
-        seen = pair_of(BODY, at, k * FRAME_NS)
-        assert seen.a is not None
-        assert seen.b is not None
-        pair = FramePair(
-            SensorFrame(k * FRAME_NS, {"1": seen.a}, image),
-            SensorFrame(k * FRAME_NS, {"1": seen.b}, image),
-            "1",
-            "1",
-            k * FRAME_NS,
-        )
-        made.append(fuse_one(fuser, pair))
-    return made
-
-
-def session(
-    fuser: Fuser, file: Path | None = None, hub: Hub | None = None, window: bool = False
-) -> LiveSession:
-    viewing = Viewing(window=window, hub=hub, headless=True)
-    blueprint = session_blueprint(fuser, np.array([0.0, 0.0, 2.6]), "inspect")
-    return LiveSession(fuser, ("a", "b"), blueprint, file=file, viewing=viewing)
-
-
-def numbers_in(file: Path) -> list[int]:
-    """The numbers of the frames that a session's file holds."""
-    read = Session.open(file)
-    assert read.damage is None
-    return [int(number) for number in read.rows.frame]
 
 
 def feed_into(command: list[str], fuser: Fuser, **options: object) -> ViewerFeed:
@@ -86,7 +39,7 @@ def feed_into(command: list[str], fuser: Fuser, **options: object) -> ViewerFeed
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, bufsize=0, start_new_session=True
         ),
         rr.RecordingStream("test"),
-        lambda stream: Recorder(stream, fuser, ("a", "b")),
+        lambda stream: Recorder(stream, fuser.setup, ("a", "b")),
         **options,  # type: ignore[arg-type]
     )
 
@@ -193,7 +146,7 @@ def test_a_complete_feed_passes_every_frame_on(fuser: Fuser) -> None:
     feed = ViewerFeed(
         lambda: subprocess.Popen(HUNGRY, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0),
         rr.RecordingStream("test"),
-        lambda stream: Spy(stream, fuser, ("a", "b")),
+        lambda stream: Spy(stream, fuser.setup, ("a", "b")),
         keep=None,
         restart=False,
     )
@@ -223,7 +176,7 @@ def test_a_disk_that_stands_still_costs_images_first(
     file = SessionFile(
         tmp_path / "s.rrd",
         lambda: rr.RecordingStream("test"),
-        lambda stream: Recorder(stream, fuser, ("a", "b")),
+        lambda stream: Recorder(stream, fuser.setup, ("a", "b")),
     )
     made = frames(fuser, 70, depth=True)
     for number in range(2000):
@@ -246,8 +199,7 @@ def test_the_viewer_gets_images_at_a_capped_rate(fuser: Fuser) -> None:
 
 
 def test_a_viewer_killed_again_and_again_loses_no_frame_of_the_file(fuser: Fuser, tmp_path: Path) -> None:
-    with headless_viewer():
-        pass  # skips where there is none
+    need_viewer()
     out = tmp_path / "s.rrd"
     made = frames(fuser, 600)
     hub = Hub.on_free_ports(web=False)

@@ -1,7 +1,6 @@
 """The page of ``duplex review``, in a real browser where there is one."""
 
 import re
-import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -10,8 +9,10 @@ import pytest
 
 from fusion.body import KINECT_V2
 from recordings.testing import FusedRun, fused_run
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
-from tests.viewer_app.test_fuse_command import duplex
+from tests.helpers.command_line import duplex
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.machine import need_browser
+from tests.helpers.two_views import calibration_of
 from viewer_app.report.review_page import _without_folders
 from viewer_app.report.svg_plots import _columns_of_time, _figure, _legend
 
@@ -88,9 +89,7 @@ def test_the_page_stands_alone(page: Path) -> None:
 
 def test_a_browser_shows_it_light_and_dark_without_network(page: Path) -> None:
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    if chromium is None:
-        pytest.skip("no Chromium on this machine")
+    chromium = need_browser()
     with playwright.sync_playwright() as p:
         browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         try:

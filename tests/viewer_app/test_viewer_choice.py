@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from urllib.request import urlopen
 
 import cv2
@@ -17,15 +16,15 @@ from rich.console import Console
 
 from fusion.fuser import Fuser
 from recordings import layout
-from tests.helpers.pictures import eventually, pixels_near
-from tests.viewer_app.test_live_session import frames, fuser, session
+from tests.helpers.live_frames import frames, session
+from tests.helpers.machine import need_browser, need_viewer
+from tests.helpers.pictures import pixels_near
+from tests.helpers.waiting import eventually
 from viewer_app.errors import UsageError
 from viewer_app.sinks.live_session import LiveSession, Viewing
 from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
 from viewer_app.viewer.viewer_choice import announce, choose_viewing
 
-__all__ = ["fuser"]
-CHROMIUM = Path("/usr/bin/chromium")
 _DRAWN_WITHIN = 60.0
 
 
@@ -51,10 +50,8 @@ def test_hub_page_and_window_listen_on_loopback_only(served: LiveSession) -> Non
 
 
 def test_a_viewer_that_we_start_listens_on_loopback_only() -> None:
-    try:
-        viewer, _ = start_viewer(["--headless"])
-    except UsageError:
-        pytest.skip("no headless viewer here; it needs a Vulkan driver (Debian: mesa-vulkan-drivers)")
+    need_viewer()
+    viewer, _ = start_viewer(["--headless"])
     try:
         assert listening(viewer.pid) == {"127.0.0.1"}
     finally:
@@ -122,14 +119,13 @@ def test_options_that_contradict_are_one_line(
 def browser() -> Iterator[object]:
     """Debian's Chromium without a screen, drawing on the CPU."""
     playwright = pytest.importorskip("playwright.sync_api", reason="the dev extra has playwright")
-    if not CHROMIUM.exists():
-        pytest.skip(f"no {CHROMIUM}; Debian: chromium")
+    program = need_browser()
     with playwright.sync_playwright() as started:
         flags = (
             "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader "
             "--ignore-gpu-blocklist"
         )
-        chromium = started.chromium.launch(executable_path=str(CHROMIUM), args=flags.split())
+        chromium = started.chromium.launch(executable_path=program, args=flags.split())
         try:
             yield chromium.new_context(viewport={"width": 900, "height": 600})
         finally:
