@@ -90,10 +90,7 @@ def _methods(options: BenchAccuracyOptions) -> list[str]:
 def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[str, Any]:
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     trials = [
-        Trial(motion, angle, seed)
-        for motion in options.motions
-        for angle in options.angles
-        for seed in seeds
+        Trial(motion, angle, seed) for motion in options.motions for angle in options.angles for seed in seeds
     ]
     simulation = Simulation(options.body, options.seconds, options.errors, options.tracker_errors)
     # a process takes seconds to start: not more than one for every four trials
@@ -108,8 +105,8 @@ def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[st
     harsher += ", heavy-tailed tracker errors" if options.tracker_errors == "heavy-tailed" else ""
     console.print(
         f"{options.body}: {len(options.motions)} movements × {len(options.angles)} angles × "
-        f"{options.seeds} seeds ({seeds[0]}–{seeds[-1]}){harsher}, {options.seconds:g} s each, measured after "
-        "the start-up pose.",
+        f"{options.seeds} seeds ({seeds[0]}–{seeds[-1]}){harsher}, {options.seconds:g} s each, measured "
+        "after the start-up pose.",
         highlight=False,
     )
     for table in (
@@ -150,7 +147,9 @@ def _compare_with_real(console: Console, options: BenchAccuracyOptions) -> dict[
             real = None
             if folder is not None and name != "azure_squat":  # of which no recording is at hand
                 real = statistics(*_views(folder / "a.csv", folder / "b.csv"))
-            simulated = simulated_statistics(setting, range(options.first_seed, options.first_seed + options.seeds))
+            simulated = simulated_statistics(
+                setting, range(options.first_seed, options.first_seed + options.seeds)
+            )
             if real is not None:
                 compared[name] = figures(real, simulated, standing=setting.motion == "still")
             compared[f"{name}, published"] = published_figures(name, simulated)

@@ -177,9 +177,11 @@ METHODS: tuple[Method, ...] = (
     Method("published", "method", fused(replace(DEFAULT, solver="paper"))),
     Method("paper", "method", fused(DEFAULT)),
 )
-"""In the order of the tables. ``start-up`` and ``refined`` name the registration, which is held fixed: the
-start-up pose's, or a robust fit over the whole recording. ``oracle`` is the better view of every joint in every
-frame. ``published`` is eqs. (3)–(11) as published; ``paper`` has the paper's weights and exact bones."""
+"""In the order of the tables.
+
+``start-up`` and ``refined`` name the registration, which is held fixed: the start-up pose's, or a robust fit
+over the whole recording. ``oracle`` is the better view of every joint in every frame. ``published`` is
+eqs. (3)–(11) as published; ``paper`` has the paper's weights and exact bones."""
 
 OURS = "paper"
 """The method that the tables compare the others with: the default."""

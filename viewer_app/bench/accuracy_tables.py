@@ -44,7 +44,7 @@ def methods_of(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def rivals_of(outcomes: Sequence[Outcome]) -> list[str]:
-    """The methods that ours competes with: not itself, no ablation of it, and no bound that uses the truth."""
+    """The methods that ours competes with: no ablation of it, and no bound that uses the truth."""
     return [m for m in methods_of(outcomes) if m != OURS and _KINDS[m] not in ("bound", "ablation")]
 
 

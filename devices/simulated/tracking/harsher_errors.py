@@ -7,6 +7,7 @@ A method that was developed on the simulator must hold on these, too. ``duplex b
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,9 @@ SIZES = frozenset(
     {"view_bias", "skin", "inferred_error", "outlier_size", "rescale", "jitter", "moving_jitter", "tail"}
 )
 """Knobs that say how large an error is: multiplied."""
-SHARES = frozenset({"unsure", "not_tracked", "mistracked", "snap", "stretch", "outliers", "swapped", "stale", "lost"})
+SHARES = frozenset(
+    {"unsure", "not_tracked", "mistracked", "snap", "stretch", "outliers", "swapped", "stale", "lost"}
+)
 """Knobs that say how often an error occurs: multiplied, up to LARGEST_SHARE (never above what they were)."""
 SHAPES = frozenset({
     "seen_share", "inferred_jitter", "jitter_memory", "rescale_seconds", "swap_seconds", "lost_seconds",
@@ -33,24 +36,22 @@ def scaled(errors: TrackerErrors, factor: float) -> TrackerErrors:
         errors: Of a tracker.
         factor: 1 changes nothing.
     """
-    return replace(
-        errors,
-        **{
-            knob.name: _times(getattr(errors, knob.name), factor, share=knob.name in SHARES)
-            for knob in fields(TrackerErrors)
-            if knob.name in SIZES | SHARES
-        },
-    )
+    larger: dict[str, Any] = {
+        knob.name: _times(getattr(errors, knob.name), factor, share=knob.name in SHARES)
+        for knob in fields(TrackerErrors)
+        if knob.name in SIZES | SHARES
+    }
+    return replace(errors, **larger)
 
 
 def heavy_tailed(errors: TrackerErrors) -> TrackerErrors:
     """Another tracker's errors: trunk and legs calm and good to 1–2 cm, hands at times off by half a metre.
 
-    The sizes follow one Kinect v2 view against optical motion capture (59 recordings of a seated person, each
-    joint's constant offset removed; median / 90 % / 99 % in mm over three exercises): spine base 13–24 / 30–70 /
-    51–97, head 12–31 / 33–245 / 69–273, knee 5–15 / 16–33 / 21–55, hands 18–38 / 84–775 / 279–1139; jitter of
-    trunk and legs 0.2–0.6, of hands 2.3. Elbows and wrists are interpolated between shoulder and hand: an
-    assumption. What happens to hidden joints, turned backs and lost persons stays as in ``errors``.
+    The sizes follow one Kinect v2 view against optical motion capture: 59 recordings of a seated person, each
+    joint's constant offset removed. Median, 90 % and 99 % in mm, ranges over three exercises: spine base 13–24,
+    30–70, 51–97; head 12–31, 33–245, 69–273; knee 5–15, 16–33, 21–55; hands 18–38, 84–775, 279–1139. Jitter of
+    trunk and legs 0.2–0.6 mm, of hands 2.3 mm. Elbows and wrists are interpolated between shoulder and hand:
+    an assumption. What happens to hidden joints, turned backs and lost persons stays as in ``errors``.
 
     Args:
         errors: Of the tracker whose other errors are kept.

@@ -2,7 +2,8 @@
 
 The errors, in the order in which they befall a joint: a bias that depends on the view; its place under the
 skin; a guess where it is hidden, or the place of the joint that covers it (sec. 3); an outlier or a
-heavy-tailed error of its limb; the whole skeleton's scale; jitter; left taken for right when the back is turned; a frame delivered twice; a person lost.
+heavy-tailed error of its limb; the whole skeleton's scale; jitter; left taken for right when the back is
+turned; a frame delivered twice; a person lost.
 """
 
 from __future__ import annotations
