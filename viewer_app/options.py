@@ -318,6 +318,20 @@ class ExportOptions:
 
 
 @dataclass(frozen=True)
+class BenchRealOptions:
+    """Judge S* on recordings of real sensors, without truth: calm, jumps, facing, registration, faults."""
+
+    paths: Positional[tuple[Path, ...]]
+    """Folders with a.csv and b.csv each, or two recordings."""
+    no_faults: bool = False
+    """Leave out the artificial faults, which take most of the time."""
+    json: Path | None = None
+    """Write all figures as JSON, in SI units."""
+    force: bool = False
+    """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
 class BenchSpeedOptions:
     """What a frame costs on this machine: solvers side by side, the update by stages, batch and writing."""
 

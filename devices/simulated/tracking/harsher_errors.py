@@ -48,10 +48,10 @@ def heavy_tailed(errors: TrackerErrors) -> TrackerErrors:
     """Another tracker's errors: trunk and legs calm and good to 1–2 cm, hands at times off by half a metre.
 
     The sizes follow one Kinect v2 view against optical motion capture: 59 recordings of a seated person, each
-    joint's constant offset removed. Median, 90 % and 99 % in mm, ranges over three exercises: spine base 13–24,
-    30–70, 51–97; head 12–31, 33–245, 69–273; knee 5–15, 16–33, 21–55; hands 18–38, 84–775, 279–1139. Jitter of
-    trunk and legs 0.2–0.6 mm, of hands 2.3 mm. Elbows and wrists are interpolated between shoulder and hand:
-    an assumption. What happens to hidden joints, turned backs and lost persons stays as in ``errors``.
+    joint's constant offset removed. Median, 90 % and 99 % in mm, ranges over three exercises: spine base
+    13–24, 30–70, 51–97; head 12–31, 33–245, 69–273; knee 5–15, 16–33, 21–55; hands 18–38, 84–775, 279–1139.
+    Jitter of trunk and legs 0.2–0.6 mm, of hands 2.3 mm. Elbows and wrists are interpolated between shoulder
+    and hand: an assumption. What happens to hidden joints, turned backs and lost persons stays as it was.
 
     Args:
         errors: Of the tracker whose other errors are kept.
