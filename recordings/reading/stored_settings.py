@@ -11,10 +11,10 @@ import numpy as np
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
-from fusion.fuser import FuserSettings
 from fusion.intrinsics import Intrinsics
 from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.reading.rrd_file import Columns

@@ -19,8 +19,9 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.evaluation import baselines
 from fusion.evaluation.fixed_registration import fit_recording
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
 from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings, FusionSetup
 
 Array = NDArray[np.float64]
 Kind = Literal["view", "baseline", "bound", "method", "ablation"]
@@ -118,7 +119,7 @@ def fused(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
     """Our program with these settings, pair by pair."""
 
     def find(recording: RecordedPair) -> Found:
-        fuser = Fuser(recording.calibration, settings)
+        fuser = Fuser(FusionSetup(recording.calibration, settings))
         fuser.warm_up()
         frames, cost = [], []
         for pair in recording.pairs:

@@ -18,7 +18,8 @@ from fusion.calibration.calibration import calibrate, find_start_up_pose
 from fusion.errors import FusionError
 from fusion.evaluation.faults import FAULTS, Fault, share_of_fault, with_fault
 from fusion.evaluation.without_truth import FusedPair, figures_without_truth, judge_registration
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 from viewer_app.bench.real_tables import real_tables
 from viewer_app.errors import UsageError
@@ -125,7 +126,7 @@ def measure(body: Body, skeletons: Sequence[SkeletonPair], *, faults: bool) -> d
 def fuse_pair(body: Body, skeletons: Sequence[SkeletonPair]) -> FusedPair:
     """What the program makes of a recording with its default settings."""
     calibration = calibrate(body, *find_start_up_pose(body, skeletons))
-    frames = Fuser(calibration, FuserSettings()).fuse_sequence(skeletons)
+    frames = Fuser(FusionSetup(calibration)).fuse_sequence(skeletons)
     nowhere = np.full((len(body), 3), np.nan)
 
     def positions(side: str) -> NDArray[np.float64]:

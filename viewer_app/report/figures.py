@@ -17,7 +17,7 @@ from rich.table import Table
 
 from devices.pairing import Pairing
 from fusion.calibration.calibration import Calibration
-from fusion.fuser import FuserSettings
+from fusion.setup import FuserSettings
 from fusion.solvers.solver import MAX_ITERATIONS
 from recordings.session_arrays import SessionArrays
 
