@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from recordings import layout
 from recordings.session import Session
-from recordings.session_comparison import jitter_of
+from recordings.session_comparison import frame_noise_of
 from viewer_app.report.figures import calibration_in_words
+from viewer_app.report.numbers_in_words import in_mm
 from viewer_app.report.svg_plots import bar_plot, line_plot, trust_map
-
-_LIMBS = ("upper_arm", "forearm", "thigh", "shin")  # of the paper's fig. 5
 
 _STYLE = """
 :root { color-scheme: light dark; --text: #1d1d1f; --quiet: #6e6e73; --page: #ffffff; --line: #d2d2d7; }
@@ -84,9 +84,9 @@ def _verdict(session: Session, figures: dict[str, Any]) -> str:
     return (
         f"{damage}<p>{len(session)} frames in {seconds:.1f} s, {escape(session.body.name)}; "
         f"{escape(settings)}. A: {escape(source_a)}. B: {escape(source_b)}.</p>"
-        f"<p>Largest bone error: S_A {_mm(figures['bone_error_mm']['a']['max'])}, "
-        f"S_B {_mm(figures['bone_error_mm']['b']['max'])}, "
-        f"<strong>S* {_mm(figures['bone_error_mm']['fused']['max'])}</strong>. "
+        f"<p>Largest bone error: S_A {in_mm(figures['bone_error_mm']['a']['max'])}, "
+        f"S_B {in_mm(figures['bone_error_mm']['b']['max'])}, "
+        f"<strong>S* {in_mm(figures['bone_error_mm']['fused']['max'])}</strong>. "
         f"Frames without a person: A {figures['without_person']['a']}, B {figures['without_person']['b']}, "
         f"both {figures['without_person']['both']}.</p>"
     )
@@ -102,7 +102,7 @@ def _bones(session: Session) -> str:
     rows = session.rows
     time, lengths = rows.time_ns * 1e-9, rows.bone_length_of_each
     plots = []
-    for limb in _LIMBS:
+    for limb in layout.PROMINENT_BONES:
         for side in ("left", "right"):
             bone = f"{limb}_{side}"
             if bone not in session.body.bones:
@@ -136,9 +136,9 @@ def _bone_table(figures: dict[str, Any]) -> str:
 def _jitter(session: Session) -> str:
     rows = session.rows
     jitter = {
-        "S_A": (jitter_of(rows.positions_a.astype(np.float64), rows.frame) * 1e3, "a"),
-        "S_B": (jitter_of(rows.positions_b.astype(np.float64), rows.frame) * 1e3, "b"),
-        "S*": (jitter_of(rows.fused, rows.frame) * 1e3, "fused"),
+        "S_A": (frame_noise_of(rows.positions_a.astype(np.float64), rows.frame) * 1e3, "a"),
+        "S_B": (frame_noise_of(rows.positions_b.astype(np.float64), rows.frame) * 1e3, "b"),
+        "S*": (frame_noise_of(rows.fused, rows.frame) * 1e3, "fused"),
     }
     note = "The median second difference over √6: the noise of one frame, where movement is slow."
     return f'<p class="note">{note}</p>' + bar_plot("mm", session.body.joints, jitter)
@@ -161,7 +161,7 @@ def _disagreement(session: Session, figures: dict[str, Any]) -> str:
         {"median joint": (session.rows.disagreement * 1e3, "fused")},
         wide=True,
     )
-    return f"<p>Median {_mm(of['median'])}, 95 % {_mm(of['p95'])}.</p>{plot}"
+    return f"<p>Median {in_mm(of['median'])}, 95 % {in_mm(of['p95'])}.</p>{plot}"
 
 
 def _timing(session: Session, figures: dict[str, Any]) -> str:
@@ -199,9 +199,3 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "numb
 
     lines = line(head, "th") + "".join(line(row, "td") for row in rows)
     return f'<div class="scroll"><table class="{kind}">{lines}</table></div>'
-
-
-def _mm(value: float | None) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.0f} mm" if value >= 10.0 else f"{value:.2g} mm"
