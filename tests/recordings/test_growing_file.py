@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
-import resource
 import shutil
 import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -170,11 +168,11 @@ def test_images_are_written_as_they_come_and_skeletons_in_blocks(
 
 
 def test_the_file_waits_for_who_goes_first(tmp_path: Path) -> None:
-    over = threading.Event()
+    asked, over = threading.Event(), threading.Event()
     fuser, frames = fused_frames(3)
-    file = growing_file(tmp_path / "s.rrd", fuser, turn=lambda seconds: over.wait(5.0))
+    file = growing_file(tmp_path / "s.rrd", fuser, turn=lambda seconds: (asked.set(), over.wait(5.0)))
     file.write(frames[0])
-    time.sleep(0.2)
+    assert asked.wait(5.0)
     assert file.waiting == 1
     over.set()
     assert eventually(lambda: file.saved == 1)
@@ -334,6 +332,7 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
 
 
 def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource", reason="only POSIX limits the size of a process's files")
     path, limit = tmp_path / "s.rrd", 850_000  # what is static, and some seconds
     arguments = ("--seconds", "10", "--depth", "none", "--no-viewer", "--save", str(path))
     done = subprocess.run(

@@ -133,7 +133,7 @@ def test_paced_sensors_begin_together() -> None:
     first, second = paced_together(a, b)
     threads = [threading.Thread(target=read, args=(sensor,)) for sensor in (first, second)]
     threads[0].start()
-    time.sleep(0.4)  # the one thread comes later
+    time.sleep(0.4)  # the stimulus: without a common beat the sensors would stay this far apart
     threads[1].start()
     for thread in threads:
         thread.join()
