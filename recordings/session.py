@@ -33,10 +33,10 @@ from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton
 from recordings import layout
 from recordings.errors import RecordingError
+from recordings.events import Event, Spell, spells_of
 from recordings.reading.rrd_file import read_columns
 from recordings.reading.stored_frames import frames_of
 from recordings.reading.stored_settings import (
-    Event,
     calibrations_of,
     camera_of,
     checked_properties,
@@ -287,6 +287,11 @@ class Session:
         if len(self) < 2:
             return 30.0
         return float(1e9 / np.median(np.diff(self.rows.time_ns)))
+
+    @property
+    def spells(self) -> list[Spell]:
+        """What lasted: from the event that began it to the one that ended it."""
+        return spells_of(self.events)
 
     @property
     def whereabouts(self) -> NDArray[np.float64]:

@@ -21,7 +21,7 @@ from devices.pairing import FramePair
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
-from recordings.reading.stored_settings import Event
+from recordings.events import Event
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 from recordings.session_images import PairImages

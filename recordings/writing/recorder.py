@@ -19,6 +19,7 @@ from recordings import layout
 from recordings.appearance import entity_styles as appearance
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.joint_trust import StateLanes, TrustMatrix, matrix_frame
+from recordings.events import Phase
 from recordings.images.color_images import ColorLog
 from recordings.images.depth_points import prepare_points, thin_points
 from recordings.images.rvl import MEDIA_TYPE, encode_depth
@@ -174,18 +175,27 @@ class Recorder:
         self._set_time(frame, time_ns)
         self._color.record(side, frame, color)
 
-    def event(self, text: str, level: str = "INFO", at: tuple[int, int] | None = None) -> None:
+    def event(
+        self,
+        text: str,
+        level: str = "INFO",
+        topic: str = "",
+        phase: Phase = "moment",
+        at: tuple[int, int] | None = None,
+    ) -> None:
         """Logs what happened, at the time of the last frame.
 
         Args:
             text: What.
             level: How bad: INFO, WARN or ERROR.
+            topic, phase: Of a spell that begins or ends; see :class:`recordings.events.Event`.
             at: Number and time (ns since the first pair) of the frame meant, where it is not the last.
         """
         at = at or self._last or (self._frames, 0)
         self._set_time(*at)
-        check = event_checksum(at, text, level)
-        self._stream.log(layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=check))
+        spell: dict[str, Any] = {} if phase == "moment" else {"topic": topic, "phase": phase}
+        check = event_checksum(at, text, level, *spell.values())
+        self._stream.log(layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=check, **spell))
 
     def coach(self, page: CoachPage) -> None:
         """Logs what to do next, at the time of the last frame."""

@@ -13,7 +13,7 @@ from rich.progress import track
 
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.reading.stored_settings import Event
+from recordings.events import Event
 from recordings.session import Session
 from recordings.session_images import NO_IMAGES
 from recordings.writing.checksums import fused_checksums, joint_digests

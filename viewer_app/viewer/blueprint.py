@@ -23,7 +23,6 @@ from recordings.appearance import entity_styles as appearance
 Layout = Literal["setup", "inspect", "report"]
 LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report")
 
-_LIMBS = ("upper_arm", "forearm", "thigh", "shin")  # of the paper's fig. 5
 _FIGURES = (
     ("disagreement_mm", "S_A against S_B (mm)"),
     ("bone_error_mm", "S* bone error (mm)"),
@@ -140,7 +139,7 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool) -> 
     away = person_at - 0.5 * _place_of_b(setup, person_at)
     away /= max(float(np.linalg.norm(away)), 1e-6)
     behind = person_at + _BEHIND * away - np.array([0.0, _ABOVE, 0.0])
-    limbs = [f"{bone}_{side}" for bone in _LIMBS for side in ("left", "right")]
+    limbs = [f"{bone}_{side}" for bone in layout.PROMINENT_BONES for side in ("left", "right")]
     prominent = [body.joints[body.joint(name)] for name in layout.PROMINENT_JOINTS]
     disagreement, *others = (_plot(*figure) for figure in _FIGURES)
     trust_lines = rrb.TimeSeriesView(
