@@ -57,10 +57,10 @@ def _trust(model, states, i, j, k):  # type: ignore[no-untyped-def]
 @inner_kernel
 def _axis(model, state, view, girdle, states, up):  # type: ignore[no-untyped-def]
     """l × u, and how much it is worth: the square of its share of the body's width, at most 1."""
-    l, axis = state.spans[view, girdle], state.axes[view, girdle]
-    axis[0] = l[1] * up[2] - l[2] * up[1]
-    axis[1] = l[2] * up[0] - l[0] * up[2]
-    axis[2] = l[0] * up[1] - l[1] * up[0]
+    span, axis = state.spans[view, girdle], state.axes[view, girdle]
+    axis[0] = span[1] * up[2] - span[2] * up[1]
+    axis[1] = span[2] * up[0] - span[0] * up[2]
+    axis[2] = span[0] * up[1] - span[1] * up[0]
     width = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
     state.axis_trust[view, girdle] = 0.0
     if math.isfinite(width) and width > 1e-3:

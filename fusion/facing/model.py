@@ -17,8 +17,8 @@ TAPS = 6
 ARMS, LEGS, WHOLE = 1, 2, 3
 """Exchange codes: a bit for the arms, a bit for the legs, both for the whole body."""
 TRUNK = 4
-"""Added to a code where the trunk does not go with it: LEGS + TRUNK exchanges legs and trunk, WHOLE + TRUNK arms
-and legs without the trunk. The trunk is shoulders, hips and face."""
+"""Added to a code where the trunk does not go with it: LEGS + TRUNK exchanges legs and trunk,
+WHOLE + TRUNK arms and legs without the trunk. The trunk is shoulders, hips and face."""
 SHOULDER, HIP, ELBOW, WRIST, KNEE, ANKLE = range(6)
 """The pairs of joints that evidence comes from, as rows of ``FacingModel.pairs``."""
 
