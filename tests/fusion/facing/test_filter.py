@@ -23,10 +23,8 @@ FRAME = 1.0 / 30.0
 def step(
     model, state: FacingState, views: Views, k: int, up: Floats = UP, stale: tuple = (False, False)
 ) -> None:
-    update_facing(
-        model, state, FRAME, views.a[k], views.states_a[k], views.b_in_a[k], views.states_b[k], views.sensor_b, up,
-        *stale,
-    )  # fmt: skip
+    given = views.a[k], views.states_a[k], views.b_in_a[k], views.states_b[k], views.sensor_b
+    update_facing(model, state, FRAME, *given, up, *stale)
 
 
 def table(values: tuple, cosine: Floats) -> Floats:
@@ -40,15 +38,15 @@ def off_line(at: Floats, i: int, j: int, k: int) -> Floats:
 
 
 def reference_likelihood(c: FacingConstants, views: Views, k: int, state: FacingState) -> Floats:
-    """(N, 2, 2) the equations of ``whole_body.py`` with −y up, every joint tracked; speeds as in the state."""
+    """(N, 2, 2) the equations of ``whole_body.py``: −y is up, all is tracked; speeds are the state's."""
     body = views.body
     angles = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
     front = np.stack((np.cos(angles), 0.0 * angles, np.sin(angles)), axis=1)
     speed = np.linalg.norm(state.velocity)
     common = c.motion_weight * min(speed, c.motion_cap) ** 2 * (front @ state.velocity) / speed
     axis = []
-    root = np.mean([x[k][[body.joint(n + s) for n in ("Shoulder", "Hip") for s in ("Left", "Right")]].mean(axis=0)
-                    for x in (views.a, views.b_in_a)], axis=0)  # fmt: skip
+    trunk = [body.joint(n + side) for n in ("Shoulder", "Hip") for side in ("Left", "Right")]
+    root = 0.5 * (views.a[k] + views.b_in_a[k])[trunk].mean(axis=0)
     for view, at, sensor in ((0, views.a[k], np.zeros(3)), (1, views.b_in_a[k], views.sensor_b)):
         toward = (sensor - root) * (1.0, 0.0, 1.0)
         cosine = front @ toward / np.linalg.norm(toward)
@@ -165,8 +163,8 @@ def test_live_and_sequence_agree_bit_for_bit_and_repeat() -> None:
     seconds = np.diff(views.time_ns, prepend=views.time_ns[0]) * 1e-9
     stale = [np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=(1, 2))] for x in (views.a, views.b_in_a)]
     for k in range(len(seconds)):
-        update_facing(model, state, seconds[k], views.a[k], views.states_a[k], views.b_in_a[k], views.states_b[k],
-                      views.sensor_b, UP, stale[0][k], stale[1][k])  # fmt: skip
+        given = views.a[k], views.states_a[k], views.b_in_a[k], views.states_b[k], views.sensor_b
+        update_facing(model, state, seconds[k], *given, UP, stale[0][k], stale[1][k])
         np.testing.assert_array_equal(state.codes, one.codes[k])
         np.testing.assert_array_equal(state.facing, one.facing[k])
         np.testing.assert_array_equal(state.probability, one.probability[k])
@@ -222,7 +220,7 @@ def exchanged(views: Views, which: tuple[bool, bool], first: int, last: int, par
 ALL = "left right"
 
 
-@pytest.mark.parametrize("motion", ["arms", "boxing", "squat"])
+@pytest.mark.parametrize("motion", ["arms", "boxing"])
 @pytest.mark.parametrize("which", [(True, False), (False, True)])
 def test_a_view_exchanged_at_once_is_known_in_the_same_frame(motion: str, which: tuple[bool, bool]) -> None:
     views = exchanged(simulated_views(motion, tracker="right"), which, 300, 320, ALL)
@@ -264,19 +262,24 @@ def test_nobody_is_relabelled_who_faces_the_sensors() -> None:
             assert (labels.codes[5:] > 0).mean() <= 0.02, (motion, body)
 
 
+TURNED_BACKS = [
+    ("walk", 45.0), ("walk", 90.0), ("turn", 90.0), ("turn", 135.0), ("squat@180", 90.0), ("bow@180", 90.0),
+    ("backwards", 90.0), ("arms@120", 90.0),
+]  # fmt: skip
+
+
 @pytest.mark.parametrize("body", ["kinect_v2", "azure_kinect"])
-@pytest.mark.parametrize(
-    ("motion", "angle"),
-    [("walk", 45.0), ("walk", 90.0), ("turn", 90.0), ("turn", 135.0), ("squat@180", 90.0), ("bow@180", 90.0),
-     ("backwards", 90.0), ("arms@120", 90.0)],
-)  # fmt: skip
-def test_a_fused_skeleton_keeps_its_sides(motion: str, angle: float, body: str) -> None:
-    views = simulated_views(motion, body, angle_deg=angle)
-    before = swapped(views.body, views.a, views.truth) | swapped(views.body, views.b_in_a, views.truth)
-    assert before.mean() > 0.05
-    for smooth, most in ((False, 0.015), (True, 0.003)):
-        wrong = swapped(views.body, views.fused(views.relabel(smooth=smooth)), views.truth)[60:]
-        assert wrong.mean() <= most, (smooth, np.flatnonzero(wrong))
+def test_a_fused_skeleton_keeps_its_sides(body: str) -> None:
+    found = []
+    for motion, angle in TURNED_BACKS:
+        views = simulated_views(motion, body, angle_deg=angle, seconds=16.0)
+        before = swapped(views.body, views.a, views.truth) | swapped(views.body, views.b_in_a, views.truth)
+        assert before.mean() > 0.05
+        labels = [views.relabel(smooth=smooth) for smooth in (False, True)]
+        found.append([swapped(views.body, views.fused(of), views.truth)[60:].mean() for of in labels])
+    # The goals: live and over a whole recording at most 0.3 % of the frames; no movement much worse.
+    assert np.mean(found, axis=0).max() <= 0.003, found
+    assert np.max(found) <= 0.015, found
 
 
 @pytest.mark.parametrize("motion", ["walk", "turn", "squat@180", "arms@120"])
@@ -381,8 +384,8 @@ def test_two_seconds_apart_is_someone_else() -> None:
     model, state = new_facing_model(KINECT_V2), new_facing_state(KINECT_V2)
     for k in range(100):
         step(model, state, views, k)
-    update_facing(model, state, 2.0, views.a[100], views.states_a[100], views.b_in_a[100], views.states_b[100],
-                  views.sensor_b, UP, False, False)  # fmt: skip
+    given = views.a[100], views.states_a[100], views.b_in_a[100], views.states_b[100], views.sensor_b
+    update_facing(model, state, 2.0, *given, UP, False, False)
     fresh = new_facing_state(KINECT_V2)
     step(model, fresh, views, 100)
     # The axes say it within one frame; nothing of the 100 frames before is in the prediction.
