@@ -240,6 +240,13 @@ def test_both_views_exchanged_at_once_are_found_and_let_go() -> None:
         assert not swapped(views.body, views.fused(labels), views.truth).any()
 
 
+def test_anatomy_finds_both_views_exchanged_from_the_start() -> None:
+    # No jump, and both views agree: only knees, elbows, head and motion tell.
+    views = exchanged(simulated_views("walk", tracker="right"), (True, True), 0, 150, ALL)
+    labels = views.relabel(smooth=False)
+    assert not swapped(views.body, views.fused(labels), views.truth)[120:].any()
+
+
 @pytest.mark.parametrize(("part", "bit"), [("elbow wrist hand thumb", 1), ("knee ankle foot", 2)])
 @pytest.mark.parametrize("girdle", [False, True])
 def test_arms_or_legs_alone_are_found(part: str, bit: int, girdle: bool) -> None:
@@ -322,13 +329,19 @@ def test_a_posture_that_is_held_does_not_talk_anyone_round() -> None:
     for k in range(60):
         step(model, state, views, k)
     assert (state.codes == 0).all()
-    # Ten minutes of the same posture with every cue slightly against: it repeats one error.
-    at = views.a[59].copy()
-    front = heading(views.body, views.truth[59:60])[0]
-    at[views.body.joint("Head")] -= 0.10 * front
-    for k in range(900):
+    # Three seconds of a posture whose head says the opposite, and whose knees and elbows say nothing.
+    front, body = heading(views.body, views.truth[59:60])[0], views.body
+    held = []
+    for at in (views.a[59].copy(), views.b_in_a[59].copy()):
+        at[body.joint("Head")] -= 0.10 * front
+        for first, middle, last in (("Hip", "Knee", "Ankle"), ("Shoulder", "Elbow", "Wrist")):
+            for side in ("Left", "Right"):
+                ends = at[body.joint(first + side)] + at[body.joint(last + side)]
+                at[body.joint(middle + side)] = 0.5 * ends
+        held.append(at)
+    for k in range(90):
         shake = 1e-4 * np.sin(k + np.arange(75.0)).reshape(25, 3)
-        update_facing(model, state, FRAME, at + shake, views.states_a[59], views.b_in_a[59] + shake,
+        update_facing(model, state, FRAME, held[0] + shake, views.states_a[59], held[1] + shake,
                       views.states_b[59], views.sensor_b, UP, False, False)  # fmt: skip
     assert (state.codes == 0).all()
 
