@@ -1,0 +1,98 @@
+"""Which measurements are outliers: the probability that each is none, from the prediction and the other view."""
+
+from __future__ import annotations
+
+import math
+
+from fusion.compiling.kernels import kernel
+
+_TWO_PI = 2.0 * math.pi
+
+
+@kernel
+def judge(model, state, views):  # type: ignore[no-untyped-def]
+    """The trust β of each measurement: the probability that it is no outlier, given both views.
+
+    A measurement y (less its view's offset) is the predicted x plus Gaussian noise of variance
+    S = P + fast + offset variance along each axis, or an outlier, spread evenly over a cube of side
+    ``outlier_side``. With both views there are four hypotheses. The likelihood that both are good is
+    N(y_A; x, S_A) N(y_B; x', S'), where x' and S' are predicted with y_A taken in: so two views that agree
+    with each other need not agree with the prediction. β sums the posterior over the hypotheses.
+
+    An outlier is followed by one with probability ``outlier_lasts``; β is 0 without a measurement.
+    """
+    k = model.constants
+    uniform = -3.0 * math.log(k.outlier_side)
+    for i in range(len(model.parents)):
+        has_a, has_b = views.states[0, i] != 0, views.states[1, i] != 0
+        if not state.known[i]:
+            views.trust[0, i], views.trust[1, i] = 1.0 if has_a else 0.0, 1.0 if has_b else 0.0
+            continue
+        views.trust[0, i] = views.trust[1, i] = 0.0
+        P = state.variances[i, 0]
+        if has_a and has_b:
+            a, b = prior_outlier(k, state, views, 0, i), prior_outlier(k, state, views, 1, i)
+            Sa = P + views.fast[0, i] + state.offset_variances[0, i]
+            Sb = P + views.fast[1, i] + state.offset_variances[1, i]
+            gain = P / Sa
+            Sab = P * (1.0 - gain) + views.fast[1, i] + state.offset_variances[1, i]
+            square_a = square_b = square_ab = 0.0
+            for c in range(3):
+                ea, eb = innovation(state, views, 0, i, c), innovation(state, views, 1, i, c)
+                square_a += ea * ea
+                square_b += eb * eb
+                square_ab += (eb - gain * ea) ** 2
+            good_a, good_b = normal(square_a, Sa), normal(square_b, Sb)
+            both = good_a + normal(square_ab, Sab) + math.log((1.0 - a) * (1.0 - b))
+            only_a = good_a + uniform + math.log((1.0 - a) * b)
+            only_b = good_b + uniform + math.log(a * (1.0 - b))
+            none = 2.0 * uniform + math.log(a * b)
+            top = max(max(both, only_a), max(only_b, none))
+            both, only_a = math.exp(both - top), math.exp(only_a - top)
+            only_b, none = math.exp(only_b - top), math.exp(none - top)
+            total = both + only_a + only_b + none
+            views.trust[0, i], views.trust[1, i] = (both + only_a) / total, (both + only_b) / total
+        elif has_a or has_b:
+            s = 0 if has_a else 1
+            outlier = prior_outlier(k, state, views, s, i)
+            S = P + views.fast[s, i] + state.offset_variances[s, i]
+            square = 0.0
+            for c in range(3):
+                square += innovation(state, views, s, i, c) ** 2
+            odds = uniform + math.log(outlier) - normal(square, S) - math.log(1.0 - outlier)
+            views.trust[s, i] = 1.0 / (1.0 + math.exp(min(odds, 50.0)))
+
+
+@kernel
+def innovation(state, views, v, i, c):  # type: ignore[no-untyped-def]
+    """Measured less predicted: y - x along axis c, with the view's offset taken out, at the view's own time."""
+    at_capture = state.positions[i, c] + state.velocities[i, c] * views.delays[v]
+    return views.positions[v, i, c] - state.offsets[v, i, c] - at_capture
+
+
+@kernel
+def normal(square, variance):  # type: ignore[no-untyped-def]
+    """log N(e; 0, variance I) in three dimensions, with |e|² = square."""
+    return -1.5 * math.log(_TWO_PI * variance) - 0.5 * square / variance
+
+
+@kernel
+def prior_outlier(k, state, views, v, i):  # type: ignore[no-untyped-def]
+    """Probability of an outlier before it is measured: a two-state Markov chain."""
+    rare = k.outlier if views.states[v, i] == 2 else k.inferred_outlier
+    return rare + max(k.outlier_lasts - rare, 0.0) * state.doubt[v, i]
+
+
+@kernel
+def remember_doubt(model, state, views):  # type: ignore[no-untyped-def]
+    """1 - β for the next pair; without a measurement, doubt fades towards its mean."""
+    rare = model.constants.outlier
+    for v in range(2):
+        for i in range(len(model.parents)):
+            if views.states[v, i] != 0:
+                state.doubt[v, i] = 1.0 - views.trust[v, i]
+            else:
+                state.doubt[v, i] = rare + _FADES * (state.doubt[v, i] - rare)
+
+
+_FADES = 0.9  # per pair

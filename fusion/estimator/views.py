@@ -1,0 +1,123 @@
+"""Both skeletons as measurements in K_A's frame: new ones only, re-labelled, with each view's own time."""
+
+from __future__ import annotations
+
+import math
+
+from fusion.compiling.kernels import kernel
+
+
+@kernel
+def take_views(model, state, views, skew_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+    """Carries both views to K_A's frame: p, and q' = R q + t.
+
+    A skeleton that repeats the sensor's last one is stale. It is no measurement: its states become 0.
+
+    Args:
+        model, state: Of the fuser; the state remembers what the sensors gave.
+        views: Written: positions, states, fresh, delays.
+        skew_ns: Capture time of B less that of A, which is the pair's time.
+        a, b: (J, 3) float32 metres, each in its sensor's frame; NaN where not tracked.
+        states_a, states_b: (J,) tracking states.
+
+    Returns:
+        (whether A is stale, whether B is stale).
+    """
+    R, t = model.rotation, model.translation
+    stale_a = _repeats(a, states_a, state.last_positions[0], state.last_states[0])
+    stale_b = _repeats(b, states_b, state.last_positions[1], state.last_states[1])
+    views.fresh[0], views.fresh[1] = not stale_a, not stale_b
+    views.delays[0], views.delays[1] = 0.0, 1e-9 * skew_ns
+    for i in range(len(states_a)):
+        views.states[0, i] = 0 if stale_a else states_a[i]
+        views.states[1, i] = 0 if stale_b else states_b[i]
+        x, y, z = float(b[i, 0]), float(b[i, 1]), float(b[i, 2])
+        for c in range(3):
+            views.positions[0, i, c] = a[i, c]
+            views.positions[1, i, c] = R[c, 0] * x + R[c, 1] * y + R[c, 2] * z + t[c]
+    return stale_a, stale_b
+
+
+@kernel
+def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-def]
+    """Whether a sensor's skeleton is its last one again; remembers it. No skeleton repeats nothing."""
+    same, anyone = True, False
+    for i in range(len(states)):
+        anyone = anyone or states[i] != 0
+        same = same and states[i] == last_states[i]
+        last_states[i] = states[i]
+        for c in range(3):
+            both_nan = math.isnan(positions[i, c]) and math.isnan(last[i, c])
+            same = same and (both_nan or positions[i, c] == last[i, c])
+            last[i, c] = positions[i, c]
+    return same and anyone
+
+
+@kernel
+def exchange(model, views):  # type: ignore[no-untyped-def]
+    """Exchanges left and right in each view as ``views.codes`` say: bit 0 the arms, bit 1 the legs.
+
+    A tracker that sees a person's back reports the person mirrored: the places are right, the labels are not.
+    """
+    for v in range(2):
+        code = views.codes[v]
+        if code == 0:
+            continue
+        for i in range(len(model.mirror)):
+            j = model.mirror[i]
+            if j > i and ((code & 1 and model.arms[i]) or (code & 2 and model.legs[i])):
+                views.states[v, i], views.states[v, j] = views.states[v, j], views.states[v, i]
+                for c in range(3):
+                    kept = views.positions[v, i, c]
+                    views.positions[v, i, c] = views.positions[v, j, c]
+                    views.positions[v, j, c] = kept
+
+
+@kernel
+def rescale(model, state, views, dt):  # type: ignore[no-untyped-def]
+    """Estimates by how much each view's skeleton is too large, and takes it out about its root.
+
+    A tracker's whole skeleton grows and shrinks by some per cent within a second. The scale 1 + s is filtered:
+    s is an Ornstein–Uhlenbeck process of standard deviation ``scale_sd`` that forgets in ``scale_seconds``; a
+    pair measures it by Σ w r / Σ w over the relative errors r of the bones, w = l² times a weight of Geman and
+    McClure's estimator, which bones that are off by more than a tenth hardly have.
+    """
+    k = model.constants
+    kept = math.exp(-dt / k.scale_seconds)
+    root = model.order[0]
+    for v in range(2):
+        at = views.positions[v]
+        state.scales[v] *= kept
+        state.scale_variances[v] += (1.0 - kept * kept) * (k.scale_sd**2 - state.scale_variances[v])
+        total = weights = 0.0
+        bones = 0
+        for n in range(1, len(model.order)):
+            i = model.order[n]
+            p = model.parents[i]
+            length = model.bone_lengths[i]
+            if views.states[v, i] != 2 or views.states[v, p] != 2 or length < _SHORTEST:
+                continue
+            dx, dy, dz = at[i, 0] - at[p, 0], at[i, 1] - at[p, 1], at[i, 2] - at[p, 2]
+            error = math.sqrt(dx * dx + dy * dy + dz * dz) / length - 1.0
+            unusual = (error - state.scales[v]) / _USUAL
+            w = length / (1.0 + unusual * unusual)
+            total += w * w * error
+            weights += w * w
+            bones += 1
+        if bones < _FEWEST or views.states[v, root] == 0:
+            continue
+        noise = _SHARED * k.bone_sd**2 / bones
+        gain = state.scale_variances[v] / (state.scale_variances[v] + noise)
+        state.scales[v] += gain * (total / weights - state.scales[v])
+        state.scale_variances[v] *= 1.0 - gain
+        shrink = 1.0 / (1.0 + state.scales[v])
+        for i in range(len(at)):
+            if i != root and views.states[v, i] != 0:
+                for c in range(3):
+                    at[i, c] = at[root, c] + (at[i, c] - at[root, c]) * shrink
+
+
+_SHORTEST = 0.12  # metres: shorter bones say little about the scale
+_USUAL = 0.15  # a relative error at which a bone's weight is a quarter
+_FEWEST = 4  # bones
+_SHARED = 2.0  # bones share joints, and so errors
