@@ -11,12 +11,9 @@ import struct
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from fusion.body import Body
@@ -60,35 +57,6 @@ def _shades(rows: SessionArrays) -> NDArray[np.uint8]:
     total = rows.weights_a + rows.weights_b
     share = np.where(total > 0.0, rows.weights_a / np.where(total > 0.0, total, 1.0), 0.0)
     return np.where(rows.predicted, _PREDICTED, _FROM_B + np.round(share * _SHADES)).astype(np.uint8)
-
-
-def details(rows: SessionArrays) -> dict[str, pa.Array]:
-    """T · J values each: what a person wants to read beside a joint of S* that is clicked."""
-    weights = {
-        layout.weight(side): pa.array(of.astype(np.float16).ravel())
-        for side, of in (("a", rows.weights_a), ("b", rows.weights_b))
-    }
-    states = {
-        layout.state(side): _named(of, layout.STATE_NAMES)
-        for side, of in (("a", rows.states_a), ("b", rows.states_b))
-    }
-    misleading = np.where(rows.misleading < 0, len(rows.body), rows.misleading)
-    return {
-        **weights,
-        **states,
-        "misleading_joint": _named(misleading, (*rows.body.joints, "none")),
-        "view_difference_mm": pa.array(np.round(rows.view_difference * 1e3).astype(np.float16).ravel()),
-        "predicted": pa.array(rows.predicted.ravel()),
-    }
-
-
-def _named(which: NDArray[Any], names: tuple[str, ...]) -> pa.DictionaryArray:
-    return pa.DictionaryArray.from_arrays(pa.array(which.ravel().astype(np.int8)), _dictionary(names))
-
-
-@lru_cache(maxsize=8)
-def _dictionary(names: tuple[str, ...]) -> pa.Array:
-    return pa.array(names)
 
 
 @dataclass(eq=False)

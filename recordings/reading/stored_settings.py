@@ -48,10 +48,10 @@ def checked_properties(path: Path, found: Columns) -> dict[str, dict[str, list[A
             f"{path} is a Rerun recording, but no session of duplex-kinects: its properties are missing."
         )
     version, writer = session["layout_version"], session.get("written_by", ["another version"])
-    if version != [layout.VERSION]:
+    if version[0] not in layout.READABLE_VERSIONS:
         raise RecordingError(
             f"{path} has layout {version[0]}, written by {writer[0]}; this version reads layout "
-            f"{layout.VERSION}. Open it with the version that wrote it."
+            f"{', '.join(map(str, layout.READABLE_VERSIONS))}. Open it with the version that wrote it."
         )
     written = {name: of for name, of in about.items() if name not in ("check", "end", "RecordingInfo")}
     if about.get("check", {}).get("crc32") != [properties_checksum(written)]:

@@ -62,6 +62,7 @@ class Recorder:
         self._stream = stream
         self._calibration = fuser.calibration
         self._frames = 0
+        self._like: SessionArrays | None = None
         self._start_ns = start_ns
         self._last: tuple[int, int] | None = None
         self._depth_every, self._points = depth_every, points
@@ -214,8 +215,11 @@ class Recorder:
             numbers = range(self._frames, self._frames + len(frames))
         calibration = self._calibration
         rows = SessionArrays.stack(
-            calibration.body, calibration.bone_lengths, frames, numbers, self._begun_by(frames[0])
+            *(calibration.body, calibration.bone_lengths, frames, numbers),
+            start_ns=self._begun_by(frames[0]),
+            like=self._like,
         )
+        self._like = self._like or rows[:1]
         self._frames = numbers[-1] + 1
         return rows
 

@@ -16,9 +16,10 @@ from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
 from fusion.skeleton import TrackingState
 from recordings import layout
-from recordings.appearance.joint_trust import StateLanes, TrustMatrix, details, trust_colors
+from recordings.appearance.joint_trust import StateLanes, TrustMatrix, trust_colors
 from recordings.reading.rrd_file import RrdFile
 from recordings.session_arrays import SessionArrays
+from recordings.writing.frame_streams import frame_streams
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames
 from tests.helpers.pictures import pixels_near
@@ -63,7 +64,9 @@ def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows: Ses
     misleading[4, ELBOW] = -1
     apart = rows.positions_a.copy()
     apart[3, ELBOW] += np.array([0.03, 0.04, 0.0], dtype=np.float32)
-    made = details(replace(rows, states_b=states, misleading=misleading, positions_a=apart))
+    told = replace(rows, states_b=states, misleading=misleading, positions_a=apart)
+    made = next(s.data for s in frame_streams(told) if s.entity == layout.FUSED_SKELETON)
+    assert made is not None
     said = {name: np.array(of.to_pylist()).reshape(len(rows), -1) for name, of in made.items()}
     assert said["state_a"][3, ELBOW] == "tracked"
     assert said["state_b"][3, ELBOW] == "inferred"

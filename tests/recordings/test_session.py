@@ -176,6 +176,7 @@ def test_another_layout_says_which_version_wrote_it(
 ) -> None:
     this = layout.VERSION
     monkeypatch.setattr(layout, "VERSION", this - 1)
+    monkeypatch.setattr(layout, "READABLE_VERSIONS", (this - 1,))
     old = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1))
     monkeypatch.undo()
     with pytest.raises(

@@ -31,7 +31,8 @@ def run(options: InfoOptions) -> None:
         table.add_row(f"[bold]{name}[/]", escape(str(value)))
 
     row("session", session.path)
-    row("written by", f"{session.about['session']['written_by'][0]}, layout {layout.VERSION}")
+    about = session.about["session"]
+    row("written by", f"{about['written_by'][0]}, layout {about['layout_version'][0]}")
     row("body", f"{session.body.name}, {len(session.body)} joints")
     row("sensors", f"A {session.sources[0]}, B {session.sources[1]}")
     row("frames", f"{len(session)} in {seconds:.2f} s, {session.frame_rate:.1f} a second")
