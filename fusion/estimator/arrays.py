@@ -31,9 +31,7 @@ class Model(NamedTuple):
     order: NDArray[np.int64]  # (J,) parents before children
     rest: Array  # (J, 3)
     linked: NDArray[np.bool_]  # (J, J)
-    mirror: NDArray[np.int64]  # (J,)
-    arms: NDArray[np.bool_]  # (J,) what code bit 0 exchanges
-    legs: NDArray[np.bool_]  # (J,) what code bit 1 exchanges
+    lateral: NDArray[np.bool_]  # (J,) whether a joint has a counterpart on the other side
     hinges: NDArray[np.int64]  # (4, 3) near end, hinge, far end: both knees, both elbows
     bends: Array  # (4,) 1 where the hinge lies before the line of its ends, -1 behind
     sides: NDArray[np.int64]  # (4,) left and right hip, left and right shoulder
@@ -43,6 +41,7 @@ class Model(NamedTuple):
     bone_lengths: Array  # (J,) metres
     rotation: Array  # (3, 3) R of a_from_b
     translation: Array  # (3,) t, which is where K_B stands
+    up: Array  # (3,) against gravity in K_A's frame; NaN where it is learnt from the person
     calmness: float
     constants: Constants
 
@@ -69,11 +68,14 @@ class State(NamedTuple):
 class Views(NamedTuple):
     """Both views of one pair, as measurements."""
 
-    positions: Array  # (2, J, 3) metres, K_A's frame, less the view's scale
-    states: NDArray[np.uint8]  # (2, J) 0 where the view gives no measurement
-    fresh: NDArray[np.bool_]  # (2,) whether the view's skeleton is a new one
+    reported: Array  # (2, J, 3) as the sensors gave them, in K_A's frame, metres
+    reported_states: NDArray[np.uint8]  # (2, J)
+    stale: NDArray[np.bool_]  # (2,) whether a view repeats its last skeleton
+    positions: Array  # (2, J, 3) re-labelled, less the view's scale
+    states: NDArray[np.uint8]  # (2, J) re-labelled; 0 where the view gives no measurement
     delays: Array  # (2,) s, capture time less the pair's
-    codes: NDArray[np.int64]  # (2,) what is exchanged: bit 0 arms, bit 1 legs
+    codes: NDArray[np.int64]  # (2,) what was exchanged; see :mod:`fusion.facing.model`
+    side_doubt: Array  # (2,) probability that a view's sides are wrong all the same
     rays: Array  # (2, J, 3) unit vectors from the sensor to the joint
     covers: NDArray[np.int64]  # (2, J) nearest joint before this one in the viewing plane, or -1
     cover_distances: Array  # (2, J) how far across the ray, metres
@@ -128,9 +130,7 @@ def new_model(
         order=body.order,
         rest=np.ascontiguousarray(body.rest),
         linked=body.linked,
-        mirror=body.mirror,
-        arms=_limb(body, "Clavicle", "Shoulder", "Elbow", "Wrist", "Hand", "Thumb", "Eye", "Ear"),
-        legs=_limb(body, "Hip", "Knee", "Ankle", "Foot"),
+        lateral=body.mirror != np.arange(len(body)),
         hinges=np.array(
             [[body.joint(joint + side) for joint in limb] for limb in _LIMBS for side in ("Left", "Right")],
             dtype=np.int64,
@@ -145,19 +145,9 @@ def new_model(
         bone_lengths=np.array(bone_lengths, dtype=np.float64),
         rotation=np.array(rotation, dtype=np.float64),
         translation=np.array(translation, dtype=np.float64),
+        up=np.full(3, np.nan),
         calmness=calmness(smoothing),
         constants=constants or Constants(),
-    )
-
-
-def _limb(body: Body, *parts: str) -> NDArray[np.bool_]:
-    """(J,) which joints have a counterpart on the other side and one of these in their name."""
-    plain = [joint.replace("_", "").lower() for joint in body.joints]
-    return np.array(
-        [
-            any(part.lower() in name for part in parts) and body.mirror[j] != j
-            for j, name in enumerate(plain)
-        ]
     )
 
 
@@ -184,11 +174,14 @@ def new_state(joints: int) -> State:
 def new_views(joints: int) -> Views:
     """Room for one pair."""
     return Views(
+        reported=np.zeros((2, joints, 3)),
+        reported_states=np.zeros((2, joints), dtype=np.uint8),
+        stale=np.zeros(2, dtype=np.bool_),
         positions=np.zeros((2, joints, 3)),
         states=np.zeros((2, joints), dtype=np.uint8),
-        fresh=np.zeros(2, dtype=np.bool_),
         delays=np.zeros(2),
         codes=np.zeros(2, dtype=np.int64),
+        side_doubt=np.zeros(2),
         rays=np.zeros((2, joints, 3)),
         covers=np.full((2, joints), -1, dtype=np.int64),
         cover_distances=np.zeros((2, joints)),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from fusion.compiling.kernels import kernel
+from fusion.compiling.kernels import inner_kernel
 from fusion.estimator.three import inverse
 from fusion.solvers.tree_solver import solve_tree
 from fusion.solvers.tree_steps import copy
 
 
-@kernel
+@inner_kernel
 def aim(model, state, solve):  # type: ignore[no-untyped-def]
     """Targets x and information (M + P I)⁻¹ of each known joint; no information of the others."""
     for i in range(len(model.parents)):
@@ -24,7 +24,7 @@ def aim(model, state, solve):  # type: ignore[no-untyped-def]
             inverse(W, W)
 
 
-@kernel
+@inner_kernel
 def hold_bones(model, state, solve):  # type: ignore[no-untyped-def]
     """S*: min Σ (x_i - m_i)ᵀ W_i (x_i - m_i) with |x_i - x_parent| = l_i, from the frame before.
 
@@ -40,7 +40,7 @@ def hold_bones(model, state, solve):  # type: ignore[no-untyped-def]
     return iterations
 
 
-@kernel
+@inner_kernel
 def _first_guess(model, solve, before):  # type: ignore[no-untyped-def]
     """The targets as if they were the frame before; joints without one hang on their parents as at rest."""
     root = model.order[0]
@@ -59,7 +59,7 @@ def _first_guess(model, solve, before):  # type: ignore[no-untyped-def]
                 before[i, c] = before[model.parents[i], c] + model.bone_lengths[i] * model.rest[i, c]
 
 
-@kernel
+@inner_kernel
 def follow_bones(model, state, solve):  # type: ignore[no-untyped-def]
     """The state goes on from S*: x ← S*, and v ← v + (P_xv / P_xx) (S* - x), as if S* had been measured."""
     x, v, P = state.positions, state.velocities, state.variances

@@ -86,6 +86,7 @@ class Constants(NamedTuple):
         inferred_outlier: The same of an inferred joint.
         outlier_lasts: Probability that an outlier is followed by one.
         outlier_side: Side of the cube that outliers are spread over, metres.
+        sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
         scale_sd: Standard deviation of a view's scale about 1.
         scale_seconds: How long a scale lasts.
         bone_sd: Standard deviation of one bone's relative length within a view.
@@ -111,6 +112,7 @@ class Constants(NamedTuple):
     inferred_outlier: float = 0.2
     outlier_lasts: float = 0.85
     outlier_side: float = 0.6
+    sides_doubted: float = 1.0
     scale_sd: float = 0.035
     scale_seconds: float = 0.6
     bone_sd: float = 0.03

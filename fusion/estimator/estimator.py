@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from fusion.compiling.kernels import kernel
+from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.estimator.bones import aim, follow_bones, hold_bones
 from fusion.estimator.limits import respect_hinges
 from fusion.estimator.measurement import cast_rays, find_covers, set_covariances
@@ -13,7 +13,7 @@ from fusion.estimator.offsets import fade_offsets, learn_offsets
 from fusion.estimator.robust import judge, remember_doubt
 from fusion.estimator.uncertainty import spread
 from fusion.estimator.update import begin_joints, share_error, take_in
-from fusion.estimator.views import exchange, rescale, take_views
+from fusion.estimator.views import relabel, rescale, take_views
 
 FORGET_NS = 1_000_000_000
 """After so long without a person the next one starts afresh."""
@@ -21,35 +21,39 @@ _SHORTEST_STEP = 1e-3  # s: two pairs at one time are no infinite speed
 
 
 @kernel
-def estimate_pairs(model, state, views, solve, output, time_ns, skew_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+def estimate_pairs(model, facing_model, state, facing, views, solve, output, time_ns, skew_ns, codes, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
     """:func:`estimate_pair` over consecutive pairs.
 
     Args:
-        model, state, views, solve: Of the fuser; the state is carried on.
+        model, facing_model: Of the body and the calibration.
+        state, facing: Carried on.
+        views, solve: Room.
         output: Room for T pairs.
+        codes: (T, 2) exchange codes of A and B where they are known, -1 where the facing filter finds them.
         time_ns, skew_ns: (T,) the pairs' times, and capture time of B less that of A.
         a, b: (T, J, 3) float32 positions, each in its sensor's frame; NaN where not tracked.
         states_a, states_b: (T, J) uint8 tracking states; all 0 where the sensor sees no one.
     """
     for k in range(len(time_ns)):
         estimate_pair(
-            model, state, views, solve, output, k, time_ns[k], skew_ns[k], a[k], states_a[k], b[k], states_b[k]
-        )
+            model, facing_model, state, facing, views, solve, output, k, time_ns[k], skew_ns[k], codes[k],
+            a[k], states_a[k], b[k], states_b[k],
+        )  # fmt: skip
 
 
-@kernel
-def estimate_pair(model, state, views, solve, output, k, time_ns, skew_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+@inner_kernel
+def estimate_pair(model, facing_model, state, facing, views, solve, output, k, time_ns, skew_ns, codes, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
     """S* of one pair into row k of the output."""
     constants, room, sums = model.constants, solve.room, solve.sums
     dt = elapsed(state, time_ns)
-    # the views: carried to K_A's frame, without what repeats
-    stale_a, stale_b = take_views(model, state, views, skew_ns, a, states_a, b, states_b)
-    output.counts[k, 0], output.counts[k, 1], output.counts[k, 2] = 0, stale_a, stale_b
+    # the views, carried to K_A's frame
+    take_views(model, state, views, skew_ns, a, states_a, b, states_b)
+    output.counts[k, 0], output.counts[k, 1], output.counts[k, 2] = 0, views.stale[0], views.stale[1]
     if not anyone(states_a, states_b):
         no_one(output, k)
         return
     # left and right as they are on the person
-    exchange(model, views)
+    relabel(model, facing_model, facing, views, dt, codes[0], codes[1])
     # each view's own scale taken out
     rescale(model, state, views, dt)
     # where the joints should be by now
@@ -84,7 +88,7 @@ def estimate_pair(model, state, views, solve, output, k, time_ns, skew_ns, a, st
     report(state, views, solve, output, k)
 
 
-@kernel
+@inner_kernel
 def elapsed(state, time_ns):  # type: ignore[no-untyped-def]
     """Seconds since the last pair with a person; after too long a time, what was known is forgotten."""
     if state.clock[1] == 1 and time_ns - state.clock[0] > FORGET_NS:
@@ -96,7 +100,7 @@ def elapsed(state, time_ns):  # type: ignore[no-untyped-def]
     return max(1e-9 * (time_ns - state.clock[0]), _SHORTEST_STEP)
 
 
-@kernel
+@inner_kernel
 def anyone(states_a, states_b):  # type: ignore[no-untyped-def]
     """Whether a sensor reports a person."""
     for i in range(len(states_a)):
@@ -105,7 +109,7 @@ def anyone(states_a, states_b):  # type: ignore[no-untyped-def]
     return False
 
 
-@kernel
+@inner_kernel
 def no_one(output, k):  # type: ignore[no-untyped-def]
     """Row k of the output where neither sensor sees a person."""
     for i in range(output.positions.shape[1]):
@@ -119,7 +123,7 @@ def no_one(output, k):  # type: ignore[no-untyped-def]
                 output.covariance[k, i, r, c] = math.nan
 
 
-@kernel
+@inner_kernel
 def report(state, views, solve, output, k):  # type: ignore[no-untyped-def]
     """Row k of the output: S*, and each view's share of the information about each joint."""
     output.codes[k, 0], output.codes[k, 1] = views.codes[0], views.codes[1]
@@ -137,7 +141,7 @@ def report(state, views, solve, output, k):  # type: ignore[no-untyped-def]
             output.velocities[k, i, c] = state.velocities[i, c]
 
 
-@kernel
+@inner_kernel
 def _information(views, v, i):  # type: ignore[no-untyped-def]
     """What a view says about a joint: its trust over the mean variance of its measurement, 1/m²."""
     if views.states[v, i] == 0 or views.trust[v, i] < _HARDLY:

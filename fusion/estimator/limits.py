@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from fusion.compiling.kernels import kernel
+from fusion.compiling.kernels import inner_kernel
 
 
-@kernel
+@inner_kernel
 def respect_hinges(model, state, views):  # type: ignore[no-untyped-def]
     """Moves a hinge that neither view tracks onto the straight line, where it bends to the wrong side.
 

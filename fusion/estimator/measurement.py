@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 
-from fusion.compiling.kernels import kernel
+from fusion.compiling.kernels import inner_kernel
 
 
-@kernel
+@inner_kernel
 def cast_rays(model, views):  # type: ignore[no-untyped-def]
     """The unit vector from each sensor to each joint that it gives."""
     for v in range(2):
@@ -27,7 +27,7 @@ def cast_rays(model, views):  # type: ignore[no-untyped-def]
             views.rays[v, i, 0], views.rays[v, i, 1], views.rays[v, i, 2] = x * d, y * d, z * d
 
 
-@kernel
+@inner_kernel
 def find_covers(model, views):  # type: ignore[no-untyped-def]
     """The nearest joint before each joint in its sensor's viewing plane, and how far it lies across the ray.
 
@@ -64,7 +64,7 @@ def find_covers(model, views):  # type: ignore[no-untyped-def]
             views.cover_distances[v, i] = math.sqrt(least)
 
 
-@kernel
+@inner_kernel
 def set_covariances(model, state, views):  # type: ignore[no-untyped-def]
     """Slow covariance C = σ² m (I + (κ² - 1) r rᵀ) and fast variance of each measurement.
 

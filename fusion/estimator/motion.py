@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from fusion.compiling.kernels import kernel
+from fusion.compiling.kernels import inner_kernel
 
 
-@kernel
+@inner_kernel
 def predict(model, state, dt):  # type: ignore[no-untyped-def]
     """Positions, velocities and variances after dt seconds, parents first.
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 
-from fusion.compiling.kernels import kernel
+from fusion.compiling.kernels import inner_kernel
 from fusion.estimator.three import inverse
 
 
-@kernel
+@inner_kernel
 def fade_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
     """Offsets decay as an Ornstein–Uhlenbeck process does: b ← φ b, Var b ← φ² Var b + (1 - φ²) C.
 
@@ -41,7 +41,7 @@ def fade_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
                 )
 
 
-@kernel
+@inner_kernel
 def learn_offsets(model, state, views, room):  # type: ignore[no-untyped-def]
     """Gives each view its share of what the two still differ by: d = y_A - y_B.
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from fusion.compiling.kernels import kernel
+from fusion.compiling.kernels import inner_kernel
 
 _TWO_PI = 2.0 * math.pi
 
 
-@kernel
+@inner_kernel
 def judge(model, state, views):  # type: ignore[no-untyped-def]
     """The trust β of each measurement: the probability that it is no outlier, given both views.
 
@@ -31,7 +31,7 @@ def judge(model, state, views):  # type: ignore[no-untyped-def]
         views.trust[0, i] = views.trust[1, i] = 0.0
         P = state.variances[i, 0]
         if has_a and has_b:
-            a, b = prior_outlier(k, state, views, 0, i), prior_outlier(k, state, views, 1, i)
+            a, b = prior_outlier(model, state, views, 0, i), prior_outlier(model, state, views, 1, i)
             Sa = P + views.fast[0, i] + state.offset_variances[0, i]
             Sb = P + views.fast[1, i] + state.offset_variances[1, i]
             gain = P / Sa
@@ -54,7 +54,7 @@ def judge(model, state, views):  # type: ignore[no-untyped-def]
             views.trust[0, i], views.trust[1, i] = (both + only_a) / total, (both + only_b) / total
         elif has_a or has_b:
             s = 0 if has_a else 1
-            outlier = prior_outlier(k, state, views, s, i)
+            outlier = prior_outlier(model, state, views, s, i)
             S = P + views.fast[s, i] + state.offset_variances[s, i]
             square = 0.0
             for c in range(3):
@@ -63,27 +63,31 @@ def judge(model, state, views):  # type: ignore[no-untyped-def]
             views.trust[s, i] = 1.0 / (1.0 + math.exp(min(odds, 50.0)))
 
 
-@kernel
+@inner_kernel
 def innovation(state, views, v, i, c):  # type: ignore[no-untyped-def]
     """Measured less predicted: y - x along axis c, with the view's offset taken out, at the view's own time."""
     at_capture = state.positions[i, c] + state.velocities[i, c] * views.delays[v]
     return views.positions[v, i, c] - state.offsets[v, i, c] - at_capture
 
 
-@kernel
+@inner_kernel
 def normal(square, variance):  # type: ignore[no-untyped-def]
     """log N(e; 0, variance I) in three dimensions, with |e|² = square."""
     return -1.5 * math.log(_TWO_PI * variance) - 0.5 * square / variance
 
 
-@kernel
-def prior_outlier(k, state, views, v, i):  # type: ignore[no-untyped-def]
-    """Probability of an outlier before it is measured: a two-state Markov chain."""
+@inner_kernel
+def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
+    """Probability of an outlier before it is measured: a two-state Markov chain, or the doubt about the sides."""
+    k = model.constants
     rare = k.outlier if views.states[v, i] == 2 else k.inferred_outlier
-    return rare + max(k.outlier_lasts - rare, 0.0) * state.doubt[v, i]
+    prior = rare + max(k.outlier_lasts - rare, 0.0) * state.doubt[v, i]
+    if model.lateral[i]:
+        prior = max(prior, min(k.sides_doubted * views.side_doubt[v], _SURE))
+    return prior
 
 
-@kernel
+@inner_kernel
 def remember_doubt(model, state, views):  # type: ignore[no-untyped-def]
     """1 - β for the next pair; without a measurement, doubt fades towards its mean."""
     rare = model.constants.outlier
@@ -96,3 +100,4 @@ def remember_doubt(model, state, views):  # type: ignore[no-untyped-def]
 
 
 _FADES = 0.9  # per pair
+_SURE = 0.99  # no measurement is an outlier for certain

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from fusion.compiling.kernels import kernel
+from fusion.compiling.kernels import inner_kernel
 
 
-@kernel
+@inner_kernel
 def inverse(M, into):  # type: ignore[no-untyped-def]
     """M⁻¹ of a symmetric positive definite M, from its cofactors; ``into`` may be M."""
     a, b, c, d, e, f = M[0, 0], M[0, 1], M[0, 2], M[1, 1], M[1, 2], M[2, 2]
@@ -17,7 +17,7 @@ def inverse(M, into):  # type: ignore[no-untyped-def]
     into[1, 2] = into[2, 1] = (b * c - a * e) * s
 
 
-@kernel
+@inner_kernel
 def add_inverse(M, factor, into, room):  # type: ignore[no-untyped-def]
     """``into`` += factor M⁻¹."""
     inverse(M, room)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from fusion.compiling.kernels import kernel
+from fusion.compiling.kernels import inner_kernel
 from fusion.estimator.three import inverse
 
 
-@kernel
+@inner_kernel
 def spread(model, state, solve, covariance, sigma, room):  # type: ignore[no-untyped-def]
     """The covariance of each joint of S* given all joints' information and the bones' lengths.
 
@@ -54,14 +54,14 @@ def spread(model, state, solve, covariance, sigma, room):  # type: ignore[no-unt
         sigma[i] = math.sqrt(covariance[i, 0, 0] + covariance[i, 1, 1] + covariance[i, 2, 2])
 
 
-@kernel
+@inner_kernel
 def _direction(positions, i, p):  # type: ignore[no-untyped-def]
     x, y, z = positions[i, 0] - positions[p, 0], positions[i, 1] - positions[p, 1], positions[i, 2] - positions[p, 2]
     s = 1.0 / max(math.sqrt(x * x + y * y + z * z), 1e-12)
     return x * s, y * s, z * s
 
 
-@kernel
+@inner_kernel
 def _along(A, x, y, z, room):  # type: ignore[no-untyped-def]
     """1 / (nᵀ A⁻¹ n)."""
     inverse(A, room)
@@ -71,7 +71,7 @@ def _along(A, x, y, z, room):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def _add_along(A, x, y, z, information):  # type: ignore[no-untyped-def]
     A[0, 0] += information * x * x
     A[1, 1] += information * y * y

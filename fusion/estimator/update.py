@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from fusion.compiling.kernels import kernel
+from fusion.compiling.kernels import inner_kernel
 from fusion.estimator.robust import innovation
 from fusion.estimator.three import add_inverse, inverse
 
 
-@kernel
+@inner_kernel
 def take_in(model, state, views):  # type: ignore[no-untyped-def]
     """Information adds up: each view's measurement, A then B, with its noise divided by its trust.
 
@@ -34,7 +34,7 @@ def take_in(model, state, views):  # type: ignore[no-untyped-def]
             P[i, 0] *= 1.0 - gain
 
 
-@kernel
+@inner_kernel
 def begin_joints(model, state, views, sum_, room):  # type: ignore[no-untyped-def]
     """Joints seen for the first time: the views' mean by information, at rest, with the offsets it implies.
 
@@ -77,7 +77,7 @@ def begin_joints(model, state, views, sum_, room):  # type: ignore[no-untyped-de
             views.trust[s, i] = 1.0 if seen else 0.0
 
 
-@kernel
+@inner_kernel
 def share_error(model, state, views, kept_together, kept_alone, sum_, room):  # type: ignore[no-untyped-def]
     """The slow error of S*: M ← M + (1 - φ) ((Σ_v β_v C_v⁻¹)⁻¹ - M), at the pace of the offsets.
 

@@ -4,41 +4,35 @@ from __future__ import annotations
 
 import math
 
-from fusion.compiling.kernels import kernel
+from fusion.compiling.kernels import inner_kernel
+from fusion.facing.exchange import exchange
+from fusion.facing.filter import update_facing
 
 
-@kernel
+@inner_kernel
 def take_views(model, state, views, skew_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
     """Carries both views to K_A's frame: p, and q' = R q + t.
 
-    A skeleton that repeats the sensor's last one is stale. It is no measurement: its states become 0.
-
     Args:
         model, state: Of the fuser; the state remembers what the sensors gave.
-        views: Written: positions, states, fresh, delays.
+        views: Written: what the sensors reported, whether it is stale, and its delay.
         skew_ns: Capture time of B less that of A, which is the pair's time.
         a, b: (J, 3) float32 metres, each in its sensor's frame; NaN where not tracked.
         states_a, states_b: (J,) tracking states.
-
-    Returns:
-        (whether A is stale, whether B is stale).
     """
     R, t = model.rotation, model.translation
-    stale_a = _repeats(a, states_a, state.last_positions[0], state.last_states[0])
-    stale_b = _repeats(b, states_b, state.last_positions[1], state.last_states[1])
-    views.fresh[0], views.fresh[1] = not stale_a, not stale_b
+    views.stale[0] = _repeats(a, states_a, state.last_positions[0], state.last_states[0])
+    views.stale[1] = _repeats(b, states_b, state.last_positions[1], state.last_states[1])
     views.delays[0], views.delays[1] = 0.0, 1e-9 * skew_ns
     for i in range(len(states_a)):
-        views.states[0, i] = 0 if stale_a else states_a[i]
-        views.states[1, i] = 0 if stale_b else states_b[i]
+        views.reported_states[0, i], views.reported_states[1, i] = states_a[i], states_b[i]
         x, y, z = float(b[i, 0]), float(b[i, 1]), float(b[i, 2])
         for c in range(3):
-            views.positions[0, i, c] = a[i, c]
-            views.positions[1, i, c] = R[c, 0] * x + R[c, 1] * y + R[c, 2] * z + t[c]
-    return stale_a, stale_b
+            views.reported[0, i, c] = a[i, c]
+            views.reported[1, i, c] = R[c, 0] * x + R[c, 1] * y + R[c, 2] * z + t[c]
 
 
-@kernel
+@inner_kernel
 def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-def]
     """Whether a sensor's skeleton is its last one again; remembers it. No skeleton repeats nothing."""
     same, anyone = True, False
@@ -53,27 +47,38 @@ def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-d
     return same and anyone
 
 
-@kernel
-def exchange(model, views):  # type: ignore[no-untyped-def]
-    """Exchanges left and right in each view as ``views.codes`` say: bit 0 the arms, bit 1 the legs.
+@inner_kernel
+def relabel(model, facing_model, facing, views, dt, code_a, code_b):  # type: ignore[no-untyped-def]
+    """Gives the joints the sides that they have on the person; a stale skeleton is no measurement after that.
 
-    A tracker that sees a person's back reports the person mirrored: the places are right, the labels are not.
+    Args:
+        model, facing_model: Of the body.
+        facing: State of the facing filter (:mod:`fusion.facing.filter`), carried on unless codes are given.
+        views: Positions and states are written.
+        dt: Seconds since the pair before.
+        code_a, code_b: Exchange codes that are known, as from a pass over a whole recording; -1 where not.
     """
+    if code_a < 0 or code_b < 0:
+        update_facing(
+            facing_model, facing, dt, views.reported[0], views.reported_states[0], views.reported[1],
+            views.reported_states[1], model.translation, model.up, views.stale[0], views.stale[1],
+        )  # fmt: skip
+        views.codes[0], views.codes[1] = facing.codes[0], facing.codes[1]
+        views.side_doubt[0], views.side_doubt[1] = facing.doubt[0], facing.doubt[1]
+    else:
+        views.codes[0], views.codes[1] = code_a, code_b
+        views.side_doubt[0] = views.side_doubt[1] = 0.0
     for v in range(2):
-        code = views.codes[v]
-        if code == 0:
-            continue
-        for i in range(len(model.mirror)):
-            j = model.mirror[i]
-            if j > i and ((code & 1 and model.arms[i]) or (code & 2 and model.legs[i])):
-                views.states[v, i], views.states[v, j] = views.states[v, j], views.states[v, i]
-                for c in range(3):
-                    kept = views.positions[v, i, c]
-                    views.positions[v, i, c] = views.positions[v, j, c]
-                    views.positions[v, j, c] = kept
+        exchange(
+            facing_model, views.reported[v], views.reported_states[v], views.codes[v], views.positions[v],
+            views.states[v],
+        )  # fmt: skip
+        if views.stale[v]:
+            for i in range(len(model.parents)):
+                views.states[v, i] = 0
 
 
-@kernel
+@inner_kernel
 def rescale(model, state, views, dt):  # type: ignore[no-untyped-def]
     """Estimates by how much each view's skeleton is too large, and takes it out about its root.
 
