@@ -36,7 +36,8 @@ class FramePair:
     @property
     def skeletons(self) -> SkeletonPair:
         """S_A and S_B of the person meant; None for a sensor that does not see this person."""
-        return SkeletonPair(_person(self.a, self.person_a), _person(self.b, self.person_b), self.time_ns)
+        a, b = _person(self.a, self.person_a), _person(self.b, self.person_b)
+        return SkeletonPair(a, b, self.time_ns, self.skew_ns)
 
 
 @dataclass(frozen=True, eq=False)

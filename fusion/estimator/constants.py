@@ -59,7 +59,20 @@ KINECT_ERRORS = JointErrors(
 )
 """Kinect v1 and v2: ten real pairs of Kinect v2."""
 
-_ACCELERATION = (0.64, 0.72, 0.79, 1.00, 1.12, 1.28, 1.44, 1.90, 1.00, 1.04, 1.30, 0.87)  # by kind; the elbow's is 1
+_ACCELERATION = (
+    0.64,
+    0.72,
+    0.79,
+    1.00,
+    1.12,
+    1.28,
+    1.44,
+    1.90,
+    1.00,
+    1.04,
+    1.30,
+    0.87,
+)  # by kind; the elbow's is 1
 
 
 class Constants(NamedTuple):

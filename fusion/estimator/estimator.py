@@ -21,7 +21,22 @@ _SHORTEST_STEP = 1e-3  # s: two pairs at one time are no infinite speed
 
 
 @kernel
-def estimate_pairs(model, facing_model, state, facing, views, solve, output, time_ns, skew_ns, codes, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+def estimate_pairs(
+    model,
+    facing_model,
+    state,
+    facing,
+    views,
+    solve,
+    output,
+    time_ns,
+    skew_ns,
+    codes,
+    a,
+    states_a,
+    b,
+    states_b,
+):  # type: ignore[no-untyped-def]
     """:func:`estimate_pair` over consecutive pairs.
 
     Args:
@@ -42,7 +57,23 @@ def estimate_pairs(model, facing_model, state, facing, views, solve, output, tim
 
 
 @inner_kernel
-def estimate_pair(model, facing_model, state, facing, views, solve, output, k, time_ns, skew_ns, codes, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+def estimate_pair(
+    model,
+    facing_model,
+    state,
+    facing,
+    views,
+    solve,
+    output,
+    k,
+    time_ns,
+    skew_ns,
+    codes,
+    a,
+    states_a,
+    b,
+    states_b,
+):  # type: ignore[no-untyped-def]
     """S* of one pair into row k of the output."""
     constants, room, sums = model.constants, solve.room, solve.sums
     dt = elapsed(state, time_ns)

@@ -46,7 +46,11 @@ def respect_hinges(model, state, views):  # type: ignore[no-untyped-def]
         if size < 1e-6:
             continue
         nx, ny, nz = nx / size, ny / size, nz / size
-        bend = (x[hinge, 0] - x[near, 0]) * nx + (x[hinge, 1] - x[near, 1]) * ny + (x[hinge, 2] - x[near, 2]) * nz
+        bend = (
+            (x[hinge, 0] - x[near, 0]) * nx
+            + (x[hinge, 1] - x[near, 1]) * ny
+            + (x[hinge, 2] - x[near, 2]) * nz
+        )
         if sign * bend < 0.0:
             x[hinge, 0] -= bend * nx
             x[hinge, 1] -= bend * ny

@@ -92,7 +92,11 @@ def set_covariances(model, state, views):  # type: ignore[no-untyped-def]
             views.fast[v, i] = fast * fast + by_speed * by_speed
             along = stretch * variance
             C = views.slow[v, i]
-            C[0, 0], C[1, 1], C[2, 2] = variance + along * rx * rx, variance + along * ry * ry, variance + along * rz * rz
+            C[0, 0], C[1, 1], C[2, 2] = (
+                variance + along * rx * rx,
+                variance + along * ry * ry,
+                variance + along * rz * rz,
+            )
             C[0, 1] = C[1, 0] = along * rx * ry
             C[0, 2] = C[2, 0] = along * rx * rz
             C[1, 2] = C[2, 1] = along * ry * rz

@@ -70,9 +70,24 @@ def learn_offsets(model, state, views, room):  # type: ignore[no-untyped-def]
                 room[r, c] = sa * A[r, c] + sb * B[r, c]
         inverse(room, room)
         later = views.delays[0] - views.delays[1]
-        x = views.positions[0, i, 0] - state.offsets[0, i, 0] - views.positions[1, i, 0] + state.offsets[1, i, 0]
-        y = views.positions[0, i, 1] - state.offsets[0, i, 1] - views.positions[1, i, 1] + state.offsets[1, i, 1]
-        z = views.positions[0, i, 2] - state.offsets[0, i, 2] - views.positions[1, i, 2] + state.offsets[1, i, 2]
+        x = (
+            views.positions[0, i, 0]
+            - state.offsets[0, i, 0]
+            - views.positions[1, i, 0]
+            + state.offsets[1, i, 0]
+        )
+        y = (
+            views.positions[0, i, 1]
+            - state.offsets[0, i, 1]
+            - views.positions[1, i, 1]
+            + state.offsets[1, i, 1]
+        )
+        z = (
+            views.positions[0, i, 2]
+            - state.offsets[0, i, 2]
+            - views.positions[1, i, 2]
+            + state.offsets[1, i, 2]
+        )
         x -= state.velocities[i, 0] * later
         y -= state.velocities[i, 1] * later
         z -= state.velocities[i, 2] * later

@@ -56,7 +56,11 @@ def spread(model, state, solve, covariance, sigma, room):  # type: ignore[no-unt
 
 @inner_kernel
 def _direction(positions, i, p):  # type: ignore[no-untyped-def]
-    x, y, z = positions[i, 0] - positions[p, 0], positions[i, 1] - positions[p, 1], positions[i, 2] - positions[p, 2]
+    x, y, z = (
+        positions[i, 0] - positions[p, 0],
+        positions[i, 1] - positions[p, 1],
+        positions[i, 2] - positions[p, 2],
+    )
     s = 1.0 / max(math.sqrt(x * x + y * y + z * z), 1e-12)
     return x * s, y * s, z * s
 

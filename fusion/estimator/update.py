@@ -73,7 +73,9 @@ def begin_joints(model, state, views, sum_, room):  # type: ignore[no-untyped-de
             own = (model.constants.slow_scale * model.slow[i]) ** 2
             state.offset_variances[s, i] = views.fast[s, i] if seen else own
             for c in range(3):
-                state.offsets[s, i, c] = views.positions[s, i, c] - state.positions[i, c] if seen and both else 0.0
+                state.offsets[s, i, c] = (
+                    views.positions[s, i, c] - state.positions[i, c] if seen and both else 0.0
+                )
             views.trust[s, i] = 1.0 if seen else 0.0
 
 
