@@ -17,7 +17,8 @@ class FusedFrame:
     Attributes:
         positions: (J, 3) metres, in K_A's frame; NaN throughout where neither sensor sees a person.
         predicted: (J,) whether a joint has no data and hangs on its bones and the frames before.
-        weights_a, weights_b: (J,) each view's share in a joint; both 0 where predicted. With the paper's method
+        weights_a, weights_b: (J,) each view's share in a joint; both 0 where predicted. With the paper's
+        method
             these are w^A and w^B of eq. (11), else shares of the information.
         misleading: (J,) the mis-leading joint m of sec. 3; -1 where there is none.
         a_from_b: R and t that S_B was carried with.

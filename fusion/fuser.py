@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -107,9 +108,27 @@ class Fuser:
             pairs: In time order.
             codes: (T, 2) as in :meth:`update`.
         """
-        if not pairs:
-            return []
-        return self._fusion.run(
+        return self._fusion.run(*self._rows(pairs, codes)) if pairs else []
+
+    def smooth_sequence(
+        self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None
+    ) -> list[FusedFrame]:
+        """Fuses a whole recording with what comes before and after each pair: no lag, and calmer.
+
+        Args:
+            pairs, codes: As in :meth:`fuse_sequence`.
+
+        Raises:
+            FusionError: The method is one of the paper's, which know no time.
+        """
+        if not isinstance(self._fusion, DuplexFusion):
+            raise FusionError(
+                f"Only the method duplex can smooth a recording; this is {self.settings.method}."
+            )
+        return self._fusion.run(*self._rows(pairs, codes), smooth=True) if pairs else []
+
+    def _rows(self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None) -> tuple[NDArray[Any], ...]:
+        return (
             np.array([pair.time_ns for pair in pairs], dtype=np.int64),
             np.array([pair.skew_ns for pair in pairs], dtype=np.int64),
             np.full((len(pairs), 2), -1, dtype=np.int64)

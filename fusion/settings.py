@@ -17,7 +17,8 @@ class FuserSettings:
     """The choices the method leaves open, with the paper's values where it names one.
 
     Attributes:
-        method: ``duplex``: an estimator in time (:mod:`fusion.estimator`). ``paper``: eqs. (10)-(13), t in every
+        method: ``duplex``: an estimator in time (:mod:`fusion.estimator`). ``paper``: eqs. (10)-(13), t in
+        every
             frame, with bones exact. ``published``: eqs. (3)-(9) as well, whose bones are only nearly right.
         h: How much more a tracked joint counts than an inferred one, in (0.5, 1); sec. 3. Not of ``duplex``.
         weights: ``paper`` (eqs. (10), (11)) or ``equal``. Not of ``duplex``.

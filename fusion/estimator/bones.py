@@ -1,4 +1,4 @@
-"""The skeleton with exactly these bones that fits the filtered joints best, and what it changes in the state."""
+"""The skeleton with exactly these bones that fits the filtered joints best, and how the filter follows it."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
 """The numbers of the estimator, and where they come from.
 
-Two kinds of numbers: how trackers err, by kind of joint (:class:`JointErrors`), and how a person moves and how
-the filter reacts (:class:`Constants`). The tables are medians over recordings, made by
-``python -m tests.campaigns.fit_estimator errors FOLDER…``. The constants are the end of a coordinate search by
-``python -m tests.campaigns.fit_estimator constants FOLDER…`` over simulated recordings of both bodies (seeds
-3000 and 3001), simulated ones with all errors × 1.5 (seed 3002), and real pairs (``real/``, and ``_2`` and
-``_14`` of ``real_more/``), rounded to two digits.
+Two kinds of numbers: how trackers err, by kind of joint (:class:`JointErrors`), and how a person moves and
+how the filter reacts (:class:`Constants`). The tables are medians over recordings, made by
+``python -m tests.campaigns.fit_estimator errors FOLDER…``. The constants are the end of a coordinate search
+by ``python -m tests.campaigns.fit_estimator constants FOLDER…`` over simulated recordings of both bodies
+(seeds 3000 and 3001), simulated ones with all errors × 1.5 (seed 3002), and real pairs (``real/``, and ``_2``
+and ``_14`` of ``real_more/``), rounded to two digits.
 """
 
 from __future__ import annotations
@@ -154,8 +154,8 @@ def acceleration_shares(body: Body) -> NDArray[np.float64]:
 def calmness(smoothing: float) -> float:
     """The factor of the acceleration's variance that a smoothing from 0 to 1 stands for.
 
-    ``((1 - s) / s)⁴``: 1 at the default of one half; so large at 0 that the prediction counts for nothing, and
-    each frame stands by itself; 10⁻⁸ or so at 1.
+    ``((1 - s) / s)⁴``: 1 at the default of one half; so large at 0 that the prediction counts for nothing,
+    and each frame stands by itself; 10⁻⁸ or so at 1.
     """
     s = min(max(smoothing, 1e-3), 1.0 - 1e-2)
     return float(((1.0 - s) / s) ** 4)

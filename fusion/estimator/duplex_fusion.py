@@ -12,6 +12,7 @@ from fusion.calibration.calibration import Calibration
 from fusion.estimator.arrays import Output, new_model, new_output, new_solve, new_state, new_views
 from fusion.estimator.constants import Constants
 from fusion.estimator.estimator import estimate_pairs
+from fusion.estimator.smoother import new_trace, smooth_pairs
 from fusion.estimator.views import relabel
 from fusion.facing.model import new_facing_model, new_facing_state
 from fusion.fused_frame import FusedFrame
@@ -36,11 +37,9 @@ class DuplexFusion:
         body = calibration.body
         self._settings, self._constants = settings, constants
         self._facing_model, self._facing = new_facing_model(body), new_facing_state(body)
-        self._state, self._views, self._solve = (
-            new_state(len(body)),
-            new_views(len(body)),
-            new_solve(len(body)),
-        )
+        joints = len(body)
+        self._state, self._views, self._solve = new_state(joints), new_views(joints), new_solve(joints)
+        self._no_trace = new_trace(0, joints)
         self._calibrate(calibration)
 
     def compile(self, positions: NDArray[np.float32], states: NDArray[np.uint8]) -> None:
@@ -52,8 +51,8 @@ class DuplexFusion:
     def recalibrate(self, calibration: Calibration) -> None:
         """Goes on with another calibration; S* does not jump.
 
-        Where R and t change, S_B moves. Its offsets take that up, from where B last saw each joint, and fade as
-        offsets do.
+        Where R and t change, S_B moves. Its offsets take that up, from where B last saw each joint, and fade
+        as offsets do.
         """
         before = self._calibration.a_from_b
         last = self._state.last_positions[1].astype(np.float64)
@@ -80,17 +79,23 @@ class DuplexFusion:
         skew_ns: NDArray[np.int64],
         codes: NDArray[np.int64],
         *views: NDArray[Any],
+        smooth: bool = False,
     ) -> list[FusedFrame]:
         """The next pairs.
 
         Args:
             time_ns, skew_ns, codes, views: As :func:`fusion.estimator.estimator.estimate_pairs` takes them.
+            smooth: Whether these pairs are the whole recording, and all of them count for each.
         """
-        output = new_output(len(time_ns), views[1].shape[1])
+        joints = views[1].shape[1]
+        output = new_output(len(time_ns), joints)
+        trace = new_trace(len(time_ns), joints) if smooth else self._no_trace
         estimate_pairs(
             self._model, self._facing_model, self._state, self._facing, self._views, self._solve, output,
-            time_ns, skew_ns, codes, *views,
+            trace, time_ns, skew_ns, codes, *views,
         )  # fmt: skip
+        if smooth:
+            smooth_pairs(self._model, self._solve, trace, output)
         return [self._fused(output, k, int(time)) for k, time in enumerate(time_ns)]
 
     def _fused(self, output: Output, k: int, time_ns: int) -> FusedFrame:

@@ -11,6 +11,7 @@ from fusion.estimator.measurement import cast_rays, find_covers, set_covariances
 from fusion.estimator.motion import predict
 from fusion.estimator.offsets import fade_offsets, learn_offsets
 from fusion.estimator.robust import judge, remember_doubt
+from fusion.estimator.smoother import trace_prediction, trace_result
 from fusion.estimator.uncertainty import spread
 from fusion.estimator.update import begin_joints, share_error, take_in
 from fusion.estimator.views import relabel, rescale, take_views
@@ -21,7 +22,7 @@ _SHORTEST_STEP = 1e-3  # s: two pairs at one time are no infinite speed
 
 
 @kernel
-def estimate_pairs(
+def estimate_pairs(  # type: ignore[no-untyped-def]
     model,
     facing_model,
     state,
@@ -29,6 +30,7 @@ def estimate_pairs(
     views,
     solve,
     output,
+    trace,
     time_ns,
     skew_ns,
     codes,
@@ -36,7 +38,7 @@ def estimate_pairs(
     states_a,
     b,
     states_b,
-):  # type: ignore[no-untyped-def]
+):
     """:func:`estimate_pair` over consecutive pairs.
 
     Args:
@@ -44,6 +46,7 @@ def estimate_pairs(
         state, facing: Carried on.
         views, solve: Room.
         output: Room for T pairs.
+        trace: Room for what a smoother needs (:mod:`fusion.estimator.smoother`), or for no pair.
         codes: (T, 2) exchange codes of A and B where they are known, -1 where the facing filter finds them.
         time_ns, skew_ns: (T,) the pairs' times, and capture time of B less that of A.
         a, b: (T, J, 3) float32 positions, each in its sensor's frame; NaN where not tracked.
@@ -51,13 +54,14 @@ def estimate_pairs(
     """
     for k in range(len(time_ns)):
         estimate_pair(
-            model, facing_model, state, facing, views, solve, output, k, time_ns[k], skew_ns[k], codes[k],
+            model, facing_model, state, facing, views, solve, output, trace, k,
+            time_ns[k], skew_ns[k], codes[k],
             a[k], states_a[k], b[k], states_b[k],
         )  # fmt: skip
 
 
 @inner_kernel
-def estimate_pair(
+def estimate_pair(  # type: ignore[no-untyped-def]
     model,
     facing_model,
     state,
@@ -65,6 +69,7 @@ def estimate_pair(
     views,
     solve,
     output,
+    trace,
     k,
     time_ns,
     skew_ns,
@@ -73,7 +78,7 @@ def estimate_pair(
     states_a,
     b,
     states_b,
-):  # type: ignore[no-untyped-def]
+):
     """S* of one pair into row k of the output."""
     constants, room, sums = model.constants, solve.room, solve.sums
     dt = elapsed(state, time_ns)
@@ -89,6 +94,7 @@ def estimate_pair(
     rescale(model, state, views, dt)
     # where the joints should be by now
     predict(model, state, dt)
+    trace_prediction(model, state, trace, k, dt)
     # how far each measurement can be trusted beforehand
     cast_rays(model, views)
     find_covers(model, views)
@@ -113,9 +119,10 @@ def estimate_pair(
     output.counts[k, 0] = hold_bones(model, state, solve)
     # the filter goes on from there
     follow_bones(model, state, solve)
+    trace_result(model, state, trace, k)
     state.clock[0], state.clock[1] = time_ns, 1
     # how sure all that is
-    spread(model, state, solve, output.covariance[k], output.sigma[k], room)
+    spread(model, solve, output.covariance[k], output.sigma[k], room)
     report(state, views, solve, output, k)
 
 
@@ -134,10 +141,10 @@ def elapsed(state, time_ns):  # type: ignore[no-untyped-def]
 @inner_kernel
 def anyone(states_a, states_b):  # type: ignore[no-untyped-def]
     """Whether a sensor reports a person."""
+    some = False
     for i in range(len(states_a)):
-        if states_a[i] != 0 or states_b[i] != 0:
-            return True
-    return False
+        some = some or states_a[i] != 0 or states_b[i] != 0
+    return some
 
 
 @inner_kernel

@@ -11,9 +11,9 @@ from fusion.compiling.kernels import inner_kernel
 def respect_hinges(model, state, views):  # type: ignore[no-untyped-def]
     """Moves a hinge that neither view tracks onto the straight line, where it bends to the wrong side.
 
-    A knee lies before the line from hip to ankle, an elbow behind the line from shoulder to wrist of an arm that
-    hangs down; before is where the trunk faces: (left - right) × (shoulders - hips). The hinge is moved along
-    the part of that direction that is normal to its line.
+    A knee lies before the line from hip to ankle, an elbow behind the line from shoulder to wrist of an arm
+    that hangs down; before is where the trunk faces: (left - right) × (shoulders - hips). The hinge is moved
+    along the part of that direction that is normal to its line.
     """
     x = state.positions
     lh, rh, ls, rs = model.sides[0], model.sides[1], model.sides[2], model.sides[3]

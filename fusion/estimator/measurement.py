@@ -1,9 +1,9 @@
 """How far each measurement can be trusted beforehand: its covariance, from ray, joint, state and covers.
 
-Two errors add up. The slow one is a bias that depends on the view and the pose and lasts for a second or more;
-it is larger along the ray than across it, larger for an inferred joint, and larger where another joint lies
-before this one in the sensor's viewing plane: the mis-leading joint of sec. 3. The fast one changes from frame
-to frame.
+Two errors add up. The slow one is a bias that depends on the view and the pose and lasts for a second or
+more; it is larger along the ray than across it, larger for an inferred joint, and larger where another joint
+lies before this one in the sensor's viewing plane: the mis-leading joint of sec. 3. The fast one changes from
+frame to frame.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def find_covers(model, views):  # type: ignore[no-untyped-def]
 def set_covariances(model, state, views):  # type: ignore[no-untyped-def]
     """Slow covariance C = σ² m (I + (κ² - 1) r rᵀ) and fast variance of each measurement.
 
-    σ is the joint's slow error, r the ray, κ ``along_ray``. m = 1 + (near / d)^power with d the distance of the
-    covering joint, eq. (10) read as information: a measurement's information falls to a half where d is
+    σ is the joint's slow error, r the ray, κ ``along_ray``. m = 1 + (near / d)^power with d the distance of
+    the covering joint, eq. (10) read as information: a measurement's information falls to a half where d is
     ``near``. An inferred joint has both errors multiplied.
     """
     k = model.constants

@@ -1,8 +1,8 @@
 """By how much each view's joints are off from S*, lastingly: what the two views disagree about, shared out.
 
 Two trackers place a joint centimetres apart, for as long as the pose lasts. Only the difference shows; each
-view takes its share of it, by its covariance. With the offsets taken out the views agree, and S* does not move
-when one view loses the joint or finds it again.
+view takes its share of it, by its covariance. With the offsets taken out the views agree, and S* does not
+move when one view loses the joint or finds it again.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ def fade_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
     """Offsets decay as an Ornstein–Uhlenbeck process does: b ← φ b, Var b ← φ² Var b + (1 - φ²) C.
 
     C is the mean slow variance of the measurement. They last for ``agreement_seconds`` while both views are
-    trusted, for ``alone_seconds`` while only one is. The variance of an offset does not grow for a view that is
-    trusted alone: then it is the one S* follows.
+    trusted, for ``alone_seconds`` while only one is. The variance of an offset does not grow for a view that
+    is trusted alone: then it is the one S* follows.
     """
     k = model.constants
     together, alone = math.exp(-dt / k.agreement_seconds), math.exp(-dt / k.alone_seconds)

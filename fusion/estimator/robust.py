@@ -1,4 +1,4 @@
-"""Which measurements are outliers: the probability that each is none, from the prediction and the other view."""
+"""Which measurements are outliers: the probability of each, from the prediction and the other view."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def judge(model, state, views):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def innovation(state, views, v, i, c):  # type: ignore[no-untyped-def]
-    """Measured less predicted: y - x along axis c, with the view's offset taken out, at the view's own time."""
+    """Measured less predicted along axis c, with the view's offset taken out, at the view's own time."""
     at_capture = state.positions[i, c] + state.velocities[i, c] * views.delays[v]
     return views.positions[v, i, c] - state.offsets[v, i, c] - at_capture
 
@@ -78,7 +78,7 @@ def normal(square, variance):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
-    """Probability of an outlier before it is measured: a two-state Markov chain, or the doubt about the sides."""
+    """Probability of an outlier before it is measured: a Markov chain, or the doubt about the sides."""
     k = model.constants
     rare = k.outlier if views.states[v, i] == 2 else k.inferred_outlier
     prior = rare + max(k.outlier_lasts - rare, 0.0) * state.doubt[v, i]

@@ -9,15 +9,15 @@ from fusion.estimator.three import inverse
 
 
 @inner_kernel
-def spread(model, state, solve, covariance, sigma, room):  # type: ignore[no-untyped-def]
+def spread(model, solve, covariance, sigma, room):  # type: ignore[no-untyped-def]
     """The covariance of each joint of S* given all joints' information and the bones' lengths.
 
-    A hard bone lets a joint say about its neighbour only how far it lies along the bone, n: with A the neighbour's
-    own information and all that comes from beyond it, that is n nᵀ / (nᵀ A⁻¹ n). Sums of these go up the tree,
-    then down: belief propagation, exact on a tree for bones whose directions are given.
+    A hard bone lets a joint say about its neighbour only how far it lies along the bone, n: with A the
+    neighbour's own information and all that comes from beyond it, that is n nᵀ / (nᵀ A⁻¹ n). Sums of these go
+    up the tree, then down: belief propagation, exact on a tree for bones whose directions are given.
 
     Args:
-        model, state, solve: After the bones; the information in ``solve`` is that of the targets.
+        model, solve: After the bones; the information in ``solve`` is that of the targets.
         covariance: (J, 3, 3) out, m².
         sigma: (J,) out: the square root of its trace, m: one standard deviation of the distance to the truth.
         room: (3, 3) scratch.

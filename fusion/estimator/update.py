@@ -83,8 +83,8 @@ def begin_joints(model, state, views, sum_, room):  # type: ignore[no-untyped-de
 def share_error(model, state, views, kept_together, kept_alone, sum_, room):  # type: ignore[no-untyped-def]
     """The slow error of S*: M ← M + (1 - φ) ((Σ_v β_v C_v⁻¹)⁻¹ - M), at the pace of the offsets.
 
-    No filter can see it, since no view does: it is what the views share after their difference is known. Without
-    a measurement it stays, and only the prediction's uncertainty grows.
+    No filter can see it, since no view does: it is what the views share after their difference is known.
+    Without a measurement it stays, and only the prediction's uncertainty grows.
     """
     for i in range(len(model.parents)):
         total = views.trust[0, i] + views.trust[1, i]

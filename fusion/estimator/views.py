@@ -82,10 +82,10 @@ def relabel(model, facing_model, facing, views, dt, code_a, code_b):  # type: ig
 def rescale(model, state, views, dt):  # type: ignore[no-untyped-def]
     """Estimates by how much each view's skeleton is too large, and takes it out about its root.
 
-    A tracker's whole skeleton grows and shrinks by some per cent within a second. The scale 1 + s is filtered:
-    s is an Ornstein–Uhlenbeck process of standard deviation ``scale_sd`` that forgets in ``scale_seconds``; a
-    pair measures it by Σ w r / Σ w over the relative errors r of the bones, w = l² times a weight of Geman and
-    McClure's estimator, which bones that are off by more than a tenth hardly have.
+    A tracker's whole skeleton grows and shrinks by some per cent within a second. The scale 1 + s is
+    filtered: s is an Ornstein–Uhlenbeck process of standard deviation ``scale_sd`` that forgets in
+    ``scale_seconds``. A pair measures it by Σ w² r / Σ w² over the relative errors r of the bones, with
+    w = l / (1 + (r - s)² / 0.15²): a bone that is far off hardly counts.
     """
     k = model.constants
     kept = math.exp(-dt / k.scale_seconds)
