@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.calibration.calibration import Calibration
 from fusion.compiling.parallel_compilation import tree_solver_compiled_meanwhile
 from fusion.errors import FusionError
 from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.fused_frame import FusedFrame as FusedFrame
-from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.methods.paper_fusion import PaperFusion
-from fusion.settings import FuserSettings as FuserSettings
+from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
 
 
@@ -26,31 +24,18 @@ class Fuser:
     :mod:`fusion.methods.paper`.
 
     Args:
-        calibration: R, t and the bone lengths.
-        settings: The method's choices.
-        intrinsics_a, intrinsics_b: The sensors' depth cameras; the family's nominal ones where None.
+        setup: Calibration, settings and cameras.
     """
 
-    def __init__(
-        self,
-        calibration: Calibration,
-        settings: FuserSettings | None = None,
-        intrinsics_a: Intrinsics | None = None,
-        intrinsics_b: Intrinsics | None = None,
-    ) -> None:
-        body = calibration.body
-        _check_bones(calibration)
-        self.calibration = calibration
-        self.settings = settings or FuserSettings()
-        self.intrinsics_a = intrinsics_a or NOMINAL_INTRINSICS[body.name]
-        self.intrinsics_b = intrinsics_b or NOMINAL_INTRINSICS[body.name]
-        self._nobody = Skeleton.of(body, np.full((len(body), 3), np.nan))
+    def __init__(self, setup: FusionSetup) -> None:
+        self.setup = setup
+        self._nobody = Skeleton.of(setup.body, np.full((len(setup.body), 3), np.nan))
         self._unlabelled = np.full((1, 2), -1, dtype=np.int64)
         self._fusion: DuplexFusion | PaperFusion
-        if self.settings.method == "duplex":
-            self._fusion = DuplexFusion(calibration, self.settings)
+        if setup.settings.method == "duplex":
+            self._fusion = DuplexFusion(setup)
         else:
-            self._fusion = PaperFusion(calibration, self.settings, (self.intrinsics_a, self.intrinsics_b))
+            self._fusion = PaperFusion(setup)
 
     def warm_up(self, meanwhile: Callable[[], object] = lambda: None) -> None:
         """Compiles everything that :meth:`update` runs, without touching what this fuser remembers.
@@ -58,26 +43,28 @@ class Fuser:
         Args:
             meanwhile: What else there is to compile: on a first run another process is at work too.
         """
-        other = Fuser(self.calibration, self.settings)
-        if self.settings.method == "published":
+        other = Fuser(self.setup)
+        if self.setup.settings.method == "published":
             meanwhile()
         else:
-            with tree_solver_compiled_meanwhile(self._fusion.kernel, self.settings.method == "duplex"):
+            with tree_solver_compiled_meanwhile(self._fusion.kernel, self.setup.settings.method == "duplex"):
                 meanwhile()
                 other._fusion.compile(self._nobody.positions, self._nobody.states)
         other.update(SkeletonPair(None, None, 0))
 
-    def recalibrate(self, calibration: Calibration) -> None:
-        """Goes on with another calibration of the same body; what is known of the person stays.
+    def recalibrate(self, setup: FusionSetup) -> None:
+        """Goes on with another calibration; what is known of the person stays.
+
+        Args:
+            setup: With the body and the settings of this fuser.
 
         Raises:
-            FusionError: Another body, or a bone without a length.
+            FusionError: Another body, or other settings.
         """
-        if calibration.body is not self.calibration.body:
-            raise FusionError(f"The fuser is for {self.calibration.body.name}; got {calibration.body.name}.")
-        _check_bones(calibration)
-        self.calibration = calibration
-        self._fusion.recalibrate(calibration)
+        if setup.body is not self.setup.body or setup.settings != self.setup.settings:
+            raise FusionError("A fuser goes on with another calibration only: its body and settings stay.")
+        self.setup = setup
+        self._fusion.recalibrate(setup)
 
     def update(self, pair: SkeletonPair, codes: tuple[int, int] | None = None) -> FusedFrame:
         """Fuses the next pair.
@@ -123,7 +110,7 @@ class Fuser:
         """
         if not isinstance(self._fusion, DuplexFusion):
             raise FusionError(
-                f"Only the method duplex can smooth a recording; this is {self.settings.method}."
+                f"Only the method duplex can smooth a recording; this is {self.setup.settings.method}."
             )
         return self._fusion.run(*self._rows(pairs, codes), smooth=True) if pairs else []
 
@@ -144,9 +131,3 @@ class Fuser:
         states = np.array([skeleton.states for skeleton in skeletons])
         positions.flags.writeable = states.flags.writeable = False  # the type update() calls with
         return positions, states
-
-
-def _check_bones(calibration: Calibration) -> None:
-    bones = calibration.bone_lengths[calibration.body.bone_joints]
-    if not (np.isfinite(bones).all() and (bones > 0.0).all()):
-        raise FusionError(f"Every bone needs a length of more than 0 m; the shortest is {bones.min()} m.")

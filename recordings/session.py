@@ -28,8 +28,8 @@ from devices.pairing import FramePair
 from devices.sensor import ColorImage, SensorFrame
 from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
-from fusion.fuser import Fuser, FuserSettings
 from fusion.intrinsics import Intrinsics
+from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton
 from recordings import layout
 from recordings.errors import RecordingError
@@ -213,16 +213,16 @@ class Session:
             return 30.0
         return float(1e9 / np.median(np.diff(self.rows.time_ns)))
 
-    def fusers(self, settings: FuserSettings | None = None) -> Iterator[tuple[Fuser, slice]]:
-        """The fuser of each calibration as it was before its first frame, and which frames are its own.
+    def setups(self, settings: FuserSettings | None = None) -> Iterator[tuple[FusionSetup, slice]]:
+        """What each calibration's frames were fused with, by a new fuser each, and which frames those are.
 
         Args:
             settings: To fuse with; the session's own where None.
         """
         firsts = [number for number, _ in self.calibrations]
         for (first, calibration), end in zip(self.calibrations, [*firsts[1:], len(self)], strict=True):
-            settings = settings or self.settings
-            yield Fuser(calibration, settings, self.intrinsics_a, self.intrinsics_b), slice(first, end)
+            cameras = self.intrinsics_a, self.intrinsics_b
+            yield FusionSetup(calibration, settings or self.settings, *cameras), slice(first, end)
 
     def pairs(self, depth: bool = False) -> Iterator[FramePair]:
         """The pairs as the sensors gave them: a session is a source like any other.
@@ -240,7 +240,7 @@ class Session:
                 if image is not None and image[0] == t:
                     seen[side] = image[1]
                     ahead[side] = next(images[side], None)
-            yield FramePair(
+            yield FramePair.of(
                 _sensor_frame(
                     self.body, rows.clock_a[t], rows.positions_a[t], rows.states_a[t], seen.get("a")
                 ),

@@ -20,7 +20,8 @@ import rerun as rr
 
 from devices.pairing import FramePair
 from fusion.calibration.calibration import Calibration
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
 from recordings import layout
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
@@ -47,11 +48,12 @@ def record_fused(
         depth_every: Keep the depth images of every so many pairs; 0 for none.
         block: Frames written at a time.
     """
-    fuser = Fuser(calibration, settings)
+    setup = FusionSetup(calibration, settings)
+    fuser = Fuser(setup)
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
     stream.save(path)
     try:
-        recorder = Recorder(stream, fuser, ("a", "b"), depth_every)
+        recorder = Recorder(stream, setup, ("a", "b"), depth_every)
         recorder.event(f"calibrated: {calibration.how}")
         frames = [RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
         for first in range(0, len(frames), block):

@@ -52,8 +52,10 @@ class FuseOptions:
     """Id of the person in B; the one seen longest if not given."""
     h: float = 0.786
     """How much more a tracked joint counts than an inferred one, between 0.5 and 1."""
-    solver: Literal["exact", "paper"] = "exact"
-    """exact: one constraint a bone. paper: eqs. (3)-(9) as published."""
+    method: Literal["duplex", "paper", "published"] = "duplex"
+    """duplex: an estimator in time. paper: eqs. (10)-(13), exact bones. published: eqs. (3)-(9) as well."""
+    smoothing: float = 0.5
+    """How calm the joints are, from 0 (each frame by itself) to 1; of the method duplex."""
     weights: Literal["paper", "equal"] = "paper"
     """paper: trust a joint, eqs. (10), (11). equal: both views alike."""
     calibrate: str = "auto"
@@ -129,12 +131,14 @@ class LiveOptions:
     """Microsoft's body tracker, libk4abt; where the system finds it if not given."""
     processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
     """Where the body tracker runs; a CPU gives about one frame a second."""
-    smoothing: float = 0.0
+    tracker_smoothing: float = 0.0
     """Temporal smoothing of the body tracker, 0 to 1; fusion wants 0."""
     h: float = 0.786
     """How much more a tracked joint counts than an inferred one, between 0.5 and 1."""
-    solver: Literal["exact", "paper"] = "exact"
-    """exact: one constraint a bone. paper: eqs. (3)-(9) as published."""
+    method: Literal["duplex", "paper", "published"] = "duplex"
+    """duplex: an estimator in time. paper: eqs. (10)-(13), exact bones. published: eqs. (3)-(9) as well."""
+    smoothing: float = 0.5
+    """How calm the joints are, from 0 (each frame by itself) to 1; of the method duplex."""
     weights: Literal["paper", "equal"] = "paper"
     """paper: trust a joint, eqs. (10), (11). equal: both views alike."""
     calibrate: str = "auto"
@@ -219,8 +223,11 @@ class ReplayOptions:
     """The .rrd to replay."""
     h: float | None = None
     """How much more a tracked joint counts than an inferred one; as recorded if not given."""
-    solver: Literal["exact", "paper"] | None = None
-    """exact: one constraint a bone. paper: eqs. (3)-(9) as published. As recorded if not given."""
+    method: Literal["duplex", "paper", "published"] | None = None
+    """duplex: an estimator in time. paper: eqs. (10)-(13), exact bones. published: eqs. (3)-(9) as well. As
+    recorded if not given."""
+    smoothing: float | None = None
+    """How calm the joints are, from 0 (each frame by itself) to 1; as recorded if not given."""
     weights: Literal["paper", "equal"] | None = None
     """paper: trust a joint, eqs. (10), (11). equal: both views alike. As recorded if not given."""
     verify: bool = False

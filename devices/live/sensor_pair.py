@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from devices.live.sensor_state import SensorEvent, SensorState
 from devices.live.sensor_thread import SensorThread
-from devices.live.stream_pairing import LivePair, LivePairing, PairingFigures, Side
+from devices.live.stream_pairing import LivePairing, PairingFigures, Side
+from devices.pairing import FramePair
 from devices.sensor import Sensor, SensorFrame
 
 _POLL_S = 0.01  # pairs that wait for nobody any more come out this much late at most
@@ -125,7 +126,7 @@ class TwoSensors:
         for _, thread in self._sides():
             self._take_events(thread)
 
-    def pairs(self) -> Iterator[LivePair]:
+    def pairs(self) -> Iterator[FramePair]:
         """Pairs as they come, until both sources have ended or :meth:`stop`; waits while both are gone.
 
         Raises:
@@ -143,7 +144,7 @@ class TwoSensors:
         """Makes ``pairs`` end; for signal handlers and other threads."""
         self._stopped = True  # an Event's lock may be held by the very thread that the signal interrupts
 
-    def poll(self, wait_s: float = _POLL_S) -> list[LivePair]:
+    def poll(self, wait_s: float = _POLL_S) -> list[FramePair]:
         """The pairs that are complete now, after waiting for a frame at most ``wait_s``.
 
         Raises:

@@ -8,7 +8,6 @@ import numpy as np
 from numba import typeof
 from numpy.typing import NDArray
 
-from fusion.calibration.calibration import Calibration
 from fusion.estimator.arrays import Output, new_model, new_output, new_solve, new_state, new_views
 from fusion.estimator.constants import Constants
 from fusion.estimator.estimator import estimate_pairs
@@ -16,31 +15,28 @@ from fusion.estimator.smoother import new_trace, smooth_pairs
 from fusion.estimator.views import relabel
 from fusion.facing.model import new_facing_model, new_facing_state
 from fusion.fused_frame import FusedFrame
-from fusion.settings import FuserSettings
+from fusion.setup import FusionSetup
 
 
 class DuplexFusion:
-    """``duplex``; see :class:`fusion.settings.FuserSettings`.
+    """``duplex``; see :class:`fusion.setup.FuserSettings`.
 
     Args:
-        calibration: R, t and the bone lengths.
-        settings: The method's choices.
+        setup: Calibration and settings.
         constants: Of the filter; the fitted ones where None.
     """
 
     kernel: Any = estimate_pairs
     """What takes longest to compile."""
 
-    def __init__(
-        self, calibration: Calibration, settings: FuserSettings, constants: Constants | None = None
-    ) -> None:
-        body = calibration.body
-        self._settings, self._constants = settings, constants
+    def __init__(self, setup: FusionSetup, constants: Constants | None = None) -> None:
+        body = setup.body
+        self._constants = constants
         self._facing_model, self._facing = new_facing_model(body), new_facing_state(body)
         joints = len(body)
         self._state, self._views, self._solve = new_state(joints), new_views(joints), new_solve(joints)
         self._no_trace = new_trace(0, joints)
-        self._calibrate(calibration)
+        self._calibrate(setup)
 
     def compile(self, positions: NDArray[np.float32], states: NDArray[np.uint8]) -> None:
         """Compiles a good part of what needs no solver."""
@@ -48,28 +44,28 @@ class DuplexFusion:
         given = self._model, self._facing_model, self._facing, self._views, 0.0, 0, 0
         relabel.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
 
-    def recalibrate(self, calibration: Calibration) -> None:
+    def recalibrate(self, setup: FusionSetup) -> None:
         """Goes on with another calibration; S* does not jump.
 
         Where R and t change, S_B moves. Its offsets take that up, from where B last saw each joint, and fade
         as offsets do.
         """
-        before = self._calibration.a_from_b
+        before = self._setup.calibration.a_from_b
         last = self._state.last_positions[1].astype(np.float64)
-        moved = calibration.a_from_b.apply(last) - before.apply(last)
+        moved = setup.calibration.a_from_b.apply(last) - before.apply(last)
         seen = np.isfinite(moved).all(axis=1)
         self._state.offsets[1][seen] += moved[seen]
-        self._calibrate(calibration)
+        self._calibrate(setup)
 
-    def _calibrate(self, calibration: Calibration) -> None:
-        self._calibration = calibration
-        a_from_b = calibration.a_from_b
+    def _calibrate(self, setup: FusionSetup) -> None:
+        self._setup = setup
+        a_from_b = setup.calibration.a_from_b
         self._model = new_model(
-            calibration.body,
-            calibration.bone_lengths,
+            setup.body,
+            setup.calibration.bone_lengths,
             a_from_b.rotation,
             a_from_b.translation,
-            self._settings.smoothing,
+            setup.settings.smoothing,
             self._constants,
         )
 
@@ -106,7 +102,7 @@ class DuplexFusion:
             weights_a=output.weights_a[k],
             weights_b=output.weights_b[k],
             misleading=output.misleading[k],
-            a_from_b=self._calibration.a_from_b,
+            a_from_b=self._setup.calibration.a_from_b,
             iterations=iterations,
             stale_a=bool(stale_a),
             stale_b=bool(stale_b),

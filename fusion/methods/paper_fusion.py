@@ -8,48 +8,41 @@ import numpy as np
 from numba import typeof
 from numpy.typing import NDArray
 
-from fusion.calibration.calibration import Calibration
 from fusion.fused_frame import FusedFrame
-from fusion.intrinsics import Intrinsics
 from fusion.methods import paper
 from fusion.rigid import RigidTransform
-from fusion.settings import FuserSettings
+from fusion.setup import FusionSetup
 from fusion.solvers.tree_solver import solve_tree
 
 
 class PaperFusion:
-    """``paper`` and ``published``; see :class:`fusion.settings.FuserSettings`.
+    """``paper`` and ``published``; see :class:`fusion.setup.FuserSettings`.
 
     Args:
-        calibration: R, t and the bone lengths.
-        settings: The method's choices.
-        intrinsics: Of both sensors' depth cameras.
+        setup: Calibration, settings and cameras.
     """
 
     kernel: Any = solve_tree
     """What takes longest to compile."""
 
-    def __init__(
-        self, calibration: Calibration, settings: FuserSettings, intrinsics: tuple[Intrinsics, Intrinsics]
-    ) -> None:
-        self._settings, self._intrinsics = settings, intrinsics
-        self._unknown = np.full((len(calibration.body), 3, 3), np.nan)
+    def __init__(self, setup: FusionSetup) -> None:
+        self._unknown = np.full((len(setup.body), 3, 3), np.nan)
         self._unknown.flags.writeable = False
-        self._memory = paper.new_memory(len(calibration.body), calibration.a_from_b.translation)
-        self.recalibrate(calibration)
+        self._memory = paper.new_memory(len(setup.body), setup.calibration.a_from_b.translation)
+        self.recalibrate(setup)
 
-    def recalibrate(self, calibration: Calibration) -> None:
+    def recalibrate(self, setup: FusionSetup) -> None:
         """Goes on with another calibration."""
-        self._calibration = calibration
+        self._setup = setup
         self._model = paper.new_model(
-            calibration.body,
-            calibration.bone_lengths,
-            calibration.a_from_b.rotation,
-            self._intrinsics,
-            self._settings.h,
-            paper.EQUAL if self._settings.weights == "equal" else paper.TRUST,
+            setup.body,
+            setup.calibration.bone_lengths,
+            setup.calibration.a_from_b.rotation,
+            setup.intrinsics,
+            setup.settings.h,
+            paper.EQUAL if setup.settings.weights == "equal" else paper.TRUST,
         )
-        self._memory.translation[:] = calibration.a_from_b.translation
+        self._memory.translation[:] = setup.calibration.a_from_b.translation
 
     def compile(self, positions: NDArray[np.float32], states: NDArray[np.uint8]) -> None:
         """Compiles all but the solver."""
@@ -67,7 +60,7 @@ class PaperFusion:
         """The next pairs. The paper knows neither the skew between the sensors nor exchanged sides."""
         del skew_ns, codes
         result = paper.new_result(len(time_ns), views[1].shape[1])
-        published = self._settings.method == "published"
+        published = self._setup.settings.method == "published"
         fuse = paper.fuse_frames_as_published if published else paper.fuse_frames
         fuse(self._model, self._memory, result, time_ns, *views)
         return [self._fused(result, k, int(time)) for k, time in enumerate(time_ns)]
@@ -80,7 +73,7 @@ class PaperFusion:
             weights_a=result.weights_a[k],
             weights_b=result.weights_b[k],
             misleading=result.misleading[k],
-            a_from_b=RigidTransform(self._calibration.a_from_b.rotation, result.translation[k]),
+            a_from_b=RigidTransform(self._setup.calibration.a_from_b.rotation, result.translation[k]),
             iterations=iterations,
             stale_a=bool(stale_a),
             stale_b=bool(stale_b),

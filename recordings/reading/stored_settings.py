@@ -11,10 +11,10 @@ import numpy as np
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
-from fusion.fuser import FuserSettings
 from fusion.intrinsics import Intrinsics
 from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.reading.rrd_file import Columns
@@ -90,6 +90,10 @@ def calibrations_of(path: Path, body: Body, found: Columns) -> list[tuple[int, C
 
 
 def settings_of(of: dict[str, list[Any]]) -> FuserSettings:
+    """The settings of a session; version 0.1 knew the paper's method only, with two solvers for its bones."""
+    if "solver" in of:
+        method = "published" if of["solver"][0] == "paper" else "paper"
+        of = {"method": [method], **{name: value for name, value in of.items() if name != "solver"}}
     known = {f.name for f in fields(FuserSettings)}
     strangers = sorted(set(of) - known)
     if strangers:

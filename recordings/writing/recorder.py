@@ -16,7 +16,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from devices.sensor import ColorImage
-from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles as appearance
 from recordings.appearance.coach_page import CoachPage
@@ -40,7 +40,7 @@ class Recorder:
 
     Args:
         stream: Where to log to; its sinks decide whether that is a viewer, a file or both.
-        fuser: Whose settings, calibration and intrinsics the session keeps.
+        setup: Settings, calibration and cameras, which the session keeps.
         sources: What the sensors are called, K_A first.
         depth_every: Keep the depth images of every so many pairs; 0 for none.
         about: More to say of the session's origin, kept among its properties.
@@ -51,7 +51,7 @@ class Recorder:
     def __init__(
         self,
         stream: rr.RecordingStream,
-        fuser: Fuser,
+        setup: FusionSetup,
         sources: tuple[str, str],
         depth_every: int = 0,
         about: Mapping[str, str | int] | None = None,
@@ -60,31 +60,31 @@ class Recorder:
         points: bool = False,
     ) -> None:
         self._stream = stream
-        self._calibration = fuser.calibration
+        self._calibration = setup.calibration
         self._frames = 0
         self._like: SessionArrays | None = None
         self._start_ns = start_ns
         self._last: tuple[int, int] | None = None
         self._depth_every, self._points = depth_every, points
-        self._cameras = {"a": fuser.intrinsics_a, "b": fuser.intrinsics_b}
+        self._cameras = {"a": setup.intrinsics_a, "b": setup.intrinsics_b}
         if points:
             prepare_points(*self._cameras.values())
         self._color, self._figures = ColorLog(stream), StreamFiguresLog(stream)
         draft_ns = _MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS
-        self._matrix = TrustMatrix(fuser.calibration.body, draft_ns, hasty=points)
+        self._matrix = TrustMatrix(setup.calibration.body, draft_ns, hasty=points)
         self._lanes = StateLanes()
-        self._log_static(fuser)
-        properties = self._properties(fuser, sources, about or {})
+        self._log_static(setup)
+        properties = self._properties(setup, sources, about or {})
         for name, values in properties.items():
             stream.send_property(name, rr.AnyValues(**values))
         stream.send_property("check", rr.AnyValues(crc32=properties_checksum(properties)))
-        self.calibrate(fuser)
+        self.recalibrated(setup)
         # what a reader needs first must stand first in the file; columns would overtake it
         stream.flush(timeout_sec=0.0)
 
-    def calibrate(self, fuser: Fuser) -> None:
-        """Keeps the calibration with which the frames that follow are fused, by a new fuser."""
-        calibration = self._calibration = fuser.calibration
+    def recalibrated(self, setup: FusionSetup) -> None:
+        """Keeps the calibration with which the frames that follow are fused, by a new setup."""
+        calibration = self._calibration = setup.calibration
         registration = calibration.registration
         values: dict[str, Any] = {
             "how": calibration.how,
@@ -255,7 +255,7 @@ class Recorder:
             self._set_time(frame, time_ns)
             self._stream.log(layout.TRUST_MATRIX, rr.EncodedImage(contents=png, media_type="image/png"))
 
-    def _log_static(self, fuser: Fuser) -> None:
+    def _log_static(self, setup: FusionSetup) -> None:
         body = self._calibration.body
         stream = self._stream
 
@@ -264,7 +264,7 @@ class Recorder:
 
         once(layout.ROOT, rr.ViewCoordinates.RDF, appearance.annotation_context(body))
         once(layout.kinect("a"), rr.Transform3D.from_fields(translation=(0.0, 0.0, 0.0)))
-        for side, intrinsics in (("a", fuser.intrinsics_a), ("b", fuser.intrinsics_b)):
+        for side, intrinsics in (("a", setup.intrinsics_a), ("b", setup.intrinsics_b)):
             once(layout.skeleton(side), appearance.joint_look(body, side))
             once(layout.depth(side), appearance.camera(intrinsics, side))
             once(layout.depth(side), appearance.DEPTH)
@@ -276,7 +276,7 @@ class Recorder:
         once(layout.TRUTH_SKELETON, appearance.joint_look(body, "truth"))
 
     def _properties(
-        self, fuser: Fuser, sources: tuple[str, str], about: Mapping[str, str | int]
+        self, setup: FusionSetup, sources: tuple[str, str], about: Mapping[str, str | int]
     ) -> dict[str, dict[str, Any]]:
         """What a replay needs, and what a person asks of a file."""
 
@@ -294,8 +294,8 @@ class Recorder:
                 "source_b": sources[1],
                 **about,
             },
-            "settings": asdict(fuser.settings),
-            "intrinsics": {"a": camera(fuser.intrinsics_a), "b": camera(fuser.intrinsics_b)},
+            "settings": asdict(setup.settings),
+            "intrinsics": {"a": camera(setup.intrinsics_a), "b": camera(setup.intrinsics_b)},
         }
 
 

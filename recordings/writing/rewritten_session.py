@@ -43,12 +43,12 @@ def rewrite(
     if blueprint is not None:
         stream.send_blueprint(blueprint)
     try:
-        segments = [(fuser, own) for fuser, own in session.fusers() if own.stop > first and own.start < end]
+        segments = [(setup, own) for setup, own in session.setups() if own.stop > first and own.start < end]
         recorder = Recorder(stream, segments[0][0], session.sources, about=about)
         start_ns = int(session.rows.time_ns[first])
-        for fuser, own in segments:
+        for setup, own in segments:
             if own.start > first:
-                recorder.calibrate(fuser)
+                recorder.recalibrated(setup)
             stop = min(own.stop, end)
             for begin in range(max(own.start, first), stop, _BLOCK):
                 block = slice(begin, min(begin + _BLOCK, stop))

@@ -10,6 +10,7 @@ import pytest
 from fusion.body import BODIES, KINECT_V1
 from fusion.fuser import Fuser
 from fusion.methods.reliability import reliability_weights
+from fusion.setup import FusionSetup
 from fusion.solvers.published import PaperSolver
 from fusion.solvers.tree_solver import TreeSolver
 from tests.campaigns.solver import slsqp
@@ -71,5 +72,5 @@ def test_update(benchmark, body):
     rng = np.random.default_rng(0)
     truth = moving(body, 90)[45:]  # after the stillness at its start
     pairs = cycle([noisy(pair_of(body, at, t * FRAME_NS), rng, 0.01) for t, at in enumerate(truth)])
-    fuser = Fuser(calibration_of(body))
+    fuser = Fuser(FusionSetup(calibration_of(body)))
     benchmark(lambda: fuser.update(next(pairs)))

@@ -27,7 +27,8 @@ from devices.simulated.kinect import simulated_pair
 from devices.simulated.real_time import paced_together
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
 from recordings.images.rvl import encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.recorder import Recorder
@@ -132,7 +133,7 @@ def soak(
     seen = Soak(shown=_TimedRecorder.shown)
     seen.shown.clear()
     a, b, _ = simulated_pair(motion="walk", depth=depth)
-    Fuser(nominal_calibration(AZURE_KINECT)).warm_up()
+    Fuser(FusionSetup(nominal_calibration(AZURE_KINECT))).warm_up()
     for sensor in (a, b):
         image = next(sensor.frames()).depth  # compiles the renderer before the clock runs
         if image is not None:
@@ -159,7 +160,7 @@ def soak(
             )
         return True
 
-    nominal = Fuser(nominal_calibration(AZURE_KINECT), None, a.intrinsics, b.intrinsics)
+    nominal = FusionSetup(nominal_calibration(AZURE_KINECT), None, a.intrinsics, b.intrinsics)
     blueprint = session_blueprint(nominal, np.array([0.0, 0.0, 2.5]), "inspect")
     viewing = Viewing(hub=Hub.on_free_ports(web=False)) if viewer else None
     with (

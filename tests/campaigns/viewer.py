@@ -24,7 +24,8 @@ from devices.simulated.kinect import simulated_pair
 from devices.simulated.real_time import paced_together
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
 from tests.campaigns.soak import GROWTH_MB, SETTLED_S, resident_mb
 from tests.helpers.live_frames import numbers_in
 from viewer_app.loop.live_loop import Status, run_live
@@ -62,8 +63,8 @@ def campaign(seconds: float, kills: int, path: Path, hub_too: bool = False) -> C
     """Runs the loop with a viewer and kills that at equal intervals."""
     seen = Campaign()
     a, b, _ = simulated_pair(motion="walk", depth="half")
-    nominal = Fuser(nominal_calibration(AZURE_KINECT), None, a.intrinsics, b.intrinsics)
-    nominal.warm_up()
+    nominal = FusionSetup(nominal_calibration(AZURE_KINECT), None, a.intrinsics, b.intrinsics)
+    Fuser(nominal).warm_up()
     for sensor in (a, b):
         next(sensor.frames())  # compiles the renderer before the clock runs
     blueprint = session_blueprint(nominal, np.array([0.0, 0.0, 2.5]), "setup")

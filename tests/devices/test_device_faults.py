@@ -23,7 +23,8 @@ from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.azure.usb import usb_kinects
 from devices.live.sensor_pair import TwoSensors
 from devices.live.sensor_state import SensorState
-from devices.live.stream_pairing import LivePair, LivePairing
+from devices.live.stream_pairing import LivePairing
+from devices.pairing import FramePair
 from devices.sensor import DeviceError
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 from tests.helpers.standin_library import Standin
@@ -209,11 +210,11 @@ class _Bench:
             clock_ns = self.b_clock_ns if sensor is self.b else 0
             sensor.put(frame_at(self.index * INTERVAL_NS + clock_ns, host_ns))
 
-    def next_pair(self) -> LivePair:
+    def next_pair(self) -> FramePair:
         return self.until(lambda pairs: len(pairs) > 0)[-1]
 
-    def until(self, done: Callable[[list[LivePair]], bool]) -> list[LivePair]:
-        pairs: list[LivePair] = []
+    def until(self, done: Callable[[list[FramePair]], bool]) -> list[FramePair]:
+        pairs: list[FramePair] = []
         end = time.monotonic() + PATIENCE_S
         while not done(pairs):
             assert time.monotonic() < end, "nothing came"
@@ -239,7 +240,7 @@ def test_fusion_goes_on_with_the_sensor_that_is_left_and_takes_the_other_back() 
         # Its clock starts anew when it is plugged in, here a little behind where it was.
         bench.b_clock_ns = -200_000_000
 
-        def paired_again(pairs: list[LivePair]) -> bool:
+        def paired_again(pairs: list[FramePair]) -> bool:
             # A's frames go out alone until B's first one is here, so both go on.
             bench.put(bench.a, bench.b)
             return any(pair.a is not None and pair.b is not None for pair in pairs)

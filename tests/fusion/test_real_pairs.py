@@ -12,6 +12,7 @@ from devices.skeletons.recording import SkeletonRecording
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate, find_start_up_pose
 from fusion.fuser import FusedFrame, Fuser
+from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 
 
@@ -60,7 +61,7 @@ def test_fused_is_slsqps_optimum_on_50_frames_of_a_real_walk(
 ) -> None:
     calibration, pairs = walk
     body = calibration.body
-    frames = Fuser(calibration).fuse_sequence(pairs)
+    frames = Fuser(FusionSetup(calibration)).fuse_sequence(pairs)
     for k in np.random.default_rng(0).choice(len(pairs), 50, replace=False):
         pair, frame = pairs[k], frames[k]
         assert pair.a is not None

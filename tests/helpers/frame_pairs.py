@@ -49,6 +49,6 @@ def frame_pairs(
             seen.append(SensorFrame(own_ns, {} if absent else {"7": skeleton}, image))
         b = None if t in no_b else seen[1]
         pairs.append(
-            FramePair(seen[0], b, "7", "7", time_ns, 0 if b is None else int(rng.integers(-9e6, 9e6)))
+            FramePair.of(seen[0], b, "7", "7", time_ns, 0 if b is None else int(rng.integers(-9e6, 9e6)))
         )
     return pairs

@@ -10,6 +10,7 @@ from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 from tests.helpers.two_views import FRAME_NS, calibration_of, pair_of, standing
@@ -23,7 +24,7 @@ BODY = KINECT_V2
 
 def known_fuser() -> Fuser:
     """A fuser that knows where both sensors are."""
-    return Fuser(calibration_of(BODY))
+    return Fuser(FusionSetup(calibration_of(BODY)))
 
 
 def frames(fuser: Fuser, count: int, depth: bool = False) -> list[RecordedFrame]:
@@ -35,7 +36,7 @@ def frames(fuser: Fuser, count: int, depth: bool = False) -> list[RecordedFrame]
         seen = pair_of(BODY, at, k * FRAME_NS)
         assert seen.a is not None
         assert seen.b is not None
-        pair = FramePair(
+        pair = FramePair.of(
             SensorFrame(k * FRAME_NS, {"1": seen.a}, image),
             SensorFrame(k * FRAME_NS, {"1": seen.b}, image),
             "1",
@@ -51,8 +52,8 @@ def session(
 ) -> LiveSession:
     """A session into a file, a hub or both."""
     viewing = Viewing(window=window, hub=hub, headless=True)
-    blueprint = session_blueprint(fuser, np.array([0.0, 0.0, 2.6]), "inspect")
-    return LiveSession(fuser, ("a", "b"), blueprint, file=file, viewing=viewing)
+    blueprint = session_blueprint(fuser.setup, np.array([0.0, 0.0, 2.6]), "inspect")
+    return LiveSession(fuser.setup, ("a", "b"), blueprint, file=file, viewing=viewing)
 
 
 def numbers_in(file: Path) -> list[int]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import shutil
 import tempfile
+from collections import Counter
 from pathlib import Path
 from typing import NoReturn
 
@@ -92,6 +93,19 @@ def pytest_configure(config: pytest.Config) -> None:
     file = config.getoption("--list-machine-skips")
     if file is not None and not hasattr(config, "workerinput"):  # not in a worker of pytest-xdist
         config.pluginmanager.register(_SkipList(Path(file)))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Says why tests were skipped: a line for each reason."""
+    reasons = Counter(
+        report.longrepr[2].removeprefix("Skipped: ")
+        for report in terminalreporter.getreports("skipped")
+        if isinstance(report.longrepr, tuple)
+    )
+    if reasons:
+        terminalreporter.section("skipped tests")
+    for reason, count in sorted(reasons.items()):
+        terminalreporter.line(f"{count} × {reason}")
 
 
 class _SkipList:

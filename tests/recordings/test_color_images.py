@@ -15,6 +15,7 @@ from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.images.color_images import read_color
 from recordings.writing.recorder import Recorder
@@ -38,7 +39,7 @@ def images() -> list[ColorImage]:
 @pytest.fixture
 def session(images: list[ColorImage], tmp_path: Path) -> Path:
     """Four frames, of which A has colour in all and B in none."""
-    fuser = Fuser(calibration_of(KINECT_V2))
+    fuser = Fuser(FusionSetup(calibration_of(KINECT_V2)))
     made = []
     for pair, image in zip(frame_pairs(KINECT_V2, len(images)), images, strict=True):
         assert pair.a is not None
@@ -46,7 +47,7 @@ def session(images: list[ColorImage], tmp_path: Path) -> Path:
     path = tmp_path / "s.rrd"
     stream = rr.RecordingStream(layout.APPLICATION_ID)
     stream.set_sinks(rr.FileSink(str(path)))
-    recorder = Recorder(stream, fuser, ("a", "b"), depth_every=1)
+    recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1)
     recorder.record_all(made)
     recorder.finish()
     stream.flush()

@@ -155,7 +155,8 @@ def test_bvh_has_the_frames_of_the_last_bone_lengths_and_says_so(tmp_path: Path)
 def paused(tmp_path: Path, frames: int) -> Session:
     """Three frames at 30 Hz and one after a pause, so that there are so many moments of 30 Hz."""
     pairs = frame_pairs(KINECT_V2, 4)
-    pairs[3] = replace(pairs[3], time_ns=round((frames - 1) * 1e9 / 30))
+    late = replace(pairs[3].skeletons, time_ns=round((frames - 1) * 1e9 / 30))
+    pairs[3] = replace(pairs[3], skeletons=late)
     return record_fused(tmp_path / "paused.rrd", pairs, calibration_of(KINECT_V2))
 
 

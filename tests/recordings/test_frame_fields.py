@@ -12,6 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.frame_fields import JOINTS, FrameField, no_joint_or_joint
 from recordings.session_arrays import FRAME_FIELDS, SessionArrays
@@ -71,7 +72,7 @@ def test_figures_that_share_a_component_are_neither_optional_nor_of_two_types() 
 @pytest.mark.parametrize("first_has_it", [True, False])
 def test_a_session_has_an_optional_figure_if_its_first_frame_has_it(first_has_it: bool) -> None:
     calibration = calibration_of(KINECT_V1)
-    fuser = Fuser(calibration)
+    fuser = Fuser(FusionSetup(calibration))
     frames = [fuse_one(fuser, pair) for pair in frame_pairs(KINECT_V1, 4)]
     with_truth = [replace(frame, truth=frame.fused.positions) for frame in frames]
     first, then = (with_truth, frames) if first_has_it else (frames, with_truth)

@@ -23,6 +23,7 @@ import rerun as rr
 
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.reading.rrd_file import RrdFile
@@ -64,9 +65,9 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def fused_frames(count: int, depth: bool = False) -> tuple[Fuser, list[RecordedFrame]]:
-    fuser = Fuser(calibration_of(KINECT_V1))
+    fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     pairs = frame_pairs(KINECT_V1, count, no_b=(5,), depth=depth)
-    return Fuser(calibration_of(KINECT_V1)), [
+    return Fuser(FusionSetup(calibration_of(KINECT_V1))), [
         RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs
     ]
 
@@ -76,7 +77,7 @@ def growing_file(path: Path, fuser: Fuser, **options: object) -> SessionFile:
     file = SessionFile(
         path,
         lambda: rr.RecordingStream(layout.APPLICATION_ID, recording_id=identity),
-        lambda stream: Recorder(stream, fuser, ("a", "b"), depth_every=1),
+        lambda stream: Recorder(stream, fuser.setup, ("a", "b"), depth_every=1),
         **options,  # type: ignore[arg-type]
     )
     _MADE.append(file)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from fusion.skeleton import TrackingState
 from recordings import layout
 from recordings.appearance.joint_trust import StateLanes, TrustMatrix, trust_colors
@@ -33,7 +34,7 @@ ELBOW = BODY.joint("ELBOW_RIGHT")
 @pytest.fixture
 def rows() -> SessionArrays:
     """Four seconds of both views."""
-    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     return SessionArrays.stack(BODY, BODY.nominal_lengths, frames(fuser, 120))
 
 
@@ -151,13 +152,13 @@ def test_the_matrix_is_the_same_frame_by_frame_and_at_once(rows: SessionArrays) 
 
 
 def test_a_file_of_ten_seconds_has_lanes_and_a_matrix_to_its_end(rows: SessionArrays, tmp_path: Path) -> None:
-    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     ten = seconds_of(rows, 10)
     ten.states_a[90:, ELBOW] = TrackingState.INFERRED
     file = tmp_path / "s.rrd"
     stream = rr.RecordingStream(layout.APPLICATION_ID)
     stream.save(file)
-    recorder = Recorder(stream, fuser, ("a", "b"))
+    recorder = Recorder(stream, fuser.setup, ("a", "b"))
     recorder.record_rows(ten)
     recorder.finish()
     stream.flush()
@@ -181,12 +182,12 @@ def test_lanes_are_the_same_frame_by_frame_and_at_once(rows: SessionArrays, tmp_
     states = np.full_like(rows.states_a, TrackingState.TRACKED)
     states[40:45, ELBOW], states[90:, ELBOW] = TrackingState.INFERRED, TrackingState.NOT_TRACKED
     changing = replace(rows, states_a=states, states_b=np.full_like(states, TrackingState.TRACKED))
-    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     for parts in ([changing], [changing[[t]] for t in range(len(rows))]):
         file = tmp_path / f"{len(parts)}.rrd"
         stream = rr.RecordingStream(layout.APPLICATION_ID)
         stream.save(file)
-        recorder = Recorder(stream, fuser, ("a", "b"))
+        recorder = Recorder(stream, fuser.setup, ("a", "b"))
         for part in parts:
             recorder.record_rows(part)
         stream.flush()

@@ -14,7 +14,8 @@ import pytest
 import rerun as rr
 
 from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.reading.rrd_file import _decode_names
@@ -67,7 +68,8 @@ def test_a_session_gives_back_what_the_sensors_said(body: Body, fused_run: Fused
 def test_fusing_a_session_again_gives_the_same_bits(settings: FuserSettings, fused_run: FusedRun) -> None:
     session = fused_run(full_of_faults(KINECT_V2), calibration_of(KINECT_V2), settings)
     assert session.settings == settings
-    ((fuser, _),) = session.fusers()
+    ((setup, _),) = session.setups()
+    fuser = Fuser(setup)
     again = [fuser.update(pair.skeletons) for pair in session.pairs()]
     fused = np.array([frame.positions for frame in again])
     np.testing.assert_array_equal(fused_checksums(fused), session.fused_checksums)
@@ -88,7 +90,7 @@ def test_calibration_intrinsics_and_events_are_kept(fused_run: FusedRun) -> None
     np.testing.assert_array_equal(session.calibration.a_from_b.rotation, calibration.a_from_b.rotation)
     np.testing.assert_array_equal(session.calibration.a_from_b.translation, calibration.a_from_b.translation)
     np.testing.assert_array_equal(session.calibration.bone_lengths, calibration.bone_lengths)
-    assert session.intrinsics_b == Fuser(calibration).intrinsics_b
+    assert session.intrinsics_b == FusionSetup(calibration).intrinsics_b
     assert [event.text for event in session.events] == ["calibrated: known truth"]
 
 
@@ -215,11 +217,11 @@ def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path: Pa
     second = replace(first, bone_lengths=first.bone_lengths * 1.1)
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
     stream.save(tmp_path / "s.rrd")
-    fusers = [Fuser(first), Fuser(second)]
-    recorder = Recorder(stream, fusers[0], ("a", "b"))
+    fusers = [Fuser(FusionSetup(first)), Fuser(FusionSetup(second))]
+    recorder = Recorder(stream, fusers[0].setup, ("a", "b"))
     for fuser, own in zip(fusers, (pairs[:5], pairs[5:]), strict=True):
         if fuser is not fusers[0]:
-            recorder.calibrate(fuser)
+            recorder.recalibrated(fuser.setup)
         recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in own])
     recorder.finish()
     stream.disconnect()
@@ -256,11 +258,11 @@ def test_checksums_do_not_depend_on_how_many_frames_are_looked_at_together(
 
 def test_an_event_moved_to_another_time_is_damage(tmp_path: Path) -> None:
     path, moved = tmp_path / "s.rrd", tmp_path / "moved.rrd"
-    fuser = Fuser(calibration_of(KINECT_V1))
+    fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     for file, at in ((path, None), (moved, (1, 7))):
         with rr.RecordingStream("duplex_kinects") as stream:
             stream.set_sinks(rr.FileSink(str(file)))
-            recorder = Recorder(stream, fuser, ("a", "b"))
+            recorder = Recorder(stream, fuser.setup, ("a", "b"))
             pairs = frame_pairs(KINECT_V1, 3)
             recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
             there = partial(event_checksum, (2, 5))

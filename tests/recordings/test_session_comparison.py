@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fusion.body import KINECT_V1
-from fusion.fuser import FuserSettings
+from fusion.setup import FuserSettings
 from recordings.errors import RecordingError
 from recordings.session import Session
 from recordings.session_comparison import Comparison, jitter_of

@@ -9,6 +9,7 @@ from devices.point_cloud import depth_to_points, ray_table
 from fusion.body import AZURE_KINECT
 from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
+from fusion.setup import FusionSetup
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 from viewer_app.loop.image_thinning import (
@@ -39,7 +40,7 @@ def test_the_fused_skeleton_does_not_depend_on_how_much_depth_is_kept() -> None:
     whole = NOMINAL_INTRINSICS[AZURE_KINECT.name]
     fused = []
     for camera in (whole, thinned_camera(whole, "half")):
-        fuser = Fuser(calibration_of(AZURE_KINECT), None, camera, camera)
+        fuser = Fuser(FusionSetup(calibration_of(AZURE_KINECT), None, camera, camera))
         fused.append([fuser.update(pair.skeletons).positions for pair in pairs])
     np.testing.assert_array_equal(fused[0], fused[1])
 

@@ -25,7 +25,8 @@ from devices.live.stream_pairing import LivePairing
 from devices.pairing import Pairing
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
 from recordings.calibration_file import calibration_to_json
 from recordings.reading.rrd_file import read_columns
 from recordings.session import Session
@@ -58,7 +59,9 @@ def kinects(standin: Standin, monkeypatch: pytest.MonkeyPatch) -> Bus:
         return [UsbKinect(device.serial, Path("usb"), True, 5000) for device in bus.plugged()]
 
     monkeypatch.setattr(kinect, "usb_kinects", on_usb)
-    Fuser(nominal_calibration(AZURE_KINECT)).warm_up()  # compiling takes longer than these sessions
+    Fuser(
+        FusionSetup(nominal_calibration(AZURE_KINECT))
+    ).warm_up()  # compiling takes longer than these sessions
     return bus
 
 
@@ -107,7 +110,7 @@ def test_options_reach_the_sensors_and_the_tracker(kinects: Bus, standin: Standi
     options = ("--fps", 15, "--depth-mode", "WFOV_2X2BINNED", "--color", "1080P", "--processing", "cuda")
     for device in kinects.devices:
         device.interval_usec = 66_667
-    assert live(standin, tmp_path / "s.rrd", *options, "--smoothing", 0.5, seconds=0.3) == 0
+    assert live(standin, tmp_path / "s.rrd", *options, "--tracker-smoothing", 0.5, seconds=0.3) == 0
     module = sys.modules["pyk4a"]
     for config in kinects.configs:
         assert config.camera_fps == module.FPS.FPS_15

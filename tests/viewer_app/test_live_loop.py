@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from devices.live.stream_pairing import LivePair
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import simulated_pair
@@ -21,7 +20,9 @@ from devices.simulated.real_time import PacedSensor, paced_together
 from devices.simulated.tracking.tracker import TrackerErrors
 from fusion.body import KINECT_V1, KINECT_V2
 from fusion.calibration.calibration import calibrate
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
+from fusion.skeleton import SkeletonPair
 from recordings.session_arrays import SessionArrays
 from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing
@@ -192,13 +193,13 @@ class ResetSensors:
 
     stream_figures = None
 
-    def pairs(self) -> Iterator[LivePair]:
+    def pairs(self) -> Iterator[FramePair]:
         truth = standing(KINECT_V1)
         for t in range(4):
             time_ns, clock_ns = 10**10 + t * FRAME_NS, 10**10 + t * FRAME_NS - (10**9 if t > 1 else 0)
             pair = pair_of(KINECT_V1, truth, clock_ns)
             a = SensorFrame(clock_ns, {"1": pair.a}) if t < 3 else None
-            yield LivePair(a, SensorFrame(clock_ns, {"1": pair.b}), time_ns, 0)
+            yield FramePair(a, SensorFrame(clock_ns, {"1": pair.b}), SkeletonPair(None, None, time_ns))
 
     def events(self) -> tuple[()]:
         return ()
@@ -231,12 +232,12 @@ class TwoPeople:
     where: tuple[list[float], list[float]]  # metres in K_A's frame, from the standing person
     stream_figures = None
 
-    def pairs(self) -> Iterator[LivePair]:
+    def pairs(self) -> Iterator[FramePair]:
         for t in range(3):
             seen = [pair_of(KINECT_V1, standing(KINECT_V1) + np.array(at), t * FRAME_NS) for at in self.where]
             a = SensorFrame(t * FRAME_NS, {"1": seen[0].a, "2": seen[1].a})
             b = SensorFrame(t * FRAME_NS, {"8": seen[1].b, "9": seen[0].b})
-            yield LivePair(a, b, t * FRAME_NS, 0)
+            yield FramePair(a, b, SkeletonPair(None, None, t * FRAME_NS))
 
     def events(self) -> tuple[()]:
         return ()
@@ -257,16 +258,18 @@ def test_both_sensors_follow_one_person_once_they_know_each_others_place(known: 
         calibration=calibrate(KINECT_V1, [pair], "before") if known else None,
         recorder_for=lambda _: MagicMock(),
     )
-    assert [(frame.pair.person_a, frame.pair.person_b) for frame in frames] == [("1", b_follows)] * 3
+    for pair in (frame.pair for frame in frames):
+        assert pair.skeletons.a is pair.a.people["1"]
+        assert pair.skeletons.b is pair.b.people[b_follows]
 
 
 def test_stacking_keeps_what_the_loop_gave() -> None:
     pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 20))]
-    fuser = Fuser(calibrate(KINECT_V1, pairs, "test"))
+    fuser = Fuser(FusionSetup(calibrate(KINECT_V1, pairs, "test")))
     frames = [
         fuse_one(
             fuser,
-            FramePair(
+            FramePair.of(
                 SensorFrame(p.time_ns, {"1": p.a}),
                 SensorFrame(p.time_ns, {"1": p.b} if t else {}),
                 "1",
@@ -276,7 +279,7 @@ def test_stacking_keeps_what_the_loop_gave() -> None:
         )
         for t, p in enumerate(pairs)
     ]
-    rows = SessionArrays.stack(KINECT_V1, fuser.calibration.bone_lengths, frames)
+    rows = SessionArrays.stack(KINECT_V1, fuser.setup.calibration.bone_lengths, frames)
     assert len(rows) == 20
     assert np.isnan(rows.positions_b[0]).all()
     assert (rows.states_b[0] == 0).all()

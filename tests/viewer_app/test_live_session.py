@@ -39,7 +39,7 @@ def feed_into(command: list[str], fuser: Fuser, **options: object) -> ViewerFeed
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, bufsize=0, start_new_session=True
         ),
         rr.RecordingStream("test"),
-        lambda stream: Recorder(stream, fuser, ("a", "b")),
+        lambda stream: Recorder(stream, fuser.setup, ("a", "b")),
         **options,  # type: ignore[arg-type]
     )
 
@@ -146,7 +146,7 @@ def test_a_complete_feed_passes_every_frame_on(fuser: Fuser) -> None:
     feed = ViewerFeed(
         lambda: subprocess.Popen(HUNGRY, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0),
         rr.RecordingStream("test"),
-        lambda stream: Spy(stream, fuser, ("a", "b")),
+        lambda stream: Spy(stream, fuser.setup, ("a", "b")),
         keep=None,
         restart=False,
     )
@@ -176,7 +176,7 @@ def test_a_disk_that_stands_still_costs_images_first(
     file = SessionFile(
         tmp_path / "s.rrd",
         lambda: rr.RecordingStream("test"),
-        lambda stream: Recorder(stream, fuser, ("a", "b")),
+        lambda stream: Recorder(stream, fuser.setup, ("a", "b")),
     )
     made = frames(fuser, 70, depth=True)
     for number in range(2000):

@@ -12,7 +12,7 @@ from typing import Literal
 import pytest
 
 from fusion.body import KINECT_V1
-from fusion.fuser import FuserSettings
+from fusion.setup import FuserSettings
 from recordings.testing import record_fused
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of

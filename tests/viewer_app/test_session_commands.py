@@ -10,6 +10,7 @@ import pytest
 from rich.console import Console
 
 from fusion.body import KINECT_V2
+from fusion.fuser import Fuser
 from recordings.images.rvl import encode_depth
 from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
@@ -52,13 +53,13 @@ def test_real_recordings_replay_bit_for_bit(name: str, shared: Path, tmp_path: P
 def test_a_difference_is_exit_code_1_with_frame_and_joint(
     session: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    true_fusers = Session.fusers
+    true_setups = Session.setups
 
     def biased(self: Session, *arguments: object) -> object:
         self.calibration.bone_lengths[KINECT_V2.joint("WristLeft")] *= 1.001
-        return true_fusers(self, *arguments)  # type: ignore[arg-type]
+        return true_setups(self, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Session, "fusers", biased)
+    monkeypatch.setattr(Session, "setups", biased)
     assert duplex("replay", session, "--verify") == 1
     said = " ".join(capsys.readouterr().out.split())
     assert "S* differs from the recorded one in 89 of 90 frames, first at frame 0, joint" in said
@@ -69,7 +70,8 @@ def test_the_first_frame_that_differs_is_named_also_where_float32_does_not_show_
     seen: bool, session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recorded = Session.open(session)
-    ((fuser, _),) = recorded.fusers()
+    ((setup, _),) = recorded.setups()
+    fuser = Fuser(setup)
     fused = np.array([fuser.update(pair.skeletons).positions for pair in recorded.pairs()])
     wrist, knee = KINECT_V2.joint("WristLeft"), KINECT_V2.joint("KneeRight")
     fused[40, knee] += 0.01

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from tests.helpers.live_frames import BODY, frames
 from tests.helpers.two_views import A_FROM_B
 from viewer_app.coach.advice import Advice
@@ -23,9 +24,9 @@ WARNING = Advice("A's view", "Sensor A sees no one: 0 of 25 joints", "WARN", sen
 @pytest.fixture
 def statuses() -> list[Any]:
     """Two seconds at 30 fps; A has dropped 3 frames, B 4."""
-    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     sensors = SimpleNamespace(a=SimpleNamespace(dropped=3), b=SimpleNamespace(dropped=4))
-    calibrator = SimpleNamespace(calibration=fuser.calibration, settled=True, held=0.0)
+    calibrator = SimpleNamespace(calibration=fuser.setup.calibration, settled=True, held=0.0)
     return [
         SimpleNamespace(frame=frame, sensors=sensors, calibrator=calibrator, events=())
         for frame in frames(fuser, 60)

@@ -16,7 +16,8 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate, find_start_up_pose
 from fusion.evaluation import baselines
 from fusion.evaluation.accuracy import accuracy
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
 from recordings.session_arrays import SessionArrays
 from viewer_app.loop.fusing import fuse_one
 
@@ -76,7 +77,7 @@ def _run(trial: Trial, body: Body, seconds: float) -> list[Outcome]:
         )
     fused = {
         "ours": _fuse(pairs, calibration, FuserSettings()),
-        "paper": _fuse(pairs, calibration, FuserSettings(solver="paper")),
+        "paper": _fuse(pairs, calibration, FuserSettings(method="published")),
     }
     rows = fused["ours"]
     p, q = rows.positions_a.astype(np.float64), rows.b_in_a
@@ -105,7 +106,7 @@ def _run(trial: Trial, body: Body, seconds: float) -> list[Outcome]:
 
 
 def _fuse(pairs: list[FramePair], calibration: Calibration, settings: FuserSettings) -> SessionArrays:
-    fuser = Fuser(calibration, settings)
+    fuser = Fuser(FusionSetup(calibration, settings))
     fuser.warm_up()
     frames = [fuse_one(fuser, pair) for pair in pairs]
     return SessionArrays.stack(calibration.body, calibration.bone_lengths, frames)

@@ -15,7 +15,8 @@ from rich.progress import track
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate, find_start_up_pose
 from fusion.errors import CalibrationError
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import SkeletonPair
 from recordings.appearance.coach_page import CoachPage
 from recordings.calibration_file import calibration_to_json, read_calibration
@@ -47,7 +48,7 @@ def run(options: FuseOptions) -> None:
     outputs = (options.save, options.report, options.save_calibration)
     inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
     check_outputs(outputs, filter(None, inputs), options.force)
-    settings = FuserSettings(h=options.h, solver=options.solver, weights=options.weights)
+    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
     read = read_two(options, console)
     body, pairing = read.body, read.pairing
     for warning in read.warnings:
@@ -55,15 +56,16 @@ def run(options: FuseOptions) -> None:
     skeletons = [pair.skeletons for pair in pairing.pairs]
     calibration = _calibrate(options.calibrate, body, skeletons)
 
-    fuser = Fuser(calibration, settings, *read.cameras(options.depth))
+    setup = FusionSetup(calibration, settings, *read.cameras(options.depth))
+    fuser = Fuser(setup)
     warm_up(fuser, console)
-    blueprint = session_blueprint(fuser, _whereabouts(skeletons), options.layout)
+    blueprint = session_blueprint(setup, _whereabouts(skeletons), options.layout)
     with ExitStack() as viewer:
         announce(viewing, console)
         with ExitStack() as file:
             session = viewer.enter_context(
                 LiveSession(
-                    fuser,
+                    setup,
                     (str(options.a), str(options.b)),
                     blueprint,
                     file=None if options.save is None else file.enter_context(whole_file(options.save)),
@@ -72,7 +74,7 @@ def run(options: FuseOptions) -> None:
                 )
             )
             session.event(f"calibrated: {calibration.how}")
-            session.coach(_verdict(fuser))
+            session.coach(_verdict(setup))
             shown = track(
                 pairing.pairs, "fusing", console=console, transient=True, disable=not console.is_terminal
             )
@@ -82,30 +84,26 @@ def run(options: FuseOptions) -> None:
             log_depth(read, session, options.depth, console)
             session.finish()
             session.save()
-        _summarise(console, options, FusionResult(pairing, calibration, settings, *_rows(frames, fuser)))
+        _summarise(console, options, FusionResult(pairing, calibration, settings, *_rows(frames, setup)))
         stay_for_visitors(viewing, console)
 
 
-def _verdict(fuser: Fuser) -> CoachPage:
+def _verdict(setup: FusionSetup) -> CoachPage:
     """What the setup says of a recording: how well its two views fit, and what would have been better."""
-    calibration = fuser.calibration
-    scene = CoachScene(calibration.body, (fuser.intrinsics_a, fuser.intrinsics_b))
+    calibration = setup.calibration
+    scene = CoachScene(setup.body, setup.intrinsics)
     advice = list(placement(calibration)) or [verdict(calibration)]
     return scene.page(advice, Situation(calibration, settled=True, held=0.0))
 
 
-def _rows(frames: list[RecordedFrame], fuser: Fuser) -> tuple[SessionArrays, SessionArrays | None]:
-    """What was fused, and the same by the exact solver where another one was asked for."""
-    calibration = fuser.calibration
+def _rows(frames: list[RecordedFrame], setup: FusionSetup) -> tuple[SessionArrays, SessionArrays | None]:
+    """What was fused, and the same with exact bones where the published scheme was asked for."""
+    calibration = setup.calibration
     rows = SessionArrays.stack(calibration.body, calibration.bone_lengths, frames)
-    if fuser.settings.solver == "exact":
+    if setup.settings.method != "published":
         return rows, None
-    other = Fuser(
-        calibration,
-        replace(fuser.settings, solver="exact"),
-        fuser.intrinsics_a,
-        fuser.intrinsics_b,
-    )
+    settings = replace(setup.settings, method="paper")
+    other = Fuser(FusionSetup(calibration, settings, *setup.intrinsics))
     again = [fuse_one(other, frame.pair) for frame in frames]
     return rows, SessionArrays.stack(calibration.body, calibration.bone_lengths, again)
 

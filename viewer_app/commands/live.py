@@ -22,8 +22,9 @@ from devices.live.sensor_state import SensorEvent
 from devices.live.stream_pairing import LivePairing, Side
 from devices.sensor import Sensor
 from fusion.calibration.calibration import Calibration, nominal_calibration
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
+from fusion.setup import FuserSettings, FusionSetup
 from recordings.calibration_file import calibration_to_json, read_calibration
 from viewer_app.coach.setup_coach import WARM_UP, Coach
 from viewer_app.errors import UsageError
@@ -95,7 +96,7 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
             f"be there at the first pulse."
         )
     tracker = TrackerSettings(
-        processing=options.processing, smoothing=options.smoothing, library=options.k4abt
+        processing=options.processing, smoothing=options.tracker_smoothing, library=options.k4abt
     )
     if options.processing == "cpu":
         console.print(
@@ -125,11 +126,11 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
 def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
     """Fuses what two sensors give, until they end, Ctrl-C, or the time is up; saves and sums up."""
     viewing = _viewing(options)
-    settings = FuserSettings(h=options.h, solver=options.solver, weights=options.weights)
+    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
     a, b = sensors.a.sensor, sensors.b.sensor
     calibration = _given_calibration(options, a)
-    nominal = Fuser(calibration or nominal_calibration(a.body), settings)
-    warm_up(nominal, console)
+    nominal = FusionSetup(calibration or nominal_calibration(a.body), settings)
+    warm_up(Fuser(nominal), console)
     watch = _Watch(console)
     with CtrlC() as ctrl_c:
         with ExitStack() as opened:
@@ -138,7 +139,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                 opened.enter_context(sensors)
             ctrl_c.calls(sensors.stop)
             cameras = _camera(options, a), _camera(options, b)
-            nominal = Fuser(nominal.calibration, settings, *cameras)
+            nominal = FusionSetup(nominal.calibration, settings, *cameras)
             if options.save is not None:
                 warn_of_little_room(options.save, console)
             announce(viewing, console)
@@ -153,13 +154,13 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                     viewing=viewing,
                 )
             )
-            coach = Coach(a.body, (nominal.intrinsics_a, nominal.intrinsics_b), options.fps, warm_up=WARM_UP)
+            coach = Coach(a.body, nominal.intrinsics, options.fps, warm_up=WARM_UP)
             display = opened.enter_context(
                 LiveDisplay(console, session, coach, options.quiet, options.verbose)
             )
             console.print("Running. Ctrl-C ends it.")
             with _Timer(options.seconds, sensors):
-                fuser, frames = run_live(
+                setup, frames = run_live(
                     sensors,
                     body=a.body,
                     settings=settings,
@@ -173,10 +174,10 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
         for sensor in (a, b):
             for warning in sensor.warnings if isinstance(sensor, KinectSensor) else ():
                 console.print(warning, style="yellow", highlight=False, markup=False)
-        print_session(console, fuser, frames, sensors)
+        print_session(console, setup, frames, sensors)
         if options.report is not None:
             with whole_file(options.report) as partial:
-                figures = session_report(fuser, frames, sensors)
+                figures = session_report(setup, frames, sensors)
                 partial.write_text(report_to_json(figures), encoding="utf-8")
         if options.save is not None:
             print_saved(console, options.save, session)

@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.progress import track
 
 from devices.pairing import Pairing
+from fusion.fuser import Fuser
 from recordings import layout
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame, SessionArrays
@@ -40,8 +41,8 @@ def run(options: ReplayOptions) -> None:
     console = Console()
     changed: dict[str, Any] = {
         name: value
-        for name, value in (("h", options.h), ("solver", options.solver), ("weights", options.weights))
-        if value is not None
+        for name in ("method", "h", "weights", "smoothing")
+        if (value := getattr(options, name)) is not None
     }
     check_outputs([options.save, options.report], [options.session], options.force)
     session = Session.open(options.session)
@@ -52,21 +53,21 @@ def run(options: ReplayOptions) -> None:
             "Use `duplex compare` for two fusions with different ones."
         )
     print_damage(console, session)
-    fusers = list(session.fusers(settings))
+    setups = list(session.setups(settings))
     window = not options.no_viewer and not options.verify and has_display()
     with written_and_shown(
         options.save, window, inspect_blueprint(session.body, whereabouts(session))
     ) as stream:
         about: dict[str, str | int] = {"first_frame": session.first_frame, "replay_of": session.path.name}
-        recorder = Recorder(stream, fusers[0][0], session.sources, about=about)
+        recorder = Recorder(stream, setups[0][0], session.sources, about=about)
         pairs = list(session.pairs())
         frames: list[RecordedFrame] = []
-        shown = track(fusers, "fusing", console=console, transient=True, disable=not console.is_terminal)
-        for fuser, own in shown:
+        shown = track(setups, "fusing", console=console, transient=True, disable=not console.is_terminal)
+        for setup, own in shown:
             if own.start > 0:
-                recorder.calibrate(fuser)
-            recorder.event(f"calibrated: {fuser.calibration.how}")
-            frames += fuse_offline(pairs[own], fuser, recorder)
+                recorder.recalibrated(setup)
+            recorder.event(f"calibrated: {setup.calibration.how}")
+            frames += fuse_offline(pairs[own], Fuser(setup), recorder)
         damaged = 0 if options.save is None else copy_images(session, recorder, 0, len(session))
         recorder.finish()
 

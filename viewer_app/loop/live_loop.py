@@ -12,17 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.following import PersonChoice, centre
+from devices.following import PersonOfPair
 from devices.live.sensor_pair import TwoSensors
-from devices.live.stream_pairing import LivePair
-from devices.pairing import FramePair
-from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, StartUpPose, calibrate, nominal_calibration
 from fusion.errors import CalibrationError
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
-from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import SkeletonPair
 from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder
@@ -124,11 +121,11 @@ def run_live(
     settings: FuserSettings,
     intrinsics: tuple[Intrinsics | None, Intrinsics | None],
     calibration: Calibration | None,
-    recorder_for: Callable[[Fuser], Recorder | LiveSession],
+    recorder_for: Callable[[FusionSetup], Recorder | LiveSession],
     depth: Depth = "full",
     truth_at: Callable[[int], NDArray[np.float64]] | None = None,
     go_on: Callable[[Status], bool] = lambda _: True,
-) -> tuple[Fuser, list[RecordedFrame]]:
+) -> tuple[FusionSetup, list[RecordedFrame]]:
     """Fuses and records what two open sensors give until they end or ``go_on`` says no.
 
     Args:
@@ -143,21 +140,23 @@ def run_live(
         go_on: Asked after each frame; shows the status in passing.
 
     Returns:
-        The fuser of the last calibration, and the last frames, without their images.
+        The last setup, and the last frames, without their images.
     """
     calibrator = Calibrator(body, calibration)
-    fuser = Fuser(calibrator.calibration, settings, *intrinsics)
-    recorder = recorder_for(fuser)
-    people = PersonChoice(), PersonChoice()
+    setup = FusionSetup(calibrator.calibration, settings, *intrinsics)
+    fuser = Fuser(setup)
+    recorder = recorder_for(setup)
+    people = PersonOfPair()
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
     ahead_ns = 0
     for live in sensors.pairs():
         b_from_a = calibrator.calibration.a_from_b.inverse() if calibrator.settled else None
-        pair = with_depth(_with_people(live, people, b_from_a), depth)
+        pair = with_depth(people.chosen(live, b_from_a), depth)
         found = calibrator.watch(pair.skeletons)
         if found is not None:
-            fuser = Fuser(found, settings, *intrinsics)
-            recorder.calibrate(fuser)
+            setup = FusionSetup(found, settings, *intrinsics)
+            fuser = Fuser(setup)
+            recorder.recalibrated(setup)
         frame = replace(fuse_one(fuser, pair), streams=sensors.stream_figures)
         if truth_at is not None:
             if pair.a is not None:  # A's own time: a pair's goes on where A's clock is reset
@@ -175,27 +174,4 @@ def run_live(
     for late in sensors.events():  # what happened after the last pair
         recorder.event(late.message, "WARN")
     recorder.finish()
-    return fuser, list(kept)
-
-
-def _with_people(
-    live: LivePair, people: tuple[PersonChoice, PersonChoice], b_from_a: RigidTransform | None
-) -> FramePair:
-    """The pair with the one person that is followed in each view: in both the same, once it can be."""
-
-    def followed(
-        frame: SensorFrame | None, choice: PersonChoice, at: NDArray[np.float64] | None = None
-    ) -> tuple[str, NDArray[np.float64] | None]:
-        chosen = None if frame is None else choice.choose(frame.people, frame.time_ns, at)
-        return ("", None) if chosen is None else (choice.identity or "", centre(chosen))
-
-    person_a, at = followed(live.a, people[0])
-    person_b, _ = followed(live.b, people[1], None if b_from_a is None or at is None else b_from_a.apply(at))
-    return FramePair(
-        live.a,
-        live.b,
-        person_a,
-        person_b,
-        live.time_ns,
-        live.skew_ns or 0,
-    )
+    return setup, list(kept)

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from devices.pairing import Pairing
 from fusion.calibration.calibration import Calibration
-from fusion.fuser import FuserSettings
+from fusion.setup import FuserSettings
 from fusion.solvers.solver import MAX_ITERATIONS
 from recordings.session_arrays import SessionArrays
 
@@ -69,9 +69,10 @@ def fusion_figures(calibration: Calibration, settings: FuserSettings, rows: Sess
             "both": int(rows.predicted.all(axis=1).sum()),
         },
         "settings": {
+            "method": settings.method,
             "h": settings.h,
-            "solver": settings.solver,
             "weights": settings.weights,
+            "smoothing": settings.smoothing,
         },
         "calibration": {
             "how": calibration.how,

@@ -15,7 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.session_arrays import RecordedFrame
@@ -65,7 +65,7 @@ class LiveSession:
     manager.
 
     Args:
-        fuser: Whose settings, calibration and intrinsics the session keeps at first.
+        setup: Settings, cameras and the first calibration.
         sources: What the sensors are called, K_A first.
         blueprint: What the viewer shows.
         file: The file to write; None for none. It can be read while it grows.
@@ -80,7 +80,7 @@ class LiveSession:
 
     def __init__(
         self,
-        fuser: Fuser,
+        setup: FusionSetup,
         sources: tuple[str, str],
         blueprint: rrb.Blueprint,
         *,
@@ -89,7 +89,7 @@ class LiveSession:
         viewing: Viewing | None = None,
         complete: bool = False,
     ) -> None:
-        self._fuser, self._sources, self._blueprint = fuser, sources, blueprint
+        self._setup, self._sources, self._blueprint = setup, sources, blueprint
         self._id = uuid4()
         self._complete = complete
         self._count = 0
@@ -117,7 +117,7 @@ class LiveSession:
             self._file = SessionFile(
                 file,
                 self._stream,
-                lambda of: self._with_blueprint(of, Recorder(of, fuser, sources, depth_every=1)),
+                lambda of: self._with_blueprint(of, Recorder(of, setup, sources, depth_every=1)),
                 growing=not complete,
                 overwrite=overwrite,
                 turn=None if self._feed is None else self._feed.wait_for_turn,
@@ -164,10 +164,10 @@ class LiveSession:
         """Takes what to do next, at the time of the last frame."""
         self._say(page)
 
-    def calibrate(self, fuser: Fuser) -> None:
-        """Takes the fuser with which the frames that follow are made."""
-        self._fuser = fuser
-        self._say(fuser)
+    def recalibrated(self, setup: FusionSetup) -> None:
+        """Takes what the frames that follow are fused with."""
+        self._setup = setup
+        self._say(setup)
 
     @property
     def dropped(self) -> int:
@@ -279,7 +279,7 @@ class LiveSession:
     def _begin(self, stream: rr.RecordingStream) -> Recorder:
         return self._with_blueprint(
             stream,
-            Recorder(stream, self._fuser, self._sources, depth_every=1, start_ns=self._start_ns, points=True),
+            Recorder(stream, self._setup, self._sources, depth_every=1, start_ns=self._start_ns, points=True),
         )
 
     def _with_blueprint(self, stream: rr.RecordingStream, recorder: Recorder) -> Recorder:

@@ -19,7 +19,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
 from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder
@@ -66,8 +66,8 @@ class Image:
 
 
 Numbered = tuple[int, RecordedFrame]
-Item = Numbered | Note | CoachPage | Image | Fuser
-"""A frame, something said or drawn, or the fuser with whose calibration the frames that follow are made."""
+Item = Numbered | Note | CoachPage | Image | FusionSetup
+"""A frame, something said or drawn, or what the frames that follow are fused with."""
 Opening = Callable[[rr.RecordingStream], Recorder]
 """Writes what is static, and gives the recorder to go on with."""
 
@@ -88,9 +88,9 @@ def write_items(recorder: Recorder, items: Sequence[Item]) -> None:
         elif isinstance(item, CoachPage):
             write_run()
             recorder.coach(item)
-        elif isinstance(item, Fuser):
+        elif isinstance(item, FusionSetup):
             write_run()
-            recorder.calibrate(item)
+            recorder.recalibrated(item)
         else:
             run.append(item)
     write_run()
