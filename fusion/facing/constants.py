@@ -61,7 +61,7 @@ class FacingConstants:
         change_from: Probability from which on a different exchange is taken up.
     """
 
-    axis_sigma: Table = (0.18, 0.29, 0.73, 1.3, 1.05)
+    axis_sigma: Table = (0.25, 0.40, 0.80, 0.40, 0.25)
     axis_floor: float = 4.0
     axis_weight: float = 0.4
     knee_mean: Table = (0.026, 0.027, 0.028, 0.026, 0.031)

@@ -57,10 +57,10 @@ def _trust(model, states, i, j, k):  # type: ignore[no-untyped-def]
 @inner_kernel
 def _axis(model, state, view, girdle, states, up):  # type: ignore[no-untyped-def]
     """l × u, and how much it is worth: the square of its share of the body's width, at most 1."""
-    l, axis = state.spans[view, girdle], state.axes[view, girdle]
-    axis[0] = l[1] * up[2] - l[2] * up[1]
-    axis[1] = l[2] * up[0] - l[0] * up[2]
-    axis[2] = l[0] * up[1] - l[1] * up[0]
+    span, axis = state.spans[view, girdle], state.axes[view, girdle]
+    axis[0] = span[1] * up[2] - span[2] * up[1]
+    axis[1] = span[2] * up[0] - span[0] * up[2]
+    axis[2] = span[0] * up[1] - span[1] * up[0]
     width = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
     state.axis_trust[view, girdle] = 0.0
     if math.isfinite(width) and width > 1e-3:
@@ -87,9 +87,10 @@ def _offset(positions, i, j, k, sign, out):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def follow_motion(model, state, view, positions):  # type: ignore[no-untyped-def]
-    """Carries the mean speed of the joints and the trunk's velocity on with a fresh skeleton.
+    """Carries the mean speed of the joints on with a fresh skeleton; writes its pull on the trunk's velocity.
 
-    The trunk is the mean of shoulders and hips, which no exchange of labels moves.
+    The pulls of both views are added afterwards, so that their order does not matter. The trunk is the mean
+    of shoulders and hips, which no exchange of labels moves.
     """
     elapsed = state.since[view]
     total, count = 0.0, 0
@@ -111,30 +112,30 @@ def follow_motion(model, state, view, positions):  # type: ignore[no-untyped-def
     if count > 0:
         share = 1.0 - math.exp(-elapsed / _SPEED_SECONDS)
         state.speed[view] += share * (total / count / elapsed - state.speed[view])
-    left, right = model.pairs[SHOULDER], model.pairs[HIP]
     squared = 0.0
     for c in range(3):
-        root = 0.25 * (
-            positions[left[0], c] + positions[left[1], c] + positions[right[0], c] + positions[right[1], c]
-        )
-        squared += (root - state.last_root[view, c]) ** 2
+        state.pull[view, c] = 0.0
+        squared += (_trunk(model, positions, c) - state.last_root[view, c]) ** 2
     if math.isfinite(squared) and squared < (_OUTLIER_STEP + 4.0 * elapsed) ** 2:
         share = 0.5 * (1.0 - math.exp(-elapsed / model.scalars.motion_seconds))  # one of two views
         for c in range(3):
-            root = 0.25 * (
-                positions[left[0], c]
-                + positions[left[1], c]
-                + positions[right[0], c]
-                + positions[right[1], c]
-            )
-            state.velocity[c] += share * ((root - state.last_root[view, c]) / elapsed - state.velocity[c])
+            velocity = (_trunk(model, positions, c) - state.last_root[view, c]) / elapsed
+            state.pull[view, c] = share * (velocity - state.velocity[c])
     for c in range(3):
-        root = 0.25 * (
-            positions[left[0], c] + positions[left[1], c] + positions[right[0], c] + positions[right[1], c]
-        )
+        root = _trunk(model, positions, c)
         if math.isfinite(root):
             state.last_root[view, c] = root
     for j in range(len(positions)):
         for c in range(3):
             state.last_joints[view, j, c] = positions[j, c]
     state.since[view] = 0.0
+
+
+@inner_kernel
+def _trunk(model, positions, c):  # type: ignore[no-untyped-def]
+    """A coordinate of the mean of shoulders and hips."""
+    total = 0.0
+    for pair in (SHOULDER, HIP):
+        for side in range(2):
+            total += positions[model.pairs[pair, side], c]
+    return 0.25 * total

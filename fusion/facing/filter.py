@@ -62,12 +62,15 @@ def take_evidence(model, state, dt, a, states_a, b_in_a, states_b, sensor_b, up,
     for view in range(2):
         positions, states, stale = (b_in_a, states_b, stale_b) if view == 1 else (a, states_a, stale_a)
         state.odds[view] = 1.0
+        state.pull[view, 0] = state.pull[view, 1] = state.pull[view, 2] = 0.0
         state.rates[view] = 0.0  # a stale skeleton has the labels that it had
         if not stale:
             measure_view(model, state, view, positions, states)
             follow_motion(model, state, view, positions)
             state.odds[view] = exchange_odds(model, state, view)
             state.rates[view] = 1.0 - math.exp(-dt / model.scalars.mirrored_seconds)
+    for c in range(3):
+        state.velocity[c] += state.pull[0, c] + state.pull[1, c]
     _look_towards_sensors(state, sensor_b)
     make_turning(model.scalars, state, dt)
     weigh_evidence(model, state, not stale_a, not stale_b)
@@ -80,12 +83,9 @@ def _look_towards_sensors(state, sensor_b):  # type: ignore[no-untyped-def]
         x = y = z = 0.0
         count = 0
         for other in range(2):
-            if math.isfinite(state.last_root[other, 0]):
-                x, y, z = (
-                    x + state.last_root[other, 0],
-                    y + state.last_root[other, 1],
-                    z + state.last_root[other, 2],
-                )
+            root = state.last_root[other]
+            if math.isfinite(root[0]):
+                x, y, z = x + root[0], y + root[1], z + root[2]
                 count += 1
         if count == 0:
             return
@@ -180,7 +180,8 @@ def label_limbs(model, state, dt, old_a, old_b, fresh_a, fresh_b):  # type: igno
             code ^= LEGS
         if (code == WHOLE) != (state.whole[view] == 1):
             code += TRUNK
-        state.codes[view] = code
+        seen = state.axis_trust[view, 0] + state.axis_trust[view, 1] > 0.0
+        state.codes[view] = code if seen else 0
         for bits in range(4):
             other = bits ^ WHOLE
             p_bits = (arms if bits & ARMS else 1.0 - arms) * (legs if bits & LEGS else 1.0 - legs)

@@ -17,8 +17,8 @@ TAPS = 6
 ARMS, LEGS, WHOLE = 1, 2, 3
 """Exchange codes: a bit for the arms, a bit for the legs, both for the whole body."""
 TRUNK = 4
-"""Added to a code where the trunk does not go with it: LEGS + TRUNK exchanges legs and trunk, WHOLE + TRUNK arms
-and legs without the trunk. The trunk is shoulders, hips and face."""
+"""Added to a code where the trunk does not go with it: LEGS + TRUNK exchanges legs and trunk,
+WHOLE + TRUNK arms and legs without the trunk. The trunk is shoulders, hips and face."""
 SHOULDER, HIP, ELBOW, WRIST, KNEE, ANKLE = range(6)
 """The pairs of joints that evidence comes from, as rows of ``FacingModel.pairs``."""
 
@@ -121,6 +121,7 @@ class FacingState(NamedTuple):
     since: Floats  # (2,) seconds since a view's last fresh skeleton
     speed: Floats  # (2,) mean speed of the joints, low-passed
     velocity: Floats  # (3,) of the trunk, low-passed
+    pull: Floats  # (2, 3) by how much each view changes it in this frame
     toward: Floats  # (2, 3) horizontal unit vectors from the person to the sensors
     started: Ints  # (1,)
 
@@ -197,6 +198,7 @@ def new_facing_state(body: Body) -> FacingState:
         since=np.zeros(2),
         speed=np.zeros(2),
         velocity=np.zeros(3),
+        pull=np.zeros((2, 3)),
         toward=np.zeros((2, 3)),
         started=np.zeros(1, dtype=np.int64),
     )

@@ -26,13 +26,15 @@ class Labels:
         codes: (T, 2) exchange code of A and of B in each pair.
         facing: (T, 3) horizontal unit vector in which the person faces, in K_A's frame.
         doubt: (T, 2) as :class:`fusion.facing.model.FacingState` says.
-        probability: (T, 2, 4) of each code of each view.
+        probability: (T, 2, 4) of each code of each view: none, arms, legs, whole body.
+        mirrored: (T, 2) probability that the whole body of each view is mirrored.
     """
 
     codes: NDArray[np.int64]
     facing: Floats
     doubt: Floats
     probability: Floats
+    mirrored: Floats
 
 
 def relabel_sequence(
@@ -93,7 +95,11 @@ def run(
     state = new_facing_state(body)
     frames, kept = len(time_ns), len(time_ns) if smooth else 0
     result = Labels(
-        np.zeros((frames, 2), dtype=np.int64), np.zeros((frames, 3)), np.zeros((frames, 2)), np.zeros((frames, 2, 4))
+        codes=np.zeros((frames, 2), dtype=np.int64),
+        facing=np.zeros((frames, 3)),
+        doubt=np.zeros((frames, 2)),
+        probability=np.zeros((frames, 2, 4)),
+        mirrored=np.zeros((frames, 2)),
     )
     grid = state.belief.shape
     history = (
@@ -103,7 +109,7 @@ def run(
         np.zeros((kept, 4)),
     )
     seconds = np.diff(time_ns, prepend=time_ns[:1]) * 1e-9
-    answers = result.codes, result.facing, result.doubt, result.probability
+    answers = result.codes, result.facing, result.doubt, result.probability, result.mirrored
     _forward(model, state, seconds, *views, *states, sensor_b, up, stale, *answers, *history)
     if smooth:
         _backward(model, state, seconds, *history)
@@ -113,15 +119,26 @@ def run(
 
 @kernel
 def _forward(
-    model, state, seconds, a, b, states_a, states_b, sensor_b, up, stale, codes, facing, doubt, probability,
-    beliefs, likelihoods, shares, chances,
+    model, state, seconds, a, b, states_a, states_b, sensor_b, up, stale,
+    codes, facing, doubt, probability, mirrored, beliefs, likelihoods, shares, chances,
 ):  # type: ignore[no-untyped-def]  # fmt: skip
     for k in range(len(seconds)):
         update_facing(
-            model, state, seconds[k], a[k], states_a[k], b[k], states_b[k], sensor_b, up, stale[0, k], stale[1, k]
+            model,
+            state,
+            seconds[k],
+            a[k],
+            states_a[k],
+            b[k],
+            states_b[k],
+            sensor_b,
+            up,
+            stale[0, k],
+            stale[1, k],
         )
         for view in range(2):
             codes[k, view], doubt[k, view] = state.codes[view], state.doubt[view]
+            mirrored[k, view] = state.mirrored[view]
             for code in range(4):
                 probability[k, view, code] = state.probability[view, code]
         for c in range(3):
@@ -176,7 +193,23 @@ def _backward(model, state, seconds, beliefs, likelihoods, shares, chances):  # 
 
 
 @kernel
-def _label(model, state, old, seconds, a, b, states_a, states_b, stale, codes, facing, doubt, probability, beliefs):  # type: ignore[no-untyped-def]
+def _label(
+    model,
+    state,
+    old,
+    seconds,
+    a,
+    b,
+    states_a,
+    states_b,
+    stale,
+    codes,
+    facing,
+    doubt,
+    probability,
+    mirrored,
+    beliefs,
+):  # type: ignore[no-untyped-def]
     """The answers of a recording from the smoothed beliefs of the whole body."""
     make_headings(state, old.frame_up)
     for k in range(len(seconds)):
@@ -184,7 +217,9 @@ def _label(model, state, old, seconds, a, b, states_a, states_b, stale, codes, f
             state.started[0] = 0
         for view in range(2):
             if not stale[view, k]:
-                measure_view(model, state, view, b[k] if view == 1 else a[k], states_b[k] if view == 1 else states_a[k])
+                measure_view(
+                    model, state, view, b[k] if view == 1 else a[k], states_b[k] if view == 1 else states_a[k]
+                )
         for n in range(len(state.headings)):
             for x in range(2):
                 for y in range(2):
@@ -195,6 +230,7 @@ def _label(model, state, old, seconds, a, b, states_a, states_b, stale, codes, f
         remember(state, not stale[0, k], not stale[1, k])
         for view in range(2):
             codes[k, view], doubt[k, view] = state.codes[view], state.doubt[view]
+            mirrored[k, view] = state.mirrored[view]
             for code in range(4):
                 probability[k, view, code] = state.probability[view, code]
         for c in range(3):

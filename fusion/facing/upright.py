@@ -1,7 +1,7 @@
 """Which way is up, learnt from the person where the sensor does not say.
 
-A tilted sensor's −y axis is not up, and no skeleton carries gravity. While a person stands, trunk and legs are
-in line and point up: the mean of both directions over such frames is within a few degrees of the vertical.
+A tilted sensor's −y axis is not up, and no skeleton carries gravity. While a person stands, trunk and legs
+are in line and point up: the mean of both over such frames is within a few degrees of the vertical.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ person with left and right exchanged. One step is
 
     p(θ', m') ∝ L(θ', m'_A, m'_B) Σ P(m'_A | m_A, θ') P(m'_B | m_B, θ') P(θ' | θ) p(θ, m_A, m_B).
 
-**Turning**, P(θ' | θ): a mixture of two wrapped normal distributions, one of a person who goes straight on and
-one of a person who turns. It is the prior on turning speed.
+**Turning**, P(θ' | θ): a mixture of two wrapped normal distributions, one of a person who goes straight on
+and one of a person who turns. It is the prior on turning speed.
 
 **Exchanging**, P(m' | m, θ): a tracker that takes a back for a front exchanges labels where the back is
 turned. The share of mirrored frames s is a function of the cosine between the heading and the direction to
@@ -85,11 +85,11 @@ def _cosine(state, view, n):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def make_turning(scalars, state, dt):  # type: ignore[no-untyped-def]
-    """P(θ' | θ) for differences of up to ``reach`` headings: three standard deviations of a turning person."""
+    """P(θ' | θ) for differences of up to ``reach`` headings: three deviations of a turning person."""
     step = 2.0 * math.pi / len(state.headings)
     slow = scalars.turning_sigma * math.sqrt(dt / _FRAME) / step
     fast = scalars.turning_sigma_fast * math.sqrt(dt / _FRAME) / step
-    reach = min(TAPS, int(math.ceil(3.0 * fast)))
+    reach = min(TAPS, math.ceil(3.0 * fast))
     state.reach[0] = reach
     slow_sum = fast_sum = 0.0
     for k in range(-reach, reach + 1):

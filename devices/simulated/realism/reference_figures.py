@@ -42,7 +42,7 @@ COUNTERPARTS = {
     "kinect_v2_90deg_walk": Setting("walk", KINECT_V2, 90.0, 30.0, standing=0.4),
     "azure_squat": Setting("squat", AZURE_KINECT, 45.0, 24.0),
 }
-"""Which setting each real recording is compared with, by the recording's name. On seven real walks the trunk is
+"""Which setting each real recording is compared with, by its name. On seven real walks the trunk is
 slower than 0.2 m/s in 30 to 48 % of the frames, mean 41 %, and then the person faces the sensors."""
 
 PUBLISHED: dict[str, dict[str, tuple[float, float]]] = {
