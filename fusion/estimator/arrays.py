@@ -81,6 +81,7 @@ class Views(NamedTuple):
     cover_distances: Array  # (2, J) how far across the ray, metres
     slow: Array  # (2, J, 3, 3) covariance of the slow error
     fast: Array  # (2, J) variance of the fast error
+    surprise: Array  # (J,) probability that both views are right and the prediction is wrong
     trust: Array  # (2, J) probability that the measurement is none of the outliers
 
 
@@ -187,6 +188,7 @@ def new_views(joints: int) -> Views:
         cover_distances=np.zeros((2, joints)),
         slow=np.zeros((2, joints, 3, 3)),
         fast=np.zeros((2, joints)),
+        surprise=np.zeros(joints),
         trust=np.zeros((2, joints)),
     )
 

@@ -99,6 +99,7 @@ class Constants(NamedTuple):
         inferred_outlier: The same of an inferred joint.
         outlier_lasts: Probability that an outlier is followed by one.
         outlier_side: Side of the cube that outliers are spread over, metres.
+        surprise: Probability that a joint moves as the prediction cannot tell.
         sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
         scale_sd: Standard deviation of a view's scale about 1.
         scale_seconds: How long a scale lasts.
@@ -125,11 +126,12 @@ class Constants(NamedTuple):
     inferred_outlier: float = 0.2
     outlier_lasts: float = 0.85
     outlier_side: float = 0.6
+    surprise: float = 0.05
     sides_doubted: float = 1.0
     scale_sd: float = 0.035
     scale_seconds: float = 0.6
     bone_sd: float = 0.03
-    spread: float = 1.0
+    spread: float = 1.1
 
 
 DEFAULT_SMOOTHING = 0.5

@@ -10,7 +10,7 @@ from fusion.estimator.limits import respect_hinges
 from fusion.estimator.measurement import cast_rays, find_covers, set_covariances
 from fusion.estimator.motion import predict
 from fusion.estimator.offsets import fade_offsets, learn_offsets
-from fusion.estimator.robust import judge, remember_doubt
+from fusion.estimator.robust import be_surprised, judge, remember_doubt
 from fusion.estimator.smoother import trace_prediction, trace_result
 from fusion.estimator.uncertainty import spread
 from fusion.estimator.update import begin_joints, share_error, take_in
@@ -103,6 +103,7 @@ def estimate_pair(  # type: ignore[no-untyped-def]
     fade_offsets(model, state, views, dt)
     # which measurements are outliers
     judge(model, state, views)
+    be_surprised(model, state, views, dt)
     # information adds up
     take_in(model, state, views)
     # what the views still differ by is shared out

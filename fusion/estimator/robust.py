@@ -19,6 +19,10 @@ def judge(model, state, views):  # type: ignore[no-untyped-def]
     N(y_A; x, S_A) N(y_B; x', S'), where x' and S' are predicted with y_A taken in: so two views that agree
     with each other need not agree with the prediction. β sums the posterior over the hypotheses.
 
+    A fifth hypothesis says that both are good and the prediction is wrong: the person has done what no one
+    expects. Then the two agree with each other and stand anywhere: N(y_A - y_B; 0, noise_A + noise_B) over
+    the cube. Its posterior is the surprise, which :func:`be_surprised` acts on.
+
     An outlier is followed by one with probability ``outlier_lasts``; β is 0 without a measurement.
     """
     k = model.constants
@@ -28,7 +32,7 @@ def judge(model, state, views):  # type: ignore[no-untyped-def]
         if not state.known[i]:
             views.trust[0, i], views.trust[1, i] = 1.0 if has_a else 0.0, 1.0 if has_b else 0.0
             continue
-        views.trust[0, i] = views.trust[1, i] = 0.0
+        views.trust[0, i] = views.trust[1, i] = views.surprise[i] = 0.0
         P = state.variances[i, 0]
         if has_a and has_b:
             a, b = prior_outlier(model, state, views, 0, i), prior_outlier(model, state, views, 1, i)
@@ -36,22 +40,27 @@ def judge(model, state, views):  # type: ignore[no-untyped-def]
             Sb = P + views.fast[1, i] + state.offset_variances[1, i]
             gain = P / Sa
             Sab = P * (1.0 - gain) + views.fast[1, i] + state.offset_variances[1, i]
-            square_a = square_b = square_ab = 0.0
+            square_a = square_b = square_ab = apart = 0.0
             for c in range(3):
                 ea, eb = innovation(state, views, 0, i, c), innovation(state, views, 1, i, c)
                 square_a += ea * ea
                 square_b += eb * eb
                 square_ab += (eb - gain * ea) ** 2
+                apart += (eb - ea) ** 2
             good_a, good_b = normal(square_a, Sa), normal(square_b, Sb)
-            both = good_a + normal(square_ab, Sab) + math.log((1.0 - a) * (1.0 - b))
+            right = math.log((1.0 - a) * (1.0 - b))
+            both = good_a + normal(square_ab, Sab) + right
+            turn = uniform + normal(apart, Sa + Sb - 2.0 * P) + right + math.log(k.surprise)
             only_a = good_a + uniform + math.log((1.0 - a) * b)
             only_b = good_b + uniform + math.log(a * (1.0 - b))
             none = 2.0 * uniform + math.log(a * b)
-            top = max(max(both, only_a), max(only_b, none))
+            top = max(max(both, turn), max(max(only_a, only_b), none))
             both, only_a = math.exp(both - top), math.exp(only_a - top)
-            only_b, none = math.exp(only_b - top), math.exp(none - top)
-            total = both + only_a + only_b + none
-            views.trust[0, i], views.trust[1, i] = (both + only_a) / total, (both + only_b) / total
+            only_b, none, turn = math.exp(only_b - top), math.exp(none - top), math.exp(turn - top)
+            total = both + only_a + only_b + none + turn
+            views.trust[0, i] = (both + turn + only_a) / total
+            views.trust[1, i] = (both + turn + only_b) / total
+            views.surprise[i] = turn / total
         elif has_a or has_b:
             s = 0 if has_a else 1
             outlier = prior_outlier(model, state, views, s, i)
@@ -61,6 +70,27 @@ def judge(model, state, views):  # type: ignore[no-untyped-def]
                 square += innovation(state, views, s, i, c) ** 2
             odds = uniform + math.log(outlier) - normal(square, S) - math.log(1.0 - outlier)
             views.trust[s, i] = 1.0 / (1.0 + math.exp(min(odds, 50.0)))
+
+
+@inner_kernel
+def be_surprised(model, state, views, dt):  # type: ignore[no-untyped-def]
+    """Where both views say together that the prediction is wrong, its variance grows to let them through.
+
+        P ← P + surprise (|e|²/3) g gᵀ,    g = [1, 1/(2 dt)]
+
+    with e the views' mean innovation: the joint has moved by e, half of it for good.
+    """
+    for i in range(len(model.parents)):
+        if not state.known[i] or views.surprise[i] < _UNLIKELY:
+            continue
+        square = 0.0
+        for c in range(3):
+            e = 0.5 * (innovation(state, views, 0, i, c) + innovation(state, views, 1, i, c))
+            square += e * e
+        grown = views.surprise[i] * square / 3.0
+        state.variances[i, 0] += grown
+        state.variances[i, 1] += 0.5 * grown / dt
+        state.variances[i, 2] += 0.25 * grown / (dt * dt)
 
 
 @inner_kernel
@@ -100,4 +130,5 @@ def remember_doubt(model, state, views):  # type: ignore[no-untyped-def]
 
 
 _FADES = 0.9  # per pair
+_UNLIKELY = 1e-3  # less surprise changes nothing that shows
 _SURE = 0.99  # no measurement is an outlier for certain
