@@ -28,11 +28,12 @@ def compile_tree_solver(matrices: bool = False) -> None:
 
 
 @contextmanager
-def tree_solver_compiled_meanwhile(needed_by: Any = solve_tree, matrices: bool = False) -> Iterator[None]:
+def tree_solver_compiled_meanwhile(needed_by: Any = None, matrices: bool = False) -> Iterator[None]:
     """Lets another process compile the solver, if it is not on disk; waits for it at the end.
 
     Args:
-        needed_by: The kernel that is to be called: where it is on disk, nothing is to be compiled.
+        needed_by: The kernel that is to be called, if not the solver: where it is on disk, nothing is to be
+            compiled.
         matrices: Whether the solver is to take 3×3 weights.
     """
     process = None if _is_on_disk(needed_by) else _start(matrices)
@@ -46,7 +47,8 @@ def tree_solver_compiled_meanwhile(needed_by: Any = solve_tree, matrices: bool =
             process.wait()
 
 
-def _is_on_disk(kernel: Any) -> bool:
+def _is_on_disk(kernel: Any = None) -> bool:
+    kernel = kernel or solve_tree
     folder = Path(kernel.stats.cache_path)
     python = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
     return any(folder.glob(f"*{kernel.__name__}-*.{python}.nbi"))

@@ -46,7 +46,7 @@ def test_the_example_passes_and_fails_as_it_should(
     weights: Literal["paper", "equal"], noise: float, says: str, tmp_path: Path
 ) -> None:
     pairs = frame_pairs(KINECT_V1, 20, noise=noise)
-    settings = FuserSettings(weights=weights)
+    settings = FuserSettings("paper", weights=weights)
     record_fused(tmp_path / "expected.rrd", pairs, calibration_of(KINECT_V1), settings)
     (tmp_path / "test_mine.py").write_text(_THEIR_OWN + example(), encoding="utf-8")
     done = subprocess.run(
