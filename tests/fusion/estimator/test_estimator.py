@@ -218,7 +218,7 @@ def test_a_smoothed_recording_is_nearer_to_the_truth_and_has_exact_bones() -> No
 
 
 def test_the_reported_deviation_holds_the_truth() -> None:
-    """Errors as the filter assumes them: a lasting one of the joint's own size in each view, and a fast one."""
+    """Errors as the filter assumes them: a lasting one of the joint's own size in each view, a fast one."""
     body, inside = BODY, []
     for seed in range(6):
         rng = np.random.default_rng(seed)
