@@ -106,7 +106,7 @@ def error_tables(recordings: Sequence[Recording]) -> dict[str, dict[str, float]]
 
 
 def cost(recordings: Sequence[Recording], constants: Constants) -> float:
-    """What the search minimises: MPJPE and 95 % where the truth is known, else roughness against the views'."""
+    """What the search minimises: MPJPE and 95 % where the truth is known, else the roughness of S*."""
     total = 0.0
     for recording in recordings:
         fuser = Fuser(recording.setup)
