@@ -62,7 +62,13 @@ def test_a_session_gives_back_what_the_sensors_said(body: Body, fused_run: Fused
 
 @pytest.mark.parametrize(
     "settings",
-    [FuserSettings(), FuserSettings(h=0.9), FuserSettings(solver="paper"), FuserSettings(weights="equal")],
+    [
+        FuserSettings(),
+        FuserSettings(smoothing=0.2),
+        FuserSettings("paper", h=0.9),
+        FuserSettings("published"),
+        FuserSettings("paper", weights="equal"),
+    ],
     ids=str,
 )
 def test_fusing_a_session_again_gives_the_same_bits(settings: FuserSettings, fused_run: FusedRun) -> None:
@@ -191,7 +197,7 @@ def test_sessions_that_match_and_that_do_not(fused_run: FusedRun) -> None:
     pairs, calibration = full_of_faults(KINECT_V1), calibration_of(KINECT_V1)
     one, two = fused_run(pairs, calibration), fused_run(pairs, calibration)
     assert_sessions_match(one, two, position_mm=0.0)
-    other = fused_run(pairs, calibration, FuserSettings(weights="equal"))
+    other = fused_run(pairs, calibration, FuserSettings("paper", weights="equal"))
     with pytest.raises(AssertionError, match=r"first at frame \d+, \w+"):
         assert_sessions_match(other, one, position_mm=1.0)
     assert_sessions_match(other, one.path, position_mm=500.0)

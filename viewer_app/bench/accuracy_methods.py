@@ -175,8 +175,9 @@ METHODS: tuple[Method, ...] = (
     Method("Kalman, start-up", "baseline", _baseline(lambda r: _kalman(r, r.start_up))),
     Method("Kalman, refined", "baseline", _baseline(lambda r: _kalman(r, r.refined))),
     Method("oracle", "bound", _baseline(_oracle)),
-    Method("published", "method", fused(replace(DEFAULT, solver="paper"))),
-    Method("paper", "method", fused(DEFAULT)),
+    Method("published", "method", fused(replace(DEFAULT, method="published"))),
+    Method("paper", "method", fused(replace(DEFAULT, method="paper"))),
+    Method("duplex", "method", fused(DEFAULT)),
 )
 """In the order of the tables.
 
@@ -184,7 +185,7 @@ METHODS: tuple[Method, ...] = (
 over the whole recording. ``oracle`` is the better view of every joint in every frame. ``published`` is
 eqs. (3)–(11) as published; ``paper`` has the paper's weights and exact bones."""
 
-OURS = "paper"
+OURS = "duplex"
 """The method that the tables compare the others with: the default."""
 
 ABLATIONS: tuple[Method, ...] = (
