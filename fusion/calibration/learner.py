@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -28,6 +28,7 @@ _BONES_AT_NS = (10_000_000_000, 30_000_000_000, 60_000_000_000)
 _BONE_CHANGE = 0.002  # metres; a smaller change of the longest-changed bone is not worth an event
 _FEWEST_BONE_KEYFRAMES = 24
 _RECENT = 60  # pairs kept for registering anew after a knock
+_UNKNOWN_TURN, _LEAST_TURN, _UNKNOWN_SHIFT = 0.035, 0.01, 0.05  # radians, radians, metres at the person
 _KNOCK_TURN, _KNOCK_SHIFT = np.radians(8.0), 0.4  # what a knock does at most, roughly; metres at the person
 
 
@@ -48,8 +49,8 @@ class LearnerSettings:
     follow: bool = True
     bones: bool = True
     clock: bool = True
-    refinement: RefinementSettings = RefinementSettings()
-    knock: KnockSettings = KnockSettings()
+    refinement: RefinementSettings = field(default_factory=RefinementSettings)
+    knock: KnockSettings = field(default_factory=KnockSettings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,9 @@ class CalibrationLearner:
     def __init__(self, body: Body, calibration: Calibration, settings: LearnerSettings | None = None) -> None:
         self._body, self._settings = body, settings or LearnerSettings()
         self.calibration = calibration
-        self._refinement = Refinement(body, calibration.a_from_b, self._settings.refinement)
+        self._refinement = Refinement(
+            body, calibration.a_from_b, self._settings.refinement, prior=prior_of(calibration)
+        )
         self._knock = KnockDetector(body, calibration.a_from_b, self._settings.knock)
         self._clock = ClockOffsetEstimator(body)
         self._recent: deque[tuple[SkeletonPair, tuple[int, int]]] = deque(maxlen=_RECENT)
@@ -99,9 +102,9 @@ class CalibrationLearner:
         self._bones_learned = 0
 
     def adopt(self, calibration: Calibration) -> None:
-        """Puts a calibration in force that was found elsewhere, as on the start-up pose; keeps the evidence."""
+        """Puts a calibration in force that was found elsewhere; keeps the evidence."""
         self.calibration = calibration
-        self._refinement.adopt(calibration.a_from_b)
+        self._refinement.adopt(calibration.a_from_b, prior_of(calibration))
         self._knock.adopt(calibration.a_from_b)
         self._knocked = False
 
@@ -227,6 +230,13 @@ class CalibrationLearner:
             how=how,
             registration=registration_of(self._body, evidence, fit),
         )
+
+
+def prior_of(calibration: Calibration) -> Prior:
+    """What is known about R and t beforehand: what the calibration states, never too certain."""
+    registration = calibration.registration
+    rotation_sd = _UNKNOWN_TURN if registration is None else registration.rotation_sd
+    return Prior(calibration.a_from_b, max(rotation_sd, _LEAST_TURN), _UNKNOWN_SHIFT)
 
 
 def register_anew(

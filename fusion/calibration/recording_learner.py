@@ -19,6 +19,7 @@ from fusion.calibration.learner import (
     CalibrationChange,
     CalibrationLearner,
     LearnerSettings,
+    prior_of,
     registration_of,
 )
 from fusion.errors import CalibrationError
@@ -199,7 +200,7 @@ def _best_start(
         return start
     costs = []
     for transform in (start.a_from_b, other):
-        copy = Evidence(*(values.copy() for values in evidence))
+        copy = evidence.copy()
         match_sides(body, copy, transform)
         costs.append(disagreement(body, copy, transform, settings.refinement.fit, 0.03))
     if costs[1] > costs[0] - max(settings.refinement.gain, 0.2 * costs[0]):
@@ -214,10 +215,11 @@ def _refit(body: Body, evidence: Evidence, start: Calibration, settings: Learner
         return start
     try:
         match_sides(body, evidence, start.a_from_b)
-        fit: RobustFit = fit_robust(body, evidence, start.a_from_b, fit_settings)
+        prior = prior_of(start)
+        fit: RobustFit = fit_robust(body, evidence, start.a_from_b, fit_settings, prior=prior)
         match_sides(body, evidence, fit.a_from_b)
         fit = fit_robust(body, evidence, fit.a_from_b, fit_settings, noise_sd=fit.noise_sd, biases=fit.biases)
-        gain = held_out_gain(body, evidence, start.a_from_b, fit, fit_settings)
+        gain = held_out_gain(body, evidence, start.a_from_b, fit, fit_settings, prior)
     except CalibrationError:
         return start
     if gain < settings.refinement.gain:

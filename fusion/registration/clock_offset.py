@@ -192,7 +192,7 @@ def _windows(
     """The regression of each second, for what remains of the offset beyond ``offset_ns``."""
     if len(pairs) < 2 * _SLOPE + 3:
         return []
-    times, residual, velocity = _residuals(points, points.of(pairs, a_from_b), pairs, skews_ns, offset_ns)
+    times, residual, velocity = _residuals(points.of(pairs, a_from_b), pairs, skews_ns, offset_ns)
     windows = []
     number = (times - times[0]) // _WINDOW_NS
     for k in range(int(number[-1]) + 1):
@@ -208,7 +208,6 @@ def _windows(
 
 
 def _residuals(
-    points: _Points,
     views: tuple[Array, Array],
     pairs: Sequence[SkeletonPair],
     skews_ns: Array,
@@ -257,8 +256,8 @@ def _cost(
     skews_ns: Array,
     offset_ns: float,
 ) -> float:
-    """How little the views' motions match at an offset: mean robust penalty of the residuals of all seconds."""
-    times, residual, velocity = _residuals(points, views, pairs, skews_ns, offset_ns)
+    """How badly the views' motions match at an offset: mean robust penalty of the residuals."""
+    times, residual, velocity = _residuals(views, pairs, skews_ns, offset_ns)
     penalty, count = 0.0, 0
     number = (times - times[0]) // _WINDOW_NS
     for k in range(int(number[-1]) + 1):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,16 +38,19 @@ ARM, LEG = 1, 2
 """The limbs whose labels a tracker can exchange on their own; the bits of an exchange code."""
 
 
+@lru_cache
 def relative_noise(body: Body) -> NDArray[np.float64]:
     """(J,) standard deviation of a joint's frame-to-frame error, relative to the spine's."""
-    return np.array([_kind(name)[0] for name in body.joints])
+    return _fixed([_kind(name)[0] for name in body.joints])
 
 
+@lru_cache
 def relative_bias(body: Body) -> NDArray[np.float64]:
     """(J,) standard deviation of a joint's view bias, relative to a knee's."""
-    return np.array([_kind(name)[1] for name in body.joints])
+    return _fixed([_kind(name)[1] for name in body.joints])
 
 
+@lru_cache
 def limbs(body: Body) -> NDArray[np.int64]:
     """(J,) ``ARM`` or ``LEG`` for joints that have a left and a right side, 0 for the midline.
 
@@ -59,6 +64,12 @@ def limbs(body: Body) -> NDArray[np.int64]:
         ],
         dtype=np.int64,
     )
+
+
+def _fixed(values: list[float]) -> NDArray[np.float64]:
+    array = np.array(values)
+    array.flags.writeable = False  # shared by all who ask
+    return array
 
 
 def _kind(name: str) -> tuple[float, float]:

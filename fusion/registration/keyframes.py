@@ -47,7 +47,15 @@ class Evidence(NamedTuple):
 
     def chosen(self, index: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Evidence:
         """Some of the pairs."""
-        return Evidence(*(values[index] for values in self))
+        return Evidence(
+            self.a[index], self.b[index], self.weights[index], self.basis[index], self.time_ns[index]
+        )
+
+    def copy(self) -> Evidence:
+        """The same pairs in arrays of their own."""
+        return Evidence(
+            self.a.copy(), self.b.copy(), self.weights.copy(), self.basis.copy(), self.time_ns.copy()
+        )
 
     @property
     def folds(self) -> NDArray[np.int64]:

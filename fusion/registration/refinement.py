@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.errors import CalibrationError
 from fusion.registration.keyframes import Evidence, KeyframeSet
-from fusion.registration.robust_fit import RobustFit, RobustFitSettings, disagreement, fit_robust
+from fusion.registration.robust_fit import Prior, RobustFit, RobustFitSettings, disagreement, fit_robust
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
@@ -34,7 +34,7 @@ class RefinementSettings:
     smallest_turn: float = 0.0015
     smallest_shift: float = 0.003
     half_life_ns: int = 600_000_000_000
-    fit: RobustFitSettings = RobustFitSettings()
+    fit: RobustFitSettings = field(default_factory=RobustFitSettings)
 
 
 class Refinement:
@@ -48,14 +48,19 @@ class Refinement:
         body: Of both views.
         a_from_b: In force at the start.
         settings: When and how.
+        prior: What is known about the transform without the keyframes.
     """
 
     def __init__(
-        self, body: Body, a_from_b: RigidTransform, settings: RefinementSettings | None = None
+        self,
+        body: Body,
+        a_from_b: RigidTransform,
+        settings: RefinementSettings | None = None,
+        prior: Prior | None = None,
     ) -> None:
         self._body, self._settings = body, settings or RefinementSettings()
         self.keyframes = KeyframeSet(body)
-        self._in_force = a_from_b
+        self._in_force, self._prior = a_from_b, prior
         self._noise_sd = 0.02
         self._biases: NDArray[np.float64] | None = None
         self._next_ns: int | None = None
@@ -63,16 +68,16 @@ class Refinement:
 
     def restart(self, a_from_b: RigidTransform, keep_from_ns: int | None = None) -> None:
         """Puts another transform in force and forgets the keyframes, or those before a time."""
-        self._in_force = a_from_b
+        self._in_force, self._prior = a_from_b, None
         self._biases, self._next_ns = None, None
         if keep_from_ns is None:
             self.keyframes.clear()
         else:
             self.keyframes.forget_before(keep_from_ns)
 
-    def adopt(self, a_from_b: RigidTransform) -> None:
+    def adopt(self, a_from_b: RigidTransform, prior: Prior | None = None) -> None:
         """Puts another transform in force and keeps the evidence."""
-        self._in_force = a_from_b
+        self._in_force, self._prior = a_from_b, prior
 
     def observe(self, pair: SkeletonPair, codes: tuple[int, int] = (0, 0)) -> RobustFit | None:
         """Takes a pair that is neither stale nor one-sided.
@@ -99,7 +104,10 @@ class Refinement:
             self._biases, self._noise_sd = candidate.biases, candidate.noise_sd
             if not self._worth_it(candidate.a_from_b, candidate.centre):
                 return None
-            if held_out_gain(self._body, evidence, self._in_force, candidate, settings.fit) < settings.gain:
+            if (
+                held_out_gain(self._body, evidence, self._in_force, candidate, settings.fit, self._prior)
+                < settings.gain
+            ):
                 return None
         except CalibrationError:
             return None
@@ -109,7 +117,7 @@ class Refinement:
     def _fit(self, evidence: Evidence, iterations: int) -> RobustFit:
         return fit_robust(
             self._body, evidence, self._in_force, self._settings.fit,
-            iterations=iterations, noise_sd=self._noise_sd, biases=self._biases,
+            iterations=iterations, noise_sd=self._noise_sd, biases=self._biases, prior=self._prior,
         )  # fmt: skip
 
     def _worth_it(self, proposed: RigidTransform, centre: NDArray[np.float64]) -> bool:
@@ -132,6 +140,7 @@ def held_out_gain(
     in_force: RigidTransform,
     candidate: RobustFit,
     settings: RobustFitSettings,
+    prior: Prior | None = None,
 ) -> float:
     """By how much fits like the candidate raise the log-likelihood of pairs that they were not fitted to.
 
@@ -145,7 +154,7 @@ def held_out_gain(
             return -np.inf
         fit = fit_robust(
             body, learned, candidate.a_from_b, settings,
-            iterations=2, noise_sd=candidate.noise_sd, biases=candidate.biases,
+            iterations=2, noise_sd=candidate.noise_sd, biases=candidate.biases, prior=prior,
         )  # fmt: skip
         gain += disagreement(body, held_out, in_force, settings, candidate.noise_sd)
         gain -= disagreement(body, held_out, fit.a_from_b, settings, candidate.noise_sd)

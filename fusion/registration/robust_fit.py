@@ -4,8 +4,8 @@ The model of joint j in keyframe k is
 
     p = R q + t + Σ_f φ_f(h) β_jf + ε,      φ = (1, cos h, sin h),
 
-with h the person's heading, ε of Student's t distribution and β_jf ~ N(0, σ_β²). A tracker places a joint with
-an error that is the same in every frame of a view. Without β, ten thousand frames of one pose would count as
+with h the person's heading, ε of Student's t distribution and β_jf ~ N(0, σ_β²). A tracker places a joint
+with an error that is the same in every frame of a view. Without β, ten thousand frames of one pose would count as
 ten thousand observations and would drown a better pose that was held for two seconds.
 
 The fit is Gauss-Newton on (θ, dt) with iterated weights; β is eliminated joint by joint.
@@ -143,9 +143,9 @@ def fit_robust(
             evidence.a, evidence.b, weights, evidence.basis, R, t, beta, noise, noise_sd,
             settings.tempering, DEGREES_OF_FREEDOM, centre, sums,
         )  # fmt: skip
-        information, gradient, inverse, own, coupled = _eliminate_biases(sums, bias_information)
+        information, gradient, own, coupled = _eliminate_biases(sums, bias_information)
         if prior is not None:
-            _add_prior(information, gradient, prior, R, t, centre)
+            _add_prior(information, gradient, prior, settings.inflation, R, t, centre)
         try:
             step = np.linalg.solve(information, gradient)
         except np.linalg.LinAlgError:
@@ -160,7 +160,7 @@ def fit_robust(
             np.clip(np.sqrt(sums.figures[1] / max(sums.figures[2], 1.0)), _SMALLEST_NOISE, _LARGEST_NOISE)
         )
     U, _, Vt = np.linalg.svd(R)
-    covariance = settings.inflation * np.linalg.inv(information)
+    covariance = np.asarray(settings.inflation * np.linalg.inv(information), dtype=np.float64)
     covariance[:3, :3] += settings.common_sd**2 * np.eye(3)
     return RobustFit(RigidTransform.of(U @ Vt, t), covariance, centre, beta, noise_sd)
 
@@ -193,7 +193,7 @@ def disagreement(
             np.sum(beta**2 * (bias_information[None, :, None] / _BASIS_VARIANCE[:, None, None]))
         )
         if k < iterations:
-            _, _, _, own, _ = _eliminate_biases(sums, bias_information)
+            _, _, own, _ = _eliminate_biases(sums, bias_information)
             beta = np.moveaxis(own, 0, 1)
     return cost
 
@@ -218,16 +218,15 @@ def _centre(evidence: Evidence, weights: Array, R: Array, t: Array) -> Array:
     return np.asarray(R @ mean + t)
 
 
-def _eliminate_biases(sums: _Sums, bias_information: Array) -> tuple[Array, Array, Array, Array, Array]:
+def _eliminate_biases(sums: _Sums, bias_information: Array) -> tuple[Array, Array, Array, Array]:
     """Schur complement of each joint's β: information and gradient of (dt, θ), and β as a function of them.
 
     Returns:
-        (6, 6) information, (6,) gradient, (J, 3, 3) inverse information of β, (J, 3, 3) β for a step of 0,
-        (J, 3, 3, 6) by how much β falls with the step.
+        (6, 6) information, (6,) gradient, (J, 3, 3) β for a step of 0, (J, 3, 3, 6) by how much β falls with the step.
     """
     joints = len(sums.w)
-    own = sums.phi + bias_information[:, None, None] * np.diag(1.0 / _BASIS_VARIANCE)
-    inverse = np.linalg.inv(own)
+    own: Array = sums.phi + bias_information[:, None, None] * np.diag(1.0 / _BASIS_VARIANCE)
+    inverse = np.asarray(np.linalg.inv(own), dtype=np.float64)
     # How φ_f β couples with (dt, θ): [I, −[x]×] summed with weight φ_f.
     coupling = np.zeros((joints, 3, 3, 6))
     for axis in range(3):
@@ -241,18 +240,21 @@ def _eliminate_biases(sums: _Sums, bias_information: Array) -> tuple[Array, Arra
         "jfay,jfaz->yz", coupling, coupled.reshape(coupling.shape), optimize=False
     )
     gradient = sums.gradient - np.tensordot(coupling, alone, axes=([0, 1, 2], [0, 1, 2]))
-    return information, gradient, inverse, alone, coupled.reshape(coupling.shape)
+    return information, gradient, alone, coupled.reshape(coupling.shape)
 
 
 _CROSS = ((0, 1, 2, 1.0), (0, 2, 1, -1.0), (1, 0, 2, -1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0), (2, 1, 0, -1.0))
 """Row, column, axis of x and sign of −[x]×."""
 
 
-def _add_prior(information: Array, gradient: Array, prior: Prior, R: Array, t: Array, centre: Array) -> None:
+def _add_prior(
+    information: Array, gradient: Array, prior: Prior, inflation: float, R: Array, t: Array, centre: Array
+) -> None:
+    # The covariance is inflated afterwards, and with it the prior's share, which must not be.
     turn = Rotation.from_matrix(prior.a_from_b.rotation @ R.T).as_rotvec()
     in_b = R.T @ (centre - t)
     shift = prior.a_from_b.apply(in_b) - centre
-    precision = np.repeat([prior.translation_sd**-2, prior.rotation_sd**-2], 3)
+    precision = inflation * np.repeat([prior.translation_sd**-2, prior.rotation_sd**-2], 3)
     information[np.diag_indices(6)] += precision
     gradient += precision * np.concatenate((shift, turn))
 
