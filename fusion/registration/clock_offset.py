@@ -22,6 +22,7 @@ from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 
 Array = NDArray[np.float64]
 
+_TRACKED = int(TrackingState.TRACKED)
 _WINDOW_NS = 1_000_000_000
 _WINDOWS = 120  # kept online
 _FEWEST_WINDOWS = 10
@@ -178,7 +179,7 @@ class _Points:
     def _view(self, skeleton: Skeleton | None) -> Array:
         if skeleton is None:
             return np.full((len(self.own), 3), np.nan)
-        positions = np.where((skeleton.states == TrackingState.TRACKED)[:, None], skeleton.positions, np.nan)
+        positions = np.where((skeleton.states == _TRACKED)[:, None], skeleton.positions, np.nan)
         return np.asarray(0.5 * (positions[self.own] + positions[self.other]), dtype=np.float64)
 
 

@@ -19,6 +19,7 @@ from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 
 Array = NDArray[np.float64]
 
+_TRACKED, _NOT_TRACKED = int(TrackingState.TRACKED), int(TrackingState.NOT_TRACKED)
 _SHORTEST_NS = 200_000_000  # between two keyframes
 _LONGEST_NS = 2_000_000_000  # after so long the pair is taken although nobody moved
 _MOVED = 0.06  # metres, mean over the joints: a pose that is new
@@ -79,8 +80,8 @@ def relabelled(skeleton: Skeleton, code: int) -> tuple[Array, Array]:
         body = skeleton.body
         source = np.where(limbs(body) & code, body.mirror, np.arange(len(body)))
         at, states = at[source], states[source]
-    weight = np.where(states == TrackingState.TRACKED, 1.0, _INFERRED_WEIGHT)
-    known = states != TrackingState.NOT_TRACKED
+    weight = np.where(states == _TRACKED, 1.0, _INFERRED_WEIGHT)
+    known = states != _NOT_TRACKED
     return np.where(known[:, None], at, 0.0), np.where(known, weight, 0.0)
 
 

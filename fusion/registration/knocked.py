@@ -72,7 +72,7 @@ class _Block(NamedTuple):
     situation: Array  # (4,) place along x and z, cosine and sine of the heading; one unit is "elsewhere"
 
 
-_TRACKED = TrackingState.TRACKED
+_TRACKED = int(TrackingState.TRACKED)
 _PLACE, _HEADING = 0.6, 0.7  # metres; chord of a turn by about 40°
 
 
@@ -99,6 +99,7 @@ class KnockDetector:
         self._recent: deque[_Block] = deque(maxlen=max(12, 2 * self._settings.blocks))
         self._growing: list[SkeletonPair] = []
         self._block_start_ns = 0
+        self._steady = False
         self.since_ns: int | None = None
         self.offset = 0.0
 
@@ -139,7 +140,7 @@ class KnockDetector:
         self._growing.append(pair)
         if self.since_ns is None:
             return SensorState.STEADY
-        return SensorState.SETTLED if self._settled() else SensorState.KNOCKED
+        return SensorState.SETTLED if self._steady else SensorState.KNOCKED
 
     def _end_block(self) -> None:
         block = self._measure(self._growing)
@@ -154,6 +155,8 @@ class KnockDetector:
         if self.since_ns is not None:
             if all(self._excess(late)[1] < 1.0 for late in newest):
                 self.since_ns, self.offset = None, 0.0
+            else:
+                self._steady = self._settled()
             return
         if len(self._history) >= self._settings.fewest:
             self._look_for_parting(newest)
@@ -168,7 +171,7 @@ class KnockDetector:
         # While the sensor still turns, the first block lies on the way.
         together = np.linalg.norm(off[1:] - mean, axis=1).max() < 0.5 * length
         if min(ratio for _, ratio in judged) > 1.0 and together:
-            self.since_ns, self.offset = blocks[0].start_ns, length
+            self.since_ns, self.offset, self._steady = blocks[0].start_ns, length, False
 
     def _excess(self, block: _Block) -> tuple[Array, float]:
         """By how much an offset differs from the usual one there, and that over what is tolerated."""
@@ -214,10 +217,20 @@ class KnockDetector:
         apart = mid_a - self._a_from_b.apply(mid_b)
         apart[~usable] = np.nan
         # Over time first: a point that is seen more often than others counts no more.
-        offset = np.median(np.nanmedian(apart[:, often], axis=0), axis=0)
-        place = np.nanmedian(mid_a[:, often], axis=(0, 1))
+        offset = np.median(_median_over_time(apart[:, often]), axis=0)
+        mid_a[~usable] = np.nan
+        place = np.median(_median_over_time(mid_a[:, often]), axis=0)
         across = np.nansum(a[:, self._shoulders[0]] - a[:, self._shoulders[1]], axis=0)
         length = max(float(np.hypot(across[0], across[2])), 1e-9)
         heading = across[[0, 2]] / (length * _HEADING)
         situation = np.concatenate((place[[0, 2]] / _PLACE, heading))
         return _Block(self._block_start_ns, offset, situation)
+
+
+def _median_over_time(values: Array) -> Array:
+    """(M, 3) median of (T, M, 3) over time, NaN left out; much faster than ``np.nanmedian``."""
+    ordered = np.sort(values, axis=0)  # NaN last
+    count = np.isfinite(values[..., :1]).sum(axis=0)[None].repeat(3, axis=2)
+    low = np.take_along_axis(ordered, (count - 1) // 2, axis=0)
+    high = np.take_along_axis(ordered, count // 2, axis=0)
+    return np.asarray(0.5 * (low + high)[0])

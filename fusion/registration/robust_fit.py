@@ -5,8 +5,8 @@ The model of joint j in keyframe k is
     p = R q + t + Σ_f φ_f(h) β_jf + ε,      φ = (1, cos h, sin h),
 
 with h the person's heading, ε of Student's t distribution and β_jf ~ N(0, σ_β²). A tracker places a joint
-with an error that is the same in every frame of a view. Without β, ten thousand frames of one pose would count as
-ten thousand observations and would drown a better pose that was held for two seconds.
+with an error that is the same in every frame of a view. Without β, ten thousand frames of one pose would
+count as ten thousand observations and would drown a better pose that was held for two seconds.
 
 The fit is Gauss-Newton on (θ, dt) with iterated weights; β is eliminated joint by joint.
 """
@@ -222,7 +222,8 @@ def _eliminate_biases(sums: _Sums, bias_information: Array) -> tuple[Array, Arra
     """Schur complement of each joint's β: information and gradient of (dt, θ), and β as a function of them.
 
     Returns:
-        (6, 6) information, (6,) gradient, (J, 3, 3) β for a step of 0, (J, 3, 3, 6) by how much β falls with the step.
+        (6, 6) information, (6,) gradient, (J, 3, 3) β for a step of 0, (J, 3, 3, 6) by how
+        much β falls with the step.
     """
     joints = len(sums.w)
     own: Array = sums.phi + bias_information[:, None, None] * np.diag(1.0 / _BASIS_VARIANCE)
