@@ -128,7 +128,7 @@ def clock_offset_of(
     """The offset and skew of a whole recording, up to half a second.
 
     A coarse search over shifts by whole frames finds the right neighbourhood; the regression then refines it
-    twice, with B interpolated at the offset found so far.
+    step by step, with B interpolated at the offset found so far.
 
     Args:
         body: Of both views.
@@ -151,14 +151,19 @@ def clock_offset_of(
         return None
     offset_ns = (int(np.nanargmin(costs)) - reach) * interval
     found: ClockOffset | None = None
-    for _ in range(3):
-        windows = _windows(points, pairs, a_from_b, skews, offset_ns)
+    times = np.array([pair.time_ns for pair in pairs], dtype=np.float64)
+    skew_ppm = 0.0
+    for _ in range(4):
+        drifted = skews + skew_ppm * 1e-6 * (times - times.mean())
+        windows = _windows(points, pairs, a_from_b, drifted, offset_ns)
         correction = _combined(windows)
         if correction is None:
             return found
         offset_ns += correction.offset_ns
         slope, slope_sd = _drift(windows, correction)
-        found = ClockOffset(offset_ns, correction.sd_ns, slope, slope_sd, correction.windows)
+        found = ClockOffset(offset_ns, correction.sd_ns, skew_ppm + slope, slope_sd, correction.windows)
+        if abs(skew_ppm + slope) > 2.0 * slope_sd:
+            skew_ppm += slope
     return found
 
 
