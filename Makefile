@@ -1,18 +1,25 @@
 # make demo and make test do all set-up by themselves; PYTHON=python3.12 chooses another interpreter.
 PYTHON ?= python3
 VENV := .venv
+# Further options of pytest: make test OPTIONS="-k solver --durations=10"
+OPTIONS ?=
 # All matrices are small: more BLAS threads only wait on each other.
 export OPENBLAS_NUM_THREADS := 1
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test check bench clean
+.PHONY: demo test coverage check bench clean
 
 demo: $(READY)
 	$(BIN)/duplex demo
 
 test: $(READY)
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q $(OPTIONS)
+
+# Numba's kernels run compiled, which coverage.py cannot see; pyproject.toml leaves them out and says why.
+coverage: $(READY)
+	$(BIN)/python -m pytest -q --cov --cov-report= tests/fusion tests/recordings $(OPTIONS)
+	$(BIN)/coverage report
 
 check: $(READY)
 	$(BIN)/ruff check .

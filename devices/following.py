@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.pairing import FramePair
+from devices.sensor import SensorFrame
+from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 
 _REACH_M = 0.4  # how far a body's centre may be off from frame to frame: tracker noise and a step
@@ -72,6 +76,33 @@ class PersonChoice:
         if own in near and (distance[own] <= _REACH_M or distance[nearest] > _REACH_M / 2):
             return own
         return nearest
+
+
+class PersonOfPair:
+    """Follows one person of two sensors: in both views the same, once it is known where the sensors stand."""
+
+    def __init__(self) -> None:
+        self._a, self._b = PersonChoice(), PersonChoice()
+
+    def chosen(self, pair: FramePair, b_from_a: RigidTransform | None = None) -> FramePair:
+        """The pair with the skeletons of the person followed.
+
+        Args:
+            pair: The next one, with or without a person.
+            b_from_a: B's frame ← A's, once a calibration is settled.
+        """
+        seen_a, at = _chosen(self._a, pair.a)
+        in_b = None if b_from_a is None or at is None else b_from_a.apply(at)
+        seen_b, _ = _chosen(self._b, pair.b, in_b)
+        return replace(pair, skeletons=replace(pair.skeletons, a=seen_a, b=seen_b))
+
+
+def _chosen(
+    choice: PersonChoice, frame: SensorFrame | None, at: NDArray[np.float64] | None = None
+) -> tuple[Skeleton | None, NDArray[np.float64] | None]:
+    """The person's skeleton in a frame, and where it is."""
+    person = None if frame is None else choice.choose(frame.people, frame.time_ns, at)
+    return person, None if person is None else centre(person)
 
 
 def centre(person: Skeleton) -> NDArray[np.float64] | None:

@@ -17,26 +17,45 @@ _GAP = 1.5
 
 @dataclass(frozen=True, eq=False)
 class FramePair:
-    """What both sensors said about one moment.
+    """What both sensors captured at one moment, and the one person in it who is fused.
 
     Attributes:
         a, b: The frames; None where a sensor has none for this moment.
-        person_a, person_b: The ids of the person meant, in each sensor's own numbering.
-        time_ns: The pair's time, on the principal sensor's clock.
-        skew_ns: Capture time of B less that of A, both on the principal sensor's clock; 0 without both.
+        skeletons: S_A and S_B of the person, and the pair's time and skew. A sensor that does not see the
+            person has None; both have None while nobody has been chosen.
     """
 
     a: SensorFrame | None
     b: SensorFrame | None
-    person_a: str
-    person_b: str
-    time_ns: int
-    skew_ns: int = 0
+    skeletons: SkeletonPair
+
+    @staticmethod
+    def of(
+        a: SensorFrame | None,
+        b: SensorFrame | None,
+        person_a: str,
+        person_b: str,
+        time_ns: int,
+        skew_ns: int = 0,
+    ) -> FramePair:
+        """The pair of two frames, with the person who has these ids.
+
+        Args:
+            a, b: The frames.
+            person_a, person_b: The person's ids, in each sensor's own numbering.
+            time_ns, skew_ns: As in :class:`fusion.skeleton.SkeletonPair`.
+        """
+        return FramePair(a, b, SkeletonPair(_person(a, person_a), _person(b, person_b), time_ns, skew_ns))
 
     @property
-    def skeletons(self) -> SkeletonPair:
-        """S_A and S_B of the person meant; None for a sensor that does not see this person."""
-        return SkeletonPair(_person(self.a, self.person_a), _person(self.b, self.person_b), self.time_ns)
+    def time_ns(self) -> int:
+        """The pair's time, on the principal sensor's clock."""
+        return self.skeletons.time_ns
+
+    @property
+    def skew_ns(self) -> int:
+        """Capture time of B less that of A; 0 without both."""
+        return self.skeletons.skew_ns
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,13 +116,13 @@ def pair_recordings(
             "They must be of the same capture, on one clock."
         )
     pairs = [
-        FramePair(frames_a[i], frames_b[j], person_a, person_b, int(time_a[i]), int(skew[i]))
+        FramePair.of(frames_a[i], frames_b[j], person_a, person_b, int(time_a[i]), int(skew[i]))
         for i, j in zip(chosen.tolist(), nearest_b[chosen].tolist(), strict=True)
     ]
     alone_a = sorted(set(_in_gaps(time_a, time_b)) - set(chosen.tolist()))
     alone_b = sorted(set(_in_gaps(time_b, time_a)) - set(nearest_b[chosen].tolist()))
-    pairs += [FramePair(frames_a[i], None, person_a, person_b, int(time_a[i])) for i in alone_a]
-    pairs += [FramePair(None, frames_b[j], person_a, person_b, int(time_b[j])) for j in alone_b]
+    pairs += [FramePair.of(frames_a[i], None, person_a, person_b, int(time_a[i])) for i in alone_a]
+    pairs += [FramePair.of(None, frames_b[j], person_a, person_b, int(time_b[j])) for j in alone_b]
     pairs.sort(key=lambda pair: pair.time_ns)
     return Pairing(
         pairs,

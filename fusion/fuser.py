@@ -4,39 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numba import typeof
 from numpy.typing import NDArray
 
-from fusion.calibration.calibration import Calibration
 from fusion.compiling.parallel_compilation import tree_solver_compiled_meanwhile
-from fusion.errors import FusionError
-from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
-from fusion.methods import paper as frame
-from fusion.methods.reliability import PAPER_H
+from fusion.methods import paper
 from fusion.rigid import RigidTransform
+from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
-
-
-@dataclass(frozen=True)
-class FuserSettings:
-    """The choices the method leaves open, with the paper's values where it names one.
-
-    Attributes:
-        h: How much more a tracked joint counts than an inferred one, in (0.5, 1); sec. 3.
-        solver: ``exact`` (one constraint a bone) or ``paper`` (eqs. (3)-(9) as published).
-        weights: ``paper`` (eqs. (10), (11)) or ``equal``.
-    """
-
-    h: float = PAPER_H
-    solver: Literal["exact", "paper"] = "exact"
-    weights: Literal["paper", "equal"] = "paper"
-
-    def __post_init__(self) -> None:
-        if not 0.5 < self.h < 1.0:
-            raise FusionError(f"h must lie between 0.5 and 1 (sec. 3); got {self.h}.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,36 +55,22 @@ class Fuser:
     The steps of a frame are those of ``docs/method.md``, compiled in :mod:`fusion.methods.paper`.
 
     Args:
-        calibration: R, t and the bone lengths.
-        settings: The method's choices.
-        intrinsics_a, intrinsics_b: The sensors' depth cameras; the family's nominal ones where None.
+        setup: Calibration, settings and cameras.
     """
 
-    def __init__(
-        self,
-        calibration: Calibration,
-        settings: FuserSettings | None = None,
-        intrinsics_a: Intrinsics | None = None,
-        intrinsics_b: Intrinsics | None = None,
-    ) -> None:
-        body = calibration.body
-        bones = calibration.bone_lengths[body.bone_joints]
-        if not (np.isfinite(bones).all() and (bones > 0.0).all()):
-            raise FusionError(f"Every bone needs a length of more than 0 m; the shortest is {bones.min()} m.")
-        self.calibration = calibration
-        self.settings = settings or FuserSettings()
-        self.intrinsics_a = intrinsics_a or NOMINAL_INTRINSICS[body.name]
-        self.intrinsics_b = intrinsics_b or NOMINAL_INTRINSICS[body.name]
+    def __init__(self, setup: FusionSetup) -> None:
+        self.setup = setup
+        body, calibration = setup.body, setup.calibration
         self._nobody = Skeleton.of(body, np.full((len(body), 3), np.nan))
-        self._model = frame.new_model(
+        self._model = paper.new_model(
             body,
             calibration.bone_lengths,
             calibration.a_from_b.rotation,
-            (self.intrinsics_a, self.intrinsics_b),
-            self.settings.h,
-            frame.EQUAL if self.settings.weights == "equal" else frame.TRUST,
+            setup.intrinsics,
+            setup.settings.h,
+            paper.EQUAL if setup.settings.weights == "equal" else paper.TRUST,
         )
-        self._memory = frame.new_memory(len(body), calibration.a_from_b.translation)
+        self._memory = paper.new_memory(len(body), calibration.a_from_b.translation)
 
     def warm_up(self, meanwhile: Callable[[], object] = lambda: None) -> None:
         """Compiles everything that :meth:`update` runs, without touching what this fuser remembers.
@@ -114,8 +78,8 @@ class Fuser:
         Args:
             meanwhile: What else there is to compile: on a first run another process is at work too.
         """
-        other = Fuser(self.calibration, self.settings)
-        if self.settings.solver == "paper":
+        other = Fuser(self.setup)
+        if self.setup.settings.solver == "paper":
             meanwhile()
         else:
             with tree_solver_compiled_meanwhile():
@@ -125,9 +89,9 @@ class Fuser:
 
     def _compile_preparation(self) -> None:
         positions, states = self._nobody.positions, self._nobody.states
-        result = frame.new_result(1, len(states))
+        result = paper.new_result(1, len(states))
         given = self._model, self._memory, result, 0, 0, positions, states, positions, states
-        frame.prepare.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
+        paper.prepare.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
 
     def update(self, pair: SkeletonPair) -> FusedFrame:
         """Fuses the next pair.
@@ -164,13 +128,13 @@ class Fuser:
         positions.flags.writeable = states.flags.writeable = False  # the type update() calls with
         return positions, states
 
-    def _run(self, time_ns: NDArray[np.int64], *views: NDArray[Any]) -> frame.Result:
-        result = frame.new_result(len(time_ns), len(self._nobody.states))
-        fuse = frame.fuse_frames_as_published if self.settings.solver == "paper" else frame.fuse_frames
+    def _run(self, time_ns: NDArray[np.int64], *views: NDArray[Any]) -> paper.Result:
+        result = paper.new_result(len(time_ns), len(self._nobody.states))
+        fuse = paper.fuse_frames_as_published if self.setup.settings.solver == "paper" else paper.fuse_frames
         fuse(self._model, self._memory, result, time_ns, *views)
         return result
 
-    def _fused(self, result: frame.Result, k: int, time_ns: int) -> FusedFrame:
+    def _fused(self, result: paper.Result, k: int, time_ns: int) -> FusedFrame:
         iterations, stale_a, stale_b = result.counts[k].tolist()
         return FusedFrame(
             positions=result.positions[k],
@@ -178,7 +142,7 @@ class Fuser:
             weights_a=result.weights_a[k],
             weights_b=result.weights_b[k],
             misleading=result.misleading[k],
-            a_from_b=RigidTransform(self.calibration.a_from_b.rotation, result.translation[k]),
+            a_from_b=RigidTransform(self.setup.calibration.a_from_b.rotation, result.translation[k]),
             iterations=iterations,
             stale_a=bool(stale_a),
             stale_b=bool(stale_b),

@@ -106,8 +106,10 @@ class SkeletonPair:
         a: S_A, in the principal sensor's frame.
         b: S_B, in the secondary sensor's frame.
         time_ns: The pair's own time, on the principal sensor's clock.
+        skew_ns: Capture time of B less that of A, both on the principal sensor's clock; 0 without both.
     """
 
     a: Skeleton | None
     b: Skeleton | None
     time_ns: int
+    skew_ns: int = 0

@@ -8,6 +8,8 @@ from __future__ import annotations
 APPLICATION_ID = "duplex_kinects"
 VERSION = 5
 """Of this layout; goes up when a reader of the old one would misread the new one."""
+READABLE_VERSIONS = (5,)
+"""The layouts that this program reads: all that differ from :data:`VERSION` in optional figures only."""
 
 FRAME = "frame"
 """Timeline: the number of the pair."""

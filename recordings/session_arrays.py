@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.live.sensor_pair import StreamFigures
 from devices.pairing import FramePair
-from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.fuser import FusedFrame
-from fusion.skeleton import Skeleton
 from recordings import layout
+from recordings.frame_fields import (
+    JOINTS,
+    FrameField,
+    frame_fields,
+    no_joint_or_joint,
+    per_frame,
+    tracking_states,
+)
 
 
 @dataclass(frozen=True)
@@ -31,53 +39,131 @@ class RecordedFrame:
     """How the two streams go; live sensors only."""
 
 
+POINTS = "Points3D:positions"
+_CLOCKS = layout.QUALITY, "sensors.captured_ns", np.int64
+_STALE = layout.QUALITY, "sensors.stale"
+_PLACEMENT = layout.kinect("b"), "rotation_translation"
+_WEIGHT_STEP = 1.0 / 128.0  # an eye cannot tell more apart
+
+
 @dataclass(frozen=True, eq=False)
 class SessionArrays:
     """T frames of J joints; metres, nanoseconds; NaN where there is nothing.
+
+    Each attribute declared with ``per_frame`` is one figure of a frame. The declaration says where the file
+    has it; arrays, writer, reader and checksums follow from it. Checksums cover the figures in the order of
+    their declaration: add new ones at the end, with ``optional=True``.
 
     Attributes:
         body: Which joints these are.
         bone_lengths: (T, J) the target lengths each frame was fused with; 0 at the root.
         frame: (T,) number of the pair.
         time_ns: (T,) since the first pair.
-        skew_ns: (T,) capture time of B less that of A.
-        clock_a, clock_b: (T,) each sensor's own time, ns; layout.NO_FRAME where it gave no frame.
-        positions_a, positions_b: (T, J, 3) float32, each in its sensor's frame.
-        states_a, states_b: (T, J) uint8 tracking states.
-        weights_a, weights_b: (T, J) float32, eq. (11), to 1/128: a session keeps what an eye can tell apart.
-        misleading: (T, J) int32, the mis-leading joint of sec. 3, or -1.
-        rotation, translation: (T, 3, 3) and (T, 3), K_A ← K_B.
-        fused: (T, J, 3) float64, S* in K_A's frame.
-        predicted: (T, J) whether a joint of S* has no data.
-        iterations: (T,) of the solver.
-        stale_a, stale_b: (T,) whether the sensor repeated its last skeleton.
-        fuse_ms: (T,) what the fusion took.
-        truth: (T, J, 3) where the joints really are, in K_A's frame; None where no one knows.
     """
 
     body: Body
     bone_lengths: NDArray[np.float64]
     frame: NDArray[np.int64]
     time_ns: NDArray[np.int64]
-    skew_ns: NDArray[np.int64]
-    clock_a: NDArray[np.int64]
-    clock_b: NDArray[np.int64]
-    positions_a: NDArray[np.float32]
-    positions_b: NDArray[np.float32]
-    states_a: NDArray[np.uint8]
-    states_b: NDArray[np.uint8]
-    weights_a: NDArray[np.float32]
-    weights_b: NDArray[np.float32]
-    misleading: NDArray[np.int32]
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
-    fused: NDArray[np.float64]
-    predicted: NDArray[np.bool_]
-    iterations: NDArray[np.int64]
-    stale_a: NDArray[np.bool_]
-    stale_b: NDArray[np.bool_]
-    fuse_ms: NDArray[np.float64]
-    truth: NDArray[np.float64] | None = None
+    skew_ns: NDArray[np.int64] = per_frame(
+        np.int64, (), layout.QUALITY, "figures.skew_ms", np.float64, lambda f: f.pair.skew_ns, scale=1e-6
+    )
+    """(T,) capture time of B less that of A."""
+    clock_a: NDArray[np.int64] = per_frame(
+        np.int64,
+        (),
+        *_CLOCKS,
+        lambda f: None if f.pair.a is None else f.pair.a.time_ns,
+        absent=layout.NO_FRAME,
+    )
+    """(T,) A's own time, ns; layout.NO_FRAME where it gave no frame."""
+    clock_b: NDArray[np.int64] = per_frame(
+        np.int64,
+        (),
+        *_CLOCKS,
+        lambda f: None if f.pair.b is None else f.pair.b.time_ns,
+        absent=layout.NO_FRAME,
+    )
+    """(T,) B's own time, likewise."""
+    positions_a: NDArray[np.float32] = per_frame(
+        *(np.float32, (JOINTS, 3), layout.skeleton("a"), POINTS, np.float32),
+        lambda f: None if f.pair.skeletons.a is None else f.pair.skeletons.a.positions,
+        absent=np.nan,
+    )
+    """(T, J, 3) S_A in A's frame."""
+    positions_b: NDArray[np.float32] = per_frame(
+        *(np.float32, (JOINTS, 3), layout.skeleton("b"), POINTS, np.float32),
+        lambda f: None if f.pair.skeletons.b is None else f.pair.skeletons.b.positions,
+        absent=np.nan,
+    )
+    """(T, J, 3) S_B in B's frame."""
+    states_a: NDArray[np.uint8] = per_frame(
+        *(np.uint8, (JOINTS,), layout.FUSED_SKELETON, layout.state("a"), np.int8),
+        lambda f: None if f.pair.skeletons.a is None else f.pair.skeletons.a.states,
+        absent=0,
+        names=tracking_states,
+    )
+    """(T, J) tracking states of S_A."""
+    states_b: NDArray[np.uint8] = per_frame(
+        *(np.uint8, (JOINTS,), layout.FUSED_SKELETON, layout.state("b"), np.int8),
+        lambda f: None if f.pair.skeletons.b is None else f.pair.skeletons.b.states,
+        absent=0,
+        names=tracking_states,
+    )
+    """(T, J) tracking states of S_B."""
+    weights_a: NDArray[np.float32] = per_frame(
+        *(np.float32, (JOINTS,), layout.FUSED_SKELETON, layout.weight("a"), np.float16),
+        lambda f: f.fused.weights_a,
+        step=_WEIGHT_STEP,
+    )
+    """(T, J) w^A of eq. (11), to 1/128."""
+    weights_b: NDArray[np.float32] = per_frame(
+        *(np.float32, (JOINTS,), layout.FUSED_SKELETON, layout.weight("b"), np.float16),
+        lambda f: f.fused.weights_b,
+        step=_WEIGHT_STEP,
+    )
+    """(T, J) w^B of eq. (11), to 1/128."""
+    misleading: NDArray[np.int32] = per_frame(
+        *(np.int32, (JOINTS,), layout.FUSED_SKELETON, "misleading_joint", np.int8),
+        lambda f: f.fused.misleading,
+        names=no_joint_or_joint,
+    )
+    """(T, J) the mis-leading joint of sec. 3, or -1."""
+    rotation: NDArray[np.float64] = per_frame(
+        np.float64, (3, 3), *_PLACEMENT, np.float64, lambda f: f.fused.a_from_b.rotation
+    )
+    """(T, 3, 3) R, K_A ← K_B."""
+    translation: NDArray[np.float64] = per_frame(
+        np.float64, (3,), *_PLACEMENT, np.float64, lambda f: f.fused.a_from_b.translation
+    )
+    """(T, 3) t, K_A ← K_B."""
+    fused: NDArray[np.float64] = per_frame(
+        *(np.float64, (JOINTS, 3), layout.FUSED_SKELETON, POINTS, np.float32), lambda f: f.fused.positions
+    )
+    """(T, J, 3) S* in K_A's frame."""
+    predicted: NDArray[np.bool_] = per_frame(
+        np.bool_, (JOINTS,), layout.FUSED_SKELETON, "predicted", np.bool_, lambda f: f.fused.predicted
+    )
+    """(T, J) whether a joint of S* has no data."""
+    iterations: NDArray[np.int64] = per_frame(
+        np.int64, (), layout.QUALITY, "figures.iterations", np.uint16, lambda f: f.fused.iterations
+    )
+    """(T,) of the solver."""
+    stale_a: NDArray[np.bool_] = per_frame(np.bool_, (), *_STALE, np.bool_, lambda f: f.fused.stale_a)
+    """(T,) whether A repeated its last skeleton."""
+    stale_b: NDArray[np.bool_] = per_frame(np.bool_, (), *_STALE, np.bool_, lambda f: f.fused.stale_b)
+    """(T,) whether B repeated its last skeleton."""
+    fuse_ms: NDArray[np.float64] = per_frame(
+        np.float64, (), layout.QUALITY, "figures.fuse_ms", np.float32, lambda f: f.fuse_ns * 1e-6
+    )
+    """(T,) milliseconds that the fusion took."""
+    truth: NDArray[np.float64] | None = per_frame(
+        *(np.float64, (JOINTS, 3), layout.TRUTH_SKELETON, POINTS, np.float32),
+        lambda f: f.truth,
+        absent=np.nan,
+        optional=True,
+    )
+    """(T, J, 3) where the joints really are, in K_A's frame; simulations only."""
 
     @staticmethod
     def stack(
@@ -86,6 +172,7 @@ class SessionArrays:
         frames: Sequence[RecordedFrame],
         numbers: Sequence[int] | None = None,
         start_ns: int | None = None,
+        like: SessionArrays | None = None,
     ) -> SessionArrays:
         """Stacks one or more turns of the loop.
 
@@ -95,47 +182,35 @@ class SessionArrays:
             frames: In time order, at least one.
             numbers: Of the frames; from 0 where None.
             start_ns: When the session began; with the first of these frames where None.
+            like: Earlier frames of the session: these then have the same optional figures.
         """
-        pairs = [f.pair.skeletons for f in frames]
-        fused = [f.fused for f in frames]
         start = frames[0].pair.time_ns if start_ns is None else start_ns
-        nowhere = np.full((len(body), 3), np.nan, dtype=np.float32)
-        unseen = np.zeros(len(body), dtype=np.uint8)
-
-        def positions(skeletons: list[Skeleton | None]) -> NDArray[np.float32]:
-            return np.array([nowhere if s is None else s.positions for s in skeletons])
-
-        def states(skeletons: list[Skeleton | None]) -> NDArray[np.uint8]:
-            return np.array([unseen if s is None else s.states for s in skeletons])
-
-        a, b = [p.a for p in pairs], [p.b for p in pairs]
+        figures: dict[str, Any] = {name: spec.stacked(body, frames) for name, spec in FRAME_FIELDS.items()}
+        if like is not None:
+            for name in (name for name, spec in FRAME_FIELDS.items() if spec.optional):
+                if getattr(like, name) is None:
+                    figures[name] = None
+                elif figures[name] is None:
+                    figures[name] = FRAME_FIELDS[name].nothing(body, len(frames))
         return SessionArrays(
-            body=body,
-            bone_lengths=np.broadcast_to(bone_lengths, (len(frames), len(body))),
-            frame=np.array(range(len(frames)) if numbers is None else numbers, dtype=np.int64),
-            time_ns=np.array([f.pair.time_ns for f in frames], dtype=np.int64) - start,
-            skew_ns=np.array([f.pair.skew_ns for f in frames], dtype=np.int64),
-            clock_a=np.array([_clock(f.pair.a) for f in frames], dtype=np.int64),
-            clock_b=np.array([_clock(f.pair.b) for f in frames], dtype=np.int64),
-            positions_a=positions(a),
-            positions_b=positions(b),
-            states_a=states(a),
-            states_b=states(b),
-            weights_a=_to_128ths([f.weights_a for f in fused]),
-            weights_b=_to_128ths([f.weights_b for f in fused]),
-            misleading=np.array([f.misleading for f in fused], dtype=np.int32),
-            rotation=np.array([f.a_from_b.rotation for f in fused]),
-            translation=np.array([f.a_from_b.translation for f in fused]),
-            fused=np.array([f.positions for f in fused]),
-            predicted=np.array([f.predicted for f in fused]),
-            iterations=np.array([f.iterations for f in fused], dtype=np.int64),
-            stale_a=np.array([f.stale_a for f in fused]),
-            stale_b=np.array([f.stale_b for f in fused]),
-            fuse_ms=np.array([f.fuse_ns for f in frames]) * 1e-6,
-            truth=None
-            if frames[0].truth is None
-            else np.array([nowhere if f.truth is None else f.truth for f in frames]),
+            body,
+            np.broadcast_to(bone_lengths, (len(frames), len(body))),
+            np.array(range(len(frames)) if numbers is None else numbers, dtype=np.int64),
+            np.array([f.pair.time_ns for f in frames], dtype=np.int64) - start,
+            **figures,
         )
+
+    def figures(self) -> Iterator[tuple[str, FrameField, NDArray[Any]]]:
+        """Name, declaration and values of every figure that these frames have."""
+        for name, spec in FRAME_FIELDS.items():
+            values = getattr(self, name)
+            if values is not None:
+                yield name, spec, values
+
+    def filled(self, name: str) -> NDArray[Any]:
+        """A figure by its name; its absent value in every frame where the session does not have it."""
+        values: NDArray[Any] | None = getattr(self, name)
+        return FRAME_FIELDS[name].nothing(self.body, len(self)) if values is None else values
 
     def __len__(self) -> int:
         """The number of frames T."""
@@ -182,9 +257,5 @@ class SessionArrays:
         return np.asarray((nearest[frame, (seen - 1) // 2] + nearest[frame, seen // 2]) / 2.0)
 
 
-def _to_128ths(weights: list[NDArray[np.float64]]) -> NDArray[np.float32]:
-    return (np.round(np.array(weights) * 128.0) / 128.0).astype(np.float32)
-
-
-def _clock(frame: SensorFrame | None) -> int:
-    return layout.NO_FRAME if frame is None else frame.time_ns
+FRAME_FIELDS: Mapping[str, FrameField] = MappingProxyType(frame_fields(fields(SessionArrays)))
+"""The figures of :class:`SessionArrays` by name, in the order in which checksums cover them."""

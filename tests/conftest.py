@@ -1,77 +1,23 @@
-"""What many tests need: people of known truth, two sensors of known place, the shared recordings."""
+"""Fixtures of all tests: the reference recordings, and stand-ins for the sensors' libraries."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from hypothesis import settings
 
-from fusion.body import Body
-from fusion.rigid import RigidTransform
-from fusion.skeleton import Skeleton, SkeletonPair
+# A deadline measures the machine, and the first example of a test may compile a kernel.
+settings.register_profile("duplex", deadline=None)
+settings.load_profile("duplex")
 
-pytest_plugins = ("tests.helpers.standin_library", "tests.helpers.standin_pyk4a")
-
-FRAME_NS = 33_333_333
-
-A_FROM_B = RigidTransform.of(
-    Rotation.from_euler("yx", [-85.0, 4.0], degrees=True).as_matrix(), [2.4, 0.1, 2.6]
+pytest_plugins = (
+    "tests.helpers.machine",
+    "tests.helpers.standin_library",
+    "tests.helpers.standin_pyk4a",
+    "tests.helpers.real_pyk4a",
 )
-"""K_B about 90° to K_A's right, slightly tilted."""
-
-
-def standing(
-    body: Body, lengths: NDArray[np.float64] | None = None, arms_out: float = 50.0, legs_out: float = 14.0
-) -> NDArray[np.float64]:
-    """(J, 3) a person 2.6 m before K_A, turned 45° to both sensors, arms and legs apart."""
-    lengths = body.nominal_lengths if lengths is None else lengths
-    at = np.zeros((len(body), 3))
-    for joint in body.order[1:]:
-        direction = body.rest[joint]
-        bone = body.bones[joint]
-        angle = 0.0
-        if bone.startswith(("upper_arm", "forearm", "hand", "fingers")):
-            angle = arms_out
-        elif bone.startswith(("thigh", "shin")):
-            angle = legs_out
-        side = -1.0 if bone.endswith("left") else 1.0
-        turned = Rotation.from_euler("z", side * angle, degrees=True).apply(direction)
-        at[joint] = at[body.parents[joint]] + lengths[joint] * turned
-    return Rotation.from_euler("y", 45.0, degrees=True).apply(at) + np.array([0.1, 0.05, 2.6])
-
-
-def pair_of(
-    body: Body, truth: NDArray[np.float64], time_ns: int = 0, a_from_b: RigidTransform = A_FROM_B
-) -> SkeletonPair:
-    """Both sensors' flawless view of (J, 3) joints given in K_A's frame."""
-    return SkeletonPair(
-        Skeleton.of(body, truth, None, time_ns),
-        Skeleton.of(body, a_from_b.inverse().apply(truth), None, time_ns),
-        time_ns,
-    )
-
-
-def moving(body: Body, frames: int, seed: int = 0) -> NDArray[np.float64]:
-    """(T, J, 3) a person who stands still for 1.5 s, then turns, shifts and waves; bones exact."""
-    rng = np.random.default_rng(seed)
-    still = standing(body)
-    axes = rng.normal(size=(len(body), 3)) * 0.5
-    phase = rng.uniform(0.0, 2.0 * np.pi, len(body))
-    out = np.empty((frames, len(body), 3))
-    for t in range(frames):
-        moved = max(0.0, t * FRAME_NS * 1e-9 - 1.5)
-        swing = np.sin(2.0 * moved + phase) - np.sin(phase)
-        turns = Rotation.from_rotvec(axes * swing[:, None])
-        out[t] = still
-        for joint in body.order[1:]:
-            parent = body.parents[joint]
-            out[t, joint] = out[t, parent] + turns[int(joint)].apply(still[joint] - still[parent])
-        out[t] += 0.2 * np.array([np.sin(0.7 * moved), 0.0, 1.0 - np.cos(0.9 * moved)])
-    return out
 
 
 @pytest.fixture(scope="session")

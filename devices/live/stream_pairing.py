@@ -4,6 +4,9 @@ The sensors' clocks start anywhere and drift apart, so a moment of B is found on
 machine's: both sensors' frames arrive on it. With a sync cable the sensors capture at the same moments, a
 fixed delay apart, and the pairs found so far tell the offset to the microsecond.
 
+The pairs' time is A's clock; it goes on without a jump when that clock is reset, and never back. Nobody has
+been chosen in them yet: see :mod:`devices.following`.
+
 Pure: time is passed in, nothing waits.
 """
 
@@ -15,28 +18,14 @@ from statistics import median_low
 from typing import Literal
 
 from devices.live.host_clock import Arrival, HostClock
+from devices.pairing import FramePair
 from devices.sensor import SensorFrame
+from fusion.skeleton import SkeletonPair
 
 Side = Literal["a", "b"]
 _PENDING = 8
 _SYNCED_PAIRS = 61
 _SYNCED_ENOUGH = 15
-
-
-@dataclass(frozen=True, eq=False)
-class LivePair:
-    """What the two sensors captured at one time; None for a sensor that has no frame of it.
-
-    Attributes:
-        a, b: The frames of K_A and K_B.
-        time_ns: On A's clock; goes on without a jump when that clock is reset, and never back.
-        skew_ns: How much later B captured than A, by A's clock; None for a frame alone.
-    """
-
-    a: SensorFrame | None
-    b: SensorFrame | None
-    time_ns: int
-    skew_ns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -99,13 +88,14 @@ class LivePairing:
 
         Args:
             interval_ns: Time between two frames of the faster sensor. Half of it is the tolerance.
-            max_wait_ns: How long a frame may wait for its partner.
-            gone_after_ns: After how long without a frame a sensor is gone, and not waited for.
+            max_wait_ns: How long a frame may wait for its partner; an interval at least.
+            gone_after_ns: After how long without a frame a sensor is gone, and not waited for; four
+                intervals at least.
             sync_delay_ns: With a sync cable, how much later B captures than A (negative: earlier); None
                 without one.
         """
-        self._interval_ns, self._tolerance_ns = interval_ns, interval_ns // 2
-        self._max_wait_ns, self._gone_after_ns = max_wait_ns, gone_after_ns
+        self._least_wait_ns, self._least_gone_ns = max_wait_ns, gone_after_ns
+        self.set_interval(interval_ns)
         self._sync_delay_ns = sync_delay_ns
         self._a, self._b = _Stream(), _Stream()
         self._synced: deque[int] = deque(maxlen=_SYNCED_PAIRS)
@@ -121,7 +111,14 @@ class LivePairing:
         drift = self._b.clock.drift_ppm - self._a.clock.drift_ppm
         return replace(self._figures, offset_ns=self._offset_ns(), drift_ppm=drift)
 
-    def add(self, side: Side, frame: SensorFrame, now_ns: int) -> list[LivePair]:
+    def set_interval(self, interval_ns: int) -> None:
+        """Changes the time between two frames of the faster sensor, and the patience that follows from it."""
+        self._interval_ns, self._tolerance_ns = interval_ns, interval_ns // 2
+        # At few frames a second a partner may come nearly an interval later by itself.
+        self._max_wait_ns = max(self._least_wait_ns, interval_ns)
+        self._gone_after_ns = max(self._least_gone_ns, 4 * interval_ns)
+
+    def add(self, side: Side, frame: SensorFrame, now_ns: int) -> list[FramePair]:
         """Takes a frame and gives the pairs that are complete now, in order.
 
         Args:
@@ -136,7 +133,7 @@ class LivePairing:
             self._count(repeated=1)
             return self.poll(now_ns)
         arrival = stream.clock.observe(frame.time_ns, now_ns if frame.host_ns is None else frame.host_ns)
-        pairs: list[LivePair] = []
+        pairs: list[FramePair] = []
         if arrival is Arrival.RESET:
             self._count(resets=1)
             pairs = self._let_out(side)
@@ -152,9 +149,9 @@ class LivePairing:
         stream.waiting.sort(key=lambda entry: entry[0].time_ns)
         return pairs + self.poll(now_ns)
 
-    def poll(self, now_ns: int) -> list[LivePair]:
+    def poll(self, now_ns: int) -> list[FramePair]:
         """The pairs that need wait no longer at ``now_ns``, in order. Call it when no frame comes, too."""
-        pairs: list[LivePair] = []
+        pairs: list[FramePair] = []
         while (step := self._step(now_ns)) is not None:
             pairs += step
         return pairs
@@ -163,7 +160,7 @@ class LivePairing:
         """Says that a sensor is lost, so that nobody waits for it; its next frame takes it back."""
         (self._a if side == "a" else self._b).gone = gone
 
-    def restart(self, side: Side) -> list[LivePair]:
+    def restart(self, side: Side) -> list[FramePair]:
         """Says that a sensor was opened anew, so that its clock may have started anew.
 
         Returns:
@@ -172,7 +169,7 @@ class LivePairing:
         (self._a if side == "a" else self._b).clock.restart()
         return self._let_out(side)
 
-    def _step(self, now_ns: int) -> list[LivePair] | None:
+    def _step(self, now_ns: int) -> list[FramePair] | None:
         """One decision on the oldest frames: what it gives, or None when there is nothing to decide yet."""
         a, b = self._a.waiting, self._b.waiting
         if a and b:
@@ -217,7 +214,7 @@ class LivePairing:
             self._synced.clear()
         return by_arrival
 
-    def _pair(self, b: SensorFrame, skew_ns: int, index: int) -> LivePair:
+    def _pair(self, b: SensorFrame, skew_ns: int, index: int) -> FramePair:
         a = self._a.waiting[0][0]
         if self._sync_delay_ns is not None:
             self._synced.append(b.time_ns - a.time_ns - self._sync_delay_ns)
@@ -226,26 +223,29 @@ class LivePairing:
         self._use(self._b, index + 1)
         self._count(pairs=1)
         self._figures = replace(self._figures, skew_ns=skew_ns)
-        return LivePair(a, b, self._out(a.time_ns + (self._time_from_a or 0)), skew_ns)
+        return self._given(a, b, a.time_ns + (self._time_from_a or 0), skew_ns)
 
-    def _alone_a(self) -> LivePair:
+    def _alone_a(self) -> FramePair:
         frame = self._a.waiting[0][0]
         self._use(self._a, 1)
         self._count(alone_a=1)
-        return LivePair(frame, None, self._out(frame.time_ns + (self._time_from_a or 0)))
+        return self._given(frame, None, frame.time_ns + (self._time_from_a or 0))
 
-    def _alone_b(self) -> LivePair:
+    def _alone_b(self) -> FramePair:
         frame = self._b.waiting[0][0]
         self._use(self._b, 1)
         self._count(alone_b=1)
         on_host = frame.time_ns + (self._b.clock.offset_ns or 0)
         if self._time_from_host is None:
             self._time_from_host = frame.time_ns - on_host
-        return LivePair(None, frame, self._out(on_host + self._time_from_host))
+        return self._given(None, frame, on_host + self._time_from_host)
 
-    def _out(self, time_ns: int) -> int:
+    def _given(
+        self, a: SensorFrame | None, b: SensorFrame | None, time_ns: int, skew_ns: int = 0
+    ) -> FramePair:
+        """The pair without a person; its time never goes back."""
         self._last_ns = time_ns if self._last_ns is None else max(time_ns, self._last_ns + 1)
-        return self._last_ns
+        return FramePair(a, b, SkeletonPair(None, None, self._last_ns, skew_ns))
 
     def _anchor(self) -> None:
         """Keeps the output's time on A's clock: the clock itself, moved where it was reset."""
@@ -255,7 +255,7 @@ class LivePairing:
             self._time_from_a = moved
         self._time_from_host = self._time_from_a - offset_ns
 
-    def _let_out(self, side: Side) -> list[LivePair]:
+    def _let_out(self, side: Side) -> list[FramePair]:
         """One clock starts anew: what waits goes out, and what followed from the old one is forgotten."""
         pairs = []
         while self._a.waiting:

@@ -6,7 +6,6 @@ Each writer returns in words what it wrote.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -53,9 +52,10 @@ def write_parquet(session: Session, path: Path) -> str:
 
 
 def write_npz(session: Session, path: Path) -> str:
-    """Every array of :class:`recordings.session_arrays.SessionArrays`; joints and bones by name."""
+    """The arrays of :class:`recordings.session_arrays.SessionArrays` that the session has; joints by name."""
     rows = session.rows
-    arrays = {f.name: getattr(rows, f.name) for f in fields(SessionArrays) if f.name != "body"}
+    arrays = {name: getattr(rows, name) for name in ("bone_lengths", "frame", "time_ns")}
+    arrays |= {name: values for name, _, values in rows.figures()}
     with path.open("wb") as file:
         np.savez_compressed(
             file,

@@ -10,90 +10,66 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from recordings import layout
+from recordings.frame_fields import FrameField
 from recordings.reading.rrd_file import Columns
-from recordings.session_arrays import SessionArrays
-from recordings.writing.checksums import FusedChecks, frame_checksums
+from recordings.session_arrays import FRAME_FIELDS, SessionArrays
+from recordings.writing.checksums import FRAME_CRC, FUSED_CRC, FusedChecks, frame_checksums
+
+_TIME = layout.QUALITY, layout.TIME
+_FRAME_CRC, _FUSED_CRC = (layout.QUALITY, FRAME_CRC), (layout.QUALITY, FUSED_CRC)
+_JOINT_DIGESTS = layout.QUALITY, layout.JOINT_DIGESTS
 
 
 def frames_of(
     body: Body, calibrations: list[tuple[int, Calibration]], found: Columns
 ) -> tuple[SessionArrays, FusedChecks, int]:
     """The frames before the first that is missing or damaged, checks of their S*, how many are lost."""
-    J = len(body)
-    stored: dict[str, tuple[tuple[str, str], tuple[int, ...], Any]] = {
-        "time_ns": ((layout.QUALITY, layout.TIME), (), np.int64),
-        "placement": ((layout.kinect("b"), "rotation_translation"), (12,), np.float64),
-        "fused": ((layout.FUSED_SKELETON, "Points3D:positions"), (J, 3), np.float32),
-        "predicted": ((layout.FUSED_SKELETON, "predicted"), (J,), np.bool_),
-        "joint_digests": ((layout.QUALITY, layout.JOINT_DIGESTS), (J,), np.uint8),
-        "misleading": ((layout.FUSED_SKELETON, "misleading_joint"), (J,), np.int8),
+    groups = _groups(found)
+    stored: dict[tuple[str, str], tuple[int, type[np.generic]]] = {
+        key: (sum(spec.width(body) for _, spec in specs), specs[0][1].stored) for key, specs in groups.items()
     }
-    figures: dict[str, Any] = {
-        "fuse_ms": np.float32,
-        "skew_ms": np.float64,
-        "iterations": np.uint16,
-        "frame_crc32": np.uint32,
-        "fused_crc32": np.uint32,
-    }
-    of_each: dict[str, Any] = {"captured_ns": np.int64, "stale": np.bool_}
-    for component, n, kinds in ((layout.FIGURES, 1, figures), (layout.OF_EACH_SENSOR, 2, of_each)):
-        stored |= {
-            name: ((layout.QUALITY, f"{component}.{name}"), (n,), kind) for name, kind in kinds.items()
-        }
-    for side in layout.SIDES:
-        stored |= {
-            f"positions_{side}": ((layout.skeleton(side), "Points3D:positions"), (J, 3), np.float32),
-            f"states_{side}": ((layout.FUSED_SKELETON, layout.state(side)), (J,), np.int8),
-            f"weights_{side}": ((layout.FUSED_SKELETON, layout.weight(side)), (J,), np.float16),
-        }
-    truth = (layout.TRUTH_SKELETON, "Points3D:positions")
-    if truth in found.values:
-        stored["truth"] = (truth, (J, 3), np.float32)
-    written = 0
-    whole: int | None = None
-    at: dict[str, NDArray[Any]] = {}
-    for name, (key, shape, kind) in stored.items():
-        frames, values = found.values.get(key, (np.empty(0, np.int64), np.empty((0, *shape), kind)))
-        if values.shape[1:] != shape or values.dtype != kind:
-            frames, values = frames[:0], np.empty((0, *shape), kind)
-        order = np.argsort(frames, kind="stable")
-        frames = frames[order]
-        count = int(np.argmin(np.concatenate([frames, [-1]]) == np.arange(len(frames) + 1)))
-        written = max(written, count)
-        whole = count if whole is None else min(whole, count)
-        at[name] = values[order]
-    n = whole or 0
-    at = {name: values[:n] for name, values in at.items()}
+    stored |= {_TIME: (1, np.int64), _FRAME_CRC: (1, np.uint32), _FUSED_CRC: (1, np.uint32)}
+    stored[_JOINT_DIGESTS] = (len(body), np.uint8)
+    columns: dict[tuple[str, str], NDArray[Any]] = {}
+    counts = []
+    for key, (width, kind) in stored.items():
+        columns[key] = values = _consecutive(found, key, width, kind)
+        counts.append(len(values))
+    written, n = max(counts), min(counts)
+    figures: dict[str, Any] = {}
     with np.errstate(invalid="ignore"):  # damaged numbers are found below
-        rows = SessionArrays(
-            body=body,
-            bone_lengths=_targets(calibrations, n),
-            frame=np.arange(n),
-            time_ns=at["time_ns"],
-            skew_ns=np.rint(at["skew_ms"][:, 0] * 1e6).astype(np.int64),
-            clock_a=at["captured_ns"][:, 0],
-            clock_b=at["captured_ns"][:, 1],
-            positions_a=at["positions_a"],
-            positions_b=at["positions_b"],
-            states_a=at["states_a"].astype(np.uint8),
-            states_b=at["states_b"].astype(np.uint8),
-            weights_a=at["weights_a"].astype(np.float32),
-            weights_b=at["weights_b"].astype(np.float32),
-            misleading=np.where(at["misleading"] == J, -1, at["misleading"]).astype(np.int32),
-            rotation=at["placement"][:, :9].reshape(-1, 3, 3),
-            translation=at["placement"][:, 9:],
-            fused=at["fused"].astype(np.float64),
-            predicted=at["predicted"],
-            iterations=at["iterations"][:, 0].astype(np.int64),
-            stale_a=at["stale"][:, 0],
-            stale_b=at["stale"][:, 1],
-            fuse_ms=at["fuse_ms"][:, 0].astype(np.float64),
-            truth=at["truth"].astype(np.float64) if "truth" in at else None,
-        )
+        for key, specs in groups.items():
+            at = 0
+            for name, spec in specs:
+                width = spec.width(body)
+                figures[name] = spec.from_file(body, columns[key][:n, at : at + width])
+                at += width
+        rows = SessionArrays(body, _targets(calibrations, n), np.arange(n), columns[_TIME][:n, 0], **figures)
     if n:
-        fits = frame_checksums(rows) == at["frame_crc32"][:, 0]
+        fits = frame_checksums(rows) == columns[_FRAME_CRC][:n, 0]
         n = int(np.argmin(np.append(fits, False)))
-    return rows[:n], (at["fused_crc32"][:n, 0], at["joint_digests"][:n]), written - n
+    return rows[:n], (columns[_FUSED_CRC][:n, 0], columns[_JOINT_DIGESTS][:n]), written - n
+
+
+def _groups(found: Columns) -> dict[tuple[str, str], list[tuple[str, FrameField]]]:
+    """The figures by the component that has them, in their order in it; without those the file lacks."""
+    groups: dict[tuple[str, str], list[tuple[str, FrameField]]] = {}
+    for name, spec in FRAME_FIELDS.items():
+        key = spec.entity, spec.component
+        if not spec.optional or key in found.values:
+            groups.setdefault(key, []).append((name, spec))
+    return groups
+
+
+def _consecutive(found: Columns, key: tuple[str, str], width: int, kind: type[np.generic]) -> NDArray[Any]:
+    """(N, width) the values of frames 0 to N - 1, up to the first frame that is missing."""
+    frames, values = found.values.get(key, (np.empty(0, np.int64), np.empty((0, width), kind)))
+    if values.dtype != kind or values.size != len(frames) * width:
+        return np.empty((0, width), kind)
+    order = np.argsort(frames, kind="stable")
+    frames = frames[order]
+    count = int(np.argmin(np.concatenate([frames, [-1]]) == np.arange(len(frames) + 1)))
+    return values.reshape(len(frames), width)[order[:count]]
 
 
 def _targets(calibrations: list[tuple[int, Calibration]], frames: int) -> NDArray[np.float64]:

@@ -11,10 +11,10 @@ import numpy as np
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
-from fusion.fuser import FuserSettings
 from fusion.intrinsics import Intrinsics
 from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.reading.rrd_file import Columns
@@ -48,10 +48,10 @@ def checked_properties(path: Path, found: Columns) -> dict[str, dict[str, list[A
             f"{path} is a Rerun recording, but no session of duplex-kinects: its properties are missing."
         )
     version, writer = session["layout_version"], session.get("written_by", ["another version"])
-    if version != [layout.VERSION]:
+    if version[0] not in layout.READABLE_VERSIONS:
         raise RecordingError(
             f"{path} has layout {version[0]}, written by {writer[0]}; this version reads layout "
-            f"{layout.VERSION}. Open it with the version that wrote it."
+            f"{', '.join(map(str, layout.READABLE_VERSIONS))}. Open it with the version that wrote it."
         )
     written = {name: of for name, of in about.items() if name not in ("check", "end", "RecordingInfo")}
     if about.get("check", {}).get("crc32") != [properties_checksum(written)]:

@@ -16,11 +16,18 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-from fusion.skeleton import TrackingState
 from recordings import layout
-from recordings.appearance.joint_trust import details, trust_colors
+from recordings.frame_fields import FrameField
 from recordings.session_arrays import SessionArrays
-from recordings.writing.checksums import FusedChecks, frame_checksums, fused_checksums, joint_digests
+from recordings.writing.checksums import (
+    FRAME_CRC,
+    FUSED_CRC,
+    FusedChecks,
+    frame_checksums,
+    fused_checksums,
+    joint_digests,
+)
+from recordings.writing.shown_figures import SHOWN_FIGURES
 
 _BONES_EVERY = 2  # frames, of the plots; S_A, S_B and S* themselves are there every frame
 
@@ -69,37 +76,61 @@ class FrameStream:
 
 
 def frame_streams(rows: SessionArrays, checks: FusedChecks | None = None) -> Iterator[FrameStream]:
-    """Everything that is logged a frame.
+    """Everything that is logged per frame: recorded figures, then what is derived from them for the viewer.
 
     Args:
         rows: The frames, one or more.
         checks: Of S*, where `rows` have it from a file, in float32.
     """
-    joints = len(rows.body)
-    for side, positions in (("a", rows.positions_a), ("b", rows.positions_b)):
-        yield FrameStream(layout.skeleton(side), rows, rr.Points3D, ({"positions": positions}, joints))
-    # the viewer's transform is in float32: R row by row, then t, again
-    placement = np.concatenate([rows.rotation.reshape(-1, 9), rows.translation], axis=1)
-    yield FrameStream(
-        layout.kinect("b"),
-        rows,
-        rr.Transform3D,
-        ({"mat3x3": rows.rotation, "translation": rows.translation}, None),
-        {"rotation_translation": _array(placement)},
-    )
-    fused: dict[str, NDArray[Any]] = {
-        "positions": rows.fused.astype(np.float32),
-        "colors": trust_colors(rows),
-    }
-    yield FrameStream(layout.FUSED_SKELETON, rows, rr.Points3D, (fused, joints), details(rows))
-    if rows.truth is not None:
-        truth = {"positions": rows.truth.astype(np.float32)}
-        yield FrameStream(layout.TRUTH_SKELETON, rows, rr.Points3D, (truth, joints))
-    yield FrameStream(layout.QUALITY, rows, data=_quality(rows, checks))
+    drawn: dict[str, dict[str, NDArray[Any]]] = {}  # by entity and "archetype:argument"
+    data: dict[str, dict[str, pa.Array]] = {}  # by entity and component
+    flat: dict[tuple[str, str], list[tuple[FrameField, NDArray[Any]]]] = {}
+    for _, spec, values in rows.figures():
+        stored = spec.to_file(rows.body, values)
+        if ":" in spec.component:
+            drawn.setdefault(spec.entity, {})[spec.component] = stored
+        else:
+            flat.setdefault((spec.entity, spec.component), []).append((spec, stored))
+    for (entity, component), parts in flat.items():
+        spec, stored = parts[0]
+        if len(parts) > 1:
+            stored = np.concatenate([values.reshape(len(rows), -1) for _, values in parts], axis=1)
+        data.setdefault(entity, {})[component] = spec.in_arrow(rows.body, stored)
+    for shown in SHOWN_FIGURES:
+        values = shown.values(rows)
+        if ":" in shown.component:
+            drawn.setdefault(shown.entity, {})[shown.component] = values
+        else:
+            data.setdefault(shown.entity, {})[shown.component] = _array(values)
+    data[layout.QUALITY] |= _checks(rows, checks)
+    for entity in dict.fromkeys([*drawn, *data]):
+        yield _stream(entity, rows, drawn.get(entity, {}), data.get(entity, {}))
     chosen = np.flatnonzero(rows.frame % _BONES_EVERY == 0)
     plotted = rows if len(chosen) == len(rows) else rows[chosen]
     if len(plotted):
         yield FrameStream(layout.BONES, plotted, data={layout.BONE_LENGTHS: _bones(plotted)})
+
+
+def _stream(
+    entity: str, rows: SessionArrays, drawn: dict[str, NDArray[Any]], data: dict[str, pa.Array]
+) -> FrameStream:
+    """One entity's columns; those named ``struct.field`` become fields of one struct."""
+    components: dict[str, pa.Array] = {}
+    structs: dict[str, dict[str, pa.Array]] = {}
+    for name, values in data.items():
+        struct, dot, member = name.partition(".")
+        if dot:
+            structs.setdefault(struct, {})[member] = values
+        else:
+            components[name] = values
+    for name, members in structs.items():
+        components[name] = pa.StructArray.from_arrays(list(members.values()), names=list(members))
+    if not drawn:
+        return FrameStream(entity, rows, data=components)
+    archetype = next(iter(drawn)).partition(":")[0]
+    arguments = {name.partition(":")[2]: values for name, values in drawn.items()}
+    each = len(rows.body) if archetype == "Points3D" else None
+    return FrameStream(entity, rows, getattr(rr, archetype), (arguments, each), components or None)
 
 
 def _bones(rows: SessionArrays) -> pa.Array:
@@ -110,29 +141,11 @@ def _bones(rows: SessionArrays) -> pa.Array:
     return _struct({"of": np.tile(np.arange(len(lengths), dtype=np.uint8), len(rows)), **bones})
 
 
-def _quality(rows: SessionArrays, checks: FusedChecks | None) -> dict[str, pa.Array]:
+def _checks(rows: SessionArrays, checks: FusedChecks | None) -> dict[str, pa.Array]:
     fused_crc, digests = checks or (fused_checksums(rows.fused), joint_digests(rows.fused))
-    tracked = [(of == TrackingState.TRACKED).sum(axis=1) for of in (rows.states_a, rows.states_b)]
     return {
-        layout.FIGURES: _struct(
-            {
-                "fuse_ms": rows.fuse_ms.astype(np.float32),
-                "skew_ms": rows.skew_ns * 1e-6,
-                "bone_error_mm": (rows.bone_error * 1e3).astype(np.float32),
-                "disagreement_mm": (rows.disagreement * 1e3).astype(np.float32),
-                "iterations": rows.iterations.astype(np.uint16),
-                "predicted_joints": rows.predicted.sum(axis=1).astype(np.uint8),
-                "frame_crc32": frame_checksums(rows),
-                "fused_crc32": fused_crc,
-            }
-        ),
-        layout.OF_EACH_SENSOR: _struct(
-            {
-                "captured_ns": np.stack([rows.clock_a, rows.clock_b], axis=1),
-                "tracked_joints": np.stack(tracked, axis=1).astype(np.uint8),
-                "stale": np.stack([rows.stale_a, rows.stale_b], axis=1),
-            }
-        ),
+        FRAME_CRC: _array(frame_checksums(rows)),
+        FUSED_CRC: _array(fused_crc),
         layout.JOINT_DIGESTS: _array(digests),
     }
 

@@ -7,8 +7,6 @@ Both ways give the same layout, because both come from the same list of what a f
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from devices.sensor import ColorImage
-from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles as appearance
 from recordings.appearance.coach_page import CoachPage
@@ -27,6 +25,7 @@ from recordings.images.rvl import MEDIA_TYPE, encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.writing.frame_streams import frame_streams
+from recordings.writing.properties import session_properties
 from recordings.writing.sensor_stream_log import StreamFiguresLog
 
 _MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
@@ -40,7 +39,7 @@ class Recorder:
 
     Args:
         stream: Where to log to; its sinks decide whether that is a viewer, a file or both.
-        fuser: Whose settings, calibration and intrinsics the session keeps.
+        setup: Settings, calibration and cameras, which the session keeps.
         sources: What the sensors are called, K_A first.
         depth_every: Keep the depth images of every so many pairs; 0 for none.
         about: More to say of the session's origin, kept among its properties.
@@ -51,7 +50,7 @@ class Recorder:
     def __init__(
         self,
         stream: rr.RecordingStream,
-        fuser: Fuser,
+        setup: FusionSetup,
         sources: tuple[str, str],
         depth_every: int = 0,
         about: Mapping[str, str | int] | None = None,
@@ -60,30 +59,31 @@ class Recorder:
         points: bool = False,
     ) -> None:
         self._stream = stream
-        self._calibration = fuser.calibration
+        self._calibration = setup.calibration
         self._frames = 0
+        self._like: SessionArrays | None = None
         self._start_ns = start_ns
         self._last: tuple[int, int] | None = None
         self._depth_every, self._points = depth_every, points
-        self._cameras = {"a": fuser.intrinsics_a, "b": fuser.intrinsics_b}
+        self._cameras = {"a": setup.intrinsics_a, "b": setup.intrinsics_b}
         if points:
             prepare_points(*self._cameras.values())
         self._color, self._figures = ColorLog(stream), StreamFiguresLog(stream)
         draft_ns = _MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS
-        self._matrix = TrustMatrix(fuser.calibration.body, draft_ns, hasty=points)
+        self._matrix = TrustMatrix(setup.calibration.body, draft_ns, hasty=points)
         self._lanes = StateLanes()
-        self._log_static(fuser)
-        properties = self._properties(fuser, sources, about or {})
+        self._log_static(setup)
+        properties = session_properties(setup, sources, about or {})
         for name, values in properties.items():
             stream.send_property(name, rr.AnyValues(**values))
         stream.send_property("check", rr.AnyValues(crc32=properties_checksum(properties)))
-        self.calibrate(fuser)
+        self.recalibrated(setup)
         # what a reader needs first must stand first in the file; columns would overtake it
         stream.flush(timeout_sec=0.0)
 
-    def calibrate(self, fuser: Fuser) -> None:
-        """Keeps the calibration with which the frames that follow are fused, by a new fuser."""
-        calibration = self._calibration = fuser.calibration
+    def recalibrated(self, setup: FusionSetup) -> None:
+        """Keeps the calibration with which the frames that follow are fused, by a new setup."""
+        calibration = self._calibration = setup.calibration
         registration = calibration.registration
         values: dict[str, Any] = {
             "how": calibration.how,
@@ -214,8 +214,11 @@ class Recorder:
             numbers = range(self._frames, self._frames + len(frames))
         calibration = self._calibration
         rows = SessionArrays.stack(
-            calibration.body, calibration.bone_lengths, frames, numbers, self._begun_by(frames[0])
+            *(calibration.body, calibration.bone_lengths, frames, numbers),
+            start_ns=self._begun_by(frames[0]),
+            like=self._like,
         )
+        self._like = self._like or rows[:1]
         self._frames = numbers[-1] + 1
         return rows
 
@@ -251,7 +254,7 @@ class Recorder:
             self._set_time(frame, time_ns)
             self._stream.log(layout.TRUST_MATRIX, rr.EncodedImage(contents=png, media_type="image/png"))
 
-    def _log_static(self, fuser: Fuser) -> None:
+    def _log_static(self, setup: FusionSetup) -> None:
         body = self._calibration.body
         stream = self._stream
 
@@ -260,7 +263,7 @@ class Recorder:
 
         once(layout.ROOT, rr.ViewCoordinates.RDF, appearance.annotation_context(body))
         once(layout.kinect("a"), rr.Transform3D.from_fields(translation=(0.0, 0.0, 0.0)))
-        for side, intrinsics in (("a", fuser.intrinsics_a), ("b", fuser.intrinsics_b)):
+        for side, intrinsics in (("a", setup.intrinsics_a), ("b", setup.intrinsics_b)):
             once(layout.skeleton(side), appearance.joint_look(body, side))
             once(layout.depth(side), appearance.camera(intrinsics, side))
             once(layout.depth(side), appearance.DEPTH)
@@ -270,29 +273,6 @@ class Recorder:
         once(layout.MATRIX_FRAME, beneath)
         once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))
         once(layout.TRUTH_SKELETON, appearance.joint_look(body, "truth"))
-
-    def _properties(
-        self, fuser: Fuser, sources: tuple[str, str], about: Mapping[str, str | int]
-    ) -> dict[str, dict[str, Any]]:
-        """What a replay needs, and what a person asks of a file."""
-
-        def camera(intrinsics: Any) -> list[float]:
-            i = intrinsics
-            return [i.width, i.height, i.fx, i.fy, i.cx, i.cy, *i.distortion]
-
-        return {
-            "session": {
-                "layout_version": layout.VERSION,
-                "written_by": f"duplex-kinects {version('duplex-kinects')}",
-                "body": self._calibration.body.name,
-                "bone_names": [name or "root" for name in self._calibration.body.bones],
-                "source_a": sources[0],
-                "source_b": sources[1],
-                **about,
-            },
-            "settings": asdict(fuser.settings),
-            "intrinsics": {"a": camera(fuser.intrinsics_a), "b": camera(fuser.intrinsics_b)},
-        }
 
 
 def _times(rows: SessionArrays) -> list[rr.TimeColumn]:

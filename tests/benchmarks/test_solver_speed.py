@@ -10,12 +10,12 @@ import pytest
 from fusion.body import BODIES, KINECT_V1
 from fusion.fuser import Fuser
 from fusion.methods.reliability import reliability_weights
+from fusion.setup import FusionSetup
 from fusion.solvers.published import PaperSolver
 from fusion.solvers.tree_solver import TreeSolver
 from tests.campaigns.solver import slsqp
-from tests.conftest import FRAME_NS, moving, pair_of
-from tests.fusion.test_fuser import flawless_calibration, noisy
-from tests.fusion.test_tree_solver import ordinary_problem, solver_of
+from tests.helpers.solver_problems import ordinary_problem, solver_of
+from tests.helpers.two_views import FRAME_NS, calibration_of, moving, noisy, pair_of
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
@@ -72,5 +72,5 @@ def test_update(benchmark, body):
     rng = np.random.default_rng(0)
     truth = moving(body, 90)[45:]  # after the stillness at its start
     pairs = cycle([noisy(pair_of(body, at, t * FRAME_NS), rng, 0.01) for t, at in enumerate(truth)])
-    fuser = Fuser(flawless_calibration(body))
+    fuser = Fuser(FusionSetup(calibration_of(body)))
     benchmark(lambda: fuser.update(next(pairs)))

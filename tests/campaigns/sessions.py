@@ -24,7 +24,8 @@ from recordings.errors import RecordingError
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
 from recordings.testing import record_fused
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 
 BATCH = 50
 SECONDS_EACH = 10.0

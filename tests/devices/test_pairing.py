@@ -8,7 +8,7 @@ from devices.recorded_person import choose_person, with_successors
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import KINECT_V1
 from fusion.skeleton import Skeleton
-from tests.conftest import FRAME_NS, standing
+from tests.helpers.two_views import FRAME_NS, standing
 
 
 def frames_at(times_ns: list[int], person: str = "0") -> list[SensorFrame]:

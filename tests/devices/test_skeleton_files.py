@@ -7,7 +7,7 @@ import pytest
 from devices.sensor import DeviceError, SensorFrame
 from devices.skeletons.recording import SkeletonRecording
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2, Body
-from tests.conftest import FRAME_NS, standing
+from tests.helpers.two_views import FRAME_NS, standing
 
 HEADER = "time_us,body,joint,x,y,z,state"
 

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.live.stream_pairing import LivePair, LivePairing
+from devices.live.stream_pairing import LivePairing
+from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from tests.helpers.two_clocks import INTERVAL_NS, SECOND_NS, Shot, run, shots, true_skews
 
@@ -18,16 +19,16 @@ MILLISECOND_NS = 1_000_000
 WARM_UP = 90  # frames: by then the least delay of both sensors has been seen
 
 
-def _both(pairs: list[LivePair]) -> list[LivePair]:
+def _both(pairs: list[FramePair]) -> list[FramePair]:
     return [pair for pair in pairs if pair.a is not None and pair.b is not None]
 
 
-def _in_order(pairs: list[LivePair]) -> bool:
+def _in_order(pairs: list[FramePair]) -> bool:
     times = [pair.time_ns for pair in pairs]
     return all(earlier < later for earlier, later in pairwise(times))
 
 
-def _every_frame_of_a_once(pairs: list[LivePair], a: list[Shot]) -> bool:
+def _every_frame_of_a_once(pairs: list[FramePair], a: list[Shot]) -> bool:
     return [pair.a for pair in pairs if pair.a is not None] == [shot.frame for shot in a]
 
 

@@ -3,17 +3,17 @@ import pytest
 
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V1, Body
 from fusion.calibration.bone_lengths import measure_bone_lengths
-from fusion.calibration.calibration import (
+from fusion.calibration.calibration import calibrate
+from fusion.calibration.start_up_pose import (
     StartUpPose,
     _tremble,
     _window_tremble,
-    calibrate,
     find_start_up_pose,
     limbs_apart,
 )
 from fusion.errors import CalibrationError
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
-from tests.conftest import A_FROM_B, FRAME_NS, moving, pair_of, standing
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing
 
 
 def pairs_of(truth: np.ndarray, body: Body = KINECT_V1) -> list[SkeletonPair]:

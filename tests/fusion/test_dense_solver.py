@@ -8,7 +8,7 @@ import pytest
 from fusion.body import BODIES, Body
 from fusion.solvers.dense import DenseSolver
 from tests.campaigns.solver import bone_error, projected_gradient, slsqp
-from tests.fusion.test_tree_solver import SAME, ordinary_problem, solver_of
+from tests.helpers.solver_problems import SAME, ordinary_problem, solver_of
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)

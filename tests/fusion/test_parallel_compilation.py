@@ -18,9 +18,10 @@ COLD = """
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from fusion.methods.paper import prepare
 from fusion.solvers.tree_solver import solve_tree
-Fuser(nominal_calibration(AZURE_KINECT)).warm_up()
+Fuser(FusionSetup(nominal_calibration(AZURE_KINECT))).warm_up()
 print(*(sum(counts.values()) for counts in (solve_tree.stats.cache_hits, solve_tree.stats.cache_misses)))
 print(len(prepare.signatures))
 """

@@ -9,7 +9,7 @@ from fusion.errors import CalibrationError, FusionError
 from fusion.registration.rigid_fit import fit_rigid, register
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
-from tests.conftest import A_FROM_B, moving, pair_of, standing
+from tests.helpers.two_views import A_FROM_B, moving, pair_of, standing
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.body import AZURE_KINECT, BODIES, KINECT_V1, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, BODIES, KINECT_V1
 from fusion.compiling.kernels import kernel
 from fusion.errors import FusionError
 from fusion.solvers.solver import MAX_ITERATIONS
@@ -25,27 +25,9 @@ from tests.campaigns.solver import (
     run,
     slsqp,
 )
+from tests.helpers.solver_problems import SAME, ordinary_problem, solver_of
 
 ROUNDING = 1e-12  # m: coordinates of a few metres, sums of some tens of them, in float64
-# m: at 3e-11 m of projected gradient and pivots of at least a hundredth of the information (moderate weights
-# and noise), two solutions of one problem lie within 3e-9 m of each other
-SAME = 1e-8
-
-
-def solver_of(body: Body) -> TreeSolver:
-    return TreeSolver(body.parent_indices, body.order, body.rest)
-
-
-def ordinary_problem(seed: int, body: Body = KINECT_V2, noise: float = 0.02) -> Problem:
-    """A person facing the sensor, bones of 80–450 mm, all joints with data of like weight."""
-    rng = np.random.default_rng(seed)
-    lengths = rng.uniform(0.08, 0.45, len(body))
-    pose = np.tile([0.1, 0.2, 2.5], (len(body), 1))
-    for joint in body.order[1:]:
-        direction = body.rest[joint] + 0.4 * rng.normal(size=3)
-        pose[joint] = pose[body.parents[joint]] + lengths[joint] * direction / np.linalg.norm(direction)
-    targets = pose + rng.normal(0.0, noise, pose.shape)
-    return Problem(body, targets, rng.uniform(0.3, 1.0, len(body)), lengths, None, noise)
 
 
 def solve(problem: Problem):

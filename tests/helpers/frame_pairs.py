@@ -9,13 +9,8 @@ import numpy as np
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.body import Body
-from fusion.calibration.calibration import Calibration
 from fusion.skeleton import Skeleton
-from tests.conftest import A_FROM_B, FRAME_NS, moving
-
-
-def calibration_of(body: Body) -> Calibration:
-    return Calibration(body, A_FROM_B, body.nominal_lengths, "known truth")
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
 
 def frame_pairs(
@@ -54,6 +49,6 @@ def frame_pairs(
             seen.append(SensorFrame(own_ns, {} if absent else {"7": skeleton}, image))
         b = None if t in no_b else seen[1]
         pairs.append(
-            FramePair(seen[0], b, "7", "7", time_ns, 0 if b is None else int(rng.integers(-9e6, 9e6)))
+            FramePair.of(seen[0], b, "7", "7", time_ns, 0 if b is None else int(rng.integers(-9e6, 9e6)))
         )
     return pairs

@@ -11,6 +11,7 @@ import rerun as rr
 from devices.pairing import FramePair
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
@@ -23,12 +24,12 @@ def record_recalibrated(
     """Fuses pairs, from each of the given frames on with another calibration, and reads the session back."""
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
     stream.save(path)
-    fusers = [(first, Fuser(calibration)) for first, calibration in calibrations]
-    recorder = Recorder(stream, fusers[0][1], ("a", "b"))
+    fusers = [(first, Fuser(FusionSetup(calibration))) for first, calibration in calibrations]
+    recorder = Recorder(stream, fusers[0][1].setup, ("a", "b"))
     for (first, fuser), end in zip(fusers, [*(f for f, _ in fusers[1:]), len(pairs)], strict=True):
         if first > 0:
-            recorder.calibrate(fuser)
-        recorder.event(f"calibrated: {fuser.calibration.how}")
+            recorder.recalibrated(fuser.setup)
+        recorder.event(f"calibrated: {fuser.setup.calibration.how}")
         recorder.record_all([RecordedFrame(p, fuser.update(p.skeletons), 0) for p in pairs[first:end]])
     recorder.finish()
     stream.disconnect()

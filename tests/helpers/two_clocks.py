@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devices.live.stream_pairing import LivePair, LivePairing, Side
+from devices.live.stream_pairing import LivePairing, Side
+from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 
 INTERVAL_NS = 33_333_333
@@ -49,7 +50,7 @@ def shots(
     return result
 
 
-def run(pairing: LivePairing, *streams: Iterable[Shot]) -> list[LivePair]:
+def run(pairing: LivePairing, *streams: Iterable[Shot]) -> list[FramePair]:
     """Feeds frames in the order of their arrival, with a poll every 10 ms as the loop does."""
     todo = sorted((shot for stream in streams for shot in stream), key=lambda shot: shot.arrives_ns)
     pairs, now_ns = [], todo[0].arrives_ns
@@ -62,7 +63,7 @@ def run(pairing: LivePairing, *streams: Iterable[Shot]) -> list[LivePair]:
     return pairs + pairing.poll(now_ns + SECOND_NS)
 
 
-def true_skews(pairs: Iterable[LivePair], *streams: Iterable[Shot]) -> np.ndarray:
+def true_skews(pairs: Iterable[FramePair], *streams: Iterable[Shot]) -> np.ndarray:
     """True time between the captures of each pair's frames, ns."""
     truth = {id(shot.frame): shot.true_ns for stream in streams for shot in stream}
     return np.array([truth[id(p.b)] - truth[id(p.a)] for p in pairs if p.a is not None and p.b is not None])

@@ -15,11 +15,13 @@ from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
+from fusion.setup import FusionSetup
 from recordings import layout
+from recordings.fusing import fuse_one
 from recordings.images.color_images import read_color
 from recordings.writing.recorder import Recorder
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
-from viewer_app.loop.fusing import fuse_one
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 
 ALL = range(100)
 _TURN = RigidTransform.of([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [-0.032, 0.002, 0.004])
@@ -37,7 +39,7 @@ def images() -> list[ColorImage]:
 @pytest.fixture
 def session(images: list[ColorImage], tmp_path: Path) -> Path:
     """Four frames, of which A has colour in all and B in none."""
-    fuser = Fuser(calibration_of(KINECT_V2))
+    fuser = Fuser(FusionSetup(calibration_of(KINECT_V2)))
     made = []
     for pair, image in zip(frame_pairs(KINECT_V2, len(images)), images, strict=True):
         assert pair.a is not None
@@ -45,7 +47,7 @@ def session(images: list[ColorImage], tmp_path: Path) -> Path:
     path = tmp_path / "s.rrd"
     stream = rr.RecordingStream(layout.APPLICATION_ID)
     stream.set_sinks(rr.FileSink(str(path)))
-    recorder = Recorder(stream, fuser, ("a", "b"), depth_every=1)
+    recorder = Recorder(stream, fuser.setup, ("a", "b"), depth_every=1)
     recorder.record_all(made)
     recorder.finish()
     stream.flush()

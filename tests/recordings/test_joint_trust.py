@@ -14,16 +14,18 @@ from numpy.typing import NDArray
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from fusion.skeleton import TrackingState
 from recordings import layout
-from recordings.appearance.joint_trust import StateLanes, TrustMatrix, details, trust_colors
+from recordings.appearance.joint_trust import StateLanes, TrustMatrix, trust_colors
 from recordings.reading.rrd_file import RrdFile
 from recordings.session_arrays import SessionArrays
+from recordings.writing.frame_streams import frame_streams
 from recordings.writing.recorder import Recorder
-from tests.conftest import A_FROM_B
+from tests.helpers.live_frames import frames
 from tests.helpers.pictures import pixels_near
 from tests.helpers.session_text import rows_of
-from tests.viewer_app.test_live_session import frames
+from tests.helpers.two_views import A_FROM_B
 
 BODY = KINECT_V2
 ELBOW = BODY.joint("ELBOW_RIGHT")
@@ -32,7 +34,7 @@ ELBOW = BODY.joint("ELBOW_RIGHT")
 @pytest.fixture
 def rows() -> SessionArrays:
     """Four seconds of both views."""
-    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     return SessionArrays.stack(BODY, BODY.nominal_lengths, frames(fuser, 120))
 
 
@@ -63,7 +65,9 @@ def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows: Ses
     misleading[4, ELBOW] = -1
     apart = rows.positions_a.copy()
     apart[3, ELBOW] += np.array([0.03, 0.04, 0.0], dtype=np.float32)
-    made = details(replace(rows, states_b=states, misleading=misleading, positions_a=apart))
+    told = replace(rows, states_b=states, misleading=misleading, positions_a=apart)
+    made = next(s.data for s in frame_streams(told) if s.entity == layout.FUSED_SKELETON)
+    assert made is not None
     said = {name: np.array(of.to_pylist()).reshape(len(rows), -1) for name, of in made.items()}
     assert said["state_a"][3, ELBOW] == "tracked"
     assert said["state_b"][3, ELBOW] == "inferred"
@@ -148,13 +152,13 @@ def test_the_matrix_is_the_same_frame_by_frame_and_at_once(rows: SessionArrays) 
 
 
 def test_a_file_of_ten_seconds_has_lanes_and_a_matrix_to_its_end(rows: SessionArrays, tmp_path: Path) -> None:
-    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     ten = seconds_of(rows, 10)
     ten.states_a[90:, ELBOW] = TrackingState.INFERRED
     file = tmp_path / "s.rrd"
     stream = rr.RecordingStream(layout.APPLICATION_ID)
     stream.save(file)
-    recorder = Recorder(stream, fuser, ("a", "b"))
+    recorder = Recorder(stream, fuser.setup, ("a", "b"))
     recorder.record_rows(ten)
     recorder.finish()
     stream.flush()
@@ -178,12 +182,12 @@ def test_lanes_are_the_same_frame_by_frame_and_at_once(rows: SessionArrays, tmp_
     states = np.full_like(rows.states_a, TrackingState.TRACKED)
     states[40:45, ELBOW], states[90:, ELBOW] = TrackingState.INFERRED, TrackingState.NOT_TRACKED
     changing = replace(rows, states_a=states, states_b=np.full_like(states, TrackingState.TRACKED))
-    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     for parts in ([changing], [changing[[t]] for t in range(len(rows))]):
         file = tmp_path / f"{len(parts)}.rrd"
         stream = rr.RecordingStream(layout.APPLICATION_ID)
         stream.save(file)
-        recorder = Recorder(stream, fuser, ("a", "b"))
+        recorder = Recorder(stream, fuser.setup, ("a", "b"))
         for part in parts:
             recorder.record_rows(part)
         stream.flush()

@@ -14,7 +14,8 @@ import pytest
 import rerun as rr
 
 from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.reading.rrd_file import _decode_names
@@ -23,9 +24,10 @@ from recordings.session_arrays import RecordedFrame
 from recordings.testing import FusedRun, assert_sessions_match, fused_run, record_fused
 from recordings.writing.checksums import event_checksum, frame_checksums, fused_checksums
 from recordings.writing.recorder import Recorder
-from recordings.writing.rewritten_session import rewrite
+from recordings.writing.session_writer import write_session
 from tests.campaigns import sessions as campaign_sessions
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 
 __all__ = ["fused_run"]  # a fixture
 
@@ -66,7 +68,8 @@ def test_a_session_gives_back_what_the_sensors_said(body: Body, fused_run: Fused
 def test_fusing_a_session_again_gives_the_same_bits(settings: FuserSettings, fused_run: FusedRun) -> None:
     session = fused_run(full_of_faults(KINECT_V2), calibration_of(KINECT_V2), settings)
     assert session.settings == settings
-    ((fuser, _),) = session.fusers()
+    ((setup, _),) = session.setups()
+    fuser = Fuser(setup)
     again = [fuser.update(pair.skeletons) for pair in session.pairs()]
     fused = np.array([frame.positions for frame in again])
     np.testing.assert_array_equal(fused_checksums(fused), session.fused_checksums)
@@ -87,7 +90,7 @@ def test_calibration_intrinsics_and_events_are_kept(fused_run: FusedRun) -> None
     np.testing.assert_array_equal(session.calibration.a_from_b.rotation, calibration.a_from_b.rotation)
     np.testing.assert_array_equal(session.calibration.a_from_b.translation, calibration.a_from_b.translation)
     np.testing.assert_array_equal(session.calibration.bone_lengths, calibration.bone_lengths)
-    assert session.intrinsics_b == Fuser(calibration).intrinsics_b
+    assert session.intrinsics_b == FusionSetup(calibration).intrinsics_b
     assert [event.text for event in session.events] == ["calibrated: known truth"]
 
 
@@ -109,7 +112,7 @@ def test_depth_comes_back_exactly_and_only_when_asked_for(fused_run: FusedRun) -
 
 def test_a_rewritten_session_has_the_same_frames(fused_run: FusedRun, tmp_path: Path) -> None:
     session = fused_run(frame_pairs(KINECT_V1, 30, depth=True), calibration_of(KINECT_V1), depth_every=1)
-    rewrite(session, tmp_path / "part.rrd", None, 10, 25)
+    write_session(session, tmp_path / "part.rrd", first=10, end=25)
     part = Session.open(tmp_path / "part.rrd")
     assert (len(part), part.first_frame, part.damage) == (15, 10, None)
     np.testing.assert_array_equal(part.rows.fused, session.rows.fused[10:25])
@@ -175,6 +178,7 @@ def test_another_layout_says_which_version_wrote_it(
 ) -> None:
     this = layout.VERSION
     monkeypatch.setattr(layout, "VERSION", this - 1)
+    monkeypatch.setattr(layout, "READABLE_VERSIONS", (this - 1,))
     old = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1))
     monkeypatch.undo()
     with pytest.raises(
@@ -213,11 +217,11 @@ def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path: Pa
     second = replace(first, bone_lengths=first.bone_lengths * 1.1)
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
     stream.save(tmp_path / "s.rrd")
-    fusers = [Fuser(first), Fuser(second)]
-    recorder = Recorder(stream, fusers[0], ("a", "b"))
+    fusers = [Fuser(FusionSetup(first)), Fuser(FusionSetup(second))]
+    recorder = Recorder(stream, fusers[0].setup, ("a", "b"))
     for fuser, own in zip(fusers, (pairs[:5], pairs[5:]), strict=True):
         if fuser is not fusers[0]:
-            recorder.calibrate(fuser)
+            recorder.recalibrated(fuser.setup)
         recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in own])
     recorder.finish()
     stream.disconnect()
@@ -227,7 +231,7 @@ def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path: Pa
     # S* is kept in float32: at 4 m its ends are within half of 2⁻²² m on each axis
     assert session.rows.bone_error.max() < 2 * np.sqrt(3) * 2.0**-23
     trimmed = tmp_path / "t.rrd"
-    rewrite(session, trimmed, first=3, end=8)
+    write_session(session, trimmed, first=3, end=8)
     np.testing.assert_array_equal(Session.open(trimmed).rows.bone_lengths, session.rows.bone_lengths[3:8])
 
 
@@ -254,11 +258,11 @@ def test_checksums_do_not_depend_on_how_many_frames_are_looked_at_together(
 
 def test_an_event_moved_to_another_time_is_damage(tmp_path: Path) -> None:
     path, moved = tmp_path / "s.rrd", tmp_path / "moved.rrd"
-    fuser = Fuser(calibration_of(KINECT_V1))
+    fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     for file, at in ((path, None), (moved, (1, 7))):
         with rr.RecordingStream("duplex_kinects") as stream:
             stream.set_sinks(rr.FileSink(str(file)))
-            recorder = Recorder(stream, fuser, ("a", "b"))
+            recorder = Recorder(stream, fuser.setup, ("a", "b"))
             pairs = frame_pairs(KINECT_V1, 3)
             recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
             there = partial(event_checksum, (2, 5))

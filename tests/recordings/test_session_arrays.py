@@ -8,13 +8,15 @@ import numpy as np
 
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
+from recordings.fusing import fuse_one
 from recordings.session_arrays import SessionArrays
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
-from viewer_app.loop.fusing import fuse_one
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 
 
 def test_disagreement_is_the_median_over_the_joints_that_both_see() -> None:
-    fuser = Fuser(calibration_of(KINECT_V1))
+    fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     frames = [fuse_one(fuser, pair) for pair in frame_pairs(KINECT_V1, 30)]
     rows = SessionArrays.stack(KINECT_V1, KINECT_V1.nominal_lengths, frames)
     positions = rows.positions_a.copy()

@@ -17,8 +17,9 @@ from devices.sensor import DeviceError
 from fusion.body import KINECT_V1, KINECT_V2, Body
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
-from tests.conftest import A_FROM_B, FRAME_NS, moving, pair_of
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of
 from viewer_app import cli
 from viewer_app.bench import solvers as bench_solvers
 from viewer_app.bench import speed as bench_speed
@@ -53,7 +54,7 @@ def test_ceres_comes_to_the_same_joints() -> None:
 def test_warm_frames_are_the_problems_that_the_fuser_solves() -> None:
     pairs = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 60))]
     calibration = Calibration(KINECT_V2, A_FROM_B, KINECT_V2.nominal_lengths * 1.02, "too long, on purpose")
-    fuser = Fuser(calibration)
+    fuser = Fuser(FusionSetup(calibration))
     for pair, problem in zip(pairs, bench_update.warm_frames(pairs, calibration), strict=True):
         fused = fuser.update(pair)
         found = bench_update.TreeSolver(KINECT_V2.parent_indices, KINECT_V2.order, KINECT_V2.rest).solve(

@@ -15,12 +15,14 @@ from devices.live.sensor_pair import StreamFigures
 from fusion.body import BODIES, KINECT_V2, Body
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.session_arrays import RecordedFrame
-from tests.conftest import A_FROM_B
-from tests.helpers.pictures import eventually, headless_viewer, pixels_near
-from tests.viewer_app.test_live_session import BODY, frames
+from tests.helpers.live_frames import BODY, frames
+from tests.helpers.pictures import headless_viewer, pixels_near
+from tests.helpers.two_views import A_FROM_B
+from tests.helpers.waiting import eventually
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import LAYOUTS, Layout, bone_title, session_blueprint
 
@@ -36,17 +38,17 @@ _INK = 60
 @pytest.fixture
 def seen() -> tuple[Fuser, list[RecordedFrame]]:
     """Two seconds with depth images."""
-    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     return fuser, frames(fuser, 60, depth=True)
 
 
 def saved(path: Path, fuser: Fuser, made: list[RecordedFrame], active: Layout) -> Path:
-    blueprint = session_blueprint(fuser, np.array([0.1, 0.1, 2.6]), active)
-    with LiveSession(fuser, ("a", "b"), blueprint, file=path) as live:
+    blueprint = session_blueprint(fuser.setup, np.array([0.1, 0.1, 2.6]), active)
+    with LiveSession(fuser.setup, ("a", "b"), blueprint, file=path) as live:
         live.coach(CoachPage("- **Mend:** step into the view of sensor A, to 2.5 m from both sensors\n" * 6))
         live.event("calibrated: known")
         for frame in made:
-            live.record(frame)
+            live.write(frame)
     return path
 
 
@@ -112,16 +114,16 @@ def ink_of(viewer: ViewerClient, view_id: str, folder: Path) -> float:
 
 
 def test_a_plot_of_one_figure_has_no_line_of_the_streams(tmp_path: Path) -> None:
-    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     made = [
         replace(frame, streams=StreamFigures(3.0, (5 * k, 9 * k), (7 * k, 4 * k)))
         for k, frame in enumerate(frames(fuser, 90))
     ]
-    blueprint = session_blueprint(fuser, np.array([0.1, 0.1, 2.6]), "inspect", live=True)
+    blueprint = session_blueprint(fuser.setup, np.array([0.1, 0.1, 2.6]), "inspect", live=True)
     file = tmp_path / "s.rrd"
-    with LiveSession(fuser, ("a", "b"), blueprint, file=file) as live:
+    with LiveSession(fuser.setup, ("a", "b"), blueprint, file=file) as live:
         for frame in made:
-            live.record(frame)
+            live.write(frame)
     with headless_viewer(str(file)) as viewer:
         picture = tmp_path / "plot.png"
 
@@ -146,17 +148,17 @@ def test_a_plot_of_one_figure_has_no_line_of_the_streams(tmp_path: Path) -> None
 
 
 def test_states_of_the_limbs_stand_second_among_the_tabs() -> None:
-    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
-    inspect = session_blueprint(fuser, np.array([0.1, 0.1, 2.6]), "inspect").root_container.contents[1]
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
+    inspect = session_blueprint(fuser.setup, np.array([0.1, 0.1, 2.6]), "inspect").root_container.contents[1]
     tabs = inspect.contents[0].contents[1]
     assert [view.name for view in tabs.contents][:2] == ["S_A against S_B (mm)", "states, limbs"]
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=lambda body: body.name)
 def test_a_report_has_full_rows_and_short_titles(body: Body) -> None:
-    fuser = Fuser(nominal_calibration(body))
+    setup = FusionSetup(nominal_calibration(body))
     *rows, words = (
-        session_blueprint(fuser, np.array([0.1, 0.1, 2.6]), "report").root_container.contents[2].contents
+        session_blueprint(setup, np.array([0.1, 0.1, 2.6]), "report").root_container.contents[2].contents
     )
     counts = [len(row.contents) for row in rows]
     assert sum(counts) == len(body.bone_joints)

@@ -16,12 +16,13 @@ from fusion.calibration.calibration import Calibration, calibrate
 from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
+from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, TrackingState
-from tests.conftest import A_FROM_B, FRAME_NS, pair_of, standing
+from recordings.fusing import fuse_one
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
 from viewer_app.coach.advice import ANGLES, Advice, to_markdown, verdict
 from viewer_app.coach.setup_coach import HOLD, MOVED, Coach, Situation
 from viewer_app.coach.standing_spot import FARTHEST, nearest
-from viewer_app.loop.fusing import fuse_one
 
 BODY = KINECT_V2
 CAMERA = NOMINAL_INTRINSICS[BODY.name]
@@ -44,7 +45,7 @@ def watched(
 ) -> dict[str, Advice]:
     """What the coach says at the end of some seconds of the same sight, by topic."""
     now = now or Situation(KNOWN, settled=True, held=0.0)
-    coach, fuser = Coach(BODY, (CAMERA, CAMERA)), Fuser(now.calibration)
+    coach, fuser = Coach(BODY, (CAMERA, CAMERA)), Fuser(FusionSetup(now.calibration))
     at = standing(BODY) if truth is None else truth
     advice: list[Advice] = []
     for k in range(0, round(seconds * 1e9 / frame_ns) + 1, every):
@@ -58,7 +59,7 @@ def watched(
                 states[BODY.joint("ANKLE_LEFT")] = TrackingState.INFERRED
                 skeleton = Skeleton.of(BODY, skeleton.positions, states, time_ns)
             people.append({"1": skeleton} if shown else {})
-        pair = FramePair(
+        pair = FramePair.of(
             SensorFrame(time_ns, people[0]), SensorFrame(time_ns, people[1]), "1", "1", time_ns, skew_ns
         )
         drops = replace(now, dropped=(k * dropping, 0))

@@ -15,9 +15,10 @@ from fusion.calibration.calibration import Calibration, calibrate, nominal_calib
 from fusion.fuser import FusedFrame, Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage, Mark
-from tests.conftest import A_FROM_B, FRAME_NS, pair_of, standing
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import HOLD, Situation
@@ -31,7 +32,7 @@ PERSON = standing(BODY)
 
 
 def fused(at: NDArray[np.float64] = PERSON) -> FusedFrame:
-    return Fuser(KNOWN).update(pair_of(BODY, at))
+    return Fuser(FusionSetup(KNOWN)).update(pair_of(BODY, at))
 
 
 def marks(now: Situation | None = None, seen: FusedFrame | None = None, *advice: Advice) -> dict[str, Mark]:

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.calibration.calibration import nominal_calibration
 from recordings.calibration_file import calibration_to_json
-from tests.conftest import A_FROM_B, FRAME_NS, moving
+from tests.helpers.command_line import duplex
 from tests.helpers.mkv_writer import write_mkv
-from tests.viewer_app.test_fuse_command import duplex, write_view
+from tests.helpers.skeleton_views import write_view
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
 FRAMES = 12
 _EXAMPLES = settings(

@@ -12,7 +12,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from recordings.reading.rrd_file import damage_of
-from tests.helpers.pictures import eventually
+from recordings.writing.session_writer import whole_recording
+from tests.helpers.machine import need_viewer
+from tests.helpers.waiting import eventually
 from viewer_app.errors import UsageError
 from viewer_app.viewer import file_window, rerun_process
 from viewer_app.viewer.rerun_process import stop
@@ -39,8 +41,10 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> Opened:
 
 
 def write(save: Path | None, window: bool) -> None:
-    with file_window.written_and_shown(save, window, BLUEPRINT) as stream:
-        stream.log("/words", rr.TextDocument("S*"))
+    with file_window.written_and_shown(save, window) as path:
+        if path is not None:
+            with whole_recording(path, BLUEPRINT) as stream:
+                stream.log("/words", rr.TextDocument("S*"))
 
 
 def test_the_window_gets_the_whole_file_and_the_file_its_name(opened: Opened, tmp_path: Path) -> None:
@@ -64,7 +68,7 @@ def test_without_a_name_the_file_lives_for_the_window_only(
 
 def test_what_failed_is_neither_kept_nor_shown(opened: Opened, tmp_path: Path) -> None:
     def fail() -> None:
-        with file_window.written_and_shown(tmp_path / "s.rrd", True, BLUEPRINT):
+        with file_window.written_and_shown(tmp_path / "s.rrd", True):
             raise UsageError("…")
 
     with pytest.raises(UsageError):
@@ -84,13 +88,11 @@ def test_a_viewer_shows_the_file_with_its_own_layout_after_the_file_is_gone(
 ) -> None:
     from rerun.experimental import ViewerClient
 
+    need_viewer()
     started: list[tuple[subprocess.Popen[bytes], int]] = []
 
     def headless(arguments: Sequence[str], stdin: IO[bytes]) -> None:
-        try:
-            started.append(rerun_process.start_viewer(["--headless", *arguments], stdin))
-        except UsageError:
-            pytest.skip("no headless viewer here; it needs a Vulkan driver (Debian: mesa-vulkan-drivers)")
+        started.append(rerun_process.start_viewer(["--headless", *arguments], stdin))
 
     monkeypatch.setattr(file_window, "start_viewer", headless)
     write(None, window=True)

@@ -9,25 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
-from numpy.typing import NDArray
 
 from devices.skeletons.recording import SkeletonRecording
-from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2, Body
-from tests.conftest import A_FROM_B, FRAME_NS, moving
-from viewer_app.cli import main
-
-REAL = ("stationary", "steps", "walk")
-
-
-def write_view(path: Path, body: Body, positions: NDArray[np.float64], start_us: int = 0) -> Path:
-    rows = ["time_us,body,joint,x,y,z,state"]
-    for t, at in enumerate(positions):
-        rows += [
-            f"{start_us + t * FRAME_NS // 1000},0,{joint},{x:.6f},{y:.6f},{z:.6f},tracked"
-            for joint, (x, y, z) in zip(body.joints, at, strict=True)
-        ]
-    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
-    return path
+from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.skeleton_views import REAL, write_view
+from tests.helpers.two_views import A_FROM_B, moving
 
 
 @pytest.fixture
@@ -38,15 +25,6 @@ def recordings(tmp_path: Path) -> tuple[Path, Path]:
     a = write_view(tmp_path / "a.csv", KINECT_V2, truth + rng.normal(0, 0.01, truth.shape))
     seen_by_b = A_FROM_B.inverse().apply(truth) + rng.normal(0, 0.01, truth.shape)
     return a, write_view(tmp_path / "b.csv", KINECT_V2, seen_by_b)
-
-
-def duplex(*arguments: object) -> int:
-    """The exit code of a command run in this process."""
-    try:
-        main([str(argument) for argument in arguments])
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
 
 
 def figures_of(path: Path) -> dict[str, object]:
@@ -159,14 +137,6 @@ def test_a_person_can_be_chosen(recordings: tuple[Path, Path], capsys: pytest.Ca
     assert duplex("fuse", *recordings, "--no-viewer", "--person-b", "0") == 0
     assert duplex("fuse", *recordings, "--no-viewer", "--person-b", "4") == 2
     assert "no person '4'" in capsys.readouterr().err
-
-
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
-    said = capsys.readouterr().err
-    assert said.startswith("duplex: ")
-    assert said.count("\n") == 1
-    assert "Traceback" not in said
-    return said
 
 
 def test_mistakes_are_one_line_and_exit_code_2(

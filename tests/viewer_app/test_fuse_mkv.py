@@ -13,24 +13,15 @@ from devices.sources import open_source, without_images
 from fusion.body import AZURE_KINECT
 from fusion.rigid import RigidTransform
 from recordings.session import Session
-from tests.conftest import A_FROM_B, moving
+from tests.helpers.command_line import duplex
 from tests.helpers.mkv_writer import INTERVAL_US, depth_image, write_mkv
 from tests.helpers.session_text import events_of, rows_of
 from tests.helpers.standin_library import Standin
-from viewer_app.cli import main
+from tests.helpers.two_views import A_FROM_B, moving
 
 FRAMES = 60
 START_US = 336_277
 DELAY_US = 160
-
-
-def duplex(*arguments: object) -> int:
-    """The exit code of a command run in this process."""
-    try:
-        main([str(argument) for argument in arguments])
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
 
 
 def write_skeletons(path: Path, start_us: int, place: RigidTransform | None = None) -> Path:

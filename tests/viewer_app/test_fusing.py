@@ -12,6 +12,7 @@ from rich.console import Console
 from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from viewer_app import cli
 from viewer_app.commands import demo
 from viewer_app.loop import fusing as run
@@ -41,7 +42,7 @@ def test_compiling_that_takes_its_time_is_announced(long: bool, monkeypatch: pyt
     monkeypatch.setattr(run.threading, "Timer", Timer)
     monkeypatch.setattr(Fuser, "warm_up", compile_all)
     out = io.StringIO()
-    run.warm_up(Fuser(nominal_calibration(KINECT_V1)), Console(file=out, width=120))
+    run.warm_up(Fuser(FusionSetup(nominal_calibration(KINECT_V1))), Console(file=out, width=120))
     assert ("Compiling" in out.getvalue()) == long
     assert timers[0].seconds == 1.0
     assert not timers[0].running

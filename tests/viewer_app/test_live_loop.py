@@ -7,29 +7,32 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from devices.live.stream_pairing import LivePair
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import simulated_pair
 from devices.simulated.real_time import PacedSensor, paced_together
 from devices.simulated.tracking.tracker import TrackerErrors
 from fusion.body import KINECT_V1, KINECT_V2
-from fusion.calibration.calibration import calibrate
-from fusion.fuser import Fuser, FuserSettings
+from fusion.calibration.calibration import calibrate, nominal_calibration
+from fusion.calibration.calibrator import Calibrator
+from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
+from fusion.skeleton import SkeletonPair
+from recordings.fusing import fuse_one
 from recordings.session_arrays import SessionArrays
-from tests import conftest
-from tests.conftest import FRAME_NS, moving, pair_of, standing
 from tests.helpers.session_text import rows_of
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing
 from viewer_app.cli import main
 from viewer_app.commands import demo
-from viewer_app.loop.fusing import fuse_one
-from viewer_app.loop.live_loop import Calibrator, run_live, undisturbed
+from viewer_app.loop.live_loop import run_live, undisturbed
+from viewer_app.sinks.sink import NullSink
+
+NOMINAL = FusionSetup(nominal_calibration(KINECT_V1))
 
 
 class Clock:
@@ -130,7 +133,7 @@ def test_paced_sensors_begin_together() -> None:
     first, second = paced_together(a, b)
     threads = [threading.Thread(target=read, args=(sensor,)) for sensor in (first, second)]
     threads[0].start()
-    time.sleep(0.4)  # the one thread comes later
+    time.sleep(0.4)  # the stimulus: without a common beat the sensors would stay this far apart
     threads[1].start()
     for thread in threads:
         thread.join()
@@ -193,13 +196,13 @@ class ResetSensors:
 
     stream_figures = None
 
-    def pairs(self) -> Iterator[LivePair]:
+    def pairs(self) -> Iterator[FramePair]:
         truth = standing(KINECT_V1)
         for t in range(4):
             time_ns, clock_ns = 10**10 + t * FRAME_NS, 10**10 + t * FRAME_NS - (10**9 if t > 1 else 0)
             pair = pair_of(KINECT_V1, truth, clock_ns)
             a = SensorFrame(clock_ns, {"1": pair.a}) if t < 3 else None
-            yield LivePair(a, SensorFrame(clock_ns, {"1": pair.b}), time_ns, 0)
+            yield FramePair(a, SensorFrame(clock_ns, {"1": pair.b}), SkeletonPair(None, None, time_ns))
 
     def events(self) -> tuple[()]:
         return ()
@@ -212,15 +215,7 @@ def test_the_truth_is_that_of_a_sensors_own_time() -> None:
         asked.append(time_ns)
         return standing(KINECT_V1)
 
-    run_live(
-        ResetSensors(),
-        body=KINECT_V1,
-        settings=FuserSettings(),
-        intrinsics=(None, None),
-        calibration=None,
-        recorder_for=lambda _: MagicMock(),
-        truth_at=truth_at,
-    )
+    run_live(ResetSensors(), NOMINAL, NullSink(), truth_at=truth_at)
     start = 10**10
     assert asked == [start, start + FRAME_NS, *(start + t * FRAME_NS - 10**9 for t in (2, 3))]
 
@@ -232,12 +227,12 @@ class TwoPeople:
     where: tuple[list[float], list[float]]  # metres in K_A's frame, from the standing person
     stream_figures = None
 
-    def pairs(self) -> Iterator[LivePair]:
+    def pairs(self) -> Iterator[FramePair]:
         for t in range(3):
             seen = [pair_of(KINECT_V1, standing(KINECT_V1) + np.array(at), t * FRAME_NS) for at in self.where]
             a = SensorFrame(t * FRAME_NS, {"1": seen[0].a, "2": seen[1].a})
             b = SensorFrame(t * FRAME_NS, {"8": seen[1].b, "9": seen[0].b})
-            yield LivePair(a, b, t * FRAME_NS, 0)
+            yield FramePair(a, b, SkeletonPair(None, None, t * FRAME_NS))
 
     def events(self) -> tuple[()]:
         return ()
@@ -245,29 +240,29 @@ class TwoPeople:
 
 @pytest.mark.parametrize(("known", "b_follows"), [(False, "8"), (True, "9")])
 def test_both_sensors_follow_one_person_once_they_know_each_others_place(known: bool, b_follows: str) -> None:
-    a_from_b = conftest.A_FROM_B
+    a_from_b = A_FROM_B
     middle = standing(KINECT_V1)[list(KINECT_V1.torso)].mean(axis=0)
     # the first 1.9 m before A, the second 2.6 m before B, each on that sensor's axis; about a metre apart
     first, second = np.array([0.0, 0.0, 1.9]), a_from_b.apply([0.0, 0.0, 2.6])
     pair = pair_of(KINECT_V1, standing(KINECT_V1))
     _, frames = run_live(
         TwoPeople(((first - middle).tolist(), (second - middle).tolist())),
-        body=KINECT_V1,
-        settings=FuserSettings(),
-        intrinsics=(None, None),
-        calibration=calibrate(KINECT_V1, [pair], "before") if known else None,
-        recorder_for=lambda _: MagicMock(),
+        FusionSetup(calibrate(KINECT_V1, [pair], "before")) if known else NOMINAL,
+        NullSink(),
+        calibrated=known,
     )
-    assert [(frame.pair.person_a, frame.pair.person_b) for frame in frames] == [("1", b_follows)] * 3
+    for pair in (frame.pair for frame in frames):
+        assert pair.skeletons.a is pair.a.people["1"]
+        assert pair.skeletons.b is pair.b.people[b_follows]
 
 
 def test_stacking_keeps_what_the_loop_gave() -> None:
     pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 20))]
-    fuser = Fuser(calibrate(KINECT_V1, pairs, "test"))
+    fuser = Fuser(FusionSetup(calibrate(KINECT_V1, pairs, "test")))
     frames = [
         fuse_one(
             fuser,
-            FramePair(
+            FramePair.of(
                 SensorFrame(p.time_ns, {"1": p.a}),
                 SensorFrame(p.time_ns, {"1": p.b} if t else {}),
                 "1",
@@ -277,7 +272,7 @@ def test_stacking_keeps_what_the_loop_gave() -> None:
         )
         for t, p in enumerate(pairs)
     ]
-    rows = SessionArrays.stack(KINECT_V1, fuser.calibration.bone_lengths, frames)
+    rows = SessionArrays.stack(KINECT_V1, fuser.setup.calibration.bone_lengths, frames)
     assert len(rows) == 20
     assert np.isnan(rows.positions_b[0]).all()
     assert (rows.states_b[0] == 0).all()

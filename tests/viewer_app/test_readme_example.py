@@ -12,14 +12,16 @@ from typing import Literal
 import pytest
 
 from fusion.body import KINECT_V1
-from fusion.fuser import FuserSettings
+from fusion.setup import FuserSettings
 from recordings.testing import record_fused
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 
 ROOT = Path(__file__).parents[2]
 _THEIR_OWN = """
 from fusion.body import KINECT_V1
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 
 pairs, calibration = frame_pairs(KINECT_V1, 20), calibration_of(KINECT_V1)
 """

@@ -11,7 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.helpers.pictures import eventually
+from tests.helpers.waiting import eventually
 from viewer_app.viewer.rerun_process import Hub, start_window_on_pipe, stop
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,13 +10,16 @@ import pytest
 from rich.console import Console
 
 from fusion.body import KINECT_V2
+from fusion.fuser import Fuser
 from recordings.images.rvl import encode_depth
 from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
-from recordings.writing.rewritten_session import rewrite
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
+from recordings.writing.session_writer import write_session
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.recalibrated import record_recalibrated
-from tests.viewer_app.test_fuse_command import REAL, duplex, one_line
+from tests.helpers.skeleton_views import REAL
+from tests.helpers.two_views import calibration_of
 from viewer_app.commands.replay import verify
 
 __all__ = ["fused_run"]  # a fixture
@@ -50,13 +53,13 @@ def test_real_recordings_replay_bit_for_bit(name: str, shared: Path, tmp_path: P
 def test_a_difference_is_exit_code_1_with_frame_and_joint(
     session: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    true_fusers = Session.fusers
+    true_setups = Session.setups
 
     def biased(self: Session, *arguments: object) -> object:
         self.calibration.bone_lengths[KINECT_V2.joint("WristLeft")] *= 1.001
-        return true_fusers(self, *arguments)  # type: ignore[arg-type]
+        return true_setups(self, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Session, "fusers", biased)
+    monkeypatch.setattr(Session, "setups", biased)
     assert duplex("replay", session, "--verify") == 1
     said = " ".join(capsys.readouterr().out.split())
     assert "S* differs from the recorded one in 89 of 90 frames, first at frame 0, joint" in said
@@ -67,7 +70,8 @@ def test_the_first_frame_that_differs_is_named_also_where_float32_does_not_show_
     seen: bool, session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recorded = Session.open(session)
-    ((fuser, _),) = recorded.fusers()
+    ((setup, _),) = recorded.setups()
+    fuser = Fuser(setup)
     fused = np.array([fuser.update(pair.skeletons).positions for pair in recorded.pairs()])
     wrist, knee = KINECT_V2.joint("WristLeft"), KINECT_V2.joint("KneeRight")
     fused[40, knee] += 0.01
@@ -199,7 +203,7 @@ def test_a_trim_keeps_each_calibration_s_event_once(tmp_path: Path) -> None:
     second, third = replace(first, how="two"), replace(first, how="three")
     pairs = frame_pairs(KINECT_V2, 30)
     whole = record_recalibrated(tmp_path / "s.rrd", pairs, [(0, first), (10, second), (20, third)])
-    rewrite(whole, tmp_path / "part.rrd", None, 15, 28)
+    write_session(whole, tmp_path / "part.rrd", first=15, end=28)
     texts = [event.text for event in Session.open(tmp_path / "part.rrd").events]
     assert texts == ["calibrated: two", "calibrated: three"]
 

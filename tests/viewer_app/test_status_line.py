@@ -12,8 +12,9 @@ from rich.console import Console
 
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
-from tests.conftest import A_FROM_B
-from tests.viewer_app.test_live_session import BODY, frames
+from fusion.setup import FusionSetup
+from tests.helpers.live_frames import BODY, frames
+from tests.helpers.two_views import A_FROM_B
 from viewer_app.coach.advice import Advice
 from viewer_app.loop.status_line import LiveDisplay
 
@@ -23,9 +24,9 @@ WARNING = Advice("A's view", "Sensor A sees no one: 0 of 25 joints", "WARN", sen
 @pytest.fixture
 def statuses() -> list[Any]:
     """Two seconds at 30 fps; A has dropped 3 frames, B 4."""
-    fuser = Fuser(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known"))
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     sensors = SimpleNamespace(a=SimpleNamespace(dropped=3), b=SimpleNamespace(dropped=4))
-    calibrator = SimpleNamespace(calibration=fuser.calibration, settled=True, held=0.0)
+    calibrator = SimpleNamespace(calibration=fuser.setup.calibration, settled=True, held=0.0)
     return [
         SimpleNamespace(frame=frame, sensors=sensors, calibrator=calibrator, events=())
         for frame in frames(fuser, 60)
@@ -38,7 +39,8 @@ class Shown:
     def __init__(self, width: int = 80, **options: bool) -> None:
         self.printed = io.StringIO()
         self.session = MagicMock(
-            failure=None, saves=True, saved_bytes=12_340_000, dropped=0, lost=0, window_closed=False
+            file=MagicMock(failure=None, saves=True, saved_bytes=12_340_000, lost=0),
+            viewer=MagicMock(dropped=0, window_closed=False),
         )
         self.coach = MagicMock(body=BODY, intrinsics=(MagicMock(), MagicMock()))
         self.coach.watch.return_value = []
@@ -70,7 +72,8 @@ def test_the_status_line_has_every_figure(statuses: list[Any]) -> None:
 def test_the_status_line_says_what_goes_wrong(statuses: list[Any]) -> None:
     shown = Shown()
     shown.display(statuses[0])
-    shown.session.configure_mock(failure="The disk is full.", dropped=5, lost=2, window_closed=True)
+    shown.session.file.configure_mock(failure="The disk is full.", lost=2)
+    shown.session.viewer.configure_mock(dropped=5, window_closed=True)
     assert shown.display.line().split(" · ")[-4:] == [
         "SAVING STOPPED", "5 not shown", "2 NOT SAVED", "viewer closed",
     ]  # fmt: skip

@@ -13,11 +13,12 @@ from devices.pairing import FramePair, pair_recordings
 from devices.simulated.kinect import PERSON, Scene, SimulatedKinect, movement
 from devices.simulated.rig import Rig
 from fusion.body import Body
-from fusion.calibration.calibration import Calibration, calibrate, find_start_up_pose
+from fusion.calibration.calibration import Calibration, calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
-from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.methods import paper as frame
+from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
 from fusion.solvers.tree_solver import TreeSolver, solve_tree
 from fusion.solvers.tree_steps import copy
@@ -72,7 +73,7 @@ def repeated(pairs: Sequence[SkeletonPair], times: int) -> list[SkeletonPair]:
 
 def time_update(name: str, pairs: Sequence[SkeletonPair], calibration: Calibration) -> UpdateTiming:
     """Measures one recording."""
-    fuser = Fuser(calibration)
+    fuser = Fuser(FusionSetup(calibration))
     fuser.warm_up()
     took, iterations = [], []
     for pair in pairs:
@@ -83,7 +84,7 @@ def time_update(name: str, pairs: Sequence[SkeletonPair], calibration: Calibrati
     many = repeated(pairs, max(1, 6000 // len(pairs)))
     rates = []
     for _ in range(3):
-        fuser = Fuser(calibration)
+        fuser = Fuser(FusionSetup(calibration))
         before = time.perf_counter_ns()
         fuser.fuse_sequence(many)
         rates.append(len(many) / (time.perf_counter_ns() - before) * 1e9)
@@ -116,10 +117,10 @@ def time_stages(pairs: Sequence[SkeletonPair], calibration: Calibration) -> dict
             [s.positions for s in a], [s.states for s in a], [s.positions for s in b], [s.states for s in b],
         )
     ]  # fmt: skip
-    intrinsics = NOMINAL_INTRINSICS[body.name]
+    setup = FusionSetup(calibration)
     model = frame.new_model(
-        body, calibration.bone_lengths, calibration.a_from_b.rotation, (intrinsics, intrinsics),
-        Fuser(calibration).settings.h, frame.TRUST,
+        body, calibration.bone_lengths, calibration.a_from_b.rotation, setup.intrinsics,
+        setup.settings.h, frame.TRUST,
     )  # fmt: skip
     result = frame.new_result(1, len(body))
 
@@ -169,7 +170,7 @@ def _some_stages(stages, model, memory, result, a, states_a, b, states_b):  # ty
 def warm_frames(pairs: Sequence[SkeletonPair], calibration: Calibration) -> list[Problem]:
     """Eq. (1) of every pair that both sensors see, each started from the solution before."""
     body = calibration.body
-    fuser = Fuser(calibration)
+    fuser = Fuser(FusionSetup(calibration))
     solver = TreeSolver(body.parent_indices, body.order, body.rest)
     problems: list[Problem] = []
     before: NDArray[np.float64] | None = None

@@ -19,7 +19,8 @@ from devices.simulated.person.movements import MOTIONS
 from devices.simulated.real_time import paced_together
 from fusion.body import BODIES
 from fusion.calibration.calibration import nominal_calibration
-from fusion.fuser import Fuser, FuserSettings
+from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
@@ -68,9 +69,9 @@ def run(options: DemoOptions) -> None:
         depth="off" if options.depth == "none" else options.depth,
     )
     start = truth.positions_at(0)
-    nominal = Fuser(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
+    nominal = FusionSetup(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
     blueprint = session_blueprint(nominal, np.asarray(start.mean(axis=0)), options.layout, live=True)
-    warm_up(nominal, console, lambda: next(a.frames(), None))
+    warm_up(Fuser(nominal), console, lambda: next(a.frames(), None))
     console.print(
         f"A simulated person ({escape(options.motion)}) before two Kinects {options.angle:.0f}° apart, "
         f"{options.seconds:g} s. Ctrl-C ends it."
@@ -87,24 +88,15 @@ def run(options: DemoOptions) -> None:
             )
             sensors = stack.enter_context(TwoSensors(*paced_together(a, b)))
             ctrl_c.calls(sensors.stop)
-            coach = Coach(body, (nominal.intrinsics_a, nominal.intrinsics_b))
+            coach = Coach(body, nominal.intrinsics)
             show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))
-            fuser, frames = run_live(
-                sensors,
-                body=body,
-                settings=FuserSettings(),
-                intrinsics=(a.intrinsics, b.intrinsics),
-                calibration=None,
-                recorder_for=lambda _: session,
-                truth_at=TruthAhead(truth),
-                go_on=show,
-            )
+            setup, frames = run_live(sensors, nominal, session, truth_at=TruthAhead(truth), go_on=show)
             session.save()
             with suppress(KeyboardInterrupt):  # whoever ended the run with Ctrl-C need not press it again
                 again = threading.Event()
                 ctrl_c.calls(again.set)
                 stay_for_visitors(viewing, console, again)
-        print_session(console, fuser, frames, sensors)
+        print_session(console, setup, frames, sensors)
         left_out = a.images_left_out + b.images_left_out
         if left_out:
             of = sensors.a.received + sensors.b.received
@@ -113,16 +105,15 @@ def run(options: DemoOptions) -> None:
                 highlight=False,
             )
         if frames:
-            _print_truth(console, fuser, frames, truth)
-        if save is not None:
-            print_saved(console, save, session)
-        check_saved(session)
+            _print_truth(console, setup, frames, truth)
+        print_saved(console, session.file)
+        check_saved(session.file)
 
 
-def _print_truth(console: Console, fuser: Fuser, frames: list[RecordedFrame], truth: Truth) -> None:
-    rows = SessionArrays.stack(fuser.calibration.body, fuser.calibration.bone_lengths, frames)
+def _print_truth(console: Console, setup: FusionSetup, frames: list[RecordedFrame], truth: Truth) -> None:
+    rows = SessionArrays.stack(setup.body, setup.calibration.bone_lengths, frames)
     assert rows.truth is not None
-    angle = math.degrees(fuser.calibration.a_from_b.angle_to(truth.a_from_b))
+    angle = math.degrees(setup.calibration.a_from_b.angle_to(truth.a_from_b))
     console.print(f"The sensors' true rotation lies {angle:.1f}° from the one found.")
     calibrated = rows.frame >= len(rows) // 4  # by then the start-up pose is over
     skeletons: dict[str, NDArray[np.float64]] = {

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from rich.console import Console
 
 from devices.live.sensor_pair import TwoSensors
-from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.errors import UsageError
 from viewer_app.report.figures import Figures, fusion_figures, method_figures, print_method, say_saved
-from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.session_file import FileSink
 
 
 def print_frames(console: Console, sensors: TwoSensors) -> None:
@@ -40,15 +39,15 @@ def print_frames(console: Console, sensors: TwoSensors) -> None:
         )
 
 
-def rows_since_calibration(fuser: Fuser, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
+def rows_since_calibration(setup: FusionSetup, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
     """The frames fused with the last calibration: earlier ones have other bone lengths. None without any."""
-    rotation = fuser.calibration.a_from_b.rotation
+    rotation = setup.calibration.a_from_b.rotation
     last = [frame for frame in frames if frame.fused.a_from_b.rotation is rotation]
-    calibration = fuser.calibration
+    calibration = setup.calibration
     return SessionArrays.stack(calibration.body, calibration.bone_lengths, last) if last else None
 
 
-def session_report(fuser: Fuser, frames: Sequence[RecordedFrame], sensors: TwoSensors) -> Figures:
+def session_report(setup: FusionSetup, frames: Sequence[RecordedFrame], sensors: TwoSensors) -> Figures:
     """What ``duplex fuse --report`` writes, of a live session, and how its streams went.
 
     As in the summary, frames are counted since the start, and the rest is of the last minute, whose length is
@@ -72,47 +71,49 @@ def session_report(fuser: Fuser, frames: Sequence[RecordedFrame], sensors: TwoSe
             "drift_ppm": counted.drift_ppm,
         },
     }
-    rows = rows_since_calibration(fuser, frames)
+    rows = rows_since_calibration(setup, frames)
     if rows is not None:
         figures["seconds"] = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
-        figures |= fusion_figures(fuser.calibration, fuser.settings, rows)
+        figures |= fusion_figures(setup.calibration, setup.settings, rows)
     return figures
 
 
 def print_session(
-    console: Console, fuser: Fuser, frames: Sequence[RecordedFrame], sensors: TwoSensors
+    console: Console, setup: FusionSetup, frames: Sequence[RecordedFrame], sensors: TwoSensors
 ) -> None:
     """The whole summary. Frames are counted since the start; the method's figures are of the last minute."""
     print_frames(console, sensors)
-    rows = rows_since_calibration(fuser, frames)
+    rows = rows_since_calibration(setup, frames)
     if rows is None:
         console.print("No frame was fused.")
         return
     seconds = (rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
     rate = f", {(len(rows) - 1) / seconds:.1f} a second" if seconds > 0.0 else ""
     console.print(f"[bold]The last {seconds:.1f} s[/]: {len(rows)} frames{rate}.")
-    print_method(console, fuser.calibration, method_figures(rows))
+    print_method(console, setup.calibration, method_figures(rows))
 
 
-def print_saved(console: Console, path: Path, session: LiveSession) -> None:
-    """Where the session is, if all of it is there."""
-    if session.saved == 0 and session.failure is None:
-        console.print(f"{path} was not written: no frame came.", highlight=False, markup=False)
-    elif session.failure is None:
-        say_saved(console, path)
+def print_saved(console: Console, file: FileSink) -> None:
+    """Where the session is, if all of it is there; nothing where none was to be saved."""
+    if file.path is None:
+        return
+    if file.saved == 0 and file.failure is None:
+        console.print(f"{file.path} was not written: no frame came.", highlight=False, markup=False)
+    elif file.failure is None:
+        say_saved(console, file.path)
     for count, what in (
-        (session.lost, "not saved: the disk stood still"),
-        (session.without_images, "saved without their images, which came too fast for this machine"),
+        (file.lost, "not saved: the disk stood still"),
+        (file.without_images, "saved without their images, which came too fast for this machine"),
     ):
         if count:
             console.print(f"[yellow]{count} frames are {what}.[/]", highlight=False)
 
 
-def check_saved(session: LiveSession) -> None:
+def check_saved(file: FileSink) -> None:
     """Ends a session whose saving stopped as a mistake does: with one line, and exit code 2.
 
     Raises:
         UsageError: It did.
     """
-    if session.failure is not None:
-        raise UsageError(session.failure)
+    if file.failure is not None:
+        raise UsageError(file.failure)

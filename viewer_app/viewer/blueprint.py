@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.calibration.calibration import nominal_calibration
-from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles as appearance
 
@@ -45,7 +45,7 @@ _FRUSTA = {"setup": 0.3, "inspect": 0.2}  # metres
 
 
 def session_blueprint(
-    fuser: Fuser,
+    setup: FusionSetup,
     person_at: NDArray[np.float64],
     active: Layout,
     *,
@@ -55,17 +55,17 @@ def session_blueprint(
     """All layouts, with one of them open.
 
     Args:
-        fuser: Whose body, sensors and placement are shown.
+        setup: The body, the sensors and their placement.
         person_at: (3,) metres in K_A's frame: where to look.
         active: The layout that is open at first.
         live: Whether two running sensors are shown, with figures of how their streams go.
         color: Whether they give colour images.
     """
-    body = fuser.calibration.body
+    body = setup.body
     return rrb.Blueprint(
         rrb.Tabs(
-            _setup(fuser, person_at, color),
-            _inspect(fuser, person_at, live),
+            _setup(setup, person_at, color),
+            _inspect(setup, person_at, live),
             _report(body),
             active_tab=LAYOUTS.index(active),
         ),
@@ -78,10 +78,10 @@ def session_blueprint(
 
 def inspect_blueprint(body: Body, person_at: NDArray[np.float64]) -> rrb.Blueprint:
     """All layouts for a session whose sensors' placement is in its frames, with *inspect* open."""
-    return session_blueprint(Fuser(nominal_calibration(body)), person_at, "inspect")
+    return session_blueprint(FusionSetup(nominal_calibration(body)), person_at, "inspect")
 
 
-def _setup(fuser: Fuser, person_at: NDArray[np.float64], color: bool) -> rrb.Container:
+def _setup(setup: FusionSetup, person_at: NDArray[np.float64], color: bool) -> rrb.Container:
     depths = [
         rrb.Spatial2DView(
             origin=layout.depth(side),
@@ -89,20 +89,20 @@ def _setup(fuser: Fuser, person_at: NDArray[np.float64], color: bool) -> rrb.Con
             name=f"Kinect {side.upper()}",
             visual_bounds=rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height)),
         )
-        for side, camera in zip(layout.SIDES, (fuser.intrinsics_a, fuser.intrinsics_b), strict=True)
+        for side, camera in zip(layout.SIDES, setup.intrinsics, strict=True)
     ]
     images: list[rrb.View | rrb.Container] = [*depths]
     if color:
         images = [
             rrb.Tabs(_color_view(side), depth) for side, depth in zip(layout.SIDES, depths, strict=True)
         ]
-    forth = 0.5 * _place_of_b(fuser, person_at) - person_at  # to half-way between the sensors
+    forth = 0.5 * _place_of_b(setup, person_at) - person_at  # to half-way between the sensors
     seen = rrb.TimeSeriesView(
         origin=layout.QUALITY,
         contents=["$origin"],  # beneath it are the streams' figures, in other units
         name="joints tracked by each sensor",
         overrides={layout.QUALITY: appearance.tracked_lines()},
-        axis_y=rrb.ScalarAxis(range=(0.0, len(fuser.calibration.body) + 1.0)),
+        axis_y=rrb.ScalarAxis(range=(0.0, len(setup.body) + 1.0)),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftBottom),
     )
     scene = _scene(
@@ -127,17 +127,17 @@ def _color_view(side: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(origin=entity, contents=contents, name=f"Kinect {side.upper()}, colour")
 
 
-def _place_of_b(fuser: Fuser, person_at: NDArray[np.float64]) -> NDArray[np.float64]:
+def _place_of_b(setup: FusionSetup, person_at: NDArray[np.float64]) -> NDArray[np.float64]:
     """(3,) metres in K_A's frame; while nobody knows, where it should be: 90° round the person."""
-    b_at = fuser.calibration.a_from_b.translation
+    b_at = setup.calibration.a_from_b.translation
     if b_at.any():
         return b_at
     return np.asarray(person_at + np.linalg.norm(person_at) * np.array([1.0, 0.0, 0.0]))
 
 
-def _inspect(fuser: Fuser, person_at: NDArray[np.float64], live: bool) -> rrb.Container:
-    body = fuser.calibration.body
-    away = person_at - 0.5 * _place_of_b(fuser, person_at)
+def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool) -> rrb.Container:
+    body = setup.body
+    away = person_at - 0.5 * _place_of_b(setup, person_at)
     away /= max(float(np.linalg.norm(away)), 1e-6)
     behind = person_at + _BEHIND * away - np.array([0.0, _ABOVE, 0.0])
     limbs = [f"{bone}_{side}" for bone in _LIMBS for side in ("left", "right")]

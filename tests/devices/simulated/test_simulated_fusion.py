@@ -9,8 +9,10 @@ from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker import TrackerErrors
 from fusion.body import BODIES, KINECT_V2, Body
-from fusion.calibration.calibration import calibrate, find_start_up_pose
+from fusion.calibration.calibration import calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 
 TOLERANCE = 1e-5
@@ -32,7 +34,7 @@ def fused_and_true(body: Body, motion: str, rig: Rig, depth: str = "off") -> tup
     skeletons: list[SkeletonPair] = [pair.skeletons for pair in pairs]
     chosen, how = find_start_up_pose(body, skeletons)
     assert how.startswith("start-up pose")
-    frames = Fuser(calibrate(body, chosen, how)).fuse_sequence(skeletons)
+    frames = Fuser(FusionSetup(calibrate(body, chosen, how))).fuse_sequence(skeletons)
     return (
         np.array([frame.positions for frame in frames]),
         np.array([truth.positions_at(pair.time_ns) for pair in pairs]),

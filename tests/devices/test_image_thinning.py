@@ -5,12 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.point_cloud import depth_to_points, ray_table
-from fusion.body import AZURE_KINECT
-from fusion.fuser import Fuser
-from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
-from tests.helpers.frame_pairs import calibration_of, frame_pairs
-from viewer_app.loop.image_thinning import (
+from devices.image_thinning import (
     Depth,
     has_images,
     thinned,
@@ -18,6 +13,13 @@ from viewer_app.loop.image_thinning import (
     with_depth,
     without_images,
 )
+from devices.point_cloud import depth_to_points, ray_table
+from fusion.body import AZURE_KINECT
+from fusion.fuser import Fuser
+from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
+from fusion.setup import FusionSetup
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 
 LENS = Intrinsics(33, 26, 27.1, 26.9, 15.8, 12.3, (0.5, -2.6, 1e-4, -2e-4, 1.5, 0.4, -2.4, 1.4))
 
@@ -38,7 +40,7 @@ def test_the_fused_skeleton_does_not_depend_on_how_much_depth_is_kept() -> None:
     whole = NOMINAL_INTRINSICS[AZURE_KINECT.name]
     fused = []
     for camera in (whole, thinned_camera(whole, "half")):
-        fuser = Fuser(calibration_of(AZURE_KINECT), None, camera, camera)
+        fuser = Fuser(FusionSetup(calibration_of(AZURE_KINECT), None, camera, camera))
         fused.append([fuser.update(pair.skeletons).positions for pair in pairs])
     np.testing.assert_array_equal(fused[0], fused[1])
 

@@ -1,0 +1,85 @@
+"""What a fusion runs with: calibration, the method's settings, and the sensors' depth cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from fusion.body import Body
+from fusion.calibration.calibration import Calibration
+from fusion.errors import FusionError
+from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
+from fusion.methods.reliability import PAPER_H
+
+
+@dataclass(frozen=True)
+class FuserSettings:
+    """The choices the method leaves open, with the paper's values where it names one.
+
+    Attributes:
+        h: How much more a tracked joint counts than an inferred one, in (0.5, 1); sec. 3.
+        solver: ``exact`` (one constraint a bone) or ``paper`` (eqs. (3)-(9) as published).
+        weights: ``paper`` (eqs. (10), (11)) or ``equal``.
+    """
+
+    h: float = PAPER_H
+    solver: Literal["exact", "paper"] = "exact"
+    weights: Literal["paper", "equal"] = "paper"
+
+    def __post_init__(self) -> None:
+        if not 0.5 < self.h < 1.0:
+            raise FusionError(f"h must lie between 0.5 and 1 (sec. 3); got {self.h}.")
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class FusionSetup:
+    """What a :class:`fusion.fuser.Fuser` is made from, and what a session, a viewer and a report need of it.
+
+    Attributes:
+        calibration: R, t and the bone lengths.
+        settings: The method's choices.
+        intrinsics_a, intrinsics_b: The sensors' depth cameras.
+    """
+
+    calibration: Calibration
+    settings: FuserSettings
+    intrinsics_a: Intrinsics
+    intrinsics_b: Intrinsics
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        settings: FuserSettings | None = None,
+        intrinsics_a: Intrinsics | None = None,
+        intrinsics_b: Intrinsics | None = None,
+    ) -> None:
+        """Fills in what is not given.
+
+        Args:
+            calibration: R, t and the bone lengths.
+            settings: The method's choices; the defaults where None.
+            intrinsics_a, intrinsics_b: The depth cameras; the sensor family's nominal ones where None.
+
+        Raises:
+            FusionError: A bone has no positive length.
+        """
+        body = calibration.body
+        bones = calibration.bone_lengths[body.bone_joints]
+        if not (np.isfinite(bones).all() and (bones > 0.0).all()):
+            raise FusionError(f"Every bone needs a length of more than 0 m; the shortest is {bones.min()} m.")
+        object.__setattr__(self, "calibration", calibration)
+        object.__setattr__(self, "settings", settings or FuserSettings())
+        object.__setattr__(self, "intrinsics_a", intrinsics_a or NOMINAL_INTRINSICS[body.name])
+        object.__setattr__(self, "intrinsics_b", intrinsics_b or NOMINAL_INTRINSICS[body.name])
+
+    @property
+    def body(self) -> Body:
+        """The body that both sensors report."""
+        return self.calibration.body
+
+    @property
+    def intrinsics(self) -> tuple[Intrinsics, Intrinsics]:
+        """The depth cameras of A and B."""
+        return self.intrinsics_a, self.intrinsics_b

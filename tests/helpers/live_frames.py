@@ -1,0 +1,64 @@
+"""Fused frames of a person, and a live session to write them to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from devices.pairing import FramePair
+from devices.sensor import SensorFrame
+from fusion.body import KINECT_V2
+from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
+from recordings.fusing import fuse_one
+from recordings.session import Session
+from recordings.session_arrays import RecordedFrame
+from tests.helpers.two_views import FRAME_NS, calibration_of, pair_of, standing
+from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.viewer_sink import Viewing
+from viewer_app.viewer.blueprint import session_blueprint
+from viewer_app.viewer.rerun_process import Hub
+
+BODY = KINECT_V2
+
+
+def known_fuser() -> Fuser:
+    """A fuser that knows where both sensors are."""
+    return Fuser(FusionSetup(calibration_of(BODY)))
+
+
+def frames(fuser: Fuser, count: int, depth: bool = False) -> list[RecordedFrame]:
+    """A standing person who sways; with `depth`, each sensor has an image in every frame."""
+    image = np.random.default_rng(0).integers(0, 4000, (424, 512)).astype(np.uint16) if depth else None
+    made = []
+    for k in range(count):
+        at = standing(BODY) + [0.1 * np.sin(k / 10), 0.0, 0.0]
+        seen = pair_of(BODY, at, k * FRAME_NS)
+        assert seen.a is not None
+        assert seen.b is not None
+        pair = FramePair.of(
+            SensorFrame(k * FRAME_NS, {"1": seen.a}, image),
+            SensorFrame(k * FRAME_NS, {"1": seen.b}, image),
+            "1",
+            "1",
+            k * FRAME_NS,
+        )
+        made.append(fuse_one(fuser, pair))
+    return made
+
+
+def session(
+    fuser: Fuser, file: Path | None = None, hub: Hub | None = None, window: bool = False
+) -> LiveSession:
+    """A session into a file, a hub or both."""
+    viewing = Viewing(window=window, hub=hub, headless=True)
+    blueprint = session_blueprint(fuser.setup, np.array([0.0, 0.0, 2.6]), "inspect")
+    return LiveSession(fuser.setup, ("a", "b"), blueprint, file=file, viewing=viewing)
+
+
+def numbers_in(file: Path) -> list[int]:
+    """The numbers of the frames that a session's file holds."""
+    read = Session.open(file)
+    assert read.damage is None
+    return [int(number) for number in read.rows.frame]

@@ -1,0 +1,123 @@
+"""What a test needs from the machine: a Vulkan driver, a browser, a C compiler.
+
+A machine without one of them skips the test, with the reason and the Debian package that helps. Two options
+let ``.ci/run`` prove that such skips hide nothing: ``--list-machine-skips FILE`` writes the identifiers of
+the tests that were skipped for such a reason, and ``--complete-machine`` makes each such skip a failure.
+"""
+
+from __future__ import annotations
+
+import functools
+import shutil
+import tempfile
+from collections import Counter
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+from rerun.experimental import ViewerClient
+
+from viewer_app.errors import UsageError
+from viewer_app.viewer.rerun_process import LOOPBACK, start_viewer, stop
+
+_LACKS = "this machine lacks"
+_COMPILERS = ("cc", "gcc", "clang")
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+_complete = False
+
+
+def lacks(what: str, package: str) -> NoReturn:
+    """Skips the running test because the machine lacks something.
+
+    Args:
+        what: What is missing, as a noun.
+        package: The Debian package that has it.
+    """
+    reason = f"{_LACKS} {what}; Debian: apt install {package}"
+    if _complete:
+        pytest.fail(reason + " (--complete-machine allows no such skip)", pytrace=False)
+    pytest.skip(reason)
+
+
+def need_viewer() -> None:
+    """Skips the running test where Rerun's viewer cannot draw without a screen."""
+    if not _viewer_draws():
+        lacks("a Vulkan driver for Rerun's viewer", "mesa-vulkan-drivers libvulkan1")
+
+
+def need_browser() -> str:
+    """The path of a Chromium; skips the running test where there is none."""
+    return _first_of(_BROWSERS) or lacks("a browser", "chromium")
+
+
+def need_compiler() -> str:
+    """The path of a C compiler; skips the running test where there is none."""
+    return _first_of(_COMPILERS) or lacks("a C compiler", "gcc libc6-dev")
+
+
+def _first_of(programs: tuple[str, ...]) -> str | None:
+    return next(filter(None, map(shutil.which, programs)), None)
+
+
+@functools.cache
+def _viewer_draws() -> bool:
+    """Whether a headless viewer gives a picture; without a usable driver it starts, listens, and dies."""
+    try:
+        process, port = start_viewer(["--headless"])
+    except UsageError:
+        return False
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            picture = Path(folder) / "window.png"
+            ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy").save_screenshot(str(picture))
+            return picture.exists() and process.poll() is None
+    except (ConnectionError, RuntimeError):
+        return False
+    finally:
+        stop(process)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("machine", "what the machine lacks")
+    group.addoption(
+        "--complete-machine", action="store_true", help="fail where a driver, browser or compiler is missing"
+    )
+    group.addoption(
+        "--list-machine-skips", metavar="FILE", help="write the tests that a missing one of them skipped"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    global _complete
+    _complete = config.getoption("--complete-machine")
+    file = config.getoption("--list-machine-skips")
+    if file is not None and not hasattr(config, "workerinput"):  # not in a worker of pytest-xdist
+        config.pluginmanager.register(_SkipList(Path(file)))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Says why tests were skipped: a line for each reason."""
+    reasons = Counter(
+        report.longrepr[2].removeprefix("Skipped: ")
+        for report in terminalreporter.getreports("skipped")
+        if isinstance(report.longrepr, tuple)
+    )
+    if reasons:
+        terminalreporter.section("skipped tests")
+    for reason, count in sorted(reasons.items()):
+        terminalreporter.line(f"{count} × {reason}")
+
+
+class _SkipList:
+    """Collects the tests that were skipped for the machine's sake; pytest reads them back as ``@FILE``."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self._tests: list[str] = []
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.skipped and isinstance(report.longrepr, tuple) and _LACKS in report.longrepr[2]:
+            self._tests.append(report.nodeid)
+
+    def pytest_sessionfinish(self) -> None:
+        self._file.write_text("".join(f"{test}\n" for test in self._tests), encoding="utf-8")

@@ -1,0 +1,43 @@
+"""A made-up machine's file system, as far as the checks of ``duplex doctor`` read it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def plug_in(
+    root: Path,
+    serial: str = "000123",
+    product: str = "097c",
+    speed: int = 5000,
+    number: int = 7,
+    vendor: str = "045e",
+) -> Path:
+    """Puts a depth camera on a made-up machine's bus, as Linux shows it."""
+    entry = root / "sys/bus/usb/devices" / f"2-{number}"
+    entry.mkdir(parents=True)
+    content = {
+        "idVendor": vendor,
+        "idProduct": product,
+        "serial": serial,
+        "busnum": "2",
+        "devnum": str(number),
+        "speed": str(speed),
+    }
+    for name, text in content.items():
+        (entry / name).write_text(text + "\n")
+    node = root / "dev/bus/usb/002" / f"{number:03d}"
+    node.parent.mkdir(parents=True, exist_ok=True)
+    node.touch()
+    return node
+
+
+def furnish(root: Path) -> None:
+    """Puts on a made-up machine what the sensors and the tracker need beside their libraries."""
+    for file in (
+        "usr/bin/dnn_model_2_0_op11.onnx",
+        "usr/lib/x86_64-linux-gnu/libk4a1.4/libdepthengine.so.2.0",
+        "proc/driver/nvidia/version",
+    ):
+        (root / file).parent.mkdir(parents=True)
+        (root / file).touch()
