@@ -31,7 +31,7 @@ from fusion.registration.robust_fit import RobustFit, disagreement, fit_robust
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
-_KEYFRAMES = 384  # of a stretch; more do not make the fit better
+_KEYFRAMES = 128  # of a stretch; the tempering of the fit was chosen for so many
 _FEWEST = 12
 
 

@@ -25,7 +25,7 @@ def swaying(delay: float, count: int = 900, speed: float = 1.0, drift: float = 0
         late = at(seconds + delay + drift * seconds) + bias
         views = (at(seconds), A_FROM_B.inverse().apply(late))
         a, b = (
-            Skeleton.of(KINECT_V2, view + rng.normal(0.0, 0.01, view.shape), None, k * FRAME_NS)
+            Skeleton.of(KINECT_V2, view + rng.normal(0.0, 0.004, view.shape), None, k * FRAME_NS)
             for view in views
         )
         pairs.append(SkeletonPair(a, b, k * FRAME_NS))
