@@ -12,7 +12,6 @@ from fusion.calibration.bone_statistics import robust_bone_lengths
 from fusion.calibration.calibration import (
     Calibration,
     calibrate,
-    find_start_up_pose,
     nominal_calibration,
 )
 from fusion.calibration.learner import (
@@ -22,6 +21,7 @@ from fusion.calibration.learner import (
     prior_of,
     registration_of,
 )
+from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides

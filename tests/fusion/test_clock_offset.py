@@ -8,7 +8,7 @@ import pytest
 from fusion.body import KINECT_V2
 from fusion.registration.clock_offset import ClockOffsetEstimator, clock_offset_of
 from fusion.skeleton import Skeleton, SkeletonPair
-from tests.conftest import A_FROM_B, FRAME_NS, standing
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, standing
 
 
 def swaying(delay: float, count: int = 900, speed: float = 1.0, drift: float = 0.0) -> list[SkeletonPair]:

@@ -14,7 +14,7 @@ from fusion.calibration.recording_learner import learn_from_recording
 from fusion.registration.keyframes import evidence_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
-from tests.conftest import A_FROM_B, FRAME_NS, moving
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
 OFF = (
     RigidTransform.of(Rotation.from_euler("y", 5.0, degrees=True).as_matrix(), [0.06, 0.0, -0.04]) @ A_FROM_B

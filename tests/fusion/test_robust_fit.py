@@ -15,7 +15,7 @@ from fusion.registration.rigid_fit import fit_rigid
 from fusion.registration.robust_fit import RobustFitSettings, disagreement, fit_robust
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
-from tests.conftest import A_FROM_B, FRAME_NS, moving, pair_of
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of
 
 SETTINGS = RobustFitSettings()
 
