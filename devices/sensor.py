@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -89,6 +89,11 @@ class Sensor(Protocol):
     @property
     def intrinsics(self) -> Intrinsics | None:
         """Of its depth camera; None where the source does not say."""
+        ...
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """What is wrong so far although frames came: cut off, damaged, not closed cleanly. A line each."""
         ...
 
     def __enter__(self) -> Sensor:

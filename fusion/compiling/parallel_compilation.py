@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.body import KINECT_V1
+from fusion.compiling.kernels import find_on_disk
 from fusion.solvers.tree_solver import TreeSolver, solve_tree
 
 
@@ -40,6 +41,7 @@ def tree_solver_compiled_meanwhile() -> Iterator[None]:
 
 
 def _is_on_disk() -> bool:
+    find_on_disk(solve_tree)
     folder = Path(solve_tree.stats.cache_path)  # type: ignore[attr-defined]
     python = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
     return any(folder.glob(f"*{solve_tree.__name__}-*.{python}.nbi"))

@@ -17,7 +17,8 @@ from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.tracking.harsher_errors import heavy_tailed, scaled
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import BODIES
-from fusion.calibration.calibration import calibrate, find_start_up_pose
+from fusion.calibration.calibration import calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.evaluation.accuracy import accuracy
 from viewer_app.bench.accuracy_methods import ABLATIONS, METHODS, Method, RecordedPair
 

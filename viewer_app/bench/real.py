@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import Body
-from fusion.calibration.calibration import calibrate, find_start_up_pose
 from fusion.errors import FusionError
 from fusion.evaluation.faults import FAULTS, Fault, share_of_fault, with_fault
 from fusion.evaluation.without_truth import FusedPair, figures_without_truth, judge_registration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from recordings.fusing import calibration_of
 from viewer_app.bench.real_tables import real_tables
 from viewer_app.errors import UsageError
-from viewer_app.loop.recorded_input import read_two
-from viewer_app.options import BenchRealOptions, FuseOptions
+from viewer_app.options import BenchRealOptions
 from viewer_app.output_files import check_writable, whole_file
 
 FAULTY_FRAMES = 20
@@ -54,7 +54,7 @@ def run(options: BenchRealOptions) -> None:
         disable=not console.is_terminal,
     )
     for name, (a, b) in shown:
-        read = read_two(FuseOptions(a, b), console)
+        read = read_two(RecordingChoice(a), RecordingChoice(b))
         skeletons = [pair.skeletons for pair in read.pairing.pairs]
         try:
             rows[name] = measure(read.body, skeletons, faults=not options.no_faults)
@@ -125,7 +125,7 @@ def measure(body: Body, skeletons: Sequence[SkeletonPair], *, faults: bool) -> d
 
 def fuse_pair(body: Body, skeletons: Sequence[SkeletonPair]) -> FusedPair:
     """What the program makes of a recording with its default settings."""
-    calibration = calibrate(body, *find_start_up_pose(body, skeletons))
+    calibration = calibration_of(body, skeletons)
     frames = Fuser(FusionSetup(calibration)).fuse_sequence(skeletons)
     nowhere = np.full((len(body), 3), np.nan)
 

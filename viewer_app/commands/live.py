@@ -17,6 +17,7 @@ from devices.azure.kinect import LASER_GAP_US, KinectSensor, KinectSettings
 from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects
 from devices.azure.sensor_roles import NeedsChoiceError, choose_two, sync_master
 from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.image_thinning import thinned_camera
 from devices.live.sensor_pair import TwoSensors
 from devices.live.sensor_state import SensorEvent
 from devices.live.stream_pairing import LivePairing, Side
@@ -29,7 +30,6 @@ from recordings.calibration_file import calibration_to_json, read_calibration
 from viewer_app.coach.setup_coach import WARM_UP, Coach
 from viewer_app.errors import UsageError
 from viewer_app.loop.fusing import warm_up
-from viewer_app.loop.image_thinning import thinned_camera
 from viewer_app.loop.interruption import CtrlC
 from viewer_app.loop.live_loop import Status, run_live
 from viewer_app.loop.live_summary import check_saved, print_saved, print_session, session_report
@@ -37,7 +37,8 @@ from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.options import LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
 from viewer_app.report.figures import report_to_json
-from viewer_app.sinks.live_session import LiveSession, Viewing
+from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.viewer_choice import announce, choose_viewing
 
@@ -162,28 +163,24 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             with _Timer(options.seconds, sensors):
                 setup, frames = run_live(
                     sensors,
-                    body=a.body,
-                    settings=settings,
-                    intrinsics=cameras,
+                    nominal,
+                    session,
+                    calibrated=calibration is not None,
                     depth=options.depth,
-                    calibration=calibration,
-                    recorder_for=lambda _: session,
                     # events are told at once, by the sensors: also while no frame comes
                     go_on=lambda status: watch(status) and display(replace(status, events=())),
                 )
-        for sensor in (a, b):
-            for warning in sensor.warnings if isinstance(sensor, KinectSensor) else ():
-                console.print(warning, style="yellow", highlight=False, markup=False)
+        for warning in (*a.warnings, *b.warnings):
+            console.print(warning, style="yellow", highlight=False, markup=False)
         print_session(console, setup, frames, sensors)
         if options.report is not None:
             with whole_file(options.report) as partial:
                 figures = session_report(setup, frames, sensors)
                 partial.write_text(report_to_json(figures), encoding="utf-8")
-        if options.save is not None:
-            print_saved(console, options.save, session)
+        print_saved(console, session.file)
         if options.save_calibration is not None:
             _save_calibration(options.save_calibration, watch.settled)
-        check_saved(session)
+        check_saved(session.file)
 
 
 def _viewing(options: LiveOptions) -> Viewing | None:

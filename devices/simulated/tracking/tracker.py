@@ -220,7 +220,7 @@ class Tracker:
         return bool(chance >= stop) if on else bool(chance < start)
 
 
-@njit(cache=True)
+@njit()
 def _hold(held, at, joints, order, parents, stretch):  # type: ignore[no-untyped-def]
     for joint in order:
         parent = parents[joint]
