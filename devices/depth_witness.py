@@ -46,15 +46,23 @@ def depth_witness(
     pinhole = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
     positions = np.ascontiguousarray(skeleton.positions, dtype=np.float32)
     _measure(np.ascontiguousarray(depth), pinhole, lens, positions, found)
-    return found
+    return found.astype(np.float16).astype(np.float32)  # as a session keeps it: a replay has the same numbers
 
 
 def with_witness(frame: SensorFrame, intrinsics: Intrinsics) -> SensorFrame:
-    """The frame with the witness of its depth image in each skeleton; as it is without an image."""
-    if frame.depth is None or not frame.people:
+    """The frame with what its depth image says in each skeleton that does not have it yet.
+
+    Args:
+        frame: Without an image of this camera it is given back as it is.
+        intrinsics: Of the depth camera.
+    """
+    depth = frame.depth
+    if depth is None or depth.shape != (intrinsics.height, intrinsics.width) or not frame.people:
         return frame
     people = {
-        person: skeleton.with_witness(depth_witness(frame.depth, intrinsics, skeleton))
+        person: skeleton
+        if skeleton.witness is not None
+        else skeleton.with_witness(depth_witness(depth, intrinsics, skeleton))
         for person, skeleton in frame.people.items()
     }
     return replace(frame, people=people)

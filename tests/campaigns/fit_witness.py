@@ -73,7 +73,7 @@ def watch(sensor: SimulatedKinect, a_to_sensor: RigidTransform, truth_at, first_
 
 
 def flesh_of(views: list[View]) -> dict[str, float]:
-    """Metres by kind of joint: how much deeper the true joint lies than the surface before the reported one."""
+    """Metres by kind of joint: how much deeper the true joint is than the surface before the reported one."""
     found = defaultdict(list)
     for view in views:
         known = (view.states == TrackingState.TRACKED) & (errors(view) < GOOD)
