@@ -8,7 +8,8 @@ import numpy as np
 
 from devices.pairing import pair_recordings
 from devices.simulated.kinect import PERSON, simulated_pair
-from fusion.calibration.calibration import calibrate, find_start_up_pose
+from fusion.calibration.calibration import calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings import Session
