@@ -182,13 +182,14 @@ def test_files_that_are_no_sessions_are_named_in_one_line(tmp_path: Path) -> Non
 def test_another_layout_says_which_version_wrote_it(
     monkeypatch: pytest.MonkeyPatch, fused_run: FusedRun
 ) -> None:
-    this = layout.VERSION
-    monkeypatch.setattr(layout, "VERSION", this - 1)
-    monkeypatch.setattr(layout, "READABLE_VERSIONS", (this - 1,))
+    readable = ", ".join(map(str, layout.READABLE_VERSIONS))
+    older = min(layout.READABLE_VERSIONS) - 1
+    monkeypatch.setattr(layout, "VERSION", older)
+    monkeypatch.setattr(layout, "READABLE_VERSIONS", (older,))
     old = fused_run(frame_pairs(KINECT_V1, 3), calibration_of(KINECT_V1))
     monkeypatch.undo()
     with pytest.raises(
-        RecordingError, match=rf"layout {this - 1}, written by duplex-kinects .*reads layout {this}"
+        RecordingError, match=rf"layout {older}, written by duplex-kinects .*reads layout {readable}"
     ):
         Session.open(old.path)
 
