@@ -62,7 +62,7 @@ def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
         before = time.perf_counter()
         stuck.offer(Frame(number, frame))
         slowest = max(slowest, time.perf_counter() - before)
-        time.sleep(0.002)
+        time.sleep(0.002)  # the pace of a fast loop, in which the feed's thread gets its turns
     assert stuck.dropped >= 50
     waiting = [item.number for item in stuck._queue if isinstance(item, Frame)]
     assert waiting == list(range(90, 100))
@@ -79,7 +79,7 @@ def test_a_turn_is_over_when_the_feed_has_written_or_time_is_up(stuck: ViewerFee
     feed.close(end_process=True)
     for number, frame in enumerate(frames(fuser, 100, depth=True)):  # more than any pipe takes
         stuck.offer(Frame(number, frame))
-        time.sleep(0.002)
+        time.sleep(0.002)  # the pace of a fast loop, in which the feed's thread gets its turns
     stuck._turn_over.set()  # of a turn before
     begun = time.monotonic()
     stuck.wait_for_turn(0.3)
@@ -107,7 +107,7 @@ def test_what_is_said_is_not_dropped_with_the_frames(stuck: ViewerFeed, fuser: F
     stuck.offer(Frame(0, frames(fuser, 1, depth=True)[0]))
     for number, frame in enumerate(frames(fuser, 60, depth=True)):
         stuck.offer(Frame(number, frame))
-        time.sleep(0.002)
+        time.sleep(0.002)  # the pace of a fast loop, in which the feed's thread gets its turns
     stuck.offer(Note("sensor lost"))
     for number, frame in enumerate(frames(fuser, 30)):
         stuck.offer(Frame(60 + number, frame))
@@ -215,7 +215,7 @@ def test_a_viewer_killed_again_and_again_loses_no_frame_of_the_file(fuser: Fuser
                 victim = (live.viewer.window.process, live.viewer.feed.process)[kills % 2]
                 os.kill(victim.pid, signal.SIGSTOP if k == 550 else signal.SIGKILL)
                 kills += 1
-            time.sleep(0.01)
+            time.sleep(0.01)  # the pace of a loop, so that viewers die in the middle of it
         assert live.viewer.feed.starts >= 2
         live.finish()
         live.save()
@@ -230,7 +230,8 @@ def test_a_viewer_that_comes_later_sees_the_history(fuser: Fuser) -> None:
     with session(fuser, None, hub) as live:
         for frame in frames(fuser, 60):
             live.write(frame)
-        time.sleep(0.5)
+        assert live.viewer.feed is not None
+        assert live.viewer.feed.finish(10.0)
         with headless_viewer("--connect", hub.url) as viewer:
 
             def sees_all() -> bool:
