@@ -1,0 +1,61 @@
+"""Where frames come from: sensors, recordings, the simulator; and frames made pairs."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from devices.live.sensor_pair import TwoSensors
+    from devices.pairing import FramePair, Pairing, pair_recordings
+    from devices.sensor import ColorCamera, ColorImage, DeviceError, Sensor, SensorFrame
+    from devices.simulated.kinect import simulated_pair
+    from devices.sources import open_source
+    from devices.two_recordings import RecordingChoice, TwoRecordings, read_two
+
+__all__ = [
+    "ColorCamera",
+    "ColorImage",
+    "DeviceError",
+    "FramePair",
+    "Pairing",
+    "RecordingChoice",
+    "Sensor",
+    "SensorFrame",
+    "TwoRecordings",
+    "TwoSensors",
+    "open_source",
+    "pair_recordings",
+    "read_two",
+    "simulated_pair",
+]
+
+_HOMES = {
+    "TwoSensors": "devices.live.sensor_pair",
+    "FramePair": "devices.pairing",
+    "Pairing": "devices.pairing",
+    "pair_recordings": "devices.pairing",
+    "ColorCamera": "devices.sensor",
+    "ColorImage": "devices.sensor",
+    "DeviceError": "devices.sensor",
+    "Sensor": "devices.sensor",
+    "SensorFrame": "devices.sensor",
+    "simulated_pair": "devices.simulated.kinect",
+    "open_source": "devices.sources",
+    "RecordingChoice": "devices.two_recordings",
+    "TwoRecordings": "devices.two_recordings",
+    "read_two": "devices.two_recordings",
+}
+"""By name, the module that has it. It is imported when the name is asked for: numba alone takes a second."""
+
+
+def __getattr__(name: str) -> Any:
+    """One of the names of ``__all__``."""
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """What there is to find."""
+    return sorted([*globals(), *__all__])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -17,6 +17,10 @@ from fusion.skeleton import Skeleton
 
 class DeviceError(Exception):
     """A source that cannot give frames: what happened, the value, the way out."""
+
+
+class AbsentError(DeviceError):
+    """The source is not connected. Asking again costs nothing, so it may be asked often."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +95,11 @@ class Sensor(Protocol):
         """Of its depth camera; None where the source does not say."""
         ...
 
+    @property
+    def warnings(self) -> Sequence[str]:
+        """What is wrong so far although frames came: cut off, damaged, not closed cleanly. A line each."""
+        ...
+
     def __enter__(self) -> Sensor:
         """Opens the source.
 
@@ -128,4 +137,14 @@ class Interruptible(Protocol):
 
     def interrupt(self) -> None:
         """Makes ``frames`` end soon, within a second. Called from another thread; opening undoes it."""
+        ...
+
+
+@runtime_checkable
+class NamesItsWait(Protocol):
+    """A sensor whose opening, first frame or closing may take minutes, and that can say why."""
+
+    @property
+    def waits_for(self) -> str:
+        """What it waits for now, as in "its body tracker, which loads its network"; empty for nothing."""
         ...

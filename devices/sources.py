@@ -51,11 +51,6 @@ def recording_info(source: Sensor) -> MkvInfo | None:
     return recording.info if isinstance(recording, MkvRecording) else None
 
 
-def warnings_of(source: Sensor) -> list[str]:
-    """What is wrong with a source although frames came of it: cut off, damaged, without people."""
-    return list(getattr(source, "warnings", ()))
-
-
 def without_images(source: Sensor) -> Iterator[SensorFrame]:
     """An open source's frames with their people only: an hour of them is some hundred MB, not 150 GB."""
     for frame in source.frames():

@@ -1,19 +1,52 @@
-"""Sessions on disk: ``from recordings import Session``."""
+"""Sessions, in memory and on disk: ``from recordings import Session, fuse``."""
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from recordings.errors import RecordingError
+    from recordings.fusing import fuse
+    from recordings.live_fusing import fuse_live
+    from recordings.reading.stored_settings import Event
     from recordings.session import Session
+    from recordings.session_arrays import RecordedFrame, SessionArrays
+    from recordings.session_series import QualitySeries, SkeletonSeries
 
-__all__ = ["Session"]
+__all__ = [
+    "Event",
+    "QualitySeries",
+    "RecordedFrame",
+    "RecordingError",
+    "Session",
+    "SessionArrays",
+    "SkeletonSeries",
+    "fuse",
+    "fuse_live",
+]
+
+_HOMES = {
+    "RecordingError": "recordings.errors",
+    "fuse": "recordings.fusing",
+    "fuse_live": "recordings.live_fusing",
+    "Event": "recordings.reading.stored_settings",
+    "Session": "recordings.session",
+    "RecordedFrame": "recordings.session_arrays",
+    "SessionArrays": "recordings.session_arrays",
+    "QualitySeries": "recordings.session_series",
+    "SkeletonSeries": "recordings.session_series",
+}
+"""By name, the module that has it. It is imported when the name is asked for: numba alone takes a second."""
 
 
 def __getattr__(name: str) -> Any:
-    """Imports ``Session`` when it is asked for: a module that needs another part does not wait for it."""
-    if name == "Session":
-        from recordings.session import Session
-
-        return Session
+    """One of the names of ``__all__``."""
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """What there is to find."""
+    return sorted([*globals(), *__all__])

@@ -16,7 +16,7 @@ Everything is in SI units and in K_A's frame, but for what a sensor gave, which 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.pairing import FramePair
+from devices.pairing import FramePair, Pairing
 from devices.sensor import ColorImage, SensorFrame
 from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
@@ -33,9 +33,6 @@ from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton
 from recordings import layout
 from recordings.errors import RecordingError
-from recordings.images.color_images import read_color
-from recordings.images.depth_images import read_depth
-from recordings.reading.image_reader import ImageReader
 from recordings.reading.rrd_file import read_columns
 from recordings.reading.stored_frames import frames_of
 from recordings.reading.stored_settings import (
@@ -46,8 +43,11 @@ from recordings.reading.stored_settings import (
     events_of,
     settings_of,
 )
-from recordings.session_arrays import SessionArrays
+from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.session_images import NO_IMAGES, FileImages, Images, SessionImages
 from recordings.session_series import QualitySeries, SkeletonSeries
+from recordings.writing.checksums import fused_checksums, joint_digests
+from recordings.writing.properties import as_lists, session_properties
 
 PERSON = "0"
 """The id of the one person of a session, as a source of pairs."""
@@ -58,7 +58,7 @@ class Session:
     """A recorded capture: what the sensors saw, what was made of it, and with which settings.
 
     Attributes:
-        path: The file.
+        path: The file; None for a session that is in memory only.
         rows: Everything that has a value a frame, as arrays.
         settings: What the fusion ran with.
         calibrations: From which frame on it was fused with which, each by a new fuser; the first from 0.
@@ -70,9 +70,10 @@ class Session:
         joint_digests: (T, J) a byte for each joint, likewise.
         frames_lost: How many frames are known to have been written and cannot be read.
         damage: What is wrong with the file, in words; None where it is whole.
+        images: Where its images are read from.
     """
 
-    path: Path
+    path: Path | None
     rows: SessionArrays
     settings: FuserSettings
     calibrations: tuple[tuple[int, Calibration], ...]
@@ -85,6 +86,70 @@ class Session:
     joint_digests: NDArray[np.uint8]
     frames_lost: int
     damage: str | None
+    images: SessionImages = NO_IMAGES
+
+    @staticmethod
+    def of(
+        fused: Sequence[tuple[FusionSetup, Sequence[RecordedFrame]]],
+        sources: tuple[str, str] = ("a", "b"),
+        *,
+        events: Sequence[Event] = (),
+        images: SessionImages = NO_IMAGES,
+        about: Mapping[str, str | int] | None = None,
+    ) -> Session:
+        """A session in memory, of frames that were fused just now.
+
+        Args:
+            fused: Frames in time order, by what they were fused with; at least one in all.
+            sources: What the sensors are called, K_A first.
+            events: What happened.
+            images: The frames' images.
+            about: More to say of the session's origin.
+
+        Raises:
+            RecordingError: There is no frame.
+        """
+        frames = [frame for _, of_setup in fused for frame in of_setup]
+        if not frames:
+            raise RecordingError("A session needs at least one frame.")
+        lengths = np.repeat(
+            [setup.calibration.bone_lengths for setup, _ in fused], [len(own) for _, own in fused], axis=0
+        )
+        firsts = np.cumsum([0, *(len(own) for _, own in fused)]).tolist()
+        setup = fused[0][0]
+        rows = SessionArrays.stack(setup.body, lengths, frames)
+        return Session(
+            path=None,
+            rows=rows,
+            settings=setup.settings,
+            calibrations=tuple(
+                (first, one.calibration) for first, (one, own) in zip(firsts, fused, strict=False) if own
+            ),
+            intrinsics_a=setup.intrinsics_a,
+            intrinsics_b=setup.intrinsics_b,
+            sources=sources,
+            about=as_lists(session_properties(setup, sources, about or {})),
+            events=tuple(events),
+            fused_checksums=fused_checksums(rows.fused),
+            joint_digests=joint_digests(rows.fused),
+            frames_lost=0,
+            damage=None,
+            images=images,
+        )
+
+    def save(self, path: str | Path, blueprint: Any = None) -> None:
+        """Writes the session into an ``.rrd`` file, its images included.
+
+        Args:
+            path: The file; overwritten.
+            blueprint: What a viewer shows; its own choice where None.
+
+        Raises:
+            OSError: The file is not whole afterwards.
+        """
+        from recordings.writing.session_writer import write_session
+
+        write_session(self, Path(path), blueprint=blueprint)
 
     @staticmethod
     def open(path: str | Path) -> Session:
@@ -134,6 +199,7 @@ class Session:
             joint_digests=checks[1],
             frames_lost=lost,
             damage=damage,
+            images=FileImages(path),
         )
 
     def __len__(self) -> int:
@@ -143,7 +209,16 @@ class Session:
     def __repr__(self) -> str:
         """In a line: its arrays are too many to be shown."""
         seconds = (self.time_ns[-1] - self.time_ns[0]) * 1e-9
-        return f"<Session {self.path.name}: {len(self)} frames, {seconds:.1f} s, {self.body.name}>"
+        return f"<Session {self.name}: {len(self)} frames, {seconds:.1f} s, {self.body.name}>"
+
+    def __str__(self) -> str:
+        """For messages: its file."""
+        return "the session in memory" if self.path is None else str(self.path)
+
+    @property
+    def name(self) -> str:
+        """The file's name."""
+        return "session" if self.path is None else self.path.name
 
     @property
     def time_ns(self) -> NDArray[np.int64]:
@@ -213,6 +288,20 @@ class Session:
             return 30.0
         return float(1e9 / np.median(np.diff(self.rows.time_ns)))
 
+    @property
+    def whereabouts(self) -> NDArray[np.float64]:
+        """(3,) metres in K_A's frame, the middle of where the person is; before K_A where no one is."""
+        at = self.rows.fused.reshape(-1, 3)
+        seen = at[np.isfinite(at).all(axis=1)]
+        return np.asarray(np.median(seen, axis=0)) if len(seen) else np.array([0.0, 0.0, 2.5])
+
+    @property
+    def pairing(self) -> Pairing:
+        """The pairs, and how many frames each sensor gave; what was dropped before recording is not known."""
+        clocks = self.rows.clock_a, self.rows.clock_b
+        seen_a, seen_b = (int((clock != layout.NO_FRAME).sum()) for clock in clocks)
+        return Pairing(list(self.pairs()), seen_a, seen_b, 0, 0)
+
     def setups(self, settings: FuserSettings | None = None) -> Iterator[tuple[FusionSetup, slice]]:
         """What each calibration's frames were fused with, by a new fuser each, and which frames those are.
 
@@ -253,7 +342,7 @@ class Session:
                 int(rows.skew_ns[t]),
             )
 
-    def depth(self, side: str, first: int = 0, end: int | None = None) -> ImageReader[NDArray[np.uint16]]:
+    def depth(self, side: str, first: int = 0, end: int | None = None) -> Images[NDArray[np.uint16]]:
         """Depth images of a sensor, read as they are asked for; damaged ones are left out and counted.
 
         Args:
@@ -263,11 +352,11 @@ class Session:
         Returns:
             To be iterated over: the frame's number and its (height, width) millimetres, 0 without a reading.
         """
-        return read_depth(self.path, side, self._frames(first, end))
+        return self.images.depth(side, self._frames(first, end))
 
-    def color(self, side: str, first: int = 0, end: int | None = None) -> ImageReader[ColorImage]:
+    def color(self, side: str, first: int = 0, end: int | None = None) -> Images[ColorImage]:
         """Colour images of a sensor, as :meth:`depth` gives depth images."""
-        return read_color(self.path, side, self._frames(first, end))
+        return self.images.color(side, self._frames(first, end))
 
     def _frames(self, first: int, end: int | None) -> range:
         return range(first, len(self) if end is None else min(end, len(self)))

@@ -45,17 +45,15 @@ class Comparison:
         """
         if first.body is not second.body:
             raise RecordingError(
-                f"{first.path} is of {first.body.name}, {second.path} of {second.body.name}: not one capture."
+                f"{first} is of {first.body.name}, {second} of {second.body.name}: not one capture."
             )
         _, i, j = np.intersect1d(_moments(first), _moments(second), return_indices=True)
         if len(i) == 0:
-            raise RecordingError(
-                f"{first.path} and {second.path} have no frame of the same time: not one capture."
-            )
+            raise RecordingError(f"{first} and {second} have no frame of the same time: not one capture.")
         one, two = first.rows[np.sort(i).astype(np.int64)], second.rows[np.sort(j).astype(np.int64)]
         for t in np.flatnonzero(~_same_inputs(one, two))[:1]:
             raise RecordingError(
-                f"{first.path} and {second.path} have {len(i)} frames of the same time, but S_A or S_B of "
+                f"{first} and {second} have {len(i)} frames of the same time, but S_A or S_B of "
                 f"frame {one.frame[t]} is another than that of frame {two.frame[t]}: not one capture."
             )
         return Comparison(first.body, one, two)

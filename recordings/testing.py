@@ -16,16 +16,16 @@ from uuid import uuid4
 
 import numpy as np
 import pytest
-import rerun as rr
 
 from devices.pairing import FramePair
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
-from recordings import layout
+from recordings.reading.stored_settings import Event
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
-from recordings.writing.recorder import Recorder
+from recordings.session_images import PairImages
+from recordings.writing.session_writer import write_session
 
 FusedRun = Callable[..., Session]
 
@@ -50,17 +50,13 @@ def record_fused(
     """
     setup = FusionSetup(calibration, settings)
     fuser = Fuser(setup)
-    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
-    stream.save(path)
-    try:
-        recorder = Recorder(stream, setup, ("a", "b"), depth_every)
-        recorder.event(f"calibrated: {calibration.how}")
-        frames = [RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
-        for first in range(0, len(frames), block):
-            recorder.record_all(frames[first : first + block])
-        recorder.finish()
-    finally:
-        stream.disconnect()
+    frames = [RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
+    session = Session.of(
+        [(setup, frames)],
+        events=(Event(0, 0, f"calibrated: {calibration.how}", "INFO"),),
+        images=PairImages([frame.pair for frame in frames], depth_every),
+    )
+    write_session(session, path, block=block)
     return Session.open(path)
 
 
@@ -104,10 +100,10 @@ def assert_sessions_match(
     if not 0.0 <= position_mm < np.inf:
         raise ValueError(f"position_mm is {position_mm}: how far apart joints may be, 0 or more millimetres")
     one, two = (s if isinstance(s, Session) else Session.open(s) for s in (actual, expected))
-    assert one.body is two.body, f"{one.path} is of {one.body.name}, {two.path} of {two.body.name}"
-    assert len(one) == len(two), f"{one.path} has {len(one)} frames, {two.path} has {len(two)}"
-    assert one.damage is None, f"{one.path}: {one.damage}"
-    assert two.damage is None, f"{two.path}: {two.damage}"
+    assert one.body is two.body, f"{one} is of {one.body.name}, {two} of {two.body.name}"
+    assert len(one) == len(two), f"{one} has {len(one)} frames, {two} has {len(two)}"
+    assert one.damage is None, f"{one}: {one.damage}"
+    assert two.damage is None, f"{two}: {two.damage}"
     for name, what in _CAPTURED.items():
         got, wanted = getattr(one.rows, name), getattr(two.rows, name)
         for t, *_ in np.argwhere((got != wanted) & ~((got != got) & (wanted != wanted)))[:1]:

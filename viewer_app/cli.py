@@ -24,6 +24,7 @@ _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "info": (of.InfoOptions, "viewer_app.commands.info"),
     "doctor": (of.DoctorOptions, "viewer_app.commands.doctor"),
     "bench accuracy": (of.BenchAccuracyOptions, "viewer_app.bench.accuracy"),
+    "bench real": (of.BenchRealOptions, "viewer_app.bench.real"),
     "bench speed": (of.BenchSpeedOptions, "viewer_app.bench.speed"),
 }
 """By name, ``group command`` or ``command``: the options, and the module whose ``run`` carries it out."""

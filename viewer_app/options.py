@@ -119,6 +119,8 @@ class LiveOptions:
     """Serial number of the secondary sensor K_B."""
     principal: str | None = None
     """Of the two connected, the one that is K_A; without it the first question asked."""
+    sync_master: str | None = None
+    """Serial number of the sensor that the sync cable leads out of. Orbbec's wrapper cannot tell."""
     depth_mode: Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"] = "NFOV_UNBINNED"
     """Narrow and far, or wide and near."""
     fps: Literal[5, 15, 30] = 30
@@ -180,6 +182,8 @@ class DoctorOptions:
     """Serial number of the sensor that would be K_B."""
     principal: str | None = None
     """Of two connected, the one that would be K_A."""
+    sync_master: str | None = None
+    """Serial number of the sensor that the sync cable leads out of. Orbbec's wrapper cannot tell."""
     k4abt: Path | None = None
     """Microsoft's body tracker, libk4abt; where the system finds it if not given."""
     processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
@@ -197,11 +201,23 @@ class BenchAccuracyOptions:
     angles: tuple[float, ...] = (45.0, 90.0, 135.0)
     """Degrees between the sensors."""
     seeds: int = 10
-    """How many recordings of each movement and angle: seeds 0, 1, …"""
+    """How many recordings of each movement and angle, each with its own seed."""
+    first_seed: int = 0
+    """The first seed; the others follow it."""
     seconds: float = 20.0
     """How long each recording is."""
     body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
     """Whose body tracker is simulated."""
+    errors: float = 1.0
+    """All errors of the tracker, times this."""
+    tracker_errors: Literal["fitted", "heavy-tailed"] = "fitted"
+    """fitted: to real recordings. heavy-tailed: another tracker's, to which nothing is fitted."""
+    methods: tuple[str, ...] = ()
+    """Only these methods, by their names in the tables; all but the ablations if not given."""
+    ablations: bool = False
+    """Add our method with one part switched off at a time."""
+    processes: int = 0
+    """How many recordings are worked on at the same time; 0: as many as processors."""
     recordings: Path | None = None
     """With --set real: a folder of real pairs NAME/a.csv, NAME/b.csv to compare with, too."""
     json: Path | None = None
@@ -310,6 +326,20 @@ class ExportOptions:
     """Of a .csv: a row a joint and skeleton, or a row a frame with S* alone."""
     force: bool = False
     """Overwrite a file that exists."""
+
+
+@dataclass(frozen=True)
+class BenchRealOptions:
+    """Judge S* on recordings of real sensors, without truth: calm, jumps, facing, registration, faults."""
+
+    paths: Positional[tuple[Path, ...]]
+    """Folders with a.csv and b.csv each, or two recordings."""
+    no_faults: bool = False
+    """Leave out the artificial faults, which take most of the time."""
+    json: Path | None = None
+    """Write all figures as JSON, in SI units."""
+    force: bool = False
+    """Overwrite files that exist."""
 
 
 @dataclass(frozen=True)

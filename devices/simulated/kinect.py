@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
@@ -164,6 +164,7 @@ class SimulatedKinect:
         full = NOMINAL_INTRINSICS[scene.body.name]
         self.intrinsics: Intrinsics | None = halved(full) if depth == "half" else full
         self._lens = self.intrinsics
+        self.warnings: Sequence[str] = ()
         self._scene, self._rig, self._which = scene, rig, which
         self._errors = TrackerErrors.of(scene.body) if errors is None else errors
         self._depth, self._depth_errors = depth, depth_errors or DepthErrors()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from devices.sensor import SensorFrame
@@ -81,6 +81,11 @@ class PacedSensor:
     def intrinsics(self) -> Intrinsics | None:
         """The sensor's depth camera."""
         return self._sensor.intrinsics
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Those of the sensor."""
+        return self._sensor.warnings
 
     def __enter__(self) -> PacedSensor:
         """Opens the sensor."""

@@ -31,6 +31,7 @@ class SkeletonRecording:
     def __init__(self, path: Path) -> None:
         self.name = str(path)
         self.intrinsics: Intrinsics | None = None
+        self.warnings: Sequence[str] = ()
         self._path = path
         self._body: Body | None = None
         self._frames: Sequence[SensorFrame] = ()

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from fusion.body import KINECT_V1
+from fusion.compiling.kernels import find_on_disk
 from fusion.solvers.tree_solver import TreeSolver, solve_tree
 
 
@@ -49,6 +50,7 @@ def tree_solver_compiled_meanwhile(needed_by: Any = None, matrices: bool = False
 
 def _is_on_disk(kernel: Any = None) -> bool:
     kernel = kernel or solve_tree
+    find_on_disk(kernel)
     folder = Path(kernel.stats.cache_path)
     python = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
     return any(folder.glob(f"*{kernel.__name__}-*.{python}.nbi"))

@@ -1,7 +1,8 @@
 """What people do instead: simpler ways to one skeleton from two, on the same input, to compare with.
 
-Each takes both views of T frames in K_A's frame and gives (T, J, 3). None knows bone lengths. A joint a
-method has no position for stays where it last was, as an application would leave it.
+Each takes both views of T frames in K_A's frame and gives (T, J, 3). None knows bone lengths. Where a method
+has no position for a joint, the joint keeps its last one, as in an application. How S_B is registered is the
+caller's choice; see :mod:`fusion.evaluation.fixed_registration`.
 """
 
 from __future__ import annotations
@@ -84,3 +85,19 @@ def kalman(
             P = P - gain[:, :, None] * P[:, None, 0, :]
         out[t] = x[:, 0]
     return out
+
+
+def oracle(a: Array, b: Array, truth: Array) -> Array:
+    """The better view of every joint in every frame, chosen with the truth: no method, but a bound.
+
+    It bounds what any choice between the two views can reach; fusing them can do better.
+
+    Args:
+        a, b: (T, J, 3) metres, K_A's frame; NaN where not tracked.
+        truth: (T, J, 3) where the joints are.
+    """
+    a, b = alone(a), alone(b)
+    off_a, off_b = (
+        np.nan_to_num(np.linalg.norm(view - truth, axis=2), nan=np.inf) for view in (a, b)
+    )  # (T, J)
+    return np.where((off_a <= off_b)[..., None], a, b)

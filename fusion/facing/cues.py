@@ -74,7 +74,7 @@ def _axis(model, state, view, girdle, states, up):  # type: ignore[no-untyped-de
 @inner_kernel
 def _offset(positions, i, j, k, sign, out):  # type: ignore[no-untyped-def]
     """How far joint j stands off the line from i to k: perpendicular to it, times the sign."""
-    along, squared = 0.0, 1e-9
+    along, squared = 0.0, 1e-12  # a line of no length has no offset
     for c in range(3):
         line = positions[k, c] - positions[i, c]
         along += (positions[j, c] - positions[i, c]) * line

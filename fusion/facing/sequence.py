@@ -118,10 +118,10 @@ def run(
 
 
 @kernel
-def _forward(
+def _forward(  # type: ignore[no-untyped-def]
     model, state, seconds, a, b, states_a, states_b, sensor_b, up, stale,
     codes, facing, doubt, probability, mirrored, beliefs, likelihoods, shares, chances,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     for k in range(len(seconds)):
         update_facing(
             model,
@@ -193,23 +193,10 @@ def _backward(model, state, seconds, beliefs, likelihoods, shares, chances):  # 
 
 
 @kernel
-def _label(
-    model,
-    state,
-    old,
-    seconds,
-    a,
-    b,
-    states_a,
-    states_b,
-    stale,
-    codes,
-    facing,
-    doubt,
-    probability,
-    mirrored,
-    beliefs,
-):  # type: ignore[no-untyped-def]
+def _label(  # type: ignore[no-untyped-def]
+    model, state, old, seconds, a, b, states_a, states_b, stale,
+    codes, facing, doubt, probability, mirrored, beliefs,
+):  # fmt: skip
     """The answers of a recording from the smoothed beliefs of the whole body."""
     make_headings(state, old.frame_up)
     for k in range(len(seconds)):

@@ -55,7 +55,7 @@ def write_bvh(session: Session, path: Path) -> str:
     present = np.isfinite(at).all(axis=(1, 2))
     if not present.any():
         since = f" from frame {first} on, where its bones got their last lengths" if first else ""
-        raise RecordingError(f"{session.path} has no frame with an S*{since}; there is nothing to export.")
+        raise RecordingError(f"{session} has no frame with an S*{since}; there is nothing to export.")
     held = np.maximum.accumulate(np.where(present, np.arange(len(at)), -1))
     held[held < 0] = int(np.argmax(present))
     at = at[held]

@@ -40,7 +40,7 @@ def write_c3d(session: Session, path: Path) -> str:
     if len(even.index) > _MOST_FRAMES:
         raise RecordingError(
             f"A .c3d holds {_MOST_FRAMES} frames, {_MOST_FRAMES / even.rate / 60:.0f} min at "
-            f"{even.rate:.6g} Hz; {session.path} has {len(even.index)}. Export it in parts made with "
+            f"{even.rate:.6g} Hz; {session} has {len(even.index)}. Export it in parts made with "
             "`duplex trim`, or as .trc."
         )
     at = at_even_frames(session.rows.fused, even) * 1e3  # (N, J, 3)

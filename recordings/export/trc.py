@@ -20,7 +20,7 @@ def write_trc(session: Session, path: Path) -> str:
     joints, rate = rows.body.joints, f"{even_frames(rows).rate:.6g}"
     T, J = len(rows), len(joints)
     lines = [
-        f"PathFileType\t4\t(X/Y/Z)\t{session.path.stem}.trc",
+        f"PathFileType\t4\t(X/Y/Z)\t{session.name.removesuffix('.rrd')}.trc",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
         f"{rate}\t{rate}\t{T}\t{J}\tmm\t{rate}\t1\t{T}",
         "Frame#\tTime\t" + "\t\t\t".join(joints) + "\t\t",

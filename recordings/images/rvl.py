@@ -45,7 +45,7 @@ def decode_depth(blob: bytes) -> NDArray[np.uint16]:
     return depth.reshape(height, width)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _put(value, words, at, word, nibbles):  # type: ignore[no-untyped-def]
     while True:
         nibble = value & 7
@@ -61,7 +61,7 @@ def _put(value, words, at, word, nibbles):  # type: ignore[no-untyped-def]
             return at, word, nibbles
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _encode(pixels, words):  # type: ignore[no-untyped-def]
     at, word, nibbles, i, size = 0, 0, 0, 0, len(pixels)
     previous = np.int64(0)
@@ -85,7 +85,7 @@ def _encode(pixels, words):  # type: ignore[no-untyped-def]
     return at
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _get(words, nibble):  # type: ignore[no-untyped-def]
     """The value at a nibble and the nibble after it; -1 where the words end before the value."""
     value, shift = np.int64(0), 0
@@ -99,7 +99,7 @@ def _get(words, nibble):  # type: ignore[no-untyped-def]
     return np.int64(-1), nibble
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _decode(words, pixels):  # type: ignore[no-untyped-def]
     """Whether the words were a whole image."""
     i, nibble, previous, size = 0, 0, 0, len(pixels)

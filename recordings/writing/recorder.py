@@ -7,8 +7,6 @@ Both ways give the same layout, because both come from the same list of what a f
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -27,6 +25,7 @@ from recordings.images.rvl import MEDIA_TYPE, encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.writing.frame_streams import frame_streams
+from recordings.writing.properties import session_properties
 from recordings.writing.sensor_stream_log import StreamFiguresLog
 
 _MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
@@ -74,7 +73,7 @@ class Recorder:
         self._matrix = TrustMatrix(setup.calibration.body, draft_ns, hasty=points)
         self._lanes = StateLanes()
         self._log_static(setup)
-        properties = self._properties(setup, sources, about or {})
+        properties = session_properties(setup, sources, about or {})
         for name, values in properties.items():
             stream.send_property(name, rr.AnyValues(**values))
         stream.send_property("check", rr.AnyValues(crc32=properties_checksum(properties)))
@@ -274,29 +273,6 @@ class Recorder:
         once(layout.MATRIX_FRAME, beneath)
         once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))
         once(layout.TRUTH_SKELETON, appearance.joint_look(body, "truth"))
-
-    def _properties(
-        self, setup: FusionSetup, sources: tuple[str, str], about: Mapping[str, str | int]
-    ) -> dict[str, dict[str, Any]]:
-        """What a replay needs, and what a person asks of a file."""
-
-        def camera(intrinsics: Any) -> list[float]:
-            i = intrinsics
-            return [i.width, i.height, i.fx, i.fy, i.cx, i.cy, *i.distortion]
-
-        return {
-            "session": {
-                "layout_version": layout.VERSION,
-                "written_by": f"duplex-kinects {version('duplex-kinects')}",
-                "body": self._calibration.body.name,
-                "bone_names": [name or "root" for name in self._calibration.body.bones],
-                "source_a": sources[0],
-                "source_b": sources[1],
-                **about,
-            },
-            "settings": asdict(setup.settings),
-            "intrinsics": {"a": camera(setup.intrinsics_a), "b": camera(setup.intrinsics_b)},
-        }
 
 
 def _times(rows: SessionArrays) -> list[rr.TimeColumn]:

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 from scipy.stats import binomtest
 
 from fusion.body import BODIES, Body
 from fusion.solvers.solver import MAX_ITERATIONS, Solution
 from fusion.solvers.tree_solver import TreeSolver
+from viewer_app.bench.scipy_solver import slsqp_optimum
 
 BONE_TOLERANCE = 1e-6  # m, the claim
 # m: force over the information it acts on, as if it were a joint's distance from its target. The solver's
@@ -115,41 +115,9 @@ def slsqp(
 
     With (J, 3, 3) ``information`` W instead of the problem's weights.
     """
-    child = problem.body.bone_joints
-    parent = problem.body.parent_indices[child]
-    W = problem.weights[:, None, None] * np.eye(3) if information is None else information
-    scale = W.max()
-    W = W / scale
-    targets = np.where(problem.weights[:, None] > 0, problem.targets, 0.0)
-    rows = np.arange(len(child))
-
-    def constraint(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        bone = x.reshape(-1, 3)[child] - x.reshape(-1, 3)[parent]
-        return 0.5 * ((bone**2).sum(axis=1) - problem.lengths[child] ** 2)
-
-    def jacobian(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        bone = x.reshape(-1, 3)[child] - x.reshape(-1, 3)[parent]
-        result = np.zeros((len(child), len(problem.body), 3))
-        result[rows, child], result[rows, parent] = bone, -bone
-        return result.reshape(len(child), -1)
-
-    def pull(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return (W @ (x.reshape(-1, 3) - targets)[:, :, None])[:, :, 0]
-
-    found = minimize(
-        lambda x: float(((x.reshape(-1, 3) - targets) * pull(x)).sum()),
-        start.ravel(),
-        jac=lambda x: 2 * pull(x).ravel(),
-        constraints={"type": "eq", "fun": constraint, "jac": jacobian},
-        method="SLSQP",
-        options={"maxiter": 1000, "ftol": 1e-15},
-    )
-    positions = found.x.reshape(-1, 3)
-    return (
-        positions,
-        float(found.fun * scale),
-        bone_error(problem, positions) < BONE_TOLERANCE,
-    )
+    W = problem.weights if information is None else information
+    found = slsqp_optimum(problem.body, problem.targets, W, problem.lengths, start)
+    return found.positions, found.objective, bone_error(problem, found.positions) < BONE_TOLERANCE
 
 
 def run(count: int, first: int) -> tuple[Counter[str], NDArray[np.int64], list[int]]:

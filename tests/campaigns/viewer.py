@@ -25,11 +25,14 @@ from devices.simulated.real_time import paced_together
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
-from fusion.setup import FuserSettings, FusionSetup
+from fusion.setup import FusionSetup
+from recordings.session_arrays import RecordedFrame
 from tests.campaigns.soak import GROWTH_MB, SETTLED_S, resident_mb
 from tests.helpers.live_frames import numbers_in
 from viewer_app.loop.live_loop import Status, run_live
-from viewer_app.sinks.live_session import LiveSession, Viewing
+from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.sink import FanOut
+from viewer_app.sinks.viewer_sink import ShownSession, Viewing
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.rerun_process import Hub, stop
 
@@ -73,9 +76,9 @@ def campaign(seconds: float, kills: int, path: Path, hub_too: bool = False) -> C
         LiveSession(nominal, (a.name, b.name), blueprint, file=path, viewing=viewing) as session,
         TwoSensors(*paced_together(a, b)) as sensors,
     ):
-        assert session._window is not None
-        assert session._feed is not None
-        window, feed = session._window, session._feed
+        assert isinstance(session.viewer, ShownSession)
+        assert session.viewer.window is not None
+        window, feed = session.viewer.window, session.viewer.feed
         begun = time.perf_counter()
 
         def kill() -> None:
@@ -97,31 +100,20 @@ def campaign(seconds: float, kills: int, path: Path, hub_too: bool = False) -> C
                 seen.memory.append((now, resident_mb()))
             return True
 
-        class Timed:
-            """The session, with a watch beside ``record``."""
+        class Timed(FanOut):
+            """The session, with a watch beside ``write``."""
 
-            def __getattr__(self, name: str) -> object:
-                return getattr(session, name)
-
-            def record(self, frame: object) -> None:
+            def write(self, frame: RecordedFrame) -> None:
                 before = time.perf_counter()
-                session.record(frame)  # type: ignore[arg-type]
+                super().write(frame)
                 seen.slowest_ms = max(seen.slowest_ms, 1e3 * (time.perf_counter() - before))
 
         killer = threading.Thread(target=kill, daemon=True)
         killer.start()
-        run_live(
-            sensors,
-            body=AZURE_KINECT,
-            settings=FuserSettings(),
-            intrinsics=(a.intrinsics, b.intrinsics),
-            calibration=None,
-            recorder_for=lambda _: Timed(),  # type: ignore[arg-type, return-value]
-            go_on=look,
-        )
+        run_live(sensors, nominal, Timed((session,)), go_on=look)
         killer.join()
         seen.dropped = sensors.a.dropped, sensors.b.dropped
-        seen.windows, seen.hubs, seen.not_shown = window.starts, feed.starts, session.dropped
+        seen.windows, seen.hubs, seen.not_shown = window.starts, feed.starts, session.viewer.dropped
     stop(window.process)
     seen.in_file = numbers_in(path)
     return seen

@@ -70,7 +70,7 @@ def test_a_missing_sdk_closes_the_recording_again(path: Path, tmp_path: Path) ->
 
 
 class _Saved:
-    name, body, intrinsics = "saved.csv", KINECT_V2, None
+    name, body, intrinsics, warnings = "saved.csv", KINECT_V2, None, ()
 
     def __init__(self, times: list[int]) -> None:
         self.times = times

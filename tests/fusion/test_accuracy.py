@@ -141,3 +141,14 @@ def test_the_kalman_filter_settles_on_a_still_person_and_follows_a_steady_one() 
     assert np.linalg.norm(found - line, axis=2)[50:].mean() < raw / np.sqrt(2)
     # the steady-state filter of a constant velocity has no bias
     assert np.abs((found - line)[50:].mean(axis=(0, 1))).max() < 4 * 0.02 / np.sqrt(250 * 20)
+
+
+def test_coverage_is_the_share_within_what_a_method_states(truth: np.ndarray) -> None:
+    rng = np.random.default_rng(1)
+    sd = rng.uniform(0.005, 0.05, TRACKED.shape)
+    found = truth + sd[..., None] * rng.normal(size=truth.shape)
+    of = accuracy(KINECT_V1, found, truth, TRACKED, TRACKED, DT, sd)
+    # 9,000 coordinates: a share of 0.68 is known to 0.005
+    assert of.within_1sd == pytest.approx(0.6827, abs=0.015)
+    assert of.within_2sd == pytest.approx(0.9545, abs=0.008)
+    assert np.isnan(measure(found, truth).within_1sd)

@@ -3,11 +3,11 @@ import pytest
 
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V1, Body
 from fusion.calibration.bone_lengths import measure_bone_lengths
-from fusion.calibration.calibration import (
+from fusion.calibration.calibration import calibrate
+from fusion.calibration.start_up_pose import (
     StartUpPose,
     _tremble,
     _window_tremble,
-    calibrate,
     find_start_up_pose,
     limbs_apart,
 )

@@ -11,11 +11,12 @@ from devices.sensor import SensorFrame
 from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
+from recordings.fusing import fuse_one
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 from tests.helpers.two_views import FRAME_NS, calibration_of, pair_of, standing
-from viewer_app.loop.fusing import fuse_one
-from viewer_app.sinks.live_session import LiveSession, Viewing
+from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.rerun_process import Hub
 

@@ -26,6 +26,7 @@ class ScriptedSensor:
 
     body: Body = AZURE_KINECT
     intrinsics: Intrinsics | None = None
+    warnings = ()
 
     def __init__(self, name: str = "000123", open_faults: list[Exception] | None = None) -> None:
         self.name = name

@@ -13,12 +13,12 @@ _PROGRAM = """
 import sys
 from viewer_app import cli
 from viewer_app.sinks.live_session import LiveSession
-record = LiveSession.record
+record = LiveSession.write
 def telling(session, frame):
     record(session, frame)
     sys.stderr.write(".")
     sys.stderr.flush()
-LiveSession.record = telling
+LiveSession.write = telling
 sys.argv[1:] = ["demo", "--no-viewer", "--save", *sys.argv[1:]]
 cli.script()
 """

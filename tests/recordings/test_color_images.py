@@ -17,11 +17,11 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from recordings import layout
+from recordings.fusing import fuse_one
 from recordings.images.color_images import read_color
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
-from viewer_app.loop.fusing import fuse_one
 
 ALL = range(100)
 _TURN = RigidTransform.of([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [-0.032, 0.002, 0.004])

@@ -14,7 +14,7 @@ from recordings.export import writer_for
 from recordings.export.even_frames import EvenFrames, even_frames
 from recordings.session import Session
 from recordings.testing import record_fused
-from recordings.writing.rewritten_session import rewrite
+from recordings.writing.session_writer import write_session
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.two_views import calibration_of
@@ -146,7 +146,7 @@ def test_bvh_has_the_frames_of_the_last_bone_lengths_and_says_so(tmp_path: Path)
     assert "18 frames at an even 30 Hz; without the 12 frames before" in said
     assert "duplex trim --to 0.383" in said  # between frames 11 and 12
     np.testing.assert_allclose(bvh_joints(path, KINECT_V2), y_up(session.rows.fused[12:]), atol=1e-4)
-    rewrite(session, tmp_path / "before.rrd", None, 0, 12)
+    write_session(session, tmp_path / "before.rrd", first=0, end=12)
     before = Session.open(tmp_path / "before.rrd")
     assert "without" not in writer_for(path)(before, path)
     np.testing.assert_allclose(bvh_joints(path, KINECT_V2), y_up(session.rows.fused[:12]), atol=1e-4)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
-import resource
 import shutil
 import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -21,6 +19,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from devices.image_thinning import without_images
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
@@ -38,10 +37,8 @@ from tests.helpers.telling_demo import telling_demo, wait_for_frames
 from tests.helpers.two_views import calibration_of
 from tests.helpers.waiting import eventually
 from viewer_app.cli import main
-from viewer_app.loop.image_thinning import without_images
 from viewer_app.sinks import compact_copy, session_file
 from viewer_app.sinks.session_file import SessionFile
-from viewer_app.sinks.viewer_feed import Note
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -55,7 +52,7 @@ def closed() -> Iterator[None]:
     yield
     while _MADE:
         with suppress(OSError):
-            _MADE.pop().close(whole=False)
+            _MADE.pop().close()
 
 
 @pytest.fixture(autouse=True)
@@ -110,11 +107,12 @@ def test_it_is_the_same_session_as_one_written_at_once(
     fuser, frames = fused_frames(50)
     file = growing_file(tmp_path / "s.rrd", fuser)
     for number, frame in enumerate(frames):
-        file.offer((number, frame))
+        file.write(frame)
         if number in (9, 29):
             assert eventually(lambda: file.waiting == 0)
-            file.offer(Note(f"after {number}", "WARN"))
-    file.close(whole=True)
+            file.event(f"after {number}", "WARN")
+    file.finish()
+    file.close()
     assert file.saved == 50
     at_once = record_fused(tmp_path / "o.rrd", [frame.pair for frame in frames], calibration_of(KINECT_V1))
     session = Session.open(tmp_path / "s.rrd")
@@ -151,11 +149,12 @@ def test_images_are_written_as_they_come_and_skeletons_in_blocks(
     fuser, frames = fused_frames(10, depth=True)
     frames[0] = replace(frames[0], pair=without_images(frames[0].pair))  # the first begins the session
     file = growing_file(tmp_path / "s.rrd", fuser)
-    for number, frame in enumerate(frames):
-        file.offer((number, frame))
+    for frame in frames:
+        file.write(frame)
     assert eventually(lambda: written[:10] == list(range(10)))
     assert blocks == []
-    file.close(whole=True)
+    file.finish()
+    file.close()
     assert blocks == [list(range(10))]
     session = Session.open(tmp_path / "s.rrd")
     at_once = record_fused(tmp_path / "o.rrd", [frame.pair for frame in frames], calibration_of(KINECT_V1))
@@ -169,23 +168,23 @@ def test_images_are_written_as_they_come_and_skeletons_in_blocks(
 
 
 def test_the_file_waits_for_who_goes_first(tmp_path: Path) -> None:
-    over = threading.Event()
+    asked, over = threading.Event(), threading.Event()
     fuser, frames = fused_frames(3)
-    file = growing_file(tmp_path / "s.rrd", fuser, turn=lambda seconds: over.wait(5.0))
-    file.offer((0, frames[0]))
-    time.sleep(0.2)
+    file = growing_file(tmp_path / "s.rrd", fuser, turn=lambda seconds: (asked.set(), over.wait(5.0)))
+    file.write(frames[0])
+    assert asked.wait(5.0)
     assert file.waiting == 1
     over.set()
     assert eventually(lambda: file.saved == 1)
-    file.close(whole=False)
+    file.close()
 
 
 def test_it_can_be_read_while_it_grows(tmp_path: Path) -> None:
     path = tmp_path / "s.rrd"
     fuser, frames = fused_frames(40, depth=True)
     file = growing_file(path, fuser)
-    for number, frame in enumerate(frames[:20]):
-        file.offer((number, frame))
+    for frame in frames[:20]:
+        file.write(frame)
     assert eventually(lambda: frames_in(path) == 20)
     session = Session.open(path)
     assert (session.damage, session.frames_lost) == ("it was not ended", 0)
@@ -193,9 +192,10 @@ def test_it_can_be_read_while_it_grows(tmp_path: Path) -> None:
     with pytest.warns(rr.error_utils.RerunWarning, match="no footer"):  # and Rerun reads it all the same
         chunks = rr.chunk.RrdReader(path).stream().to_chunks()
     assert sum(chunk.num_rows for chunk in chunks if chunk.entity_path == "/fused/skeleton") == 20 + 1
-    for number, frame in enumerate(frames[20:], 20):
-        file.offer((number, frame))
-    file.close(whole=True)
+    for frame in frames[20:]:
+        file.write(frame)
+    file.finish()
+    file.close()
     session = Session.open(path)
     assert (len(session), session.damage) == (40, None)
     assert [frame for frame, _ in session.depth("b")] == [n for n in range(40) if n != 5]
@@ -206,10 +206,12 @@ def grown(path: Path, whole: bool) -> Path:
     fuser, frames = fused_frames(200)
     file = growing_file(path, fuser)
     for number, frame in enumerate(frames):
-        file.offer((number, frame))
+        file.write(frame)
         if number % 10 == 9:
             assert eventually(lambda: file.saved == number + 1)  # noqa: B023
-    file.close(whole)
+    if whole:
+        file.finish()
+    file.close()
     assert frames_in(path) == 200
     return path
 
@@ -226,9 +228,10 @@ def test_a_copy_that_fails_leaves_the_file_that_grew(tmp_path: Path, monkeypatch
     monkeypatch.setattr(compact_copy.shutil, "copyfile", full)
     fuser, frames = fused_frames(20)
     file = growing_file(tmp_path / "s.rrd", fuser)
-    for number, frame in enumerate(frames):
-        file.offer((number, frame))
-    file.close(whole=True)
+    for frame in frames:
+        file.write(frame)
+    file.finish()
+    file.close()
     assert file.failure is None
     session = Session.open(tmp_path / "s.rrd")
     assert (len(session), session.damage) == (20, None)
@@ -240,13 +243,15 @@ def test_a_file_of_the_name_stays_until_there_is_something_to_put_there(tmp_path
     path.write_text("precious")
     fuser, frames = fused_frames(10)
     file = growing_file(path, fuser, overwrite=True)
-    file.offer(Note("nobody there"))
-    file.close(whole=True)
+    file.event("nobody there")
+    file.finish()
+    file.close()
     assert path.read_text() == "precious"
     file = growing_file(path, fuser, overwrite=True)
-    for number, frame in enumerate(frames):
-        file.offer((number, frame))
-    file.close(whole=True)
+    for frame in frames:
+        file.write(frame)
+    file.finish()
+    file.close()
     assert frames_in(path) == 10
     assert [path.name for path in tmp_path.iterdir()] == ["s.rrd"]
 
@@ -256,9 +261,10 @@ def test_a_file_that_came_in_between_is_not_overwritten(tmp_path: Path) -> None:
     fuser, frames = fused_frames(10)
     file = growing_file(path, fuser)
     path.write_text("precious")
-    for number, frame in enumerate(frames):
-        file.offer((number, frame))
-    file.close(whole=True)
+    for frame in frames:
+        file.write(frame)
+    file.finish()
+    file.close()
     assert file.failure is not None
     assert "File exists" in file.failure
     assert path.read_text() == "precious"
@@ -306,13 +312,14 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
     said: list[str] = []
     file = growing_file(path, fuser, on_failure=said.append)
     for number, frame in enumerate(frames):
-        file.offer((number, frame))
+        file.write(frame)
         if number == 9:
             assert eventually(lambda: file.saved == 10)
             disk.fail()
         if number > 9 and number % 40 == 0:
             assert eventually(lambda: file.waiting == 0)
-    file.close(whole=True)
+    file.finish()
+    file.close()
     assert file.failure is not None
     assert disk.words in file.failure
     assert f"not saved from frame {file.saved} on" in file.failure
@@ -325,6 +332,7 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
 
 
 def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource", reason="only POSIX limits the size of a process's files")
     path, limit = tmp_path / "s.rrd", 850_000  # what is static, and some seconds
     arguments = ("--seconds", "10", "--depth", "none", "--no-viewer", "--save", str(path))
     done = subprocess.run(
@@ -407,7 +415,8 @@ def test_the_threads_end_with_the_file(tmp_path: Path) -> None:
     before = threading.active_count()
     for k in range(3):
         file = growing_file(tmp_path / f"{k}.rrd", fuser)
-        file.offer((0, frames[0]))
-        file.close(whole=True)
+        file.write(frames[0])
+        file.finish()
+        file.close()
     assert threading.active_count() == before
     np.testing.assert_array_equal([frames_in(tmp_path / f"{k}.rrd") for k in range(3)], 1)

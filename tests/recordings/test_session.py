@@ -24,7 +24,7 @@ from recordings.session_arrays import RecordedFrame
 from recordings.testing import FusedRun, assert_sessions_match, fused_run, record_fused
 from recordings.writing.checksums import event_checksum, frame_checksums, fused_checksums
 from recordings.writing.recorder import Recorder
-from recordings.writing.rewritten_session import rewrite
+from recordings.writing.session_writer import write_session
 from tests.campaigns import sessions as campaign_sessions
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
@@ -118,7 +118,7 @@ def test_depth_comes_back_exactly_and_only_when_asked_for(fused_run: FusedRun) -
 
 def test_a_rewritten_session_has_the_same_frames(fused_run: FusedRun, tmp_path: Path) -> None:
     session = fused_run(frame_pairs(KINECT_V1, 30, depth=True), calibration_of(KINECT_V1), depth_every=1)
-    rewrite(session, tmp_path / "part.rrd", None, 10, 25)
+    write_session(session, tmp_path / "part.rrd", first=10, end=25)
     part = Session.open(tmp_path / "part.rrd")
     assert (len(part), part.first_frame, part.damage) == (15, 10, None)
     np.testing.assert_array_equal(part.rows.fused, session.rows.fused[10:25])
@@ -237,7 +237,7 @@ def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path: Pa
     # S* is kept in float32: at 4 m its ends are within half of 2⁻²² m on each axis
     assert session.rows.bone_error.max() < 2 * np.sqrt(3) * 2.0**-23
     trimmed = tmp_path / "t.rrd"
-    rewrite(session, trimmed, first=3, end=8)
+    write_session(session, trimmed, first=3, end=8)
     np.testing.assert_array_equal(Session.open(trimmed).rows.bone_lengths, session.rows.bone_lengths[3:8])
 
 

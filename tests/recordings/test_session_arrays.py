@@ -9,10 +9,10 @@ import numpy as np
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
+from recordings.fusing import fuse_one
 from recordings.session_arrays import SessionArrays
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
-from viewer_app.loop.fusing import fuse_one
 
 
 def test_disagreement_is_the_median_over_the_joints_that_both_see() -> None:

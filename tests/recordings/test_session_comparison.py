@@ -13,7 +13,7 @@ from recordings.errors import RecordingError
 from recordings.session import Session
 from recordings.session_comparison import Comparison, jitter_of
 from recordings.testing import FusedRun, fused_run
-from recordings.writing.rewritten_session import rewrite
+from recordings.writing.session_writer import write_session
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 
@@ -87,7 +87,7 @@ def test_only_fusions_of_the_same_skeletons_are_compared(fused_run: FusedRun, tm
     with pytest.raises(RecordingError, match="40 frames of the same time, but S_A or S_B of frame 0"):
         Comparison.of(one, chance)
     again = fused_run(frame_pairs(KINECT_V1, 40), calibration, FuserSettings("paper", h=0.9))
-    rewrite(again, tmp_path / "part.rrd", None, 10, 30)
+    write_session(again, tmp_path / "part.rrd", first=10, end=30)
     part = Comparison.of(one, Session.open(tmp_path / "part.rrd"))
     assert part.first.frame.tolist() == list(range(10, 30))
     assert part.second.frame.tolist() == list(range(20))

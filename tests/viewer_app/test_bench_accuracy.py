@@ -2,7 +2,6 @@
 
 import io
 import json
-import re
 from contextlib import redirect_stdout
 from pathlib import Path
 
@@ -13,13 +12,26 @@ from rich.console import Console
 
 from devices.simulated.realism.pair_statistics import PairStatistics
 from devices.simulated.realism.reference_figures import PUBLISHED, REASONS
-from devices.simulated.tracking.tracker_errors import JointGroups
-from viewer_app.bench.accuracy_tables import clearly_best, over_seeds, table_by, tables_of_methods, wins
-from viewer_app.bench.accuracy_trials import METHODS, Outcome, Trial
+from devices.simulated.tracking.harsher_errors import heavy_tailed, scaled
+from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
+from fusion.body import KINECT_V2
+from viewer_app.bench.accuracy_methods import ABLATIONS, METHODS, OURS
+from viewer_app.bench.accuracy_tables import (
+    clearly_best,
+    lost_to,
+    over_seeds,
+    rivals_of,
+    said_of_losses,
+    table_by,
+    tables_of_methods,
+    wins,
+)
+from viewer_app.bench.accuracy_trials import Outcome, Simulation, Trial, run_trials
 from viewer_app.cli import main
 
 FIGURES = ("mpjpe", "p95", "hidden_one", "hidden_both", "bone_error", "bone_deviation", "jitter",
-           "acceleration", "swapped", "lag", "fuse_us")  # fmt: skip
+           "acceleration", "swapped", "lag", "within_1sd", "within_2sd", "fuse_us")  # fmt: skip
+NAMES = tuple(method.name for method in METHODS)
 
 
 def made_up(size: dict[str, float] | None = None) -> list[Outcome]:
@@ -34,7 +46,7 @@ def made_up(size: dict[str, float] | None = None) -> list[Outcome]:
         for motion in ("basketball", "still")
         for angle in (45.0, 135.0)
         for seed in range(3)
-        for method in METHODS
+        for method in NAMES
     ]
 
 
@@ -47,17 +59,18 @@ def printed(outcomes: list[Outcome]) -> str:
 
 
 def test_the_tables_can_be_read_at_80_columns() -> None:
-    assert "…" not in printed(made_up(dict.fromkeys(METHODS, 100.0)))
-    text = printed(made_up(dict.fromkeys(METHODS, 0.4)))
+    assert "…" not in printed(made_up(dict.fromkeys(NAMES, 100.0)))
+    text = printed(made_up(dict.fromkeys(NAMES, 0.4)))
     assert "…" not in text
     assert max(len(line) for line in text.splitlines()) <= 80
-    for method in METHODS:
+    for method in NAMES:
         rows = [
             line.split(method)[1].split() for line in text.splitlines() if line.startswith(f"  {method} ")
         ]
-        distances, movement = rows
-        assert all(cell.count("±") == 1 for cell in (*distances[:-1], *movement))
-        assert (len(distances), len(movement)) == (6, 5)
+        distances, movement, certainty, by_movement = rows
+        assert all(cell.count("±") == 1 for cell in (*distances[:-1], *movement, *certainty))
+        assert (len(distances), len(movement), len(certainty)) == (6, 5, 2)
+        assert len(by_movement) == (3 if method == OURS else 4)
 
 
 def test_a_trial_counts_only_where_every_method_has_the_figure() -> None:
@@ -66,14 +79,14 @@ def test_a_trial_counts_only_where_every_method_has_the_figure() -> None:
         outcome.figures["lag"] = 1.0 if outcome.trial.motion == "still" else 5.0
         if outcome.method == "B alone" and outcome.trial.motion == "basketball":
             outcome.figures["lag"] = np.nan
-    for method in METHODS:
+    for method in NAMES:
         assert over_seeds(outcomes, method, "lag").tolist() == [1.0, 1.0, 1.0]
     assert "lag 6 of 12" in " ".join(printed(outcomes).split())
 
 
-@pytest.mark.parametrize(("lead", "best"), [(0.0, None), (0.5, "Kalman")])
+@pytest.mark.parametrize(("lead", "best"), [(0.0, None), (0.5, "Kalman, refined")])
 def test_only_a_difference_beyond_its_spread_is_bold(lead: float, best: str | None) -> None:
-    assert clearly_best(made_up({"Kalman": 1.0 - lead}), "mpjpe") == best
+    assert clearly_best(made_up({"Kalman, refined": 1.0 - lead}), "mpjpe") == best
 
 
 @pytest.mark.parametrize(
@@ -87,6 +100,11 @@ def test_only_a_difference_beyond_its_spread_is_bold(lead: float, best: str | No
         (("--recordings", "real"), "add --set real"),
         (("--motions", "walk", "fly"), "got fly"),
         (("--angles", "nan"), "between 0 and 180 degrees; got nan"),
+        (("--first-seed", "-1"), "--first-seed must be 0 or more; got -1"),
+        (("--errors", "0"), "--errors must be a factor above 0, at most 10; got 0.0"),
+        (("--errors", "nan"), "--errors must be a factor above 0, at most 10; got nan"),
+        (("--processes", "-1"), "--processes must be 0 or more; got -1"),
+        (("--methods", "mean, refined", "magic"), "Got magic."),
         (("--seconds", "1"), "leave less than a second after the start-up pose"),
     ],
 )
@@ -143,12 +161,12 @@ def test_a_benchmark_writes_every_figure_of_every_method_on_every_recording(
     document = json.loads((folder / "a.json").read_text(encoding="utf-8"))
     rows = document["trials"]
     assert [(row["motion"], row["angle_deg"], row["seed"], row["method"]) for row in rows] == [
-        ("arms", 90.0, seed, method) for seed in (0, 1) for method in METHODS
+        ("arms", 90.0, seed, method) for seed in (0, 1) for method in NAMES
     ]
     for row in rows:
         assert set(FIGURES) < set(row)
         assert 0.0 < row["mpjpe"] < row["p95"]
-    ours, published = ([row for row in rows if row["method"] == method] for method in ("ours", "paper"))
+    ours, published = ([row for row in rows if row["method"] == method] for method in (OURS, "published"))
     for one, other in zip(ours, published, strict=True):
         assert one["bone_deviation"] < 1e-9 < other["bone_deviation"]
     picture = cv2.imread(str(folder / "a.png"))
@@ -160,24 +178,75 @@ def test_what_a_benchmark_prints_is_what_it_wrote(measured: tuple[Path, str]) ->
     folder, said = measured
     rows = json.loads((folder / "a.json").read_text(encoding="utf-8"))["trials"]
     assert "…" not in said
-    mpjpe = {m: np.array([row["mpjpe"] for row in rows if row["method"] == m]) for m in METHODS}
-    line = next(line for line in said.splitlines() if line.startswith("  arms "))
-    assert line.split()[1:] == [f"{1e3 * mpjpe[m].mean():.1f}" for m in METHODS]
-    shares = said.splitlines()[said.splitlines().index(line) + 1]
-    assert re.findall(r"\d+%", shares) == [f"{np.mean(mpjpe['ours'] < mpjpe[m]):.0%}" for m in METHODS[:-1]]
-    for method in METHODS:
+    mpjpe = {m: np.array([row["mpjpe"] for row in rows if row["method"] == m]) for m in NAMES}
+    by_movement = said[said.index("MPJPE in mm by movement") : said.index("MPJPE in mm by angle")]
+    for method in NAMES:
         row = next(line for line in said.splitlines() if line.startswith(f"  {method} "))
         spread = 1e3 * mpjpe[method].std(ddof=1)
         assert f" {1e3 * mpjpe[method].mean():.1f}±{spread:.1f} " in row
+        row = next(line for line in by_movement.splitlines() if line.startswith(f"  {method} "))
+        mean = f"{1e3 * mpjpe[method].mean():.1f}"
+        nearer = [] if method == OURS else [f"{np.mean(mpjpe[OURS] < mpjpe[method]):.0%}"]
+        assert row.removeprefix(f"  {method} ").split() == [mean, mean, *nearer]
 
 
 def test_wins_are_counted_recording_by_recording() -> None:
     outcomes = made_up()
     for outcome in outcomes:
         nearer = outcome.trial.motion == "still" and outcome.trial.seed > 0  # 4 of 12 recordings
-        outcome.figures["mpjpe"] = {"ours": 1.0, "Kalman": 2.0 if nearer else 0.9}.get(outcome.method, 3.0)
-    assert wins(outcomes, "Kalman") == pytest.approx(4 / 12)
-    assert wins(outcomes, "mean") == 1.0
+        kalman = 2.0 if nearer else 0.9
+        outcome.figures["mpjpe"] = {OURS: 1.0, "Kalman, refined": kalman}.get(outcome.method, 3.0)
+    assert wins(outcomes, "Kalman, refined") == pytest.approx(4 / 12)
+    assert wins(outcomes, "mean, refined") == 1.0
+
+
+def test_where_another_method_is_nearer_on_average_is_said() -> None:
+    outcomes = made_up(dict.fromkeys(NAMES, 2.0) | {OURS: 1.0, "oracle": 0.1})
+    assert lost_to(outcomes) == []
+    assert "In each of 4 movements × angles" in said_of_losses(outcomes)[0]
+    for outcome in outcomes:
+        at = outcome.trial.motion, outcome.trial.angle
+        if outcome.method == "mean, refined" and at == ("still", 135.0):
+            outcome.figures["mpjpe"] = 0.5
+    ((motion, angle, method, by),) = lost_to(outcomes)
+    assert (motion, angle, method) == ("still", 135.0, "mean, refined")
+    assert 0.5 < by < 0.7
+    assert "In 1 of 4 movements × angles" in said_of_losses(outcomes)[0]
+    assert "oracle" not in rivals_of(outcomes)
+
+
+def test_the_oracle_is_never_the_best() -> None:
+    assert clearly_best(made_up({"oracle": 0.0}), "mpjpe") is None
+
+
+def test_names_are_unique_and_fit_their_column() -> None:
+    names = [method.name for method in (*METHODS, *ABLATIONS)]
+    assert len(set(names)) == len(names)
+    assert max(map(len, names)) <= 18
+    assert OURS in names
+
+
+def test_two_processes_find_what_one_finds() -> None:
+    trials = [Trial("arms", 90.0, seed) for seed in (7, 8)]
+    simulation = Simulation(seconds=6.0)
+    one, two = (list(run_trials(trials, simulation, ["mean, refined"], n)) for n in (1, 2))
+    assert [[o.trial for o in of] for of in two] == [[t] for t in trials]
+    for a, b in zip(one, two, strict=True):
+        for name in set(FIGURES) - {"fuse_us"}:
+            np.testing.assert_equal(b[0].figures[name], a[0].figures[name])
+
+
+def test_harsher_trackers_are_harsher() -> None:
+    trial = [Trial("arms", 90.0, 3)]
+    ((plain,),), ((larger,),) = (
+        list(run_trials(trial, simulation, ["mean, refined"]))
+        for simulation in (Simulation(seconds=6.0), Simulation(seconds=6.0, errors=1.5))
+    )
+    # all errors times 1.5, and more joints hidden: the mean distance grows by about as much
+    assert 1.25 < larger.figures["mpjpe"] / plain.figures["mpjpe"] < 2.0
+    tails = heavy_tailed(TrackerErrors.of(KINECT_V2))
+    assert Simulation("kinect_v2", tracker_errors="heavy-tailed").errors_of_tracker() == tails
+    assert Simulation("kinect_v2", 9.0, 2.0, "heavy-tailed").errors_of_tracker() == scaled(tails, 2.0)
 
 
 def test_set_real_says_which_published_figures_are_out_and_why(

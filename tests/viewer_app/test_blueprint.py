@@ -48,7 +48,7 @@ def saved(path: Path, fuser: Fuser, made: list[RecordedFrame], active: Layout) -
         live.coach(CoachPage("- **Mend:** step into the view of sensor A, to 2.5 m from both sensors\n" * 6))
         live.event("calibrated: known")
         for frame in made:
-            live.record(frame)
+            live.write(frame)
     return path
 
 
@@ -123,7 +123,7 @@ def test_a_plot_of_one_figure_has_no_line_of_the_streams(tmp_path: Path) -> None
     file = tmp_path / "s.rrd"
     with LiveSession(fuser.setup, ("a", "b"), blueprint, file=file) as live:
         for frame in made:
-            live.record(frame)
+            live.write(frame)
     with headless_viewer(str(file)) as viewer:
         picture = tmp_path / "plot.png"
 

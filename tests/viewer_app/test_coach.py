@@ -18,11 +18,11 @@ from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, TrackingState
+from recordings.fusing import fuse_one
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
 from viewer_app.coach.advice import ANGLES, Advice, to_markdown, verdict
 from viewer_app.coach.setup_coach import HOLD, MOVED, Coach, Situation
 from viewer_app.coach.standing_spot import FARTHEST, nearest
-from viewer_app.loop.fusing import fuse_one
 
 BODY = KINECT_V2
 CAMERA = NOMINAL_INTRINSICS[BODY.name]

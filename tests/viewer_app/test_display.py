@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import struct
 import threading
 import time
 from collections.abc import Iterator
@@ -11,9 +12,11 @@ from contextlib import contextmanager
 import pytest
 
 from viewer_app.errors import UsageError
-from viewer_app.sinks.live_session import Viewing
+from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer import display
 from viewer_app.viewer.viewer_choice import choose_viewing
+
+pytest.importorskip("Xlib", reason="python-xlib is installed on Linux only")
 
 
 @pytest.fixture(autouse=True)
@@ -49,7 +52,7 @@ def x_server(answer: bytes | None) -> Iterator[str]:
             except OSError:
                 return
             held.append(one)
-            if answer is not None and len(one.recv(12)) == 12:
+            if answer is not None and len(one.recv(12)) == 12:  # X11's connection setup without a cookie
                 one.sendall(answer)
 
     threading.Thread(target=serve, daemon=True).start()
@@ -62,7 +65,12 @@ def x_server(answer: bytes | None) -> Iterator[str]:
             one.close()
 
 
-@pytest.mark.parametrize("answer", [b"\x01", b"\x00"], ids=["welcome", "refused"])
+_WELCOME = struct.pack("<BxHHH 4I HHBB 6B 4x", 1, 11, 0, 8, 0, 0, 0, 0, 0, 65535, 0, 0, 0, 0, 32, 32, 8, 255)
+"""An X server without a vendor, formats or screens."""
+_REFUSAL = struct.pack("<BBHHH 8s", 0, 6, 11, 0, 2, b"not you")
+
+
+@pytest.mark.parametrize("answer", [_WELCOME, _REFUSAL], ids=["welcome", "refused"])
 def test_a_display_that_answers_is_one(answer: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     with x_server(answer) as name:
         monkeypatch.setenv("DISPLAY", name)

@@ -12,6 +12,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from recordings.reading.rrd_file import damage_of
+from recordings.writing.session_writer import whole_recording
 from tests.helpers.machine import need_viewer
 from tests.helpers.waiting import eventually
 from viewer_app.errors import UsageError
@@ -40,8 +41,10 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> Opened:
 
 
 def write(save: Path | None, window: bool) -> None:
-    with file_window.written_and_shown(save, window, BLUEPRINT) as stream:
-        stream.log("/words", rr.TextDocument("S*"))
+    with file_window.written_and_shown(save, window) as path:
+        if path is not None:
+            with whole_recording(path, BLUEPRINT) as stream:
+                stream.log("/words", rr.TextDocument("S*"))
 
 
 def test_the_window_gets_the_whole_file_and_the_file_its_name(opened: Opened, tmp_path: Path) -> None:
@@ -65,7 +68,7 @@ def test_without_a_name_the_file_lives_for_the_window_only(
 
 def test_what_failed_is_neither_kept_nor_shown(opened: Opened, tmp_path: Path) -> None:
     def fail() -> None:
-        with file_window.written_and_shown(tmp_path / "s.rrd", True, BLUEPRINT):
+        with file_window.written_and_shown(tmp_path / "s.rrd", True):
             raise UsageError("…")
 
     with pytest.raises(UsageError):

@@ -30,7 +30,7 @@ def ended(
     """Presses Ctrl-C: the exit code, how many frames it told of until the end, and what else it said."""
     for _ in range(presses):
         process.send_signal(number)
-        time.sleep(0.02)
+        time.sleep(0.02)  # between two presses of a person in a hurry
     try:
         _, said = process.communicate(timeout=HANGS_S)
     finally:
@@ -81,7 +81,7 @@ def test_ctrl_c_while_it_saves(tmp_path: Path, before_end: int) -> None:
 @pytest.mark.parametrize("after_s", [0.05, 0.4])
 def test_ctrl_c_while_it_starts(tmp_path: Path, after_s: float) -> None:
     process = demo(tmp_path / "demo.rrd", "--seconds", "30")
-    time.sleep(after_s)
+    time.sleep(after_s)  # the moment of the press, which is what varies
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=HANGS_S)
     # 1: in Python's own start, before our first line

@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -19,17 +18,21 @@ from devices.simulated.kinect import simulated_pair
 from devices.simulated.real_time import PacedSensor, paced_together
 from devices.simulated.tracking.tracker import TrackerErrors
 from fusion.body import KINECT_V1, KINECT_V2
-from fusion.calibration.calibration import calibrate
+from fusion.calibration.calibration import calibrate, nominal_calibration
+from fusion.calibration.calibrator import Calibrator
 from fusion.fuser import Fuser
-from fusion.setup import FuserSettings, FusionSetup
+from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
+from recordings.fusing import fuse_one
 from recordings.session_arrays import SessionArrays
 from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing
 from viewer_app.cli import main
 from viewer_app.commands import demo
-from viewer_app.loop.fusing import fuse_one
-from viewer_app.loop.live_loop import Calibrator, run_live, undisturbed
+from viewer_app.loop.live_loop import run_live, undisturbed
+from viewer_app.sinks.sink import NullSink
+
+NOMINAL = FusionSetup(nominal_calibration(KINECT_V1))
 
 
 class Clock:
@@ -130,7 +133,7 @@ def test_paced_sensors_begin_together() -> None:
     first, second = paced_together(a, b)
     threads = [threading.Thread(target=read, args=(sensor,)) for sensor in (first, second)]
     threads[0].start()
-    time.sleep(0.4)  # the one thread comes later
+    time.sleep(0.4)  # the stimulus: without a common beat the sensors would stay this far apart
     threads[1].start()
     for thread in threads:
         thread.join()
@@ -212,15 +215,7 @@ def test_the_truth_is_that_of_a_sensors_own_time() -> None:
         asked.append(time_ns)
         return standing(KINECT_V1)
 
-    run_live(
-        ResetSensors(),
-        body=KINECT_V1,
-        settings=FuserSettings(),
-        intrinsics=(None, None),
-        calibration=None,
-        recorder_for=lambda _: MagicMock(),
-        truth_at=truth_at,
-    )
+    run_live(ResetSensors(), NOMINAL, NullSink(), truth_at=truth_at)
     start = 10**10
     assert asked == [start, start + FRAME_NS, *(start + t * FRAME_NS - 10**9 for t in (2, 3))]
 
@@ -252,11 +247,9 @@ def test_both_sensors_follow_one_person_once_they_know_each_others_place(known: 
     pair = pair_of(KINECT_V1, standing(KINECT_V1))
     _, frames = run_live(
         TwoPeople(((first - middle).tolist(), (second - middle).tolist())),
-        body=KINECT_V1,
-        settings=FuserSettings(),
-        intrinsics=(None, None),
-        calibration=calibrate(KINECT_V1, [pair], "before") if known else None,
-        recorder_for=lambda _: MagicMock(),
+        FusionSetup(calibrate(KINECT_V1, [pair], "before")) if known else NOMINAL,
+        NullSink(),
+        calibrated=known,
     )
     for pair in (frame.pair for frame in frames):
         assert pair.skeletons.a is pair.a.people["1"]

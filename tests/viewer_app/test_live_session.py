@@ -23,8 +23,10 @@ from tests.helpers.live_frames import frames, numbers_in, session
 from tests.helpers.machine import need_viewer
 from tests.helpers.pictures import headless_viewer
 from tests.helpers.waiting import eventually
+from viewer_app.sinks.image_turns import ImageTurns
+from viewer_app.sinks.queue_items import Frame, Note
 from viewer_app.sinks.session_file import SessionFile
-from viewer_app.sinks.viewer_feed import Note, ViewerFeed
+from viewer_app.sinks.viewer_feed import ViewerFeed
 from viewer_app.viewer.rerun_process import Hub, stop
 
 STUCK = [sys.executable, "-c", "import time; time.sleep(600)"]
@@ -58,11 +60,11 @@ def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
     slowest = 0.0
     for number, frame in enumerate(made):
         before = time.perf_counter()
-        stuck.offer((number, frame))
+        stuck.offer(Frame(number, frame))
         slowest = max(slowest, time.perf_counter() - before)
         time.sleep(0.002)
     assert stuck.dropped >= 50
-    waiting = [item[0] for item in stuck._queue if isinstance(item, tuple)]
+    waiting = [item.number for item in stuck._queue if isinstance(item, Frame)]
     assert waiting == list(range(90, 100))
     assert slowest < 3.0  # it would be 60 s, the patience, if it waited
 
@@ -71,12 +73,12 @@ def test_a_turn_is_over_when_the_feed_has_written_or_time_is_up(stuck: ViewerFee
     feed = feed_into(HUNGRY, fuser)
     begun = time.monotonic()
     for number, frame in enumerate(frames(fuser, 2)):
-        feed.offer((number, frame))
+        feed.offer(Frame(number, frame))
         feed.wait_for_turn(30.0)
     assert time.monotonic() - begun < 30.0
     feed.close(end_process=True)
     for number, frame in enumerate(frames(fuser, 100, depth=True)):  # more than any pipe takes
-        stuck.offer((number, frame))
+        stuck.offer(Frame(number, frame))
         time.sleep(0.002)
     stuck._turn_over.set()  # of a turn before
     begun = time.monotonic()
@@ -96,19 +98,19 @@ def test_the_file_goes_after_the_viewer(
     )
     with session(fuser, tmp_path / "s.rrd", Hub.on_free_ports(web=False)) as live:
         for frame in frames(fuser, 3):
-            live.record(frame)
-        assert eventually(lambda: live.saved == 3)
+            live.write(frame)
+        assert eventually(lambda: live.file.saved == 3)
     assert turns
 
 
 def test_what_is_said_is_not_dropped_with_the_frames(stuck: ViewerFeed, fuser: Fuser) -> None:
-    stuck.offer((0, frames(fuser, 1, depth=True)[0]))
+    stuck.offer(Frame(0, frames(fuser, 1, depth=True)[0]))
     for number, frame in enumerate(frames(fuser, 60, depth=True)):
-        stuck.offer((number, frame))
+        stuck.offer(Frame(number, frame))
         time.sleep(0.002)
     stuck.offer(Note("sensor lost"))
     for number, frame in enumerate(frames(fuser, 30)):
-        stuck.offer((60 + number, frame))
+        stuck.offer(Frame(60 + number, frame))
     assert sum(isinstance(item, Note) for item in stuck._queue) == 1
     assert len(stuck._queue) == 10
 
@@ -116,7 +118,7 @@ def test_what_is_said_is_not_dropped_with_the_frames(stuck: ViewerFeed, fuser: F
 def test_closing_with_a_frozen_viewer_takes_no_time(fuser: Fuser) -> None:
     feed = feed_into(STUCK, fuser, keep=10, patience=60.0)
     for number, frame in enumerate(frames(fuser, 40, depth=True)):
-        feed.offer((number, frame))
+        feed.offer(Frame(number, frame))
     before = time.perf_counter()
     feed.close(end_process=True)
     assert time.perf_counter() - before < 20.0  # it would be 600 s if it waited for the process
@@ -128,7 +130,7 @@ def test_a_process_without_progress_is_replaced(fuser: Fuser) -> None:
     made = frames(fuser, 60, depth=True)
     try:
         for number, frame in enumerate(made):
-            feed.offer((number, frame))
+            feed.offer(Frame(number, frame))
         assert eventually(lambda: feed.starts >= 2)
     finally:
         feed.close(end_process=True)
@@ -151,7 +153,7 @@ def test_a_complete_feed_passes_every_frame_on(fuser: Fuser) -> None:
         restart=False,
     )
     for number, frame in enumerate(frames(fuser, 300)):
-        feed.offer((number, frame))
+        feed.offer(Frame(number, frame))
     assert feed.finish(20.0)
     assert written == list(range(300))
     feed.close(end_process=False)
@@ -163,10 +165,10 @@ def test_the_file_gets_every_frame_and_closing_writes_them(fuser: Fuser, tmp_pat
     out = tmp_path / "s.rrd"
     with session(fuser, out) as live:
         for frame in frames(fuser, 200):
-            live.record(frame)
+            live.write(frame)
         live.finish()
     assert numbers_in(out) == list(range(200))
-    assert live.lost == 0
+    assert live.file.lost == 0
 
 
 def test_a_disk_that_stands_still_costs_images_first(
@@ -180,18 +182,18 @@ def test_a_disk_that_stands_still_costs_images_first(
     )
     made = frames(fuser, 70, depth=True)
     for number in range(2000):
-        file.offer((number, made[number % 70]))
+        file.write(made[number % 70])
     assert file.without_images == 1800 - 60
     assert file.lost == 200
     with_images = [
-        item for item in file._queue if isinstance(item, tuple) and item[1].pair.a.depth is not None
+        item for item in file._queue if isinstance(item, Frame) and item.frame.pair.a.depth is not None
     ]
     assert len(with_images) == 60
 
 
 def test_the_viewer_gets_images_at_a_capped_rate(fuser: Fuser) -> None:
-    with session(fuser) as live:
-        shown = [live._capped(frame) for frame in frames(fuser, 60, depth=True)]
+    turns = ImageTurns(10.0)
+    shown = [turns.capped(frame) for frame in frames(fuser, 60, depth=True)]
     with_images = [
         [k for k, frame in enumerate(shown) if getattr(frame.pair, side).depth is not None] for side in "ab"
     ]
@@ -205,19 +207,19 @@ def test_a_viewer_killed_again_and_again_loses_no_frame_of_the_file(fuser: Fuser
     hub = Hub.on_free_ports(web=False)
     kills = 0
     with session(fuser, out, hub, window=True) as live:
-        assert live._feed is not None
-        assert live._window is not None
+        assert live.viewer.feed is not None
+        assert live.viewer.window is not None
         for k, frame in enumerate(made):
-            live.record(frame)
+            live.write(frame)
             if k % 100 == 50:
-                victim = (live._window.process, live._feed.process)[kills % 2]
+                victim = (live.viewer.window.process, live.viewer.feed.process)[kills % 2]
                 os.kill(victim.pid, signal.SIGSTOP if k == 550 else signal.SIGKILL)
                 kills += 1
             time.sleep(0.01)
-        assert live._feed.starts >= 2
+        assert live.viewer.feed.starts >= 2
         live.finish()
         live.save()
-        window = live._window.process
+        window = live.viewer.window.process
     stop(window)
     assert kills == 6
     assert numbers_in(out) == list(range(600))
@@ -227,7 +229,7 @@ def test_a_viewer_that_comes_later_sees_the_history(fuser: Fuser) -> None:
     hub = Hub.on_free_ports(web=False)
     with session(fuser, None, hub) as live:
         for frame in frames(fuser, 60):
-            live.record(frame)
+            live.write(frame)
         time.sleep(0.5)
         with headless_viewer("--connect", hub.url) as viewer:
 
@@ -241,7 +243,7 @@ def test_a_viewer_that_comes_later_sees_the_history(fuser: Fuser) -> None:
 def test_nothing_is_left_running(fuser: Fuser) -> None:
     hub = Hub.on_free_ports(web=False)
     with session(fuser, None, hub) as live:
-        assert live._feed is not None
-        process = live._feed.process
+        assert live.viewer.feed is not None
+        process = live.viewer.feed.process
         assert psutil.pid_exists(process.pid)
     assert process.poll() is not None

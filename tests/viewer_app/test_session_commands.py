@@ -14,7 +14,7 @@ from fusion.fuser import Fuser
 from recordings.images.rvl import encode_depth
 from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
-from recordings.writing.rewritten_session import rewrite
+from recordings.writing.session_writer import write_session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.recalibrated import record_recalibrated
@@ -203,7 +203,7 @@ def test_a_trim_keeps_each_calibration_s_event_once(tmp_path: Path) -> None:
     second, third = replace(first, how="two"), replace(first, how="three")
     pairs = frame_pairs(KINECT_V2, 30)
     whole = record_recalibrated(tmp_path / "s.rrd", pairs, [(0, first), (10, second), (20, third)])
-    rewrite(whole, tmp_path / "part.rrd", None, 15, 28)
+    write_session(whole, tmp_path / "part.rrd", first=15, end=28)
     texts = [event.text for event in Session.open(tmp_path / "part.rrd").events]
     assert texts == ["calibrated: two", "calibrated: three"]
 

@@ -39,7 +39,8 @@ class Shown:
     def __init__(self, width: int = 80, **options: bool) -> None:
         self.printed = io.StringIO()
         self.session = MagicMock(
-            failure=None, saves=True, saved_bytes=12_340_000, dropped=0, lost=0, window_closed=False
+            file=MagicMock(failure=None, saves=True, saved_bytes=12_340_000, lost=0),
+            viewer=MagicMock(dropped=0, window_closed=False),
         )
         self.coach = MagicMock(body=BODY, intrinsics=(MagicMock(), MagicMock()))
         self.coach.watch.return_value = []
@@ -71,7 +72,8 @@ def test_the_status_line_has_every_figure(statuses: list[Any]) -> None:
 def test_the_status_line_says_what_goes_wrong(statuses: list[Any]) -> None:
     shown = Shown()
     shown.display(statuses[0])
-    shown.session.configure_mock(failure="The disk is full.", dropped=5, lost=2, window_closed=True)
+    shown.session.file.configure_mock(failure="The disk is full.", lost=2)
+    shown.session.viewer.configure_mock(dropped=5, window_closed=True)
     assert shown.display.line().split(" · ")[-4:] == [
         "SAVING STOPPED", "5 not shown", "2 NOT SAVED", "viewer closed",
     ]  # fmt: skip

@@ -21,7 +21,8 @@ from tests.helpers.machine import need_browser, need_viewer
 from tests.helpers.pictures import pixels_near
 from tests.helpers.waiting import eventually
 from viewer_app.errors import UsageError
-from viewer_app.sinks.live_session import LiveSession, Viewing
+from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
 from viewer_app.viewer.viewer_choice import announce, choose_viewing
 
@@ -43,8 +44,8 @@ def listening(pid: int) -> set[str]:
 
 
 def test_hub_page_and_window_listen_on_loopback_only(served: LiveSession) -> None:
-    assert served._feed is not None
-    assert listening(served._feed.process.pid) == {"127.0.0.1"}
+    assert served.viewer.feed is not None
+    assert listening(served.viewer.feed.process.pid) == {"127.0.0.1"}
     own = {c.laddr.ip for c in psutil.Process().net_connections("inet") if c.status == psutil.CONN_LISTEN}
     assert own <= {"127.0.0.1"}
 
@@ -61,17 +62,17 @@ def test_a_viewer_that_we_start_listens_on_loopback_only() -> None:
 def test_an_address_that_is_asked_for_is_listened_on(fuser: Fuser) -> None:
     hub = Hub.on_free_ports(web=True, address="0.0.0.0")
     with session(fuser, None, hub) as live:
-        assert live._feed is not None
-        assert listening(live._feed.process.pid) == {"0.0.0.0"}
+        assert live.viewer.feed is not None
+        assert listening(live.viewer.feed.process.pid) == {"0.0.0.0"}
 
 
 def test_usage_statistics_are_off(served: LiveSession) -> None:
-    assert served._feed is not None
-    assert psutil.Process(served._feed.process.pid).environ()["RERUN_ANALYTICS"] == "0"
+    assert served.viewer.feed is not None
+    assert psutil.Process(served.viewer.feed.process.pid).environ()["RERUN_ANALYTICS"] == "0"
 
 
 def test_the_page_is_the_viewer_with_the_session(served: LiveSession) -> None:
-    hub = served._viewing.hub
+    hub = served.viewer._viewing.hub
     assert hub is not None
     with urlopen(hub.page, timeout=5.0) as page:
         assert b"<canvas" in page.read()
@@ -135,10 +136,10 @@ def browser() -> Iterator[object]:
 def test_a_browser_sees_the_three_skeletons_and_a_later_visitor_the_history(
     served: LiveSession, fuser: Fuser
 ) -> None:
-    hub = served._viewing.hub
+    hub = served.viewer._viewing.hub
     assert hub is not None
     for frame in frames(fuser, 60):
-        served.record(frame)
+        served.write(frame)
     with browser() as chromium:
         for _ in range(2):
             page = chromium.new_page()  # type: ignore[attr-defined]

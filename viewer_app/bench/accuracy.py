@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,10 @@ from devices.simulated.realism.reference_figures import (
     simulated_statistics,
 )
 from devices.skeletons.recording import SkeletonRecording
-from fusion.body import BODIES
-from viewer_app.bench.accuracy_tables import table_by, tables_of_methods
-from viewer_app.bench.accuracy_trials import METHODS, Outcome, Trial, run_trials
+from viewer_app.bench.accuracy_methods import ABLATIONS, METHODS
+from viewer_app.bench.accuracy_picture import draw
+from viewer_app.bench.accuracy_tables import said_of_losses, table_by, tables_of_methods
+from viewer_app.bench.accuracy_trials import Outcome, Simulation, Trial, chosen_methods, run_trials
 from viewer_app.errors import UsageError
 from viewer_app.options import BenchAccuracyOptions
 from viewer_app.output_files import check_writable, whole_file
@@ -55,6 +57,12 @@ def _check(options: BenchAccuracyOptions) -> None:
     """Finds out before the work what cannot be done."""
     if options.seeds < 1:
         raise UsageError(f"--seeds must be 1 or more; got {options.seeds}.")
+    if options.first_seed < 0:
+        raise UsageError(f"--first-seed must be 0 or more; got {options.first_seed}.")
+    if options.processes < 0:
+        raise UsageError(f"--processes must be 0 or more; got {options.processes}.")
+    if not 0.0 < options.errors <= 10.0:
+        raise UsageError(f"--errors must be a factor above 0, at most 10; got {options.errors}.")
     if not 0.0 < options.seconds < float("inf"):
         raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
     if options.set == "real":
@@ -67,24 +75,38 @@ def _check(options: BenchAccuracyOptions) -> None:
         raise UsageError("At least one of --motions and one of --angles is needed.")
     if unknown := [motion for motion in options.motions if motion not in MOTIONS]:
         raise UsageError(f"Movements must be among {', '.join(MOTIONS)}; got {', '.join(unknown)}.")
+    known = [method.name for method in (*METHODS, *ABLATIONS)]
+    if unknown := [name for name in options.methods if name not in known]:
+        raise UsageError(f"Methods must be among {'; '.join(known)}. Got {'; '.join(unknown)}.")
+
+
+def _methods(options: BenchAccuracyOptions) -> list[str]:
+    """The names of the methods asked for, in the tables' order."""
+    if options.methods:
+        return [method.name for method in chosen_methods(options.methods)]
+    return [method.name for method in (*METHODS, *(ABLATIONS if options.ablations else ()))]
 
 
 def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[str, Any]:
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
     trials = [
-        Trial(motion, angle, seed)
-        for motion in options.motions
-        for angle in options.angles
-        for seed in range(options.seeds)
+        Trial(motion, angle, seed) for motion in options.motions for angle in options.angles for seed in seeds
     ]
+    simulation = Simulation(options.body, options.seconds, options.errors, options.tracker_errors)
+    # a process takes seconds to start: not more than one for every four trials
+    processes = options.processes or min(os.cpu_count() or 1, max(1, len(trials) // 4))
     outcomes: list[Outcome] = []
-    runs = run_trials(trials, BODIES[options.body], options.seconds)
+    runs = run_trials(trials, simulation, _methods(options), processes)
     for of_trial in track(
         runs, "measuring", total=len(trials), console=console, transient=True, disable=not console.is_terminal
     ):
         outcomes += of_trial
+    harsher = f", errors × {options.errors:g}" if options.errors != 1.0 else ""
+    harsher += ", heavy-tailed tracker errors" if options.tracker_errors == "heavy-tailed" else ""
     console.print(
         f"{options.body}: {len(options.motions)} movements × {len(options.angles)} angles × "
-        f"{options.seeds} seeds, {options.seconds:g} s each, measured after the start-up pose.",
+        f"{options.seeds} seeds ({seeds[0]}–{seeds[-1]}){harsher}, {options.seconds:g} s each, measured "
+        "after the start-up pose.",
         highlight=False,
     )
     for table in (
@@ -93,11 +115,17 @@ def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[st
         table_by("angle °", lambda trial: f"{trial.angle:g}", outcomes),
     ):
         console.print(table)
+    for line in said_of_losses(outcomes):
+        console.print(line, highlight=False)
     if options.picture is not None:
-        _draw(outcomes, options.picture)
+        draw(outcomes, options.picture)
     return {
         "body": options.body,
         "seconds": options.seconds,
+        "first_seed": options.first_seed,
+        "errors": options.errors,
+        "tracker_errors": options.tracker_errors,
+        "processes": processes,
         "trials": [
             {
                 "motion": o.trial.motion,
@@ -111,47 +139,6 @@ def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[st
     }
 
 
-def _draw(outcomes: list[Outcome], path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    motions = list(dict.fromkeys(o.trial.motion for o in outcomes))
-    colors = dict(
-        zip(
-            METHODS,
-            ("#b87333", "#3a86ff", "#9aa0a6", "#6c757d", "#e0a800", "#7fb069", "#b24ee8"),
-            strict=True,
-        )
-    )
-    figure, axes = pyplot.subplots(figsize=(10.0, 4.2), dpi=110, layout="constrained")
-    width = 0.8 / len(METHODS)
-    for k, method in enumerate(METHODS):
-        by_motion = [
-            1e3
-            * np.array([o.figures["mpjpe"] for o in outcomes if o.method == method and o.trial.motion == m])
-            for m in motions
-        ]
-        axes.bar(
-            np.arange(len(motions)) + (k - (len(METHODS) - 1) / 2) * width,
-            [values.mean() for values in by_motion],
-            width,
-            yerr=[values.std() for values in by_motion],
-            error_kw={"elinewidth": 0.7, "ecolor": "#555555"},
-            color=colors[method],
-            label=method,
-        )
-    axes.set_xticks(np.arange(len(motions)), motions)
-    axes.set_ylabel("MPJPE (mm)")
-    axes.set_title("Distance from the true joints, by movement (bars: deviation over angles and seeds)")
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(ncols=len(METHODS), frameon=False, fontsize=9, loc="outside lower center")
-    with whole_file(path) as partial:
-        figure.savefig(partial, format="png")
-    pyplot.close(figure)
-
-
 def _compare_with_real(console: Console, options: BenchAccuracyOptions) -> dict[str, Any]:
     compared: dict[str, list[Figure]] = {}
     for name, setting in COUNTERPARTS.items():
@@ -160,7 +147,9 @@ def _compare_with_real(console: Console, options: BenchAccuracyOptions) -> dict[
             real = None
             if folder is not None and name != "azure_squat":  # of which no recording is at hand
                 real = statistics(*_views(folder / "a.csv", folder / "b.csv"))
-            simulated = simulated_statistics(setting, range(options.seeds))
+            simulated = simulated_statistics(
+                setting, range(options.first_seed, options.first_seed + options.seeds)
+            )
             if real is not None:
                 compared[name] = figures(real, simulated, standing=setting.motion == "still")
             compared[f"{name}, published"] = published_figures(name, simulated)

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+import signal
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from devices.pairing import FramePair, pair_recordings
+from devices.pairing import pair_recordings
 from devices.sensor import DeviceError
 from devices.simulated.kinect import PERSON, simulated_pair
-from fusion.body import Body
-from fusion.calibration.calibration import Calibration, calibrate, find_start_up_pose
-from fusion.evaluation import baselines
+from devices.simulated.tracking.harsher_errors import heavy_tailed, scaled
+from devices.simulated.tracking.tracker_errors import TrackerErrors
+from fusion.body import BODIES
+from fusion.calibration.calibration import calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.evaluation.accuracy import accuracy
-from fusion.fuser import Fuser
-from fusion.setup import FuserSettings, FusionSetup
-from recordings.session_arrays import SessionArrays
-from viewer_app.loop.fusing import fuse_one
+from viewer_app.bench.accuracy_methods import ABLATIONS, METHODS, Method, RecordedPair
 
-METHODS = ("A alone", "B alone", "mean", "tracked wins", "Kalman", "paper", "ours")
-"""In the order of the tables. ``paper`` is eqs. (3)-(11) as published, ``ours`` the default."""
+TrackerShape = Literal["fitted", "heavy-tailed"]
 
 
 @dataclass(frozen=True)
@@ -41,72 +41,121 @@ class Trial:
 
 
 @dataclass(frozen=True)
+class Simulation:
+    """What all trials share.
+
+    Attributes:
+        body: The name of the body that the trackers report.
+        seconds: How long each recording is.
+        errors: All errors of the trackers, times this.
+        tracker_errors: Fitted to real recordings, or heavy-tailed: a tracker nothing was fitted to.
+    """
+
+    body: str = "azure_kinect"
+    seconds: float = 20.0
+    errors: float = 1.0
+    tracker_errors: TrackerShape = "fitted"
+
+    def errors_of_tracker(self) -> TrackerErrors:
+        """The errors of both trackers."""
+        errors = TrackerErrors.of(BODIES[self.body])
+        if self.tracker_errors == "heavy-tailed":
+            errors = heavy_tailed(errors)
+        return errors if self.errors == 1.0 else scaled(errors, self.errors)
+
+
+@dataclass(frozen=True)
 class Outcome:
-    """What one method did on one trial: figures by name, in SI; ``fuse_us`` in microseconds a frame."""
+    """What one method did on one trial: figures by name, in SI; ``fuse_us`` in microseconds per frame."""
 
     trial: Trial
     method: str
     figures: dict[str, float]
 
 
-def run_trials(trials: list[Trial], body: Body, seconds: float) -> Iterator[list[Outcome]]:
-    """All methods on each trial in turn.
+def run_trials(
+    trials: Sequence[Trial], simulation: Simulation, names: Sequence[str], processes: int = 1
+) -> Iterator[list[Outcome]]:
+    """The named methods on each trial, in the trials' order.
+
+    Args:
+        trials: Recordings to make.
+        simulation: What they share.
+        names: Of METHODS and ABLATIONS.
+        processes: How many trials are run at the same time. With more than one, ``fuse_us`` is measured
+            while the other processors work.
 
     Raises:
         DeviceError: There is no such movement, or it is too short to hold the start-up pose.
         CalibrationError: The start-up pose of a trial cannot be calibrated on.
     """
-    for trial in trials:
-        yield _run(trial, body, seconds)
+    count = len(trials)
+    if processes < 2 or count < 2:
+        for trial in trials:
+            yield run_trial(trial, simulation, names)
+        return
+    # Started afresh, not forked: numba's and OpenBLAS's threads do not survive a fork.
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), _leave_ctrl_c_to_the_parent)
+    try:
+        yield from pool.map(run_trial, trials, [simulation] * count, [tuple(names)] * count)
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
-def _run(trial: Trial, body: Body, seconds: float) -> list[Outcome]:
-    a, b, truth = simulated_pair(
-        motion=trial.motion, seed=trial.seed, body=body, angle_deg=trial.angle, seconds=seconds
-    )
-    frame_seconds = truth.rig.frame_seconds
-    pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
-    skeletons = [pair.skeletons for pair in pairs]
-    calibration = calibrate(body, *find_start_up_pose(body, skeletons))
-    # what the start-up pose was is not measured on: there all methods are at their best
-    begins = getattr(truth.scene.motion, "begins", 0.0)
-    first = int(np.searchsorted([pair.time_ns * 1e-9 for pair in pairs], begins))
-    if len(pairs) - first < 30:
-        raise DeviceError(
-            f"{seconds:g} s of {trial.motion} leave less than a second after the start-up pose."
-        )
-    fused = {
-        "ours": _fuse(pairs, calibration, FuserSettings()),
-        "paper": _fuse(pairs, calibration, FuserSettings(method="published")),
-    }
-    rows = fused["ours"]
-    p, q = rows.positions_a.astype(np.float64), rows.b_in_a
-    states = rows.states_a, rows.states_b
-    found: dict[str, Callable[[], NDArray[np.float64]]] = {
-        "A alone": lambda: baselines.alone(p),
-        "B alone": lambda: baselines.alone(q),
-        "mean": lambda: baselines.mean(p, q),
-        "tracked wins": lambda: baselines.tracked_wins(p, q, *states),
-        "Kalman": lambda: baselines.kalman(p, q, *states, frame_seconds),
-    }
-    true_joints = np.array([truth.positions_at(pair.time_ns) for pair in pairs[first:]])
+def _leave_ctrl_c_to_the_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def chosen_methods(names: Sequence[str]) -> list[Method]:
+    """The rows of these names, in the tables' order."""
+    return [method for method in (*METHODS, *ABLATIONS) if method.name in names]
+
+
+def run_trial(trial: Trial, simulation: Simulation, names: Sequence[str]) -> list[Outcome]:
+    """The named methods on one trial; see :func:`run_trials`."""
+    recording, first = record(trial, simulation)
+    states_a, states_b = recording.states
     outcomes = []
-    for method in METHODS:
-        if method in fused:
-            joints, each_us = fused[method].fused, float(np.median(fused[method].fuse_ms)) * 1e3
-        else:
-            before = time.perf_counter()
-            joints = found[method]()
-            each_us = (time.perf_counter() - before) / len(pairs) * 1e6
+    for method in chosen_methods(names):
+        found = method.find(recording)
         figures = accuracy(
-            body, joints[first:], true_joints, states[0][first:], states[1][first:], frame_seconds
+            recording.body,
+            found.joints[first:],
+            recording.truth[first:],
+            states_a[first:],
+            states_b[first:],
+            recording.frame_seconds,
+            None if found.sd is None else found.sd[first:],
         )
-        outcomes.append(Outcome(trial, method, {**asdict(figures), "fuse_us": each_us}))
+        outcomes.append(Outcome(trial, method.name, {**asdict(figures), "fuse_us": found.each_us}))
     return outcomes
 
 
-def _fuse(pairs: list[FramePair], calibration: Calibration, settings: FuserSettings) -> SessionArrays:
-    fuser = Fuser(FusionSetup(calibration, settings))
-    fuser.warm_up()
-    frames = [fuse_one(fuser, pair) for pair in pairs]
-    return SessionArrays.stack(calibration.body, calibration.bone_lengths, frames)
+def record(trial: Trial, simulation: Simulation) -> tuple[RecordedPair, int]:
+    """A simulated recording, and its first frame after the start-up pose: only from there on it is measured.
+
+    In the start-up pose all methods are at their best.
+
+    Raises:
+        DeviceError: As :func:`run_trials`.
+        CalibrationError: As there.
+    """
+    body = BODIES[simulation.body]
+    a, b, truth = simulated_pair(
+        motion=trial.motion,
+        seed=trial.seed,
+        body=body,
+        angle_deg=trial.angle,
+        seconds=simulation.seconds,
+        errors=simulation.errors_of_tracker(),
+    )
+    pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
+    times = np.array([pair.time_ns for pair in pairs])
+    calibration = calibrate(body, *find_start_up_pose(body, [pair.skeletons for pair in pairs]))
+    first = int(np.searchsorted(times * 1e-9, getattr(truth.scene.motion, "begins", 0.0)))
+    if len(pairs) - first < 30:
+        raise DeviceError(
+            f"{simulation.seconds:g} s of {trial.motion} leave less than a second after the start-up pose."
+        )
+    joints = truth.positions_at(times)
+    return RecordedPair(body, pairs, calibration, truth.rig.frame_seconds, joints), first

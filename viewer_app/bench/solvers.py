@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from fusion.body import KINECT_V1, Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.solvers.dense import DenseSolver
 from fusion.solvers.published import PaperSolver
 from fusion.solvers.tree_solver import TreeSolver
+from viewer_app.bench.scipy_solver import slsqp_optimum
 
 _STIFFNESS = 1e2  # of a bone in Ceres, where a joint has √w ≤ 1; stiffer, Ceres takes more steps or fails
 _NOISE = 0.01  # metres
@@ -168,29 +168,16 @@ def slsqp(analytic: bool) -> Solve:
     """scipy's SLSQP with a constraint a bone, with or without derivatives given."""
 
     def solve(problem: Problem) -> tuple[NDArray[np.float64], int, int]:
-        child = problem.body.bone_joints
-        parent = problem.body.parent_indices[child]
-        rows, w = np.arange(len(child)), problem.weights[:, None]
-
-        def constraint(x: NDArray[np.float64]) -> NDArray[np.float64]:
-            bone = x.reshape(-1, 3)[child] - x.reshape(-1, 3)[parent]
-            return np.asarray(0.5 * ((bone**2).sum(axis=1) - problem.lengths[child] ** 2))
-
-        def jacobian(x: NDArray[np.float64]) -> NDArray[np.float64]:
-            bone = x.reshape(-1, 3)[child] - x.reshape(-1, 3)[parent]
-            J = np.zeros((len(child), len(problem.body), 3))
-            J[rows, child], J[rows, parent] = bone, -bone
-            return J.reshape(len(child), -1)
-
-        found = minimize(
-            lambda x: float((w * (x.reshape(-1, 3) - problem.targets) ** 2).sum()),
-            problem.targets.ravel(),
-            jac=(lambda x: (2.0 * w * (x.reshape(-1, 3) - problem.targets)).ravel()) if analytic else None,
-            constraints={"type": "eq", "fun": constraint, **({"jac": jacobian} if analytic else {})},
-            method="SLSQP",
-            options={"maxiter": 500, "ftol": 1e-15},
+        found = slsqp_optimum(
+            problem.body,
+            problem.targets,
+            problem.weights,
+            problem.lengths,
+            problem.targets,
+            analytic=analytic,
+            max_steps=500,
         )
-        return found.x.reshape(-1, 3), int(found.nit), int(found.nit)  # a least-squares system a step
+        return found.positions, found.steps, found.steps  # a least-squares system a step
 
     return solve
 

@@ -13,7 +13,8 @@ from devices.pairing import FramePair, pair_recordings
 from devices.simulated.kinect import PERSON, Scene, SimulatedKinect, movement
 from devices.simulated.rig import Rig
 from fusion.body import Body
-from fusion.calibration.calibration import Calibration, calibrate, find_start_up_pose
+from fusion.calibration.calibration import Calibration, calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
 from fusion.methods import paper as frame

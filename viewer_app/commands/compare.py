@@ -11,10 +11,11 @@ from rich.table import Table
 from recordings import layout
 from recordings.session import Session
 from recordings.session_comparison import DIFFERENCE, LARGEST, Comparison, record_comparison
-from viewer_app.commands.replay import print_damage
+from recordings.writing.session_writer import whole_recording
 from viewer_app.errors import UsageError
 from viewer_app.options import CompareOptions
 from viewer_app.output_files import check_outputs
+from viewer_app.report.session_notes import print_damage
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
 
@@ -37,8 +38,10 @@ def run(options: CompareOptions) -> None:
     comparison = Comparison.of(*sessions)
     worst = comparison.worst(options.worst)
     window = not options.no_viewer and has_display()
-    with written_and_shown(options.save, window, _blueprint(), _APPLICATION_ID) as stream:
-        record_comparison(stream, comparison, worst)
+    with written_and_shown(options.save, window) as path:
+        if path is not None:
+            with whole_recording(path, _blueprint(), _APPLICATION_ID) as stream:
+                record_comparison(stream, comparison, worst)
     console.print(
         f"[bold]{len(comparison)}[/] frames in common, of {len(sessions[0])} and {len(sessions[1])}.",
         highlight=False,

@@ -20,7 +20,7 @@ from devices.simulated.real_time import paced_together
 from fusion.body import BODIES
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
-from fusion.setup import FuserSettings, FusionSetup
+from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
@@ -90,16 +90,7 @@ def run(options: DemoOptions) -> None:
             ctrl_c.calls(sensors.stop)
             coach = Coach(body, nominal.intrinsics)
             show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))
-            setup, frames = run_live(
-                sensors,
-                body=body,
-                settings=FuserSettings(),
-                intrinsics=(a.intrinsics, b.intrinsics),
-                calibration=None,
-                recorder_for=lambda _: session,
-                truth_at=TruthAhead(truth),
-                go_on=show,
-            )
+            setup, frames = run_live(sensors, nominal, session, truth_at=TruthAhead(truth), go_on=show)
             session.save()
             with suppress(KeyboardInterrupt):  # whoever ended the run with Ctrl-C need not press it again
                 again = threading.Event()
@@ -115,9 +106,8 @@ def run(options: DemoOptions) -> None:
             )
         if frames:
             _print_truth(console, setup, frames, truth)
-        if save is not None:
-            print_saved(console, save, session)
-        check_saved(session)
+        print_saved(console, session.file)
+        check_saved(session.file)
 
 
 def _print_truth(console: Console, setup: FusionSetup, frames: list[RecordedFrame], truth: Truth) -> None:

@@ -2,35 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections import deque
+from collections.abc import Iterable, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.sensor import SensorFrame
+from devices.two_recordings import Progress, RecordingChoice, read_two
 from fusion.body import Body
-from fusion.calibration.calibration import Calibration, calibrate, find_start_up_pose
+from fusion.calibration.calibration import Calibration, calibrate
 from fusion.errors import CalibrationError
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import SkeletonPair
+from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.calibration_file import calibration_to_json, read_calibration
+from recordings.fusing import calibration_of, fuse_one, fused_session
 from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.writing.session_writer import write_session
 from viewer_app.coach.advice import placement, verdict
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import Situation
 from viewer_app.errors import UsageError
-from viewer_app.loop.fusing import fuse_offline, fuse_one, warm_up
-from viewer_app.loop.recorded_input import log_depth, read_two
+from viewer_app.loop.fusing import fuse_offline, warm_up
 from viewer_app.options import FuseOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import FusionResult, print_summary, report, report_to_json, say_saved
-from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.shown_images import ShownImages
+from viewer_app.sinks.viewer_sink import viewer_sink
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
 
@@ -49,43 +57,58 @@ def run(options: FuseOptions) -> None:
     inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
     check_outputs(outputs, filter(None, inputs), options.force)
     settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
-    read = read_two(options, console)
-    body, pairing = read.body, read.pairing
+    progress = _progress(console)
+    tracker = TrackerSettings(processing=options.processing, library=options.k4abt)
+    read = read_two(*_choices(options), tracker, progress)
     for warning in read.warnings:
         console.print(warning, style="yellow", highlight=False, markup=False)
-    skeletons = [pair.skeletons for pair in pairing.pairs]
-    calibration = _calibrate(options.calibrate, body, skeletons)
+    skeletons = [pair.skeletons for pair in read.pairing.pairs]
+    calibration = _calibrate(options.calibrate, read.body, skeletons)
 
     setup = FusionSetup(calibration, settings, *read.cameras(options.depth))
     fuser = Fuser(setup)
     warm_up(fuser, console)
     blueprint = session_blueprint(setup, _whereabouts(skeletons), options.layout)
-    with ExitStack() as viewer:
-        announce(viewing, console)
-        with ExitStack() as file:
-            session = viewer.enter_context(
-                LiveSession(
-                    setup,
-                    (str(options.a), str(options.b)),
-                    blueprint,
-                    file=None if options.save is None else file.enter_context(whole_file(options.save)),
-                    viewing=viewing,
-                    complete=True,
-                )
-            )
-            session.event(f"calibrated: {calibration.how}")
-            session.coach(_verdict(setup))
-            shown = track(
-                pairing.pairs, "fusing", console=console, transient=True, disable=not console.is_terminal
-            )
-            for warning in read.warnings:
-                session.event(warning, "WARN")
-            frames = fuse_offline(shown, fuser, session)
-            log_depth(read, session, options.depth, console)
-            session.finish()
-            session.save()
-        _summarise(console, options, FusionResult(pairing, calibration, settings, *_rows(frames, setup)))
+    sources = str(options.a), str(options.b)
+    announce(viewing, console)
+    viewer = viewer_sink(setup, sources, blueprint, viewing, uuid4(), complete=True)
+    with closing(viewer):
+        page = _verdict(setup)
+        viewer.event(f"calibrated: {calibration.how}")
+        viewer.coach(page)
+        for warning in read.warnings:
+            viewer.event(warning, "WARN")
+        shown = track(
+            read.pairing.pairs, "fusing", console=console, transient=True, disable=not console.is_terminal
+        )
+        frames = fuse_offline(shown, fuser, viewer)
+        session = fused_session(read, setup, frames, sources, options.depth, progress)
+        session = replace(session, images=ShownImages(session, viewer))
+        if options.save is None:
+            for side in layout.SIDES:
+                deque(session.depth(side), maxlen=0)  # for the viewer
+        else:
+            with whole_file(options.save) as partial:
+                write_session(session, partial, blueprint=blueprint, page=page)
+        viewer.finish()
+        result = FusionResult(read.pairing, calibration, settings, session.rows, _exact(frames, setup))
+        _summarise(console, options, result)
         stay_for_visitors(viewing, console)
+
+
+def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:
+    return (
+        RecordingChoice(options.a, options.skeletons_a, options.person_a, "--skeletons-a", "--person-a"),
+        RecordingChoice(options.b, options.skeletons_b, options.person_b, "--skeletons-b", "--person-b"),
+    )
+
+
+def _progress(console: Console) -> Progress:
+    def shown(frames: Iterable[SensorFrame], what: str, total: int | None) -> Iterable[SensorFrame]:
+        quiet = not console.is_terminal
+        return track(frames, what, total=total, console=console, transient=True, disable=quiet)
+
+    return shown
 
 
 def _verdict(setup: FusionSetup) -> CoachPage:
@@ -96,16 +119,14 @@ def _verdict(setup: FusionSetup) -> CoachPage:
     return scene.page(advice, Situation(calibration, settled=True, held=0.0))
 
 
-def _rows(frames: list[RecordedFrame], setup: FusionSetup) -> tuple[SessionArrays, SessionArrays | None]:
-    """What was fused, and the same with exact bones where the published scheme was asked for."""
-    calibration = setup.calibration
-    rows = SessionArrays.stack(calibration.body, calibration.bone_lengths, frames)
+def _exact(frames: list[RecordedFrame], setup: FusionSetup) -> SessionArrays | None:
+    """The same frames with exact bones, where the published scheme was asked for."""
     if setup.settings.method != "published":
-        return rows, None
-    settings = replace(setup.settings, method="paper")
-    other = Fuser(FusionSetup(calibration, settings, *setup.intrinsics))
-    again = [fuse_one(other, frame.pair) for frame in frames]
-    return rows, SessionArrays.stack(calibration.body, calibration.bone_lengths, again)
+        return None
+    exact = replace(setup, settings=replace(setup.settings, method="paper"))
+    fuser = Fuser(exact)
+    again = [fuse_one(fuser, frame.pair) for frame in frames]
+    return SessionArrays.stack(setup.body, setup.calibration.bone_lengths, again)
 
 
 def _summarise(console: Console, options: FuseOptions, result: FusionResult) -> None:
@@ -120,8 +141,7 @@ def _summarise(console: Console, options: FuseOptions, result: FusionResult) -> 
 def _calibrate(wanted: str, body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:
     kind, _, argument = wanted.partition(":")
     if wanted == "auto":
-        chosen, how = find_start_up_pose(body, pairs)
-        return calibrate(body, chosen, how)
+        return calibration_of(body, pairs)
     if kind == "seconds":
         try:
             seconds = float(argument)

@@ -9,8 +9,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from recordings import layout
-from recordings.reading.image_reader import ImageReader
 from recordings.session import Session
+from recordings.session_images import Images
 from viewer_app.options import InfoOptions
 from viewer_app.report.figures import calibration_in_words
 
@@ -24,13 +24,13 @@ def run(options: InfoOptions) -> None:
     session = Session.open(options.session)
     rows = session.rows
     seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
-    size = session.path.stat().st_size
+    size = options.session.stat().st_size
     table = Table(show_header=False, box=None)
 
     def row(name: str, value: object) -> None:
         table.add_row(f"[bold]{name}[/]", escape(str(value)))
 
-    row("session", session.path)
+    row("session", session)
     about = session.about["session"]
     row("written by", f"{about['written_by'][0]}, layout {about['layout_version'][0]}")
     row("body", f"{session.body.name}, {len(session.body)} joints")
@@ -40,7 +40,7 @@ def run(options: InfoOptions) -> None:
     row("settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items()))
     for k, line in enumerate(calibration_in_words(session.calibration)):
         row("" if k else "calibration", line)
-    images: dict[str, dict[str, ImageReader[Any]]] = {
+    images: dict[str, dict[str, Images[Any]]] = {
         "depth": {side: session.depth(side) for side in layout.SIDES},
         "colour": {side: session.color(side) for side in layout.SIDES},
     }

@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import track
 
-from devices.pairing import Pairing
 from fusion.fuser import Fuser
-from recordings import layout
+from fusion.setup import FusionSetup
+from recordings.reading.stored_settings import Event
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.session_images import NO_IMAGES
 from recordings.writing.checksums import fused_checksums, joint_digests
-from recordings.writing.recorder import Recorder
-from recordings.writing.rewritten_session import copy_images
+from recordings.writing.session_writer import write_session
 from viewer_app.errors import UsageError
 from viewer_app.loop.fusing import fuse_offline
 from viewer_app.options import ReplayOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import FusionResult, print_summary, report, report_to_json
+from viewer_app.report.session_notes import print_damage, print_damaged_images
+from viewer_app.sinks.sink import NullSink
 from viewer_app.viewer.blueprint import inspect_blueprint
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
@@ -53,26 +53,28 @@ def run(options: ReplayOptions) -> None:
             "Use `duplex compare` for two fusions with different ones."
         )
     print_damage(console, session)
-    setups = list(session.setups(settings))
     window = not options.no_viewer and not options.verify and has_display()
-    with written_and_shown(
-        options.save, window, inspect_blueprint(session.body, whereabouts(session))
-    ) as stream:
-        about: dict[str, str | int] = {"first_frame": session.first_frame, "replay_of": session.path.name}
-        recorder = Recorder(stream, setups[0][0], session.sources, about=about)
-        pairs = list(session.pairs())
-        frames: list[RecordedFrame] = []
-        shown = track(setups, "fusing", console=console, transient=True, disable=not console.is_terminal)
-        for setup, own in shown:
-            if own.start > 0:
-                recorder.recalibrated(setup)
-            recorder.event(f"calibrated: {setup.calibration.how}")
-            frames += fuse_offline(pairs[own], Fuser(setup), recorder)
-        damaged = 0 if options.save is None else copy_images(session, recorder, 0, len(session))
-        recorder.finish()
-
-    rows = SessionArrays.stack(session.body, session.rows.bone_lengths, frames)
-    result = FusionResult(pairing_of(session), session.calibration, settings, rows)
+    setups = list(session.setups(settings))
+    pairs = list(session.pairs())
+    fused = []
+    for setup, own in track(
+        setups, "fusing", console=console, transient=True, disable=not console.is_terminal
+    ):
+        fused.append((setup, fuse_offline(pairs[own], Fuser(setup), NullSink())))
+    replayed = Session.of(
+        fused,
+        session.sources,
+        events=[_calibrated(setup, session, own) for setup, own in setups],
+        images=NO_IMAGES if options.save is None else session.images,
+        about={"first_frame": session.first_frame, "replay_of": session.name},
+    )
+    damaged = 0
+    with written_and_shown(options.save, window) as path:
+        if path is not None:
+            blueprint = inspect_blueprint(session.body, session.whereabouts)
+            damaged = write_session(replayed, path, blueprint=blueprint)
+    rows = replayed.rows
+    result = FusionResult(session.pairing, session.calibration, settings, rows)
     figures = report(result)
     if options.report is not None:
         with whole_file(options.report) as partial:
@@ -83,6 +85,12 @@ def run(options: ReplayOptions) -> None:
         print_damaged_images(console, damaged)
     if options.verify and not verify(console, session, rows.fused):
         sys.exit(1)
+
+
+def _calibrated(setup: FusionSetup, session: Session, own: slice) -> Event:
+    """That a calibration takes effect, at the time of the last frame before."""
+    frame = max(own.start - 1, 0)
+    return Event(frame, int(session.time_ns[frame]), f"calibrated: {setup.calibration.how}", "INFO")
 
 
 def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bool:
@@ -120,34 +128,3 @@ def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bo
         f"{where}; {worst}."
     )
     return False
-
-
-def pairing_of(session: Session) -> Pairing:
-    """The session's pairs, as a report counts them; what was dropped before it was recorded is not known."""
-    rows = session.rows
-    seen_a, seen_b = (int((clock != layout.NO_FRAME).sum()) for clock in (rows.clock_a, rows.clock_b))
-    return Pairing(list(session.pairs()), seen_a, seen_b, 0, 0)
-
-
-def whereabouts(session: Session) -> NDArray[np.float64]:
-    """(3,) metres in K_A's frame, the middle of where the person is; somewhere before it where no one is."""
-    at = session.rows.fused.reshape(-1, 3)
-    seen = at[np.isfinite(at).all(axis=1)]
-    return np.asarray(np.median(seen, axis=0)) if len(seen) else np.array([0.0, 0.0, 2.5])
-
-
-def print_damage(console: Console, session: Session) -> None:
-    """Says what is wrong with a file, where something is."""
-    if session.damage is not None:
-        lost = f"; {session.frames_lost} more were written and are lost" if session.frames_lost else ""
-        console.print(
-            f"[bold yellow]{escape(str(session.path))} is not whole[/]: {escape(session.damage)}. "
-            f"{len(session)} frames could be read{lost}.",
-            highlight=False,
-        )
-
-
-def print_damaged_images(console: Console, count: int) -> None:
-    """Says how many images could not be copied, where there are any."""
-    if count:
-        console.print(f"[bold yellow]{count} damaged images[/] were left out.", highlight=False)

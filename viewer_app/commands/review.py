@@ -5,10 +5,10 @@ from __future__ import annotations
 from rich.console import Console
 
 from recordings.session import Session
-from viewer_app.commands.replay import pairing_of, print_damage
 from viewer_app.options import ReviewOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import FusionResult, print_summary, report
+from viewer_app.report.session_notes import print_damage
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import show
 
@@ -23,7 +23,7 @@ def run(options: ReviewOptions) -> None:
     check_outputs([options.html], [options.session], options.force)
     session = Session.open(options.session)
     print_damage(console, session)
-    result = FusionResult(pairing_of(session), session.calibration, session.settings, session.rows)
+    result = FusionResult(session.pairing, session.calibration, session.settings, session.rows)
     figures = report(result)
     if options.html is not None:
         from viewer_app.report.review_page import review_page

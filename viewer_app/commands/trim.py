@@ -6,11 +6,11 @@ import numpy as np
 from rich.console import Console
 
 from recordings.session import Session
-from recordings.writing.rewritten_session import rewrite
-from viewer_app.commands.replay import print_damage, print_damaged_images, whereabouts
+from recordings.writing.session_writer import write_session
 from viewer_app.errors import UsageError
 from viewer_app.options import TrimOptions
 from viewer_app.output_files import check_outputs, whole_file
+from viewer_app.report.session_notes import print_damage, print_damaged_images
 from viewer_app.viewer.blueprint import inspect_blueprint
 
 
@@ -29,12 +29,11 @@ def run(options: TrimOptions) -> None:
     first, end = np.searchsorted(time, options.start), np.searchsorted(time, last, side="right")
     if first >= end:
         raise UsageError(
-            f"No frame from {options.start:g} s to {last:g} s; "
-            f"{session.path} runs from 0 to {time[-1]:.3f} s."
+            f"No frame from {options.start:g} s to {last:g} s; {session} runs from 0 to {time[-1]:.3f} s."
         )
     with whole_file(options.save) as partial:
-        blueprint = inspect_blueprint(session.body, whereabouts(session))
-        damaged = rewrite(session, partial, blueprint, int(first), int(end))
+        blueprint = inspect_blueprint(session.body, session.whereabouts)
+        damaged = write_session(session, partial, blueprint=blueprint, first=int(first), end=int(end))
     console.print(
         f"Saved {options.save}: {end - first} of {len(session)} frames.", highlight=False, markup=False
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -11,12 +10,10 @@ from rich.console import Console
 
 from devices.pairing import FramePair
 from fusion.fuser import Fuser
+from recordings.fusing import fuse_one
 from recordings.images.rvl import encode_depth
 from recordings.session_arrays import RecordedFrame
-from recordings.writing.recorder import Recorder
-from viewer_app.sinks.live_session import LiveSession
-
-_BLOCK = 1024  # frames written at a time, so that a viewer shows the work going on
+from viewer_app.sinks.sink import Sink
 
 
 def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = lambda: None) -> None:
@@ -37,25 +34,11 @@ def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = la
         notice.cancel()
 
 
-def fuse_one(fuser: Fuser, pair: FramePair) -> RecordedFrame:
-    """Fuses a pair and takes the time."""
-    skeletons = pair.skeletons
-    before = time.perf_counter_ns()
-    fused = fuser.update(skeletons)
-    return RecordedFrame(pair, fused, time.perf_counter_ns() - before)
-
-
-def fuse_offline(
-    pairs: Iterable[FramePair], fuser: Fuser, recorder: Recorder | LiveSession
-) -> list[RecordedFrame]:
-    """Fuses pairs as fast as it goes, writing by columns, a block at a time."""
-    frames: list[RecordedFrame] = []
-    written = 0
+def fuse_offline(pairs: Iterable[FramePair], fuser: Fuser, sink: Sink) -> list[RecordedFrame]:
+    """Fuses pairs as fast as it goes."""
+    frames = []
     for pair in pairs:
-        frames.append(fuse_one(fuser, pair))
-        if len(frames) - written == _BLOCK:
-            recorder.record_all(frames[written:])
-            written = len(frames)
-    if len(frames) > written:
-        recorder.record_all(frames[written:])
+        frame = fuse_one(fuser, pair)
+        sink.write(frame)
+        frames.append(frame)
     return frames

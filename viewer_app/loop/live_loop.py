@@ -12,77 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.following import PersonOfPair
+from devices.image_thinning import Depth, with_depth, without_images
 from devices.live.sensor_pair import TwoSensors
-from fusion.body import Body
-from fusion.calibration.calibration import Calibration, StartUpPose, calibrate, nominal_calibration
-from fusion.errors import CalibrationError
-from fusion.fuser import Fuser
-from fusion.intrinsics import Intrinsics
-from fusion.setup import FuserSettings, FusionSetup
-from fusion.skeleton import SkeletonPair
+from fusion.calibration.calibrator import Calibrator
+from fusion.setup import FusionSetup
+from recordings.live_fusing import LiveFusion
 from recordings.session_arrays import RecordedFrame
-from recordings.writing.recorder import Recorder
-from viewer_app.loop.fusing import fuse_one
-from viewer_app.loop.image_thinning import Depth, with_depth, without_images
-from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.sink import Sink
 
 _KEPT_FRAMES = 1_800
 """A minute at 30 fps: what the summary at the end speaks of."""
-_PROVISIONAL_PAIRS = 30
 _TURN = 0.0005  # seconds
-
-
-class Calibrator:
-    """Finds a calibration while pairs come in: a provisional one at once, the real one on the start-up pose.
-
-    Args:
-        body: The sensors' body.
-        calibration: One from before, which is then kept.
-    """
-
-    def __init__(self, body: Body, calibration: Calibration | None = None) -> None:
-        self._body = body
-        self._pose = StartUpPose(body)
-        self._seen: list[SkeletonPair] = []
-        self._settled = calibration is not None
-        self.calibration = calibration or nominal_calibration(body)
-
-    @property
-    def settled(self) -> bool:
-        """Whether the calibration is the real one."""
-        return self._settled
-
-    @property
-    def held(self) -> float:
-        """Seconds for which the start-up pose has been held."""
-        return self._pose.held
-
-    def watch(self, pair: SkeletonPair) -> Calibration | None:
-        """Takes the next pair.
-
-        Returns:
-            The new calibration where this pair completes one, else None.
-        """
-        if self._settled or pair.a is None or pair.b is None:
-            return None
-        held = self._pose.watch(pair)
-        if held is not None:
-            found = self._try(held, f"start-up pose, {len(held)} frames")
-            self._settled = found is not None
-            return found
-        if len(self._seen) < _PROVISIONAL_PAIRS:
-            self._seen.append(pair)
-            if len(self._seen) in (1, _PROVISIONAL_PAIRS):
-                return self._try(self._seen, f"provisional, {len(self._seen)} frames of any pose")
-        return None
-
-    def _try(self, pairs: list[SkeletonPair], how: str) -> Calibration | None:
-        try:
-            self.calibration = calibrate(self._body, pairs, how)
-        except CalibrationError:
-            return None
-        return self.calibration
 
 
 @dataclass(frozen=True)
@@ -116,12 +56,10 @@ def undisturbed() -> Iterator[None]:
 @undisturbed()
 def run_live(
     sensors: TwoSensors,
+    setup: FusionSetup,
+    sink: Sink,
     *,
-    body: Body,
-    settings: FuserSettings,
-    intrinsics: tuple[Intrinsics | None, Intrinsics | None],
-    calibration: Calibration | None,
-    recorder_for: Callable[[FusionSetup], Recorder | LiveSession],
+    calibrated: bool = False,
     depth: Depth = "full",
     truth_at: Callable[[int], NDArray[np.float64]] | None = None,
     go_on: Callable[[Status], bool] = lambda _: True,
@@ -130,11 +68,9 @@ def run_live(
 
     Args:
         sensors: Open.
-        body: Of both sensors.
-        settings: The method's choices.
-        intrinsics: Of the two depth cameras, for depth images as `depth` leaves them.
-        calibration: One to keep; None to find it while running.
-        recorder_for: Makes the recorder, once.
+        setup: To begin with; its cameras are for depth images as `depth` leaves them.
+        sink: Takes the frames, and what happened.
+        calibrated: Whether to keep the setup's calibration; else one is found while running.
         depth: How much of the depth images is recorded.
         truth_at: (J, 3) the true joints at a time of A's clock, where they are known.
         go_on: Asked after each frame; shows the status in passing.
@@ -142,36 +78,29 @@ def run_live(
     Returns:
         The last setup, and the last frames, without their images.
     """
-    calibrator = Calibrator(body, calibration)
-    setup = FusionSetup(calibrator.calibration, settings, *intrinsics)
-    fuser = Fuser(setup)
-    recorder = recorder_for(setup)
-    people = PersonOfPair()
+    fusion = LiveFusion(setup, calibrated)
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
     ahead_ns = 0
     for live in sensors.pairs():
-        b_from_a = calibrator.calibration.a_from_b.inverse() if calibrator.settled else None
-        pair = with_depth(people.chosen(live, b_from_a), depth)
-        found = calibrator.watch(pair.skeletons)
-        if found is not None:
-            setup = FusionSetup(found, settings, *intrinsics)
-            fuser = Fuser(setup)
-            recorder.recalibrated(setup)
-        frame = replace(fuse_one(fuser, pair), streams=sensors.stream_figures)
+        pair = with_depth(fusion.chosen(live), depth)
+        recalibrated = fusion.recalibrated(pair)
+        if recalibrated:
+            sink.recalibrated(fusion.setup)
+        frame = replace(fusion.fuse(pair), streams=sensors.stream_figures)
         if truth_at is not None:
             if pair.a is not None:  # A's own time: a pair's goes on where A's clock is reset
                 ahead_ns = pair.time_ns - pair.a.time_ns
             frame = replace(frame, truth=truth_at(pair.time_ns - ahead_ns))
         events = tuple(event.message for event in sensors.events())
-        recorder.record(frame)
-        if found is not None:
-            recorder.event(f"calibrated: {found.how}")
+        sink.write(frame)
+        if recalibrated:
+            sink.event(f"calibrated: {fusion.setup.calibration.how}")
         for event in events:
-            recorder.event(event, "WARN")
+            sink.event(event, "WARN")
         kept.append(replace(frame, pair=without_images(pair)))
-        if not go_on(Status(frame, calibrator, sensors, events)):
+        if not go_on(Status(frame, fusion.calibrator, sensors, events)):
             break
     for late in sensors.events():  # what happened after the last pair
-        recorder.event(late.message, "WARN")
-    recorder.finish()
-    return setup, list(kept)
+        sink.event(late.message, "WARN")
+    sink.finish()
+    return fusion.setup, list(kept)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from rich.console import Console
 
@@ -12,7 +11,7 @@ from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.errors import UsageError
 from viewer_app.report.figures import Figures, fusion_figures, method_figures, print_method, say_saved
-from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.session_file import FileSink
 
 
 def print_frames(console: Console, sensors: TwoSensors) -> None:
@@ -94,25 +93,27 @@ def print_session(
     print_method(console, setup.calibration, method_figures(rows))
 
 
-def print_saved(console: Console, path: Path, session: LiveSession) -> None:
-    """Where the session is, if all of it is there."""
-    if session.saved == 0 and session.failure is None:
-        console.print(f"{path} was not written: no frame came.", highlight=False, markup=False)
-    elif session.failure is None:
-        say_saved(console, path)
+def print_saved(console: Console, file: FileSink) -> None:
+    """Where the session is, if all of it is there; nothing where none was to be saved."""
+    if file.path is None:
+        return
+    if file.saved == 0 and file.failure is None:
+        console.print(f"{file.path} was not written: no frame came.", highlight=False, markup=False)
+    elif file.failure is None:
+        say_saved(console, file.path)
     for count, what in (
-        (session.lost, "not saved: the disk stood still"),
-        (session.without_images, "saved without their images, which came too fast for this machine"),
+        (file.lost, "not saved: the disk stood still"),
+        (file.without_images, "saved without their images, which came too fast for this machine"),
     ):
         if count:
             console.print(f"[yellow]{count} frames are {what}.[/]", highlight=False)
 
 
-def check_saved(session: LiveSession) -> None:
+def check_saved(file: FileSink) -> None:
     """Ends a session whose saving stopped as a mistake does: with one line, and exit code 2.
 
     Raises:
         UsageError: It did.
     """
-    if session.failure is not None:
-        raise UsageError(session.failure)
+    if file.failure is not None:
+        raise UsageError(file.failure)

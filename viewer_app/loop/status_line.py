@@ -75,7 +75,7 @@ class LiveDisplay:
         self._advise(status)
         for event in status.events:
             self._console.print(str(event), style="yellow", highlight=False, markup=False, soft_wrap=True)
-        failure = self._session.failure
+        failure = self._session.file.failure
         if failure is not None and not self._failure_told:
             self._failure_told = True
             self._console.print(f"[bold red]{escape(failure)}[/] The fusion goes on.", highlight=False)
@@ -104,14 +104,15 @@ class LiveDisplay:
             f"trust {trust[0]:.2f}/{trust[1]:.2f}",
             f"fuse {fuse:.0f} µs",
         ]
-        if self._session.failure is not None:
+        file, viewer = self._session.file, self._session.viewer
+        if file.failure is not None:
             parts.append("SAVING STOPPED")
-        elif self._session.saves:
-            parts.append(f"saving {self._session.saved_bytes / 1e6:.1f} MB")
-        for count, what in ((self._session.dropped, "not shown"), (self._session.lost, "NOT SAVED")):
+        elif file.saves:
+            parts.append(f"saving {file.saved_bytes / 1e6:.1f} MB")
+        for count, what in ((viewer.dropped, "not shown"), (file.lost, "NOT SAVED")):
             if count:
                 parts.append(f"{count} {what}")
-        if self._session.window_closed:
+        if viewer.window_closed:
             parts.append("viewer closed")
         if self._verbose:
             sensors = self._frames[-1].sensors

@@ -20,6 +20,7 @@ from fusion.calibration.calibration import Calibration
 from fusion.setup import FuserSettings
 from fusion.solvers.solver import MAX_ITERATIONS
 from recordings.session_arrays import SessionArrays
+from viewer_app.viewer.display import has_display
 
 Figures = dict[str, Any]
 
@@ -161,9 +162,15 @@ def print_method(console: Console, calibration: Calibration, figures: Figures) -
 
 
 def say_saved(console: Console, path: Path) -> None:
-    """Where the session is, and the command that opens it, as this program was called."""
+    """One line: where the session is, and the command to look at it here, as this program was called."""
     program = sys.argv[0] if Path(sys.argv[0]).name.startswith("duplex") else "duplex"
-    console.print(f"Saved {path}. Look at it with: {program} review {path}", highlight=False, markup=False)
+    page = "" if has_display() else f" --html {path.with_suffix('.html')}"
+    console.print(
+        f"Saved {path}. Look at it with: {program} review {path}{page}",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
 
 
 _FEWEST_FRAMES = 15  # half a second

@@ -13,9 +13,8 @@ import rerun as rr
 
 from recordings.writing.growing_file import partial_beside
 from recordings.writing.recorder import Recorder
-from recordings.writing.rewritten_session import check_whole
-from viewer_app.loop.image_thinning import has_images
-from viewer_app.sinks.viewer_feed import Image, Item, Opening, write_items
+from recordings.writing.session_writer import check_whole
+from viewer_app.sinks.queue_items import Frame, Item, Opening, write_items
 
 _BLOCK = 600
 """Items written together: 20 s, which then take less than half the room of half seconds."""
@@ -50,7 +49,7 @@ class CompactCopy:
 
     def add(self, items: Sequence[Item]) -> None:
         """Takes items."""
-        if any(isinstance(i, Image) or (isinstance(i, tuple) and has_images(i[1].pair)) for i in items):
+        if any(isinstance(item, Frame) and item.has_images for item in items):
             self.close()
         if self._recorder is not None:
             self._waiting += items

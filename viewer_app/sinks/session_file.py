@@ -7,17 +7,18 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 import rerun as rr
 
+from fusion.setup import FusionSetup
+from recordings.appearance.coach_page import CoachPage
+from recordings.session_arrays import RecordedFrame
 from recordings.writing.growing_file import GrowingFile
 from recordings.writing.recorder import Recorder
-from recordings.writing.rewritten_session import check_whole
-from viewer_app.loop.image_thinning import has_images, without_images
 from viewer_app.sinks.compact_copy import CompactCopy
-from viewer_app.sinks.viewer_feed import Item, Opening, write_items
+from viewer_app.sinks.queue_items import Frame, Item, Note, Opening, Page, Recalibration, write_items
+from viewer_app.sinks.sink import Sink
 
 _KEEP_WITH_IMAGES = 60
 """Frames that wait with their images, at most: 90 MB."""
@@ -27,23 +28,59 @@ _LOOK_SECONDS = 0.04
 """Images are encoded as they come: those of a block at once would keep everyone waiting."""
 _BLOCK_SECONDS = 0.5
 """Frames are written together, for by columns that takes less time and space; a kill loses as many."""
-_FLUSH_WITHIN = 30.0
 
 
-class SessionFile:
-    """Writes what it is offered; the offering never waits.
+class FileSink(Sink):
+    """A file that is saved while the loop runs; this one is none."""
 
-    A live session's file can be read while it grows; it gets its name, and replaces one that had it, with the
-    first frames. A disk that is full stops its saving and nothing else: :attr:`failure` then says so. While
-    the disk stands still, images are left out first, after a minute frames too; both are counted.
+    @property
+    def path(self) -> Path | None:
+        """The file; None for none."""
+        return None
+
+    @property
+    def saves(self) -> bool:
+        """Whether a file is being written."""
+        return False
+
+    @property
+    def failure(self) -> str | None:
+        """Why not everything is saved, in a sentence; None where it is."""
+        return None
+
+    @property
+    def saved(self) -> int:
+        """Frames that are in the file."""
+        return 0
+
+    @property
+    def saved_bytes(self) -> int:
+        """The file's size so far."""
+        return 0
+
+    @property
+    def lost(self) -> int:
+        """Frames left out while the disk stood still."""
+        return 0
+
+    @property
+    def without_images(self) -> int:
+        """Frames whose images were left out, because the disk was too slow for those."""
+        return 0
+
+
+class SessionFile(FileSink):
+    """Writes a live session on a thread of its own; the loop never waits.
+
+    The file can be read while it grows; it gets its name, and replaces one that had it, with the first
+    frames. A disk that is full stops the saving and nothing else: :attr:`failure` then says so. While the
+    disk stands still, images are left out first, after a minute frames too; both are counted.
 
     Args:
         path: The file.
         open_stream: Makes a stream of the recording, without a sink.
         begin: Writes what is static.
-        growing: Whether it is that of a live session. A recording's, whose fusion keeps all frames anyway, is
-            complete, or :meth:`close` raises; it is there before, but not to be read.
-        overwrite: Whether a live session may replace a file of that name.
+        overwrite: Whether a file of that name may be replaced.
         turn: Waits until whoever goes first has had a turn, so many seconds at most. A lower priority of the
             thread would hold up all the others: while it is kept waiting, it may hold Python's lock.
         on_failure: Told, on the thread, why saving stopped.
@@ -55,78 +92,121 @@ class SessionFile:
         open_stream: Callable[[], rr.RecordingStream],
         begin: Opening,
         *,
-        growing: bool = True,
         overwrite: bool = False,
         turn: Callable[[float], object] | None = None,
         on_failure: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._path = path
-        self._open_stream, self._begin = open_stream, begin
-        self._growing, self._overwrite = growing, overwrite
+        self._open_stream, self._begin, self._overwrite = open_stream, begin, overwrite
         self._turn, self._on_failure = turn or self._wait_for_end, on_failure
         self._queue: deque[Item] = deque()
         self._more = threading.Condition()
         self._ending = self._whole = False
         self._error: BaseException | None = None
-        self.failure: str | None = None
-        """Why not everything is saved; None where it is."""
-        self.saved = 0
-        """Frames that are in the file."""
-        self.lost = 0
-        """Frames left out while the disk stood still."""
-        self.without_images = 0
-        """Frames whose images were left out."""
+        self._failure: str | None = None
+        self._offered = self._saved = self._lost = self._without_images = 0
         self._thread = threading.Thread(target=self._run, name="session file")
         self._thread.start()
 
-    def offer(self, item: Item) -> None:
-        """Takes an item, without waiting."""
-        if self._ending or self.failure is not None or self._error is not None:
+    def write(self, frame: RecordedFrame) -> None:
+        """Takes a frame, without waiting."""
+        item = Frame(self._offered, frame)
+        self._offered += 1
+        waiting = len(self._queue)
+        if waiting >= _KEEP:
+            self._lost += self._takes
             return
-        if self._growing and isinstance(item, tuple):
-            waiting = len(self._queue)
-            if waiting >= _KEEP:
-                self.lost += 1
-                return
-            number, frame = item
-            if waiting >= _KEEP_WITH_IMAGES and has_images(frame.pair):
-                self.without_images += 1
-                item = number, replace(frame, pair=without_images(frame.pair))
-        self._queue.append(item)
+        if waiting >= _KEEP_WITH_IMAGES and item.has_images:
+            self._without_images += self._takes
+            item = item.without_images()
+        self._offer(item)
+
+    def event(self, text: str, level: str = "INFO") -> None:
+        """Takes an event, without waiting."""
+        self._offer(Note(text, level))
+
+    def recalibrated(self, setup: FusionSetup) -> None:
+        """Takes a calibration, without waiting."""
+        self._offer(Recalibration(setup))
+
+    def coach(self, page: CoachPage) -> None:
+        """Takes a page, without waiting."""
+        self._offer(Page(page))
+
+    def finish(self) -> None:
+        """The file will say that the session is whole."""
+        self._whole = True
+
+    @property
+    def path(self) -> Path | None:
+        """The file."""
+        return self._path
+
+    @property
+    def saves(self) -> bool:
+        """Whether it is being written: until it fails."""
+        return self._failure is None
+
+    @property
+    def failure(self) -> str | None:
+        """Why not everything is saved, in a sentence; None where it is."""
+        return self._failure
+
+    @property
+    def saved(self) -> int:
+        """Frames that are in the file."""
+        return self._saved
+
+    @property
+    def saved_bytes(self) -> int:
+        """The file's size so far."""
+        try:
+            return self._path.stat().st_size if self._saved else 0
+        except OSError:
+            return 0
+
+    @property
+    def lost(self) -> int:
+        """Frames left out while the disk stood still."""
+        return self._lost
+
+    @property
+    def without_images(self) -> int:
+        """Frames whose images were left out."""
+        return self._without_images
 
     @property
     def waiting(self) -> int:
-        """How much is offered and not yet written."""
+        """How much is taken and not yet written."""
         return len(self._queue)
 
-    def close(self, whole: bool) -> None:
+    def close(self) -> None:
         """Writes what waits, and closes the file.
 
-        Args:
-            whole: Whether the session ended as it should, which is then written too.
-
         Raises:
-            OSError: Not everything of a recording has reached the file.
             Exception: A fault of the program.
         """
         with self._more:
-            self._ending, self._whole = True, whole
+            self._ending = True
             self._more.notify()
         self._thread.join()
-        if self._error is not None:
-            raise self._error
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+
+    @property
+    def _takes(self) -> bool:
+        return not self._ending and self._failure is None and self._error is None
+
+    def _offer(self, item: Item) -> None:
+        if self._takes:
+            self._queue.append(item)
 
     def _run(self) -> None:
         try:
-            if self._growing:
-                self._write_growing()
-            else:
-                self._write_at_once()
+            self._write_growing()
         except OSError as error:
-            if self._growing:
-                self._fail(error)
-            else:
-                self._error = error
+            self._fail(error)
         except Exception as error:
             self._error = error
         finally:
@@ -143,34 +223,16 @@ class SessionFile:
             while not ending:
                 ending, items = self._take_block(recorder, compact)
                 write_items(recorder, items)
-                frames = sum(isinstance(item, tuple) for item in items)
-                whole = ending and self._whole and self.saved + frames > 0
+                frames = sum(isinstance(item, Frame) for item in items)
+                whole = ending and self._whole and self._saved + frames > 0
                 if whole:
                     recorder.finish()
                 if file.begun or frames:
                     file.write()
-                    self.saved += frames
+                    self._saved += frames
             file.close()
             if whole:
                 compact.take_place()
-
-    def _write_at_once(self) -> None:
-        stream = self._open_stream()
-        stream.set_sinks(rr.FileSink(str(self._path)))
-        try:
-            recorder = self._begin(stream)
-            ending = False
-            while not ending:
-                self._wait_for_end(_BLOCK_SECONDS)
-                ending, items = self._take()
-                write_items(recorder, items)
-            if self._whole:
-                recorder.finish()
-            stream.flush(timeout_sec=_FLUSH_WITHIN)
-        finally:
-            stream.disconnect()
-        if self._whole:
-            check_whole(self._path)
 
     def _take_block(self, recorder: Recorder, compact: CompactCopy) -> tuple[bool, list[Item]]:
         """Whether this is the end, and what was offered in half a second and a turn or two.
@@ -186,10 +248,9 @@ class SessionFile:
             ending, items = self._take()
             compact.add(items)
             for item in items:
-                if isinstance(item, tuple):
-                    number, frame = item
-                    recorder.record_images(number, frame)
-                    item = number, replace(frame, pair=without_images(frame.pair))
+                if isinstance(item, Frame):
+                    recorder.record_images(item.number, item.frame)
+                    item = item.without_images()
                 block.append(item)
         if not ending:
             self._turn(_LOOK_SECONDS)
@@ -207,9 +268,9 @@ class SessionFile:
 
     def _fail(self, error: OSError) -> None:
         why = error.strerror or error
-        self.failure = (
-            f"{self._path} is not saved from frame {self.saved} on: {why}. What is before that can be read."
-            if self.saved
+        self._failure = (
+            f"{self._path} is not saved from frame {self._saved} on: {why}. What is before that can be read."
+            if self._saved
             else f"{self._path} could not be written: {why}."
         )
-        self._on_failure(self.failure)
+        self._on_failure(self._failure)

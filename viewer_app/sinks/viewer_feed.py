@@ -12,88 +12,13 @@ import subprocess
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 
-import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
-from fusion.setup import FusionSetup
-from recordings.appearance.coach_page import CoachPage
-from recordings.session_arrays import RecordedFrame
-from recordings.writing.recorder import Recorder
 from viewer_app.errors import UsageError
+from viewer_app.sinks.queue_items import Frame, Item, Opening, write_items
 from viewer_app.viewer.rerun_process import stop
-
-
-@dataclass(frozen=True, eq=False)
-class Note:
-    """An event.
-
-    Attributes:
-        text: What is said.
-        level: How bad it is.
-    """
-
-    text: str
-    level: str = "INFO"
-
-    def write(self, recorder: Recorder) -> None:
-        """Puts it where it belongs."""
-        recorder.event(self.text, self.level)
-
-
-@dataclass(frozen=True, eq=False)
-class Image:
-    """A depth image of a frame that was given before.
-
-    Attributes:
-        side: Whose.
-        frame: Of which frame.
-        time_ns: Since the first pair.
-        depth: (height, width) uint16 millimetres.
-    """
-
-    side: str
-    frame: int
-    time_ns: int
-    depth: NDArray[np.uint16]
-
-    def write(self, recorder: Recorder) -> None:
-        """Puts it where it belongs."""
-        recorder.record_depth(self.side, self.frame, self.time_ns, self.depth)
-
-
-Numbered = tuple[int, RecordedFrame]
-Item = Numbered | Note | CoachPage | Image | FusionSetup
-"""A frame, something said or drawn, or what the frames that follow are fused with."""
-Opening = Callable[[rr.RecordingStream], Recorder]
-"""Writes what is static, and gives the recorder to go on with."""
-
-
-def write_items(recorder: Recorder, items: Sequence[Item]) -> None:
-    """Writes items in order, frames that follow each other by columns."""
-    run: list[Numbered] = []
-
-    def write_run() -> None:
-        if run:
-            recorder.record_all([frame for _, frame in run], [number for number, _ in run])
-            run.clear()
-
-    for item in items:
-        if isinstance(item, Note | Image):
-            write_run()
-            item.write(recorder)
-        elif isinstance(item, CoachPage):
-            write_run()
-            recorder.coach(item)
-        elif isinstance(item, FusionSetup):
-            write_run()
-            recorder.recalibrated(item)
-        else:
-            run.append(item)
-    write_run()
 
 
 class ViewerFeed:
@@ -179,7 +104,7 @@ class ViewerFeed:
     def _drop_oldest_frame(self) -> None:
         """What is said stays: it is rare and short."""
         for index, item in enumerate(self._queue):
-            if isinstance(item, tuple):
+            if isinstance(item, Frame):
                 del self._queue[index]
                 self.dropped += 1
                 return

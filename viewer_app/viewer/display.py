@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import io
 import os
 import platform
-import re
-import socket
+import threading
 
 _ANSWERS_WITHIN = 4.0  # seconds; over a slow ssh connection it takes one or two
-_HELLO = b"l\0\x0b\0\0\0\0\0\0\0\0\0"
-"""X11's connection setup, little-endian, version 11.0, without authorisation: a refusal is an answer too."""
-_NAME = re.compile(r"^(?P<host>.*?)(?:/unix)?:(?P<number>\d+)(?:\.\d+)?$")
 
 
 def has_display() -> bool:
@@ -41,27 +39,27 @@ def why_no_x() -> str | None:
 
 @functools.lru_cache(maxsize=8)
 def _answers(name: str, within: float) -> bool:
-    """Whether an X server speaks there. A program that opens a window on one that does not waits for ever."""
-    parts = _NAME.match(name)
-    if parts is None:  # of a kind not known here: let the viewer find out
-        return True
-    host, number = parts["host"], int(parts["number"])
-    if host in ("", "unix"):
-        path = f"/tmp/.X11-unix/X{number}"
-        return any(_says_something(socket.AF_UNIX, at, within) for at in (path, f"\0{path}"))
+    """Whether an X server answers there; without an answer, a program that opens a window waits for ever."""
+    answered = threading.Event()
+    asking = threading.Thread(target=_ask, args=(name, answered), daemon=True)
+    with contextlib.redirect_stdout(io.StringIO()):  # python-xlib prints where it finds no authorisation
+        asking.start()
+        asking.join(within)  # python-xlib itself has no time limit
+    return answered.is_set()
+
+
+def _ask(name: str, answered: threading.Event) -> None:
+    from Xlib.error import ConnectionClosedError, DisplayConnectionError, DisplayNameError
+    from Xlib.protocol.display import Display
+
     try:
-        found = socket.getaddrinfo(host, 6000 + number, type=socket.SOCK_STREAM)
-    except OSError:
-        return False
-    return any(_says_something(family, at, within / len(found)) for family, _, _, _, at in found)
-
-
-def _says_something(family: int, at: object, within: float) -> bool:
-    with socket.socket(family, socket.SOCK_STREAM) as server:
-        server.settimeout(within)
-        try:
-            server.connect(at)  # type: ignore[arg-type]
-            server.sendall(_HELLO)
-            return bool(server.recv(1))
-        except OSError:
-            return False
+        Display(name).close()
+    except DisplayNameError:  # a kind of name not known here: let the viewer find out
+        pass
+    except DisplayConnectionError as error:
+        # A refusal, in the server's own bytes, is an answer: the viewer knows more kinds of authorisation.
+        if not isinstance(error.msg, bytes):
+            return
+    except ConnectionClosedError:
+        return
+    answered.set()

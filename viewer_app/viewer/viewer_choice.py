@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 
 from viewer_app.errors import UsageError
-from viewer_app.sinks.live_session import Viewing
+from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.display import has_display, why_no_window
 from viewer_app.viewer.rerun_process import Hub
 

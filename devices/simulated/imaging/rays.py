@@ -11,7 +11,7 @@ import numpy as np
 from fusion.compiling.kernels import njit
 
 
-@njit(cache=True)
+@njit()
 def capsule_depth(dx, dy, dz, s):  # type: ignore[no-untyped-def]
     """Where the ray t·d from the origin first meets capsule s, in t; infinity where it does not."""
     bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
@@ -42,7 +42,7 @@ def capsule_depth(dx, dy, dz, s):  # type: ignore[no-untyped-def]
     return t if t > 0.0 else np.inf
 
 
-@njit(cache=True)
+@njit()
 def share_seen(joints, shapes, flesh):  # type: ignore[no-untyped-def]
     """(J,) share of nine rays to and about each joint that meet no surface well before it; see flesh."""
     rays = 9
@@ -71,7 +71,7 @@ def share_seen(joints, shapes, flesh):  # type: ignore[no-untyped-def]
     return seen / rays
 
 
-@njit(cache=True)
+@njit()
 def _span(x, z, r, f, c, size):  # type: ignore[no-untyped-def]
     """Pixels that a sphere can touch along one axis of the image."""
     if z - r <= 0.05:
@@ -82,7 +82,7 @@ def _span(x, z, r, f, c, size):  # type: ignore[no-untyped-def]
     return max(0, int(np.floor(first))), min(size - 1, int(np.ceil(last)))
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def cast(shapes, planes, fx, fy, cx, cy, z, label, cosine):  # type: ignore[no-untyped-def]
     """Fills z, label and cosine with what each pixel's ray meets first; see rendering.surface."""
     height, width = z.shape

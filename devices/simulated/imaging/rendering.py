@@ -97,7 +97,7 @@ def depth_image(
     return image
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _read_out(  # type: ignore[no-untyped-def]
     z, cosine, normal, uniform, noise, growth, grazing, edge_loss, nearest, farthest, image
 ):

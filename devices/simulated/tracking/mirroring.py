@@ -39,8 +39,8 @@ class Mirroring:
     back: float = 0.0
     centre: float = -0.55
     width: float = 0.10
-    seconds: float = 0.3
-    crossing_seconds: float = 0.3
+    seconds: float = 0.12
+    crossing_seconds: float = 0.25
     legs_later: float = 0.5
     believed: tuple[float, float, float, float, float, float, float] = (0.9, 0.9, 0.6, 0.3, 0.5, 0.35, 0.1)
 

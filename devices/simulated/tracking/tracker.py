@@ -1,8 +1,9 @@
 """What a Kinect's body tracker reports of a person, with the errors of ``tracker_errors``.
 
 The errors, in the order in which they befall a joint: a bias that depends on the view; its place under the
-skin; a guess where it is hidden, or the place of the joint that covers it (sec. 3); the whole skeleton's
-scale; jitter; a back taken for a front; a frame delivered twice; a person lost.
+skin; a guess where it is hidden, or the place of the joint that covers it (sec. 3); an outlier or a
+heavy-tailed error of its limb; the whole skeleton's scale; jitter; a back taken for a front; a frame
+delivered twice; a person lost.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.simulated.person.anatomy import Array
+from devices.simulated.tracking.heavy_tails import HeavyTails
 from devices.simulated.tracking.mirroring import MirroringTracker
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import Body
@@ -58,6 +60,9 @@ class Tracker:
         # Coefficients of 1, cos and sin of the view's azimuth: a bias of every view, changing smoothly.
         spread = errors.view_bias * _BIAS.of(body)[:, None, None] / np.sqrt(2.0)
         self._bias = random.standard_normal((count, 3, 3)) * spread
+        # A generator of its own, so that no other error depends on whether there are tails.
+        tails = errors.tail.of(body).any()
+        self._tails = HeavyTails(body, errors, frame_seconds, random.spawn(1)[0]) if tails else None
         self._jitter = random.standard_normal((count, 3))
         self._guess = random.standard_normal((count, 3))
         self._scale = float(random.standard_normal())
@@ -98,6 +103,8 @@ class Tracker:
         guess[snapped] = at[snapped] + e.snap * (joints[self._cover] - at)[snapped]
         at = at + weight * (guess - at)
         at = self._hold_bones(at, joints) + self._outliers(uniform[3:])
+        if self._tails is not None:
+            at = at + self._tails.next()
         root = at[body.root]
         at = root + (at - root) * (1.0 + e.rescale * self._scale)
         shaking = (self._jitter_size + e.moving_jitter * self._speed(joints))[:, None]
@@ -223,7 +230,7 @@ class Tracker:
         return bool(chance >= stop) if on else bool(chance < start)
 
 
-@njit(cache=True)
+@njit()
 def _hold(held, at, joints, order, parents, stretch):  # type: ignore[no-untyped-def]
     for joint in order:
         parent = parents[joint]

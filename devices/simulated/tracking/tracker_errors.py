@@ -85,6 +85,8 @@ class TrackerErrors:
         stale: Share of frames that repeat the skeleton before.
         lost: Share of frames in which the person is lost.
         lost_seconds: How long the person is lost.
+        tail: Median size of heavy-tailed errors an axis, by kind; see ``heavy_tails``.
+        tail_spread: Standard deviation of the logarithm of their size, by kind.
     """
 
     view_bias: float = 0.0
@@ -110,6 +112,8 @@ class TrackerErrors:
     stale: float = 0.0
     lost: float = 0.0
     lost_seconds: float = 0.5
+    tail: JointGroups = field(default_factory=JointGroups)
+    tail_spread: JointGroups = field(default_factory=JointGroups)
 
     @staticmethod
     def none() -> TrackerErrors:

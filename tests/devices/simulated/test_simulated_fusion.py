@@ -9,7 +9,8 @@ from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker import TrackerErrors
 from fusion.body import BODIES, KINECT_V2, Body
-from fusion.calibration.calibration import calibrate, find_start_up_pose
+from fusion.calibration.calibration import calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair

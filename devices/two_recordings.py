@@ -1,32 +1,36 @@
-"""Two recordings read, their people chosen, their frames paired: what ``duplex fuse`` starts from."""
+"""Two recordings read, their people chosen, their frames paired."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
+from numpy.typing import NDArray
 
 from devices.azure.recording.mkv import MkvInfo, MkvRecording
 from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.image_thinning import Depth, thinned, thinned_camera
 from devices.pairing import FramePair, Pairing, pair_recordings
 from devices.recorded_person import choose_person, with_successors
 from devices.sensor import DeviceError, Sensor, SensorFrame
-from devices.sources import one_person, open_source, recording_info, warnings_of, without_images
+from devices.sources import one_person, open_source, recording_info, without_images
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
-from recordings import layout
-from recordings.writing.recorder import Recorder
-from viewer_app.loop.image_thinning import Depth, thinned, thinned_camera
-from viewer_app.options import FuseOptions
-from viewer_app.sinks.live_session import LiveSession
+
+Progress = Callable[[Iterable[SensorFrame], str, int | None], Iterable[SensorFrame]]
+"""Shows how far reading is: takes frames, what is done with them, and how many there are if that is known."""
 
 _CLOCKS_AGREE_NS = 1_000_000
 """Synchronised captures lie this near to their delay: the sensors' own timing is within 0.1 ms."""
+
+
+def quietly(frames: Iterable[SensorFrame], what: str, total: int | None) -> Iterable[SensorFrame]:
+    """A :data:`Progress` that shows nothing."""
+    del what, total
+    return frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,64 +56,89 @@ class TwoRecordings:
         a, b = (None if camera is None else thinned_camera(camera, depth) for camera in self.intrinsics)
         return a, b
 
+    def depth_images(
+        self, side: str, depth: Depth, progress: Progress = quietly
+    ) -> Iterator[tuple[int, NDArray[np.uint16]]]:
+        """A sensor's depth images and the numbers of their pairs, in a pass of its own over the file.
 
-def read_two(options: FuseOptions, console: Console) -> TwoRecordings:
+        One image is in memory at a time, however long the recordings are.
+
+        Args:
+            side: ``a`` or ``b``.
+            depth: How much of each image.
+            progress: Shows how far reading is.
+        """
+        pairs = self.pairing.pairs
+        path = self.images["ab".index(side)]
+        if path is None or depth == "none":
+            return
+        frames = enumerate(getattr(pair, side) for pair in pairs)
+        number = {frame.time_ns: k for k, frame in frames if frame is not None}
+        with MkvRecording(path, color=False) as recording:
+            for frame in progress(recording.frames(), f"depth of {recording.name}", len(pairs)):
+                k = number.get(frame.time_ns)
+                if k is not None and frame.depth is not None:
+                    yield k, thinned(frame.depth, depth)
+
+
+@dataclass(frozen=True)
+class RecordingChoice:
+    """One of the two recordings.
+
+    Attributes:
+        path: Recorded skeletons, or an Azure Kinect recording.
+        skeletons: For an Azure Kinect recording: its skeletons, saved before, in place of the body tracker.
+        person: Id of the person; the one seen longest where None.
+        skeletons_option, person_option: What the caller's user knows these two as, for messages.
+    """
+
+    path: Path
+    skeletons: Path | None = None
+    person: str | None = None
+    skeletons_option: str = "skeletons"
+    person_option: str = "person"
+
+
+def read_two(
+    choice_a: RecordingChoice,
+    choice_b: RecordingChoice,
+    tracker: TrackerSettings | None = None,
+    progress: Progress = quietly,
+) -> TwoRecordings:
     """Reads both recordings, one after the other: only one body tracker is in the GPU's memory at once.
+
+    Args:
+        choice_a, choice_b: Of K_A and K_B.
+        tracker: How the body tracker runs, where one is needed.
+        progress: Shows how far reading is.
 
     Raises:
         DeviceError: A recording cannot be read or tracked, the bodies differ, or the two never overlap.
     """
-    tracker = TrackerSettings(processing=options.processing, library=options.k4abt)
-    a = open_source(options.a, options.skeletons_a, tracker, "--skeletons-a")
-    b = open_source(options.b, options.skeletons_b, tracker, "--skeletons-b")
-    frames_a, info_a = _read(a, options.person_a, console)
-    frames_b, info_b = _read(b, options.person_b, console)
+    a, b = (
+        open_source(choice.path, choice.skeletons, tracker, choice.skeletons_option)
+        for choice in (choice_a, choice_b)
+    )
+    frames_a, info_a = _read(a, choice_a.person, progress)
+    frames_b, info_b = _read(b, choice_b.person, progress)
     if a.body is not b.body:
         raise DeviceError(
             f"{a.name} has the {len(a.body)} joints of {a.body.name}, {b.name} the {len(b.body)} of "
             f"{b.body.name}. Both sensors must be of one family."
         )
-    person_a = choose_person(frames_a, options.person_a, a.name, "--person-a")
-    person_b = choose_person(frames_b, options.person_b, b.name, "--person-b")
-    said = [*warnings_of(a), *warnings_of(b)]
-    if options.person_a is None:
+    person_a = choose_person(frames_a, choice_a.person, a.name, choice_a.person_option)
+    person_b = choose_person(frames_b, choice_b.person, b.name, choice_b.person_option)
+    said = [*a.warnings, *b.warnings]
+    if choice_a.person is None:
         frames_a, renamed = with_successors(frames_a, person_a)
-        said += _said_of(a, person_a, renamed, "--person-a")
-    if options.person_b is None:
+        said += _said_of(a, person_a, renamed, choice_a.person_option)
+    if choice_b.person is None:
         frames_b, renamed = with_successors(frames_b, person_b)
-        said += _said_of(b, person_b, renamed, "--person-b")
+        said += _said_of(b, person_b, renamed, choice_b.person_option)
     pairing = pair_recordings(frames_a, frames_b, person_a, person_b)
     said += clock_warnings(info_a, info_b, pairing.pairs)
-    images = (None if info_a is None else options.a, None if info_b is None else options.b)
+    images = (None if info_a is None else choice_a.path, None if info_b is None else choice_b.path)
     return TwoRecordings(a.body, pairing, (a.intrinsics, b.intrinsics), tuple(said), images)
-
-
-def log_depth(read: TwoRecordings, recorder: Recorder | LiveSession, depth: Depth, console: Console) -> None:
-    """Logs the depth images of the pairs that are logged already, in a pass of its own over the files.
-
-    One image is in memory at a time, however long the recordings are.
-    """
-    pairs = read.pairing.pairs
-    for side, path in zip(layout.SIDES, read.images, strict=True):
-        if path is None or depth == "none":
-            continue
-        frames = enumerate(getattr(pair, side) for pair in pairs)
-        number = {frame.time_ns: k for k, frame in frames if frame is not None}
-        with MkvRecording(path, color=False) as recording:
-            shown = track(
-                recording.frames(),
-                f"depth of {recording.name}",
-                total=len(pairs),
-                console=console,
-                transient=True,
-                disable=not console.is_terminal,
-            )
-            for frame in shown:
-                k = number.get(frame.time_ns)
-                if k is not None and frame.depth is not None:
-                    recorder.record_depth(
-                        side, k, pairs[k].time_ns - pairs[0].time_ns, thinned(frame.depth, depth)
-                    )
 
 
 def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePair]) -> list[str]:
@@ -140,7 +169,7 @@ def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePa
     ]
 
 
-def _read(source: Sensor, person: str | None, console: Console) -> tuple[list[SensorFrame], MkvInfo | None]:
+def _read(source: Sensor, person: str | None, progress: Progress) -> tuple[list[SensorFrame], MkvInfo | None]:
     with ExitStack() as stack:
         stack.enter_context(source)
         info = recording_info(source)
@@ -150,15 +179,7 @@ def _read(source: Sensor, person: str | None, console: Console) -> tuple[list[Se
         if person is None:
             frames = one_person(frames)  # a body tracker gives one person several ids
         total = info.duration_ns // info.interval_ns + 1 if info.duration_ns else None
-        shown = track(
-            frames,
-            f"reading {source.name}",
-            total=total,
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-        return list(shown), info
+        return list(progress(frames, f"reading {source.name}", total)), info
 
 
 def _said_of(source: Sensor, person: str, others: tuple[str, ...], flag: str) -> list[str]:

@@ -5,14 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.point_cloud import depth_to_points, ray_table
-from fusion.body import AZURE_KINECT
-from fusion.fuser import Fuser
-from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
-from fusion.setup import FusionSetup
-from tests.helpers.frame_pairs import frame_pairs
-from tests.helpers.two_views import calibration_of
-from viewer_app.loop.image_thinning import (
+from devices.image_thinning import (
     Depth,
     has_images,
     thinned,
@@ -20,6 +13,13 @@ from viewer_app.loop.image_thinning import (
     with_depth,
     without_images,
 )
+from devices.point_cloud import depth_to_points, ray_table
+from fusion.body import AZURE_KINECT
+from fusion.fuser import Fuser
+from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
+from fusion.setup import FusionSetup
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
 
 LENS = Intrinsics(33, 26, 27.1, 26.9, 15.8, 12.3, (0.5, -2.6, 1e-4, -2e-4, 1.5, 0.4, -2.4, 1.4))
 

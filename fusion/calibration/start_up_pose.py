@@ -1,0 +1,238 @@
+"""From the first seconds of a person to everything the fusion needs to know: K_B's place and the bones.
+
+Sec. 4 asks for a start-up pose: at 45° to both sensors, arms and legs apart, every joint tracked, held for a
+few seconds. Here that pose is recognised rather than announced.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.errors import CalibrationError
+from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+
+_SHORTEST_NS = 1_000_000_000
+_LONGEST_NS = 3_000_000_000
+_FEWEST_PAIRS = 15
+_STILL = 0.040  # metres RMS about the window's mean; real still poses tremble by 1–20 mm a joint
+_ARM_ANGLE = np.radians(25.0)  # shoulder → wrist against the trunk's axis
+_LEG_ANGLE = np.radians(12.0)  # hips' centre → one ankle against the other
+
+_MAIN_JOINTS = (
+    ("HEAD",),
+    *(
+        (f"{joint}_{side}",)
+        for side in ("LEFT", "RIGHT")
+        for joint in ("SHOULDER", "ELBOW", "WRIST", "HIP", "KNEE", "ANKLE")
+    ),
+)
+
+
+class StartUpPose:
+    """Watches the pairs go by and says when the start-up pose has been held long enough."""
+
+    def __init__(self, body: Body) -> None:
+        self._main = main_joints(body)
+        self._body = body
+        self._held: deque[SkeletonPair] = deque()
+
+    @property
+    def held(self) -> float:
+        """Seconds for which the pose has been held so far."""
+        if len(self._held) < 2:
+            return 0.0
+        return (self._held[-1].time_ns - self._held[0].time_ns) * 1e-9
+
+    def watch(self, pair: SkeletonPair) -> list[SkeletonPair] | None:
+        """Takes the next pair.
+
+        Returns:
+            The pairs of the held pose once it ends after at least a second, or lasts three; else None.
+        """
+        if self._holds(pair):
+            self._held.append(pair)
+            if not self._still():
+                return self._finish(but_last=1)
+            if pair.time_ns - self._held[0].time_ns >= _LONGEST_NS:
+                return self._finish()
+            return None
+        return self._finish()
+
+    def end(self) -> list[SkeletonPair] | None:
+        """Says that no more pairs will come.
+
+        Returns:
+            The pairs of the pose where it was held long enough to the end; else None.
+        """
+        return self._finish()
+
+    def _finish(self, but_last: int = 0) -> list[SkeletonPair] | None:
+        pose = list(self._held)[: len(self._held) - but_last]
+        long_enough = len(pose) >= _FEWEST_PAIRS and pose[-1].time_ns - pose[0].time_ns >= _SHORTEST_NS
+        if long_enough or not but_last:
+            self._held.clear()
+        else:
+            while len(self._held) > 1 and not self._still():  # forget what came before the movement
+                self._held.popleft()
+        return pose if long_enough else None
+
+    def _holds(self, pair: SkeletonPair) -> bool:
+        return (
+            pair.a is not None
+            and pair.b is not None
+            and bool(pair.a.tracked[self._main].all() and pair.b.tracked[self._main].all())
+            and (limbs_apart(pair.a) or limbs_apart(pair.b))
+        )
+
+    def _still(self) -> bool:
+        a = np.array([p.a.positions[self._main] for p in self._held if p.a is not None])
+        b = np.array([p.b.positions[self._main] for p in self._held if p.b is not None])
+        return max(_tremble(a), _tremble(b)) < _STILL
+
+
+def find_start_up_pose(body: Body, pairs: Sequence[SkeletonPair]) -> tuple[list[SkeletonPair], str]:
+    """The pairs of a recording to calibrate on, and what they are in plain words.
+
+    The first start-up pose held for a second or more; in a recording without one, the calmest two seconds
+    in which most main joints are tracked in both views.
+
+    Raises:
+        CalibrationError: No frame shows a person to both sensors.
+    """
+    pose = StartUpPose(body)
+    for pair in _worth_watching(body, pairs):
+        held = pose.end() if pair is None else pose.watch(pair)
+        if held is not None:
+            return held, f"start-up pose at {_seconds(pairs, held[0]):.1f} s, {len(held)} frames"
+    calm = _calmest(body, pairs)
+    return calm, (
+        f"no start-up pose found; calmest window instead, at {_seconds(pairs, calm[0]):.1f} s, "
+        f"{len(calm)} frames"
+    )
+
+
+def _worth_watching(body: Body, pairs: Sequence[SkeletonPair]) -> Iterator[SkeletonPair | None]:
+    """The pairs in runs long enough to be a start-up pose, each run ended by None.
+
+    An hour of frames goes through here at once, so that only the few candidates are looked at singly.
+    """
+    seen = [(k, pair.a, pair.b) for k, pair in enumerate(pairs) if pair.a is not None and pair.b is not None]
+    holds = np.zeros(len(pairs) + 1, dtype=bool)  # ends with one that does not
+    if seen:
+        main = main_joints(body)
+        tracked = [np.array([s.states for s in side]) == TrackingState.TRACKED for side in _sides(seen)]
+        apart = [_limbs_apart(body, np.array([s.positions for s in side])) for side in _sides(seen)]
+        both = tracked[0][:, main].all(axis=1) & tracked[1][:, main].all(axis=1)
+        holds[[k for k, _, _ in seen]] = both & (apart[0] | apart[1])
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], holds)).astype(np.int8)))
+    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if end - first >= _FEWEST_PAIRS:
+            yield from pairs[first:end]
+            yield None
+
+
+def _sides(seen: list[tuple[int, Skeleton, Skeleton]]) -> tuple[list[Skeleton], list[Skeleton]]:
+    return [a for _, a, _ in seen], [b for _, _, b in seen]
+
+
+def main_joints(body: Body) -> NDArray[np.int64]:
+    """The joints that must be seen at the start: head, and both arms and legs down to wrist and ankle."""
+    return np.array([body.joint(name) for (name,) in _MAIN_JOINTS], dtype=np.int64)
+
+
+def limbs_apart(skeleton: Skeleton) -> bool:
+    """Whether both arms are held away from the trunk and the legs stand apart."""
+    return bool(_limbs_apart(skeleton.body, skeleton.positions))
+
+
+def _limbs_apart(body: Body, positions: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(…) of (…, J, 3) positions; false where one that is needed is missing."""
+    at = positions.astype(np.float64)
+
+    def joint(name: str) -> NDArray[np.float64]:
+        return np.asarray(at[..., body.joint(name), :])
+
+    hips = 0.5 * (joint("HIP_LEFT") + joint("HIP_RIGHT"))
+    shoulders = 0.5 * (joint("SHOULDER_LEFT") + joint("SHOULDER_RIGHT"))
+    down = hips - shoulders
+    left, right = (_angle(joint(f"WRIST_{s}") - joint(f"SHOULDER_{s}"), down) for s in ("LEFT", "RIGHT"))
+    legs = _angle(joint("ANKLE_LEFT") - hips, joint("ANKLE_RIGHT") - hips)
+    return np.asarray((left > _ARM_ANGLE) & (right > _ARM_ANGLE) & (legs > _LEG_ANGLE))
+
+
+def _calmest(body: Body, pairs: Sequence[SkeletonPair], seconds: float = 2.0) -> list[SkeletonPair]:
+    seen = [(k, pair.a, pair.b) for k, pair in enumerate(pairs) if pair.a is not None and pair.b is not None]
+    if not seen:
+        raise CalibrationError(
+            "No frame shows a person to both sensors. Check that the two recordings overlap and that the "
+            "person stands in both views."
+        )
+    main = main_joints(body)
+    views = [np.array([s.positions[main] for s in side]) for side in _sides(seen)]  # (T, M, 3) each
+    tracked = [np.array([s.states for s in side])[:, main] == TrackingState.TRACKED for side in _sides(seen)]
+    share = (tracked[0] & tracked[1]).mean(axis=1)
+    time = np.array([pairs[k].time_ns for k, _, _ in seen])
+    ends = np.searchsorted(time, time + int(seconds * 1e9))
+    count = ends - np.arange(len(ends))
+    spans = time[ends - 1] - time >= 0.75 * seconds * 1e9
+    starts = np.flatnonzero(spans & (count >= _FEWEST_PAIRS))
+    if len(starts) == 0:  # too short or too sparse for a choice
+        return [pairs[k] for k, _, _ in seen]
+    missing = 1.0 - _window_sums(share, starts, ends[starts]) / (ends - np.arange(len(ends)))[starts]
+    tremble = np.maximum(*(_window_tremble(view, starts, ends[starts]) for view in views))
+    best = int(np.lexsort((tremble, missing.round(1)))[0])  # the best seen, and of these the calmest
+    return [pairs[k] for k, _, _ in seen[starts[best] : ends[starts][best]]]
+
+
+def _window_sums(
+    values: NDArray[np.float64], starts: NDArray[np.int64], ends: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """(W, …) sums of (T, …) values over [start, end)."""
+    total = np.concatenate((np.zeros_like(values[:1]), np.cumsum(values, axis=0)))
+    return np.asarray(total[ends] - total[starts])
+
+
+def _window_tremble(
+    positions: NDArray[np.float32], starts: NDArray[np.int64], ends: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """(W,) :func:`_tremble` of every window [start, end)."""
+    seen = np.asarray(np.isfinite(positions).all(axis=2), dtype=bool)
+    at = positions.astype(np.float64) - np.nanmean(positions, axis=(0, 1), dtype=np.float64)
+    at[~seen] = 0.0
+    count = _window_sums(seen.astype(np.float64), starts, ends)  # (W, M)
+    total = _window_sums(at, starts, ends)
+    square = _window_sums(np.sum(at * at, axis=2), starts, ends)
+    about_mean = np.maximum(square - np.sum(total * total, axis=2) / np.maximum(count, 1.0), 0.0)
+    return np.asarray(
+        np.where(
+            count.sum(axis=1) > 0.0,
+            np.sqrt(about_mean.sum(axis=1) / np.maximum(count.sum(axis=1), 1.0)),
+            np.inf,
+        )
+    )
+
+
+def _tremble(positions: NDArray[np.float32]) -> float:
+    """RMS distance of (T, M, 3) joints from their own mean over the window; missing joints left out."""
+    finite = np.asarray(np.isfinite(positions).all(axis=2), dtype=bool)
+    if not finite.any():
+        return np.inf
+    at = np.where(finite[..., None], positions, 0.0).astype(np.float64)
+    mean = at.sum(axis=0) / np.maximum(finite.sum(axis=0), 1)[:, None]
+    square = np.sum((at - mean) ** 2, axis=2)[finite]
+    return float(np.sqrt(square.mean()))
+
+
+def _angle(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    length = np.linalg.norm(u, axis=-1) * np.linalg.norm(v, axis=-1)
+    cosine = np.sum(u * v, axis=-1) / np.maximum(length, 1e-9)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _seconds(pairs: Sequence[SkeletonPair], at: SkeletonPair) -> float:
+    return (at.time_ns - pairs[0].time_ns) * 1e-9

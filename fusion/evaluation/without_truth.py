@@ -1,0 +1,228 @@
+"""What a recording of two sensors says about S* where nobody knows the truth.
+
+Good figures do not prove that S* is right; bad ones prove that it is wrong. All of them compare S* with what
+people can do (they do not jump, and do not run backwards) and with the two views it was made from.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.errors import FusionError
+from fusion.evaluation.fixed_registration import fit_recording
+from fusion.rigid import RigidTransform
+
+Array = NDArray[np.float64]
+
+JUMP = 0.150
+"""Metres from one frame to the next: no joint moves 4.5 m/s among people who walk about."""
+NO_JUMP = 0.075
+"""Metres: a view whose joint moved less made no jump of its own."""
+FAST = 0.8
+"""m/s of the trunk: nobody walks backwards that fast."""
+_AGAINST = -0.5  # cosine between facing and motion: more than 120° apart
+_SMOOTH = 9  # frames that the trunk's speed is averaged over
+_ENDS = 12  # frames at each end without a smooth speed
+_FEWEST_FAST = 30  # frames: fewer say nothing about facing
+_FLIP_SECONDS = 0.1
+_ONE_FLIP = 10  # frames: what is nearer to each other is one flip
+
+
+@dataclass(frozen=True, eq=False)
+class FusedPair:
+    """A recording with what was made of it.
+
+    Attributes:
+        body: Which joints.
+        time_ns: (T,) of the pairs.
+        a, b: (T, J, 3) the views, each in its sensor's frame, metres; NaN where not tracked.
+        fused: (T, J, 3) S*, in K_A's frame.
+        a_from_b: (T,) the registration of each frame.
+    """
+
+    body: Body
+    time_ns: NDArray[np.int64]
+    a: Array
+    b: Array
+    fused: Array
+    a_from_b: tuple[RigidTransform, ...]
+
+    @property
+    def b_in_a(self) -> Array:
+        """(T, J, 3) S_B in K_A's frame, by the registration of each frame."""
+        return np.array([fit.apply(q) for fit, q in zip(self.a_from_b, self.b, strict=True)])
+
+
+@dataclass(frozen=True)
+class FiguresWithoutTruth:
+    """The figures of one recording. Lengths are metres, shares 0 to 1; NaN where there is no such figure.
+
+    Attributes:
+        frames: How many pairs.
+        rough_a, rough_b, rough_mean, rough_fused: Mean norm of a joint's second difference, per frame², of
+            each view, of the views' mean under one robust registration, and of S*.
+        jumps_a, jumps_b, jumps_fused: Share of joint steps above JUMP.
+        jumps_own: Share of joint steps in which S* jumps and neither view moves by more than NO_JUMP.
+        against_a, against_b, against_fused: Share of frames with a trunk faster than FAST in which it faces
+            against its motion: views, or an S*, that took a back for a front.
+        flips_per_minute: How often S* turns by more than 90° within 0.1 s.
+        rotation_off: Radians between the last frame's R and a robust fit over the recording.
+        apart: Median distance between the views, by the registration of each frame.
+    """
+
+    frames: int
+    rough_a: float
+    rough_b: float
+    rough_mean: float
+    rough_fused: float
+    jumps_a: float
+    jumps_b: float
+    jumps_fused: float
+    jumps_own: float
+    against_a: float
+    against_b: float
+    against_fused: float
+    flips_per_minute: float
+    rotation_off: float
+    apart: float
+
+    @property
+    def roughness_ratio(self) -> float:
+        """S*'s roughness by the mean of the two views'."""
+        return self.rough_fused / (0.5 * (self.rough_a + self.rough_b))
+
+
+def figures_without_truth(pair: FusedPair) -> FiguresWithoutTruth:
+    """Measures one recording.
+
+    Assumes that the sensors' y axes point down within some 30°, so that x and z span the floor.
+
+    Raises:
+        FusionError: Fewer than 30 pairs, or hardly any joint that both sensors see.
+    """
+    if len(pair.time_ns) < _FEWEST_FAST:
+        raise FusionError(
+            f"A recording needs {_FEWEST_FAST} pairs or more to be judged; got {len(pair.time_ns)}."
+        )
+    robust = fit_recording(pair.a, pair.b)
+    b = robust.apply(pair.b)
+    steps_a, steps_b, steps = (_steps(view) for view in (pair.a, b, pair.fused))
+    known = np.isfinite(steps_a) & np.isfinite(steps_b) & np.isfinite(steps)
+    way, fast = _motion(pair.body, pair.a, b, pair.time_ns)
+    own = (steps > JUMP) & (steps_a < NO_JUMP) & (steps_b < NO_JUMP)
+    return FiguresWithoutTruth(
+        frames=len(pair.time_ns),
+        rough_a=_roughness(pair.a),
+        rough_b=_roughness(b),
+        rough_mean=_roughness(0.5 * (pair.a + b)),
+        rough_fused=_roughness(pair.fused),
+        jumps_a=_share(steps_a[known] > JUMP),
+        jumps_b=_share(steps_b[known] > JUMP),
+        jumps_fused=_share(steps[known] > JUMP),
+        jumps_own=_share(own[known]),
+        against_a=_against(pair.body, pair.a, way, fast),
+        against_b=_against(pair.body, b, way, fast),
+        against_fused=_against(pair.body, pair.fused, way, fast),
+        flips_per_minute=_flips_per_minute(pair.body, pair.fused, pair.time_ns),
+        rotation_off=pair.a_from_b[-1].angle_to(robust),
+        apart=_median(np.linalg.norm(pair.b_in_a - pair.a, axis=2)),
+    )
+
+
+@dataclass(frozen=True)
+class HeldOutRegistration:
+    """A registration that was learned on the first half of a recording, judged on the second half.
+
+    Attributes:
+        rotation_off: Radians from a robust fit over the second half.
+        position_off: Metres between where both put the middle of the person in the second half.
+        apart: Median distance between the views in the second half, with the registration learned.
+        apart_own_fit: The same with the second half's own fit: what is left to any registration.
+    """
+
+    rotation_off: float
+    position_off: float
+    apart: float
+    apart_own_fit: float
+
+
+def judge_registration(learned: RigidTransform, a: Array, b: Array) -> HeldOutRegistration:
+    """Judges ``a_from_b`` on (T, J, 3) views that it was not learned on, each in its sensor's frame."""
+    own = fit_recording(a, b)
+    middle = np.nanmedian(b.reshape(-1, 3), axis=0)
+    return HeldOutRegistration(
+        rotation_off=learned.angle_to(own),
+        position_off=float(np.linalg.norm(learned.apply(middle) - own.apply(middle))),
+        apart=_median(np.linalg.norm(learned.apply(b) - a, axis=2)),
+        apart_own_fit=_median(np.linalg.norm(own.apply(b) - a, axis=2)),
+    )
+
+
+def to_the_left(body: Body, positions: Array) -> Array:
+    """(T, 2) unit vectors on the floor (x, z) from the trunk's right to its left; NaN where it is unknown."""
+    left, right = (
+        [body.joint(f"{part}{side}") for part in ("Shoulder", "Hip")] for side in ("Left", "Right")
+    )
+    across = (positions[:, left].mean(axis=1) - positions[:, right].mean(axis=1))[:, [0, 2]]
+    with np.errstate(invalid="ignore"):
+        return np.asarray(across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9))
+
+
+def facing(body: Body, positions: Array) -> Array:
+    """(T, 2) unit vectors on the floor (x, z) in which the trunk faces, by the sides as they are labelled."""
+    left = to_the_left(body, positions)
+    return np.stack([left[:, 1], -left[:, 0]], axis=1)
+
+
+def _motion(body: Body, a: Array, b: Array, time_ns: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
+    """(T, 2) the direction on the floor in which the trunk moves, and whether faster than FAST."""
+    trunk = [body.joint(name) for name in ("ShoulderLeft", "ShoulderRight", "HipLeft", "HipRight")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a frame in which no view has a trunk
+        middle = np.nanmean([np.nanmean(view[:, trunk], axis=1) for view in (a, b)], axis=0)[:, [0, 2]]
+    window = np.ones(_SMOOTH) / _SMOOTH
+    smooth = np.stack([np.convolve(coordinate, window, "same") for coordinate in middle.T], axis=1)
+    velocity = np.gradient(smooth, axis=0) / np.gradient(time_ns * 1e-9)[:, None]
+    speed = np.linalg.norm(velocity, axis=1)
+    fast = speed > FAST  # NaN is not
+    fast[:_ENDS] = fast[-_ENDS:] = False
+    return velocity / np.maximum(speed, 1e-9)[:, None], fast
+
+
+def _against(body: Body, positions: Array, way: Array, fast: NDArray[np.bool_]) -> float:
+    cosine = (facing(body, positions) * way).sum(axis=1)[fast]
+    cosine = cosine[np.isfinite(cosine)]
+    return _share(cosine < _AGAINST) if len(cosine) > _FEWEST_FAST else np.nan
+
+
+def _flips_per_minute(body: Body, positions: Array, time_ns: NDArray[np.int64]) -> float:
+    within = max(1, round(_FLIP_SECONDS / (float(np.median(np.diff(time_ns))) * 1e-9)))
+    left = to_the_left(body, positions)
+    turned = np.flatnonzero((left[within:] * left[:-within]).sum(axis=1) < 0.0)
+    flips = int(np.sum(np.diff(turned) > _ONE_FLIP)) + 1 if len(turned) else 0
+    return flips * 60.0 / (float(time_ns[-1] - time_ns[0]) * 1e-9)
+
+
+def _steps(positions: Array) -> Array:
+    """(T-1, J) how far each joint moves from frame to frame."""
+    return np.asarray(np.linalg.norm(np.diff(positions, axis=0), axis=2))
+
+
+def _roughness(positions: Array) -> float:
+    change = np.linalg.norm(np.diff(positions, n=2, axis=0), axis=2)
+    change = change[np.isfinite(change)]
+    return float(change.mean()) if change.size else np.nan
+
+
+def _share(flags: NDArray[np.bool_]) -> float:
+    return float(flags.mean()) if flags.size else np.nan
+
+
+def _median(values: Array) -> float:
+    values = values[np.isfinite(values)]
+    return float(np.median(values)) if values.size else np.nan

@@ -1,0 +1,117 @@
+"""Two recordings in, one session in memory out: what ``duplex fuse`` does, without files and terminal."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from devices.image_thinning import Depth
+from devices.pairing import FramePair
+from devices.two_recordings import Progress, RecordingChoice, TwoRecordings, quietly, read_two
+from fusion.body import Body
+from fusion.calibration.calibration import Calibration, calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
+from fusion.skeleton import SkeletonPair
+from recordings.reading.stored_settings import Event
+from recordings.session import Session
+from recordings.session_arrays import RecordedFrame
+from recordings.session_images import RecordingImages
+
+
+def fuse(
+    a: str | Path,
+    b: str | Path,
+    *,
+    calibration: Calibration | None = None,
+    settings: FuserSettings | None = None,
+    person_a: str | None = None,
+    person_b: str | None = None,
+    skeletons_a: str | Path | None = None,
+    skeletons_b: str | Path | None = None,
+    depth: Depth = "full",
+) -> Session:
+    """Fuses two recordings of one capture.
+
+    >>> from recordings import fuse
+    >>> session = fuse("a.csv", "b.csv")
+    >>> session.fused.shape
+    (120, 20, 3)
+
+    Nothing is written; :meth:`recordings.session.Session.save` writes what ``duplex fuse --save`` would, but
+    for the advice of the set-up coach.
+
+    Args:
+        a, b: Recordings of the principal sensor K_A, in whose frame S* is, and of the secondary one K_B:
+            ``.csv``, ``.json``, ``.skeleton``, or ``.mkv`` of an Azure Kinect.
+        calibration: One made before; found in the recordings, on the start-up pose if there is one, where
+            None.
+        settings: The method's choices.
+        person_a, person_b: Ids of the person; in each recording the one seen longest where None.
+        skeletons_a, skeletons_b: For an ``.mkv``: skeletons saved before, in place of the body tracker.
+        depth: For an ``.mkv``: how much of its depth images the session has.
+
+    Raises:
+        DeviceError: A recording cannot be read or tracked, the bodies differ, or they never overlap in time.
+        FusionError: They cannot be calibrated.
+    """
+    choices = (
+        RecordingChoice(Path(a), _path(skeletons_a), person_a, "skeletons_a", "person_a"),
+        RecordingChoice(Path(b), _path(skeletons_b), person_b, "skeletons_b", "person_b"),
+    )
+    read = read_two(*choices)
+    pairs = read.pairing.pairs
+    found = calibration or calibration_of(read.body, [pair.skeletons for pair in pairs])
+    setup = FusionSetup(found, settings, *read.cameras(depth))
+    fuser = Fuser(setup)
+    return fused_session(read, setup, [fuse_one(fuser, pair) for pair in pairs], (str(a), str(b)), depth)
+
+
+def calibration_of(body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:
+    """A calibration on the start-up pose of a recording; on its calmest window where there is none.
+
+    Raises:
+        CalibrationError: No frame shows a person to both sensors, or the views cannot be registered.
+    """
+    chosen, how = find_start_up_pose(body, pairs)
+    return calibrate(body, chosen, how)
+
+
+def fuse_one(fuser: Fuser, pair: FramePair) -> RecordedFrame:
+    """Fuses a pair and takes the time."""
+    before = time.perf_counter_ns()
+    fused = fuser.update(pair.skeletons)
+    return RecordedFrame(pair, fused, time.perf_counter_ns() - before)
+
+
+def fused_session(
+    read: TwoRecordings,
+    setup: FusionSetup,
+    frames: Sequence[RecordedFrame],
+    sources: tuple[str, str],
+    depth: Depth,
+    progress: Progress = quietly,
+) -> Session:
+    """The session of two recordings that were fused.
+
+    Args:
+        read: The recordings.
+        setup: What they were fused with.
+        frames: What came of it.
+        sources: What the recordings are called.
+        depth: How much of the depth images it has; they are read from the recordings when asked for.
+        progress: Shows how far reading those is.
+    """
+    said = [(f"calibrated: {setup.calibration.how}", "INFO"), *((text, "WARN") for text in read.warnings)]
+    return Session.of(
+        [(setup, frames)],
+        sources,
+        events=[Event(0, 0, text, level) for text, level in said],
+        images=RecordingImages(read, depth, progress),
+    )
+
+
+def _path(given: str | Path | None) -> Path | None:
+    return None if given is None else Path(given)

@@ -1,0 +1,51 @@
+"""A session's properties: what a replay needs, and what a person asks of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from fusion.intrinsics import Intrinsics
+from fusion.setup import FusionSetup
+from recordings import layout
+
+
+def session_properties(
+    setup: FusionSetup, sources: tuple[str, str], about: Mapping[str, str | int]
+) -> dict[str, dict[str, Any]]:
+    """By group and name.
+
+    Args:
+        setup: Of the session's first frame.
+        sources: What the sensors are called, K_A first.
+        about: More to say of the session's origin.
+    """
+    return {
+        "session": {
+            "layout_version": layout.VERSION,
+            "written_by": f"duplex-kinects {version('duplex-kinects')}",
+            "body": setup.body.name,
+            "bone_names": [name or "root" for name in setup.body.bones],
+            "source_a": sources[0],
+            "source_b": sources[1],
+            **about,
+        },
+        "settings": asdict(setup.settings),
+        "intrinsics": {"a": _camera(setup.intrinsics_a), "b": _camera(setup.intrinsics_b)},
+    }
+
+
+def as_lists(properties: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, list[Any]]]:
+    """Properties as a file gives them back: a list each."""
+    return {
+        group: {name: np.atleast_1d(np.asarray(value)).tolist() for name, value in values.items()}
+        for group, values in properties.items()
+    }
+
+
+def _camera(camera: Intrinsics) -> list[float]:
+    return [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion]

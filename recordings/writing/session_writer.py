@@ -1,0 +1,142 @@
+"""The one way in which a whole session gets into a file: fused just now, replayed, trimmed or in a test.
+
+(A session that is still going on grows in :mod:`recordings.writing.growing_file`.) Frames stay as they are,
+nothing is fused again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import rerun as rr
+
+from recordings import layout
+from recordings.appearance.coach_page import CoachPage
+from recordings.errors import RecordingError
+from recordings.reading.rrd_file import damage_of
+from recordings.session import Session
+from recordings.writing.recorder import Recorder
+
+_BLOCK = 2048
+_FLUSH_WITHIN = 60.0  # seconds
+
+
+def write_session(
+    session: Session,
+    path: Path,
+    *,
+    blueprint: Any = None,
+    page: CoachPage | None = None,
+    first: int = 0,
+    end: int | None = None,
+    block: int = _BLOCK,
+) -> int:
+    """Writes frames `first` up to, without, `end` of a session into a new file.
+
+    The new session's frames count from 0 and its time starts with them; ``first_frame`` among its properties
+    keeps where they came from.
+
+    Args:
+        session: In memory or in another file.
+        path: The file; overwritten.
+        blueprint: What a viewer shows; its own choice where None.
+        page: What the setup coach says of the session.
+        first, end: Which frames; to the last where `end` is None.
+        block: Frames written together.
+
+    Returns:
+        How many damaged images were left out.
+
+    Raises:
+        RecordingError: There is no such frame.
+        OSError: The file is not whole afterwards.
+    """
+    end = len(session) if end is None else min(end, len(session))
+    if not 0 <= first < end:
+        raise RecordingError(f"{session} has {len(session)} frames; none from {first} to {end}.")
+    about: dict[str, str | int] = {"first_frame": session.first_frame + first}
+    if "replay_of" in session.about["session"]:
+        about["replay_of"] = str(session.about["session"]["replay_of"][0])
+    with whole_recording(path, blueprint) as stream:
+        segments = [(setup, own) for setup, own in session.setups() if own.stop > first and own.start < end]
+        recorder = Recorder(stream, segments[0][0], session.sources, about=about)
+        start_ns = int(session.rows.time_ns[first])
+        for setup, own in segments:
+            if own.start > first:
+                recorder.recalibrated(setup)
+            stop = min(own.stop, end)
+            for begin in range(max(own.start, first), stop, block):
+                part = slice(begin, min(begin + block, stop))
+                rows = session.rows[part]
+                rows = replace(rows, frame=rows.frame - first, time_ns=rows.time_ns - start_ns)
+                recorder.record_rows(rows, (session.fused_checksums[part], session.joint_digests[part]))
+        damaged = _copy_images(session, recorder, first, end)
+        if segments[0][1].start < first:  # what it was calibrated on was said before
+            recorder.event(f"calibrated: {segments[0][0].calibration.how}", at=(0, 0))
+        for event in session.events:
+            if first <= event.frame < end:
+                recorder.event(event.text, event.level, (event.frame - first, event.time_ns - start_ns))
+        if page is not None:
+            recorder.coach(page)
+        recorder.finish()
+    return damaged
+
+
+@contextmanager
+def whole_recording(
+    path: Path, blueprint: Any = None, application: str = layout.APPLICATION_ID
+) -> Iterator[rr.RecordingStream]:
+    """A recording stream into a file, which is whole when the block has ended well.
+
+    Args:
+        path: The file; overwritten.
+        blueprint: What a viewer shows; its own choice where None.
+        application: A viewer remembers a layout for each.
+
+    Raises:
+        OSError: Not everything that was logged has reached the file; the disk is full, as a rule.
+    """
+    stream = rr.RecordingStream(application, recording_id=uuid4())
+    stream.set_sinks(rr.FileSink(str(path)))
+    try:
+        yield stream
+        if blueprint is not None:
+            # the timeline it names must be there; active, or the viewer would show what it remembers
+            stream.send_blueprint(blueprint)
+        stream.flush(timeout_sec=_FLUSH_WITHIN)
+    finally:
+        stream.disconnect()
+    check_whole(path)
+
+
+def check_whole(path: Path) -> None:
+    """Finds out whether everything that was logged has reached the file.
+
+    Raises:
+        OSError: It has not; the disk is full, as a rule.
+    """
+    try:
+        damage = damage_of(path)
+    except RecordingError as error:
+        raise OSError(str(error)) from None
+    if damage is not None:
+        raise OSError(f"{damage}; the disk may be full")
+
+
+def _copy_images(session: Session, recorder: Recorder, first: int, end: int) -> int:
+    """Logs the images of frames `first` up to, without, `end`; how many were damaged and left out."""
+    damaged = 0
+    time_ns = (session.time_ns - session.time_ns[first]).tolist()
+    for side in layout.SIDES:
+        depth, color = session.depth(side, first, end), session.color(side, first, end)
+        for frame, image in depth:
+            recorder.record_depth(side, frame - first, time_ns[frame], image)
+        for frame, picture in color:
+            recorder.record_color(side, frame - first, time_ns[frame], picture)
+        damaged += depth.damaged + color.damaged
+    return damaged

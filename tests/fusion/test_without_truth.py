@@ -1,0 +1,143 @@
+"""Figures that need no truth, on motions for which they are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fusion.body import BODIES, KINECT_V2, Body
+from fusion.errors import FusionError
+from fusion.evaluation.faults import FAULTS, share_of_fault, with_fault
+from fusion.evaluation.without_truth import FusedPair, facing, figures_without_truth, judge_registration
+from fusion.rigid import RigidTransform
+from tests.helpers.two_views import A_FROM_B, standing
+
+FRAME_NS = 33_333_333
+FRAMES = 200
+BODY = KINECT_V2
+
+
+def walking(metres_per_second: float, *, backwards: bool = False) -> np.ndarray:
+    """(T, J, 3) a stiff person who is carried in the direction faced, or against it."""
+    still = standing(BODY)
+    left = (still[BODY.joint("HipLeft")] - still[BODY.joint("HipRight")])[[0, 2]]
+    left /= np.linalg.norm(left)
+    way = np.array([left[1], 0.0, -left[0]]) * (-1.0 if backwards else 1.0)
+    travelled = metres_per_second * FRAME_NS * 1e-9 * np.arange(FRAMES)
+    return still + travelled[:, None, None] * way
+
+
+def pair(a: np.ndarray, fused: np.ndarray | None = None, b_in_a: np.ndarray | None = None) -> FusedPair:
+    b = A_FROM_B.inverse().apply(a if b_in_a is None else b_in_a)
+    times = np.arange(len(a), dtype=np.int64) * FRAME_NS
+    return FusedPair(BODY, times, a, b, a if fused is None else fused, (A_FROM_B,) * len(a))
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=list(BODIES))
+def test_a_person_faces_the_sensor_in_a_rest_pose(body: Body) -> None:
+    at = np.zeros((1, len(body), 3))
+    for joint in body.order[1:]:
+        at[0, joint] = at[0, body.parents[joint]] + body.nominal_lengths[joint] * body.rest[joint]
+    np.testing.assert_allclose(facing(body, at), [[0.0, -1.0]], atol=1e-12)
+
+
+@pytest.mark.parametrize(("backwards", "against"), [(False, 0.0), (True, 1.0)])
+def test_walking_backwards_fast_is_against_the_motion(backwards: bool, against: float) -> None:
+    found = figures_without_truth(pair(walking(1.2, backwards=backwards)))
+    assert (found.against_a, found.against_b, found.against_fused) == (against,) * 3
+    assert found.flips_per_minute == 0.0
+    assert found.apart < 1e-9
+    assert found.rotation_off < 1e-6
+
+
+def test_slow_walking_backwards_is_not_judged() -> None:
+    assert np.isnan(figures_without_truth(pair(walking(0.5, backwards=True))).against_fused)
+
+
+def test_roughness_is_the_mean_second_difference() -> None:
+    still = np.repeat(standing(BODY)[None], FRAMES, axis=0)
+    shaken = still.copy()
+    shaken[::2, :, 0] += 0.01  # second differences of 20 mm, always
+    found = figures_without_truth(pair(still, fused=shaken))
+    assert found.rough_fused == pytest.approx(0.02)
+    assert found.rough_a == found.rough_b == pytest.approx(0.0, abs=1e-12)
+    found = figures_without_truth(pair(still, shaken, b_in_a=shaken))
+    assert found.rough_mean == pytest.approx(0.01, rel=0.01)
+    assert found.roughness_ratio == pytest.approx(2.0, rel=0.01)
+
+
+def test_only_a_jump_that_neither_view_made_is_its_own() -> None:
+    still = np.repeat(standing(BODY)[None], FRAMES, axis=0)
+    hand, foot = BODY.joint("HandLeft"), BODY.joint("FootRight")
+    fused, a = still.copy(), still.copy()
+    fused[50:60, hand] += [0.2, 0.0, 0.0]  # two steps of S* alone
+    fused[100:, foot] += [0.0, 0.2, 0.0]  # one step that view A makes, too
+    a[100:, foot] += [0.0, 0.2, 0.0]
+    found = figures_without_truth(pair(a, fused, b_in_a=still))
+    steps = (FRAMES - 1) * len(BODY)
+    assert found.jumps_fused == pytest.approx(3 / steps)
+    assert found.jumps_own == pytest.approx(2 / steps)
+    assert found.jumps_a == pytest.approx(1 / steps)
+    assert found.jumps_b == 0.0
+
+
+def test_a_mirrored_spell_is_two_flips() -> None:
+    still = np.repeat(standing(BODY)[None], FRAMES, axis=0)
+    fused = still.copy()
+    fused[80:120] = fused[80:120][:, BODY.mirror]
+    minutes = (FRAMES - 1) * FRAME_NS * 1e-9 / 60.0
+    assert figures_without_truth(pair(still, fused)).flips_per_minute == pytest.approx(2 / minutes)
+
+
+def test_a_joint_that_nobody_sees_is_no_figure() -> None:
+    a = walking(1.2)
+    a[20:40] = np.nan
+    a[:, BODY.joint("ThumbLeft")] = np.nan
+    found = figures_without_truth(pair(a, fused=walking(1.2)))
+    assert found.rough_fused < 1e-9
+    assert found.jumps_own == 0.0
+
+
+def test_too_short_a_recording_is_an_error() -> None:
+    with pytest.raises(FusionError, match="30 pairs or more to be judged; got 29"):
+        figures_without_truth(pair(walking(1.0)[:29]))
+
+
+def test_a_registration_is_judged_where_the_person_is() -> None:
+    a = walking(1.2)
+    b = A_FROM_B.inverse().apply(a)
+    turned = RigidTransform.of(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]), np.zeros(3))
+    off = judge_registration(RigidTransform.of(np.eye(3), [0.03, 0.0, 0.04]) @ A_FROM_B, a, b)
+    assert off.rotation_off < 1e-6
+    assert off.position_off == pytest.approx(0.05)
+    assert off.apart == pytest.approx(0.05)
+    assert off.apart_own_fit < 1e-9
+    assert judge_registration(turned @ A_FROM_B, a, b).rotation_off == pytest.approx(np.pi / 2)
+
+
+def test_a_fault_that_passes_whole_has_share_one_and_one_that_stays_out_none() -> None:
+    view = walking(1.0)
+    for fault in FAULTS:
+        faulty = with_fault(BODY, view, fault, range(100, 120))
+        assert np.array_equal(faulty[:100], view[:100])
+        assert np.array_equal(faulty[120:], view[120:])
+        assert share_of_fault(view, faulty, view, faulty) == pytest.approx(1.0)
+        assert share_of_fault(view, faulty, view, 0.75 * view + 0.25 * faulty) == pytest.approx(0.25)
+        assert share_of_fault(view, faulty, view, view) == 0.0
+    assert np.isnan(share_of_fault(view, view, view, view))
+
+
+def test_faults_are_what_they_are_called() -> None:
+    view = walking(1.0)
+    frames = range(100, 120)
+    shifted, frozen, swapped, snapped = (
+        with_fault(BODY, view, fault, frames)[110] for fault in ("shift", "freeze", "swap", "snap")
+    )
+    np.testing.assert_allclose(shifted - view[110], np.tile([0.25, 0.0, 0.0], (len(BODY), 1)))
+    np.testing.assert_array_equal(frozen, view[99])
+    np.testing.assert_array_equal(swapped[BODY.joint("HandLeft")], view[110, BODY.joint("HandRight")])
+    moved = np.flatnonzero((snapped != view[110]).any(axis=1))
+    assert {BODY.joints[j] for j in moved} == {
+        "ElbowRight", "WristRight", "HandRight", "HandTipRight", "ThumbRight",
+    }  # fmt: skip
+    assert np.linalg.norm(snapped[moved] - view[110, BODY.joint("SpineMid")], axis=1).max() < 0.2

@@ -1,0 +1,125 @@
+"""The packages' public names: found without side effects, and enough for what the documentation shows."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import devices
+import fusion
+import recordings
+from devices import SensorFrame
+from fusion import KINECT_V2, Fuser, FusionSetup, Skeleton, SkeletonPair, calibrate
+from recordings import Session, fuse, fuse_live
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, pair_of
+
+PACKAGES = (fusion, devices, recordings)
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
+def test_every_public_name_is_there_and_documented(package: object) -> None:
+    tree = ast.parse(Path(package.__file__).read_text())
+    imported = [
+        alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names
+    ]
+    assert set(package.__all__) == set(package._HOMES) <= {*imported}
+    for name in package.__all__:
+        found = getattr(package, name)
+        home = importlib.import_module(package._HOMES[name])
+        assert found is getattr(home, name)
+        assert name.isupper() or found.__doc__
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = package.nonsense
+
+
+def test_importing_changes_no_file_and_no_environment() -> None:
+    program = """
+import os, sys
+before = dict(os.environ)
+import pathlib
+deleted = []
+pathlib.Path.unlink = lambda self, *_, **__: deleted.append(self)
+import fusion, devices, recordings
+assert "numba" not in sys.modules
+for package in (fusion, devices, recordings):
+    for name in package.__all__:
+        getattr(package, name)
+import fusion.methods.paper, recordings.images.rvl, devices.simulated.imaging.rendering
+print(dict(os.environ) == before, deleted)
+"""
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert said.stdout == "True []\n", said.stderr
+
+
+def write_csv(path: Path, skeletons: list[Skeleton]) -> Path:
+    rows = ["time_us,body,joint,x,y,z"]
+    for skeleton in skeletons:
+        for joint, (x, y, z) in zip(KINECT_V2.joints, skeleton.positions, strict=True):
+            rows.append(f"{skeleton.time_ns // 1000},1,{joint},{x:.6f},{y:.6f},{z:.6f}")
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def test_three_lines_fuse_two_files_in_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pairs = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 60))]
+    a = write_csv(tmp_path / "a.csv", [pair.a for pair in pairs])
+    b = write_csv(tmp_path / "b.csv", [pair.b for pair in pairs])
+    session = fuse(a, b)
+    assert session.fused.shape == (60, len(KINECT_V2), 3)
+    assert session.path is None
+    assert {path.name for path in tmp_path.iterdir()} == {"a.csv", "b.csv"}
+    assert capsys.readouterr() == ("", "")
+    session.save(tmp_path / "s.rrd")
+    read = Session.open(tmp_path / "s.rrd")
+    assert read.damage is None
+    np.testing.assert_array_equal(read.fused_checksums, session.fused_checksums)
+    np.testing.assert_array_equal(read.rows.positions_b, session.rows.positions_b)
+    assert read.events == session.events
+    assert read.about["settings"].keys() == session.about["settings"].keys()
+
+
+def test_own_arrays_are_fused_frame_by_frame() -> None:
+    views = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 40))]
+    a, b = np.array([pair.a.positions for pair in views]), np.array([pair.b.positions for pair in views])
+    pairs = [
+        SkeletonPair(Skeleton.of(KINECT_V2, p), Skeleton.of(KINECT_V2, q), t * FRAME_NS)
+        for t, (p, q) in enumerate(zip(a, b, strict=True))
+    ]
+    fuser = Fuser(FusionSetup(calibrate(KINECT_V2, pairs[:30], "the first second")))
+    fused = [fuser.update(pair).positions for pair in pairs]
+    np.testing.assert_allclose(fused, a, atol=1e-4)  # noiseless: what A sees
+
+
+class Made:
+    """A sensor of one's own."""
+
+    body, intrinsics, warnings = KINECT_V2, None, ()
+
+    def __init__(self, name: str, views: list[Skeleton]) -> None:
+        self.name, self.views = name, views
+
+    def __enter__(self) -> Made:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def frames(self) -> Iterator[SensorFrame]:
+        for skeleton in self.views:
+            yield SensorFrame(skeleton.time_ns, {"1": skeleton})
+
+
+def test_a_sensor_of_ones_own_goes_through_the_live_loop() -> None:
+    views = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 8))]
+    a, b = Made("a", [pair.a for pair in views]), Made("b", [pair.b for pair in views])
+    frames = list(fuse_live(a, b, FusionSetup(calibration_of(KINECT_V2))))
+    assert frames
+    assert all(frame.fused.has_person for frame in frames)
+    assert np.allclose(frames[0].fused.a_from_b.rotation, A_FROM_B.rotation)

@@ -1,0 +1,27 @@
+"""What a person can do next with a session that was saved, in one line that works on their machine."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from viewer_app.report import figures
+
+
+@pytest.mark.parametrize(
+    ("display", "command"),
+    [(True, "duplex review a/long/folder/s.rrd"), (False, "duplex review a/long/folder/s.rrd --html")],
+)
+def test_the_next_step_is_one_line_and_needs_no_display_where_there_is_none(
+    display: bool, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(figures, "has_display", lambda: display)
+    monkeypatch.setattr("sys.argv", ["pytest"])
+    out = io.StringIO()
+    figures.say_saved(Console(file=out, width=40), Path("a/long/folder/s.rrd"))
+    (line,) = out.getvalue().splitlines()
+    assert command in line
+    assert line.endswith(".html") is not display

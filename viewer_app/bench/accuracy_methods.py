@@ -1,0 +1,193 @@
+"""The methods that ``duplex bench accuracy`` compares: one row each, from the simplest to ours.
+
+To add a method, add a row to :data:`METHODS`. A switch of our method is a row of :data:`ABLATIONS`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.pairing import FramePair
+from fusion.body import Body
+from fusion.calibration.calibration import Calibration
+from fusion.evaluation import baselines
+from fusion.evaluation.fixed_registration import fit_recording
+from fusion.fuser import Fuser
+from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings, FusionSetup
+
+Array = NDArray[np.float64]
+Kind = Literal["view", "baseline", "bound", "method", "ablation"]
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedPair:
+    """What every method is given, and the truth that only bounds and figures use.
+
+    Attributes:
+        body: Which joints.
+        pairs: T pairs, in time order.
+        calibration: From the start-up pose.
+        frame_seconds: Between two frames.
+        truth: (T, J, 3) metres, in K_A's frame.
+    """
+
+    body: Body
+    pairs: list[FramePair]
+    calibration: Calibration
+    frame_seconds: float
+    truth: Array
+
+    @cached_property
+    def _views(self) -> tuple[tuple[Array, NDArray[np.uint8]], tuple[Array, NDArray[np.uint8]]]:
+        skeletons = [pair.skeletons for pair in self.pairs]
+        nowhere = np.full((len(self.body), 3), np.nan)
+        unseen = np.zeros(len(self.body), dtype=np.uint8)
+
+        def stacked(side: str) -> tuple[Array, NDArray[np.uint8]]:
+            view = [getattr(pair, side) for pair in skeletons]
+            at = np.array([nowhere if s is None else s.positions for s in view], dtype=np.float64)
+            return at, np.array([unseen if s is None else s.states for s in view])
+
+        return stacked("a"), stacked("b")
+
+    @property
+    def a(self) -> Array:
+        """(T, J, 3) S_A, metres, in K_A's frame; NaN where not tracked."""
+        return self._views[0][0]
+
+    @property
+    def b(self) -> Array:
+        """(T, J, 3) S_B, in K_B's frame."""
+        return self._views[1][0]
+
+    @property
+    def states(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """(T, J) tracking states of A and of B."""
+        return self._views[0][1], self._views[1][1]
+
+    @property
+    def start_up(self) -> RigidTransform:
+        """``a_from_b`` of the start-up pose."""
+        return self.calibration.a_from_b
+
+    @cached_property
+    def refined(self) -> RigidTransform:
+        """``a_from_b`` fitted robustly over the whole recording's movement, tracked joints only."""
+        sure = (self.states[0] == 2) & (self.states[1] == 2)
+        return fit_recording(np.where(sure[..., None], self.a, np.nan), self.b)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a method found.
+
+    Attributes:
+        joints: (T, J, 3) metres, in K_A's frame; NaN where it has none.
+        each_us: Microseconds per frame.
+        sd: (T, J) metres, the standard deviation of a coordinate that it states; None without.
+    """
+
+    joints: Array
+    each_us: float
+    sd: Array | None = None
+
+
+@dataclass(frozen=True)
+class Method:
+    """A row of every table.
+
+    Attributes:
+        name: At most 18 characters.
+        kind: A bound uses the truth and is out of competition.
+        find: From a recording to joints.
+    """
+
+    name: str
+    kind: Kind
+    find: Callable[[RecordedPair], Found] = field(repr=False)
+
+
+def fused(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
+    """Our program with these settings, pair by pair."""
+
+    def find(recording: RecordedPair) -> Found:
+        fuser = Fuser(FusionSetup(recording.calibration, settings))
+        fuser.warm_up()
+        frames, cost = [], []
+        for pair in recording.pairs:
+            skeletons = pair.skeletons
+            before = time.perf_counter_ns()
+            frames.append(fuser.update(skeletons))
+            cost.append(time.perf_counter_ns() - before)
+        sd = np.array([frame.sigma for frame in frames])
+        return Found(
+            np.array([frame.positions for frame in frames]),
+            float(np.median(cost)) * 1e-3,
+            sd if np.isfinite(sd).any() else None,
+        )
+
+    return find
+
+
+def _baseline(find: Callable[[RecordedPair], Array]) -> Callable[[RecordedPair], Found]:
+    def timed(recording: RecordedPair) -> Found:
+        before = time.perf_counter()
+        joints = find(recording)
+        return Found(joints, (time.perf_counter() - before) / len(recording.pairs) * 1e6)
+
+    return timed
+
+
+def _mean(recording: RecordedPair, a_from_b: RigidTransform) -> Array:
+    return baselines.mean(recording.a, a_from_b.apply(recording.b))
+
+
+def _kalman(recording: RecordedPair, a_from_b: RigidTransform) -> Array:
+    views = recording.a, a_from_b.apply(recording.b)
+    return baselines.kalman(*views, *recording.states, recording.frame_seconds)
+
+
+def _tracked_wins(recording: RecordedPair) -> Array:
+    return baselines.tracked_wins(recording.a, recording.refined.apply(recording.b), *recording.states)
+
+
+def _oracle(recording: RecordedPair) -> Array:
+    return baselines.oracle(recording.a, recording.refined.apply(recording.b), recording.truth)
+
+
+DEFAULT = FuserSettings()
+"""The settings a person gets who chooses none."""
+
+METHODS: tuple[Method, ...] = (
+    Method("A alone", "view", _baseline(lambda r: baselines.alone(r.a))),
+    Method("B alone", "view", _baseline(lambda r: baselines.alone(r.refined.apply(r.b)))),
+    Method("mean, start-up", "baseline", _baseline(lambda r: _mean(r, r.start_up))),
+    Method("mean, refined", "baseline", _baseline(lambda r: _mean(r, r.refined))),
+    Method("tracked wins", "baseline", _baseline(_tracked_wins)),
+    Method("Kalman, start-up", "baseline", _baseline(lambda r: _kalman(r, r.start_up))),
+    Method("Kalman, refined", "baseline", _baseline(lambda r: _kalman(r, r.refined))),
+    Method("oracle", "bound", _baseline(_oracle)),
+    Method("published", "method", fused(replace(DEFAULT, method="published"))),
+    Method("paper", "method", fused(replace(DEFAULT, method="paper"))),
+    Method("duplex", "method", fused(DEFAULT)),
+)
+"""In the order of the tables.
+
+``start-up`` and ``refined`` name the registration, which is held fixed: the start-up pose's, or a robust fit
+over the whole recording. ``oracle`` is the better view of every joint in every frame. ``published`` is
+eqs. (3)–(11) as published; ``paper`` has the paper's weights and exact bones; ``duplex`` is the estimator in
+time."""
+
+OURS = "duplex"
+"""The method that the tables compare the others with: the default."""
+
+ABLATIONS: tuple[Method, ...] = (Method("without time", "ablation", fused(replace(DEFAULT, smoothing=0.0))),)
+"""The default with one part switched off, for ``--ablations``."""

@@ -1,0 +1,79 @@
+"""Eq. (1) by scipy's SLSQP: an oracle that shares no code with the solvers of :mod:`fusion.solvers`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from fusion.body import Body
+
+
+class Optimum(NamedTuple):
+    """(J, 3) joints in metres, the objective of eq. (1) there, and SLSQP's steps."""
+
+    positions: NDArray[np.float64]
+    objective: float
+    steps: int
+
+
+def slsqp_optimum(
+    body: Body,
+    targets: NDArray[np.float64],
+    information: NDArray[np.float64],
+    lengths: NDArray[np.float64],
+    start: NDArray[np.float64],
+    *,
+    analytic: bool = True,
+    max_steps: int = 1000,
+) -> Optimum:
+    """Minimises Σ (x − m)ᵀ W (x − m) over the joints x, subject to (‖e‖² − l²)/2 = 0 for each bone e.
+
+    Args:
+        body: The tree of bones.
+        targets: (J, 3) m, metres; ignored where the information is zero.
+        information: (J,) weights w, or (J, 3, 3) symmetric matrices W.
+        lengths: (J,) l, metres, of the bone that ends in each joint.
+        start: (J, 3) where SLSQP starts, metres.
+        analytic: Whether SLSQP gets all derivatives or finds them by differences.
+        max_steps: SLSQP's own limit.
+    """
+    child = body.bone_joints
+    parent = body.parent_indices[child]
+    rows = np.arange(len(child))
+    scale = information.max()  # SLSQP's tolerance is absolute
+    W = information / scale
+    seen = W.reshape(len(body), -1).any(axis=1)
+    m = np.where(seen[:, None], targets, 0.0)
+
+    def pull(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        apart = x.reshape(-1, 3) - m
+        return np.asarray(W[:, None] * apart if W.ndim == 1 else (W @ apart[:, :, None])[:, :, 0])
+
+    def objective(x: NDArray[np.float64]) -> float:
+        return float(((x.reshape(-1, 3) - m) * pull(x)).sum())
+
+    def gradient(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return 2.0 * pull(x).ravel()
+
+    def constraint(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        bone = x.reshape(-1, 3)[child] - x.reshape(-1, 3)[parent]
+        return np.asarray(0.5 * ((bone**2).sum(axis=1) - lengths[child] ** 2))
+
+    def jacobian(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        bone = x.reshape(-1, 3)[child] - x.reshape(-1, 3)[parent]
+        J = np.zeros((len(child), len(body), 3))
+        J[rows, child], J[rows, parent] = bone, -bone
+        return J.reshape(len(child), -1)
+
+    found = minimize(
+        objective,
+        start.ravel(),
+        jac=gradient if analytic else None,
+        constraints={"type": "eq", "fun": constraint, **({"jac": jacobian} if analytic else {})},
+        method="SLSQP",
+        options={"maxiter": max_steps, "ftol": 1e-15},
+    )
+    return Optimum(found.x.reshape(-1, 3), float(found.fun * scale), int(found.nit))
