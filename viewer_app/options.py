@@ -92,6 +92,8 @@ class SensorOptions:
     """Serial number of the secondary sensor K_B."""
     principal: str | None = None
     """Of two connected, the one that is K_A; without it the first question that duplex live asks."""
+    sync_master: str | None = None
+    """Serial number of the sensor that the sync cable leads out of. Orbbec's wrapper cannot tell."""
 
 
 @dataclass(frozen=True)
