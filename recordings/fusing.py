@@ -16,9 +16,9 @@ from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import SkeletonPair
 from recordings.events import Event
+from recordings.images.session_images import RecordingImages
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
-from recordings.session_images import RecordingImages
 
 
 def fuse(

@@ -1,6 +1,7 @@
 """The command line as values: a command is a frozen dataclass, its field docstrings are the help text.
 
-Nothing heavy is imported here, so that ``duplex --help`` answers at once.
+Nothing heavy is imported here, so that ``duplex --help`` answers at once. The module is long
+because all commands are in it, which share options.
 """
 
 from __future__ import annotations
