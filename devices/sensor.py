@@ -19,6 +19,10 @@ class DeviceError(Exception):
     """A source that cannot give frames: what happened, the value, the way out."""
 
 
+class AbsentError(DeviceError):
+    """The source is not connected. Asking again costs nothing, so it may be asked often."""
+
+
 @dataclass(frozen=True, eq=False)
 class ColorCamera:
     """The colour camera beside a depth camera.
@@ -133,4 +137,14 @@ class Interruptible(Protocol):
 
     def interrupt(self) -> None:
         """Makes ``frames`` end soon, within a second. Called from another thread; opening undoes it."""
+        ...
+
+
+@runtime_checkable
+class NamesItsWait(Protocol):
+    """A sensor whose opening, first frame or closing may take minutes, and that can say why."""
+
+    @property
+    def waits_for(self) -> str:
+        """What it waits for now, as in "its body tracker, which loads its network"; empty for nothing."""
         ...

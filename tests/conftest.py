@@ -12,7 +12,12 @@ from hypothesis import settings
 settings.register_profile("duplex", deadline=None)
 settings.load_profile("duplex")
 
-pytest_plugins = ("tests.helpers.machine", "tests.helpers.standin_library", "tests.helpers.standin_pyk4a")
+pytest_plugins = (
+    "tests.helpers.machine",
+    "tests.helpers.standin_library",
+    "tests.helpers.standin_pyk4a",
+    "tests.helpers.real_pyk4a",
+)
 
 
 @pytest.fixture(scope="session")

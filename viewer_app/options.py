@@ -117,6 +117,8 @@ class LiveOptions:
     """Serial number of the secondary sensor K_B."""
     principal: str | None = None
     """Of the two connected, the one that is K_A; without it the first question asked."""
+    sync_master: str | None = None
+    """Serial number of the sensor that the sync cable leads out of. Orbbec's wrapper cannot tell."""
     depth_mode: Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"] = "NFOV_UNBINNED"
     """Narrow and far, or wide and near."""
     fps: Literal[5, 15, 30] = 30
@@ -176,6 +178,8 @@ class DoctorOptions:
     """Serial number of the sensor that would be K_B."""
     principal: str | None = None
     """Of two connected, the one that would be K_A."""
+    sync_master: str | None = None
+    """Serial number of the sensor that the sync cable leads out of. Orbbec's wrapper cannot tell."""
     k4abt: Path | None = None
     """Microsoft's body tracker, libk4abt; where the system finds it if not given."""
     processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"

@@ -9,8 +9,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from devices.azure.firmware import firmware_advice
 from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects, load_sdk
-from devices.azure.sensor_roles import NeedsChoiceError, choose_two, sync_master
+from devices.azure.sensor_roles import NeedsChoiceError, cable_unknown, choose_two, sync_master
 from devices.azure.tracking.body_tracker import INSTALL, TrackerSettings
 from devices.azure.tracking.native_library import load_library, loaded_file
 from devices.azure.usb import UDEV_ADVICE, usb_kinects
@@ -50,6 +51,7 @@ def device_checks(
     *,
     x_answers: bool = True,
     choice: tuple[str | None, str | None, str | None] = (None, None, None),
+    named_master: str | None = None,
 ) -> list[Check]:
     """All that live capture needs of devices and their libraries, in the order to put it right.
 
@@ -57,6 +59,7 @@ def device_checks(
         tracker: How the tracker would run: its library and network are looked for.
         root: Where the file system starts; tests put their own there.
         choice: Serial numbers that live would be given: A, B, principal, as ``choose_two`` takes them.
+        named_master: Serial number of the master on the sync cable, where live would be told.
         x_answers: Whether the X display answers, where DISPLAY names one.
     """
     tracker = tracker or TrackerSettings()
@@ -67,7 +70,7 @@ def device_checks(
         _tracker_network(tracker, root),
         _usb_permission(root),
         _usb_speed(root),
-        *_kinects(choice),
+        *_kinects(choice, named_master),
         _gpu(tracker, root),
         Check(
             "proven on hardware",
@@ -176,7 +179,7 @@ def _usb_speed(root: Path) -> Check:
     return Check("USB speed", True, f"{len(there)} Kinect(s) at USB 3" if there else "no Kinect on the bus")
 
 
-def _kinects(choice: tuple[str | None, str | None, str | None]) -> list[Check]:
+def _kinects(choice: tuple[str | None, str | None, str | None], named_master: str | None) -> list[Check]:
     try:
         there = connected_kinects()
     except DeviceError as fault:
@@ -192,28 +195,38 @@ def _kinects(choice: tuple[str | None, str | None, str | None]) -> list[Check]:
         chosen = question.serials
     except DeviceError as fault:
         return [Check("two Kinects", False, counted, str(fault)), *each]
-    return [Check("two Kinects", True, counted), *each, _sync_cable(there, chosen)]
+    return [Check("two Kinects", True, counted), *each, _sync_cable(there, chosen, named_master)]
 
 
-def _sync_cable(there: list[ConnectedKinect], chosen: tuple[str, str]) -> Check:
+def _sync_cable(there: list[ConnectedKinect], chosen: tuple[str, str], named_master: str | None) -> Check:
     """How the two are joined."""
     a, b = (next(kinect for kinect in there if kinect.serial == serial) for serial in chosen)
     try:
-        master = sync_master(a, b)
+        master = sync_master(a, b, named_master)
     except DeviceError as fault:
         return _failed("sync cable", fault)
     if master is None:
-        return Check("sync cable", False, "none", _CABLE_ADVICE, needed=False)
+        unknown = cable_unknown(a, b)
+        found = "not known" if unknown else "none"
+        return Check("sync cable", False, found, unknown or _CABLE_ADVICE, needed=False)
     other = b.serial if master == a.serial else a.serial
-    return Check("sync cable", True, f"from {master} to {other}", needed=False)
+    said = " (as --sync-master says)" if named_master else ""
+    return Check("sync cable", True, f"from {master} to {other}{said}", needed=False)
 
 
 def _kinect(kinect: ConnectedKinect) -> Check:
     if kinect.serial is None:
         what, _, advice = kinect.fault.partition(". ")
         return Check(f"Kinect at place {kinect.index}", False, what, advice, needed=False)
-    plugs = f"sync in {_plug(kinect.sync_in)}, sync out {_plug(kinect.sync_out)}"
-    return Check(f"Kinect {kinect.serial}", True, plugs, needed=False)
+    plugs = (
+        "sync jacks not known"
+        if kinect.is_orbbec
+        else f"sync in {_plug(kinect.sync_in)}, sync out {_plug(kinect.sync_out)}"
+    )
+    if kinect.firmware is not None:
+        plugs += f", firmware {'.'.join(map(str, kinect.firmware))}"
+    old = firmware_advice(kinect.serial, kinect.firmware)
+    return Check(f"Kinect {kinect.serial}", not old, plugs, old, needed=False)
 
 
 def _plug(connected: bool | None) -> str:
@@ -231,7 +244,7 @@ def _gpu(tracker: TrackerSettings, root: Path) -> Check:
         else:
             return Check("GPU", True, "DirectML found", needed=False)
     slow = (
-        "about one frame a second, and two sensors' hardly ever pair: record with k4arecorder now, "
+        "about one frame a second of both sensors: record with k4arecorder now, "
         "duplex fuse a.mkv b.mkv later."
     )
     if tracker.processing == "cpu":

@@ -5,23 +5,21 @@ Errors of the SDK come without words, so this file finds out why a device does n
 
 from __future__ import annotations
 
-import ctypes
 import os
 import threading
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
+from devices.azure.firmware import firmware_version
+from devices.azure.installing import how_to_install
+from devices.azure.pyk4a_leaks import put_back_none
 from devices.azure.usb import UDEV_ADVICE, UsbKinect, usb_kinects
-from devices.sensor import DeviceError
+from devices.sensor import AbsentError, DeviceError
 
-_INSTALL = (
-    "Install the Azure Kinect Sensor SDK 1.4 (libk4a1.4-dev; for Orbbec their K4A wrapper), then this "
-    "program's extra, from its folder: pip install '.[kinect]' (after make: "
-    ".venv/bin/pip install -e '.[kinect]')."
-)
 _opening = threading.Lock()
 _open_here: set[str] = set()  # serial numbers that this process holds open
+_seen_on_bus: set[str] = set()  # serial numbers that the system's list of USB devices has shown, too
 
 
 @dataclass(frozen=True)
@@ -31,8 +29,10 @@ class ConnectedKinect:
     Attributes:
         index: Its place in the SDK's list, which changes when sensors come and go.
         serial: Its serial number; None if it cannot be opened.
-        sync_in, sync_out: Whether a cable is in the jack; None if it cannot be opened.
+        sync_in, sync_out: Whether a cable is in the jack; None if it cannot be opened. Orbbec's wrapper
+            always says no.
         fault: Why it cannot be opened; empty if it can.
+        firmware: Version of its colour camera's firmware, which names the release; None if unknown.
     """
 
     index: int
@@ -40,6 +40,12 @@ class ConnectedKinect:
     sync_in: bool | None = None
     sync_out: bool | None = None
     fault: str = ""
+    firmware: tuple[int, int, int] | None = None
+
+    @property
+    def is_orbbec(self) -> bool:
+        """Whether it is a Femto Bolt or Mega: their serial numbers hold letters, Microsoft's digits only."""
+        return self.serial is not None and not self.serial.isdigit()
 
 
 def connected_kinects() -> list[ConnectedKinect]:
@@ -53,11 +59,12 @@ def connected_kinects() -> list[ConnectedKinect]:
     for index in range(sdk.connected_device_count()):
         device = sdk.PyK4A(device_id=index, thread_safe=False)
         try:
-            device.open()
+            _open(device, sdk)
             sync_in, sync_out = device.sync_jack_status
-            found.append(ConnectedKinect(index, device.serial, sync_in, sync_out))
+            serial, firmware = device.serial, firmware_version(device)
+            found.append(ConnectedKinect(index, serial, sync_in, sync_out, firmware=firmware))
         except sdk.K4AException as fault:
-            found.append(ConnectedKinect(index, None, fault=_why_not_open(fault)))
+            found.append(ConnectedKinect(index, None, fault=why_not_open(fault)))
         finally:
             let_go(device, sdk)
     return found
@@ -75,7 +82,7 @@ def load_sdk() -> ModuleType:
         import pyk4a
     except (ImportError, OSError) as fault:
         raise DeviceError(
-            f"Live sensors need pyk4a, which cannot be imported ({fault}). {_INSTALL}"
+            f"Live sensors need pyk4a, which cannot be imported ({fault}). {how_to_install()}"
         ) from fault
     return pyk4a  # type: ignore[no-any-return]
 
@@ -87,26 +94,42 @@ def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
         The opened ``pyk4a.PyK4A``, without cameras running.
 
     Raises:
-        DeviceError: It is not there, or cannot be opened.
+        AbsentError: It is not connected; libk4a was not asked to open anything.
+        DeviceError: It cannot be opened.
     """
     with _opening:
-        # Ours cannot be opened twice, so a bus with no more than ours holds no other.
         others, faults = sorted(_open_here), []
-        for index in range(sdk.connected_device_count() if sdk.connected_device_count() > len(others) else 0):
+        if _on_bus(serial) is False:  # says Linux, which is asked without holding the GIL
+            raise AbsentError(_not_found(serial, others, []))
+        count = sdk.connected_device_count()
+        if count <= len(others):  # ours cannot be opened twice, so a bus with no more holds no other
+            raise AbsentError(_not_found(serial, others, []))
+        for index in range(count):
             device = sdk.PyK4A(config=configuration, device_id=index, thread_safe=False)
             try:
-                device.open()
+                _open(device, sdk)
                 found = device.serial
             except sdk.K4AException as fault:
-                faults.append(_why_not_open(fault))
+                faults.append(why_not_open(fault))
                 let_go(device, sdk)
                 continue
             if found == serial:
                 _open_here.add(serial)
+                if serial in _serials_on_bus():
+                    _seen_on_bus.add(serial)
                 return device
-            others.append(found)
+            if found not in others:  # one of ours, where opening is lazy
+                others.append(found)
             let_go(device, sdk)
         raise DeviceError(_not_found(serial, others, faults[len(_open_here) :]))
+
+
+def _open(device: Any, sdk: Any) -> None:
+    try:
+        device.open()
+    except sdk.K4AException:
+        put_back_none()
+        raise
 
 
 def close_kinect(sdk: Any, serial: str, device: Any) -> str:
@@ -114,6 +137,29 @@ def close_kinect(sdk: Any, serial: str, device: Any) -> str:
     with _opening:
         _open_here.discard(serial)
         return let_go(device, sdk)
+
+
+def is_connected(sdk: Any, serial: str) -> bool:
+    """Whether a Kinect that this process has open is still there. Ask only when its frames stay away.
+
+    Where the system has listed it by its serial number (Linux), that list decides. Elsewhere (Windows) the
+    SDK counts what is connected: fewer than this process has open means that the one that fails is gone.
+    The SDK searches the bus for that, and pyk4a holds the GIL meanwhile.
+    """
+    on_bus = _on_bus(serial)
+    if on_bus is not None:
+        return on_bus
+    return bool(sdk.connected_device_count() >= max(1, len(_open_here)))
+
+
+def _on_bus(serial: str) -> bool | None:
+    """Whether the system's list of USB devices has it; None where the list is empty or never had it."""
+    listed = _serials_on_bus()
+    return serial in listed if listed and serial in _seen_on_bus else None
+
+
+def _serials_on_bus() -> list[str]:
+    return [device.serial for device in usb_kinects() if device.serial]
 
 
 def _not_found(serial: str, others: list[str], faults: list[str]) -> str:
@@ -128,7 +174,7 @@ def _not_found(serial: str, others: list[str], faults: list[str]) -> str:
     return f"No Kinect with serial {serial}, and no other. Plug it in: USB 3 and its own power supply."
 
 
-def _why_not_open(fault: Exception, bus: list[UsbKinect] | None = None) -> str:
+def why_not_open(fault: Exception, bus: list[UsbKinect] | None = None) -> str:
     """Why a device that is there does not open; the SDK itself does not say."""
     said = f" ({fault})" if str(fault) else ""
     forbidden = [device for device in (usb_kinects() if bus is None else bus) if not device.allowed]
@@ -151,22 +197,3 @@ def let_go(device: Any, sdk: Any) -> str:
                 faults.append(str(fault) or f"{action} failed")
             device.is_running = False  # or its destructor stops it once more
     return "; ".join(faults)
-
-
-def capture_pointer(capture: Any) -> int:
-    """The ``k4a_capture_t`` in a capture: its capsule holds the address of the handle."""
-    at = capsule_pointer(capture._capture_handle, b"pyk4a capture handle")
-    return ctypes.c_void_p.from_address(at).value or 0
-
-
-def capsule_pointer(capsule: object, name: bytes) -> int:
-    """The address in a capsule; the name guards against handing the library a pointer to something else."""
-    get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
-    get_pointer.restype, get_pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
-    try:
-        pointer: int = get_pointer(capsule, name)
-    except ValueError as fault:
-        raise DeviceError(
-            f"This pyk4a keeps no {name.decode()!r} ({fault}): it is another version. Install pyk4a 1.5."
-        ) from fault
-    return pointer

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from devices.azure.firmware import firmware_advice
 from devices.azure.pyk4a_access import ConnectedKinect
 from devices.sensor import DeviceError
 
@@ -74,14 +75,25 @@ def choose_two(
     return (named, other) if a is not None else (other, named)
 
 
-def sync_master(a: ConnectedKinect, b: ConnectedKinect) -> str | None:
+def sync_master(a: ConnectedKinect, b: ConnectedKinect, named: str | None = None) -> str | None:
     """The serial number of the sensor that leads on the sync cable; None when there is no cable.
 
     The cable leads from the master's sync out to the subordinate's sync in. Start the subordinate first.
 
+    Args:
+        a, b: The two sensors.
+        named: The master, where the person says which one it is: the jacks are not asked then. Orbbec's
+            wrapper always says that they are empty.
+
     Raises:
-        DeviceError: A cable is there but joins no out to an in.
+        DeviceError: A cable is there but joins no out to an in, or the master named is neither of the two.
     """
+    if named is not None:
+        if named not in (a.serial, b.serial):
+            raise DeviceError(
+                f"--sync-master {named} is neither of the two Kinects chosen, {a.serial} and {b.serial}."
+            )
+        return named
     for master, subordinate in ((a, b), (b, a)):
         if master.sync_out and subordinate.sync_in:
             return master.serial
@@ -96,3 +108,27 @@ def sync_master(a: ConnectedKinect, b: ConnectedKinect) -> str | None:
         f"The sync cable joins no sync out to a sync in ({jacks}). Lead it from one sensor's sync out to the "
         f"other's sync in, or unplug it to run without."
     )
+
+
+def cable_unknown(a: ConnectedKinect, b: ConnectedKinect) -> str:
+    """What to say where no cable was found and that means nothing: Orbbec's wrapper cannot see one."""
+    orbbec = [str(kinect.serial) for kinect in (a, b) if kinect.is_orbbec]
+    if not orbbec:
+        return ""
+    return (
+        f"Orbbec's wrapper does not say whether a cable is in the jacks of {' and '.join(orbbec)}. If there "
+        f"is one, name the sensor that it leads out of: --sync-master {a.serial} or {b.serial}."
+    )
+
+
+def cable_notes(a: ConnectedKinect, b: ConnectedKinect, master: str | None) -> list[str]:
+    """What the person should know of the cable and of the firmware that it needs."""
+    if master is None:
+        return [cable_unknown(a, b) or _NO_CABLE]
+    return [note for kinect in (a, b) if (note := firmware_advice(str(kinect.serial), kinect.firmware))]
+
+
+_NO_CABLE = (
+    "No sync cable: pairs are up to half a frame apart, and the sensors' lasers disturb each other where "
+    "both shine. A 3.5 mm cable from one's sync out to the other's sync in mends both."
+)

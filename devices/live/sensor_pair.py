@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from devices.live.frame_decimation import FrameDecimation
 from devices.live.sensor_state import SensorEvent, SensorState
 from devices.live.sensor_thread import SensorThread
 from devices.live.stream_pairing import LivePairing, PairingFigures, Side
@@ -49,6 +50,7 @@ class TwoSensors:
         b: Sensor,
         *,
         pairing: LivePairing | None = None,
+        decimation: FrameDecimation | None = None,
         first: Side = "b",
         stall_s: float = 2.0,
         retry_s: float = 1.0,
@@ -61,6 +63,7 @@ class TwoSensors:
         Args:
             a, b: The principal and the secondary sensor.
             pairing: How to pair them; the default pairing at 30 fps where None.
+            decimation: What the two sensors share to keep the same moments; pairing follows its step.
             first: Which one to start first: the subordinate, if there is a sync cable.
             stall_s: After how long without a frame a sensor counts as stalled.
             retry_s: How often a lost sensor is tried again.
@@ -82,6 +85,7 @@ class TwoSensors:
             for sensor in (a, b)
         )
         self._pairing = pairing or LivePairing()
+        self._decimation, self._step = decimation, 1
         self._first: Side = first
         self._clock, self._open_s, self._tell = clock, open_s, tell
         self._stopped = False
@@ -110,6 +114,9 @@ class TwoSensors:
         try:
             for thread in (self.b, self.a) if self._first == "b" else (self.a, self.b):
                 thread.open(self._open_s)
+            # What one of them gave while the other's tracker still loaded is no one's drop.
+            for _, thread in self._sides():
+                thread.count_from_now()
         except BaseException:
             self.__exit__()
             raise
@@ -152,6 +159,7 @@ class TwoSensors:
         """
         self._arrival.wait(wait_s)
         self._arrival.clear()
+        self._follow_decimation()
         now_ns, pairs = _ns(self._clock()), []
         came: list[tuple[int, Side, SensorFrame]] = []
         for side, thread in self._sides():
@@ -173,6 +181,24 @@ class TwoSensors:
         """What happened since the last call, oldest first."""
         events, self._events = sorted(self._events, key=lambda event: event.at_s), []
         return events
+
+    def _follow_decimation(self) -> None:
+        decimation = self._decimation
+        if decimation is None or decimation.step == self._step:
+            return
+        self._step = decimation.step
+        self._pairing.set_interval(decimation.interval_ns)
+        full, kept = 1e9 / decimation.period_ns, 1e9 / decimation.interval_ns
+        message = (
+            f"The body tracker of {decimation.slowest} takes {1000 * decimation.slowest_s:.0f} ms per frame: "
+            f"both sensors go on with {kept:.3g} of {full:.3g} frames per second. It is the tracker, not USB "
+            f"or light: a faster GPU, or record now and track later (duplex fuse a.mkv b.mkv)."
+            if self._step > 1
+            else f"The body trackers keep up again: {full:.3g} frames per second."
+        )
+        event = SensorEvent(decimation.slowest, message, self._clock())
+        self._events.append(event)
+        self._tell(event)
 
     def _end(self) -> None:
         for _, thread in self._sides():

@@ -10,8 +10,10 @@ from contextlib import suppress
 from dataclasses import replace
 
 from devices.depth_witness import with_witness
+from devices.live import sensor_messages as messages
+from devices.live.retries import Retries
 from devices.live.sensor_state import SensorEvent, SensorState
-from devices.sensor import CountsMissed, DeviceError, Interruptible, Sensor, SensorFrame
+from devices.sensor import DeviceError, Interruptible, Sensor, SensorFrame
 
 _EVENTS_KEPT = 100
 
@@ -46,25 +48,24 @@ class SensorThread:
             keep: Most frames that wait for the reader.
             stall_s: After how long without a frame the sensor counts as stalled.
             first_s: The same for the first one since opening: a body tracker's first result takes long.
-            retry_s: How often a lost sensor is tried again.
+            retry_s: How soon a lost sensor is tried again; later where it is there and does not open.
             arrival: Set at every frame and change of state; two sensors may share one, to wait for either.
             clock: Seconds, for stalls and ``host_ns``; tests put their own.
             wait: Waits for an event at most so many seconds; how retries pass time.
         """
         self.sensor = sensor
         self.arrival = arrival or threading.Event()
-        self._counts = sensor if isinstance(sensor, CountsMissed) else None
-        self._keep, self._retry_s = keep, retry_s
+        self._keep, self._retries = keep, Retries(retry_s)
         self._stall_s, self._first_s = stall_s, first_s
         self._clock, self._wait = clock, wait
         self._lock = threading.Lock()
         self._frames: deque[tuple[int, SensorFrame]] = deque()  # and when each came
         self._events: deque[SensorEvent] = deque(maxlen=_EVENTS_KEPT)
         self._state = SensorState.CLOSED
-        self._received = self._dropped = self._returns = 0
+        self._received = self._dropped = self._returns = self._missed_before = 0
         self._last_s = 0.0
-        self._told, self._stall_told, self._left_behind = "", False, False
-        self._first = self._first_told = False
+        self._left_behind: threading.Thread | None = None
+        self._told, self._stall_told, self._first, self._first_told = "", False, False, False
         self._fault: BaseException | None = None
         self._stopping, self._settled = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
@@ -77,7 +78,7 @@ class SensorThread:
     @property
     def dropped(self) -> int:
         """How many frames we were too slow for: this thread's reader, or the thread for the sensor itself."""
-        return self._dropped + (0 if self._counts is None else self._counts.missed)
+        return self._dropped + messages.missed_by(self.sensor) - self._missed_before
 
     @property
     def returns(self) -> int:
@@ -106,8 +107,8 @@ class SensorThread:
             DeviceError: It cannot be opened, or not in that time.
         """
         self.close()
-        if self._left_behind:
-            raise DeviceError(f"{self.sensor.name} hung and was left behind. Unplug it, then start anew.")
+        if self._left_behind is not None and self._left_behind.is_alive():
+            raise DeviceError(messages.not_closed(self.sensor.name, messages.wait_of(self.sensor)))
         self._stopping, self._settled = threading.Event(), threading.Event()
         self._fault, self._state = None, SensorState.OPENING
         # A daemon: a driver that hangs forever must not keep the program from ending.
@@ -120,17 +121,22 @@ class SensorThread:
         try:
             self._thread.start()
             opened = self._settled.wait(within_s)
-        except BaseException:  # Ctrl-C while it opens: nobody will leave a with block that was never entered
+        except BaseException:  # Ctrl-C while it opens
             self.close()
             raise
         if not opened:
             self.close(0.0)
-            raise DeviceError(
-                f"{self.sensor.name} did not open in {within_s:g} s: its body tracker is still loading, or "
-                f"its driver hangs. Try again; if it is the same, unplug it and plug it in again first."
-            )
+            raise messages.not_opened(self.sensor.name, within_s, messages.wait_of(self.sensor))
         self._raise_fault()
         return self
+
+    def count_from_now(self) -> None:
+        """Counts frames and drops anew. Frames that wait are kept, unless there were too many to keep."""
+        with self._lock:
+            if self._dropped:
+                self._frames.clear()
+            self._received, self._dropped = len(self._frames), 0
+            self._missed_before = messages.missed_by(self.sensor)
 
     def end(self) -> None:
         """Makes the thread end, without waiting for that: frames to come are not wanted, nor counted."""
@@ -159,10 +165,8 @@ class SensorThread:
                 self._frames.clear()
                 self._state = SensorState.CLOSED
         if thread.is_alive():
-            self._left_behind = True
-            self._tell(
-                f"{self.sensor.name} does not close; it is left behind. Unplug it before using it again."
-            )
+            self._left_behind = thread
+            self._tell(messages.not_closed(self.sensor.name, messages.wait_of(self.sensor)))
             return False
         return True
 
@@ -216,11 +220,7 @@ class SensorThread:
         self.close()
         if not isinstance(self._fault, Exception) or isinstance(self._fault, DeviceError):
             raise self._fault
-        what = f"{type(self._fault).__name__}: {self._fault}".rstrip(": ")
-        raise DeviceError(
-            f"{self.sensor.name} failed within its driver or this program ({what}). What was saved stays "
-            f"readable. Start again; if it comes back, report it."
-        ) from self._fault
+        raise messages.failed_within(self.sensor.name, self._fault) from self._fault
 
     def _run(self, stopping: threading.Event, settled: threading.Event) -> None:
         ran = False
@@ -239,7 +239,7 @@ class SensorThread:
                     self._fault = fault
                     break
                 self._failed(str(fault))
-                self._wait(stopping, self._retry_s)
+                self._wait(stopping, self._retries.after(fault))
             except BaseException as fault:
                 self._fault = fault
                 break
@@ -269,6 +269,7 @@ class SensorThread:
             self._state, self._last_s, self._told = SensorState.RUNNING, self._clock(), ""
             self._returns += came_back
             self._first, self._first_told = True, False
+        self._retries.succeeded()
         if came_back:
             self._tell(f"{self.sensor.name} is back.")
         self.arrival.set()

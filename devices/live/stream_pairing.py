@@ -88,13 +88,14 @@ class LivePairing:
 
         Args:
             interval_ns: Time between two frames of the faster sensor. Half of it is the tolerance.
-            max_wait_ns: How long a frame may wait for its partner.
-            gone_after_ns: After how long without a frame a sensor is gone, and not waited for.
+            max_wait_ns: How long a frame may wait for its partner; an interval at least.
+            gone_after_ns: After how long without a frame a sensor is gone, and not waited for; four
+                intervals at least.
             sync_delay_ns: With a sync cable, how much later B captures than A (negative: earlier); None
                 without one.
         """
-        self._interval_ns, self._tolerance_ns = interval_ns, interval_ns // 2
-        self._max_wait_ns, self._gone_after_ns = max_wait_ns, gone_after_ns
+        self._least_wait_ns, self._least_gone_ns = max_wait_ns, gone_after_ns
+        self.set_interval(interval_ns)
         self._sync_delay_ns = sync_delay_ns
         self._a, self._b = _Stream(), _Stream()
         self._synced: deque[int] = deque(maxlen=_SYNCED_PAIRS)
@@ -109,6 +110,13 @@ class LivePairing:
         """How it goes so far."""
         drift = self._b.clock.drift_ppm - self._a.clock.drift_ppm
         return replace(self._figures, offset_ns=self._offset_ns(), drift_ppm=drift)
+
+    def set_interval(self, interval_ns: int) -> None:
+        """Changes the time between two frames of the faster sensor, and the patience that follows from it."""
+        self._interval_ns, self._tolerance_ns = interval_ns, interval_ns // 2
+        # At few frames a second a partner may come nearly an interval later by itself.
+        self._max_wait_ns = max(self._least_wait_ns, interval_ns)
+        self._gone_after_ns = max(self._least_gone_ns, 4 * interval_ns)
 
     def add(self, side: Side, frame: SensorFrame, now_ns: int) -> list[FramePair]:
         """Takes a frame and gives the pairs that are complete now, in order.

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from devices.azure import installing, pyk4a_access
 from devices.azure.checks import Check, device_checks
+from devices.azure.installing import how_to_install
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.azure.usb import usb_kinects
 from tests.helpers.standin_library import Standin
@@ -100,7 +102,7 @@ def test_a_tracker_on_the_cpu_needs_no_gpu(monkeypatch: pytest.MonkeyPatch, tmp_
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     gpu = _by_name(device_checks(TrackerSettings(processing="cpu"), tmp_path))["GPU"]
     assert (gpu.ok, gpu.needed) == (False, False)
-    assert "hardly ever pair" in gpu.advice
+    assert "about one frame a second" in gpu.advice
     assert "duplex fuse" in gpu.advice
 
 
@@ -174,3 +176,54 @@ def test_the_bus_shows_depth_cameras_only(tmp_path: Path) -> None:
     (kinect,) = usb_kinects(tmp_path)
     assert (kinect.serial, kinect.megabits, kinect.allowed) == ("000123", 5000, True)
     assert kinect.node.name == "001"
+
+
+def test_the_depth_engine_beside_a_wheels_library_is_found(
+    monkeypatch: pytest.MonkeyPatch, wheel_library: Path, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    monkeypatch.setenv("DISPLAY", ":0")
+    engine = wheel_library.with_name("libdepthengine.so.2.0")
+    engine.touch()
+    check = _by_name(device_checks(root=tmp_path))["depth engine"]
+    engine.unlink()
+    assert check.ok
+    assert str(engine) in check.detail
+
+
+@pytest.mark.parametrize(
+    ("version", "ok"), [((1, 6, 102), False), ((1, 6, 110), True), ((1, 7, 0), True), (None, True)]
+)
+def test_firmware_that_is_too_old_for_a_subordinate_is_told(
+    bus: Bus,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    version: tuple[int, int, int] | None,
+    ok: bool,
+) -> None:
+    monkeypatch.setattr(pyk4a_access, "firmware_version", lambda _: version)
+    bus.devices = [Device("000123"), Device("CL8H741005K")]
+    named = _by_name(device_checks(root=tmp_path))
+    kinect = named["Kinect 000123"]
+    assert kinect.ok == ok
+    assert ("AzureKinectFirmwareTool" in kinect.advice) == (not ok)
+    assert named["Kinect CL8H741005K"].ok, "Orbbec counts its firmware otherwise"
+
+
+@pytest.mark.parametrize(
+    ("platform", "words"),
+    [
+        ("linux", ["build-essential", "python3-dev", "libk4a1.4-dev", "Orbbec"]),
+        ("win32", ["C++ Build Tools", "SDK 1.4.1", "Orbbec"]),
+        ("darwin", ["Windows and Linux only"]),
+    ],
+)
+def test_what_building_pyk4a_needs_is_named_by_platform(platform: str, words: list[str]) -> None:
+    told = how_to_install(platform)
+    for word in words:
+        assert word in told, word
+
+
+def test_a_bundle_that_cannot_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(installing, "version", lambda _: "1.5.0")
+    assert "pip uninstall pyk4a-bundle" in how_to_install("linux")

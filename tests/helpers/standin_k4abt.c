@@ -3,6 +3,7 @@
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 
 #define EXPORT __attribute__((visibility("default")))
 enum { SUCCEEDED = 0, FAILED = 1, TIMEOUT = 2 };
@@ -18,7 +19,7 @@ _Static_assert(sizeof(body_t) == 1028, "body");
 
 typedef struct { uint32_t magic; int references; int format, width, height; uint64_t usec; uint8_t *data; } image_t;
 typedef struct { uint32_t magic; int references; image_t *depth, *ir; } capture_t;
-typedef struct { uint32_t magic; uint64_t waiting[QUEUE]; uint16_t corner[QUEUE]; int count; } tracker_t;
+typedef struct { uint32_t magic; uint64_t waiting[QUEUE]; uint16_t corner[QUEUE]; int64_t due[QUEUE]; int64_t busy_until; int count; } tracker_t;
 typedef struct { uint32_t magic; uint64_t usec; uint16_t corner; uint32_t bodies; } frame_t;
 enum { IMAGE = 0x1111, CAPTURE = 0x2222, TRACKER = 0x3333, FRAME = 0x4444, DEAD = 0x5555 };
 
@@ -28,9 +29,20 @@ EXPORT uint32_t standin_bodies = 1, standin_first_id = 7;
 EXPORT int standin_alive, standin_misuses;
 EXPORT int standin_orientation, standin_processing, standin_gpu;
 EXPORT int32_t standin_wait_ms;
+EXPORT int32_t standin_tracking_ms; /* how long the tracker works on a frame, on a thread of its own */
+EXPORT uint32_t standin_firmware[3] = {1, 6, 110};
 EXPORT float standin_smoothing = -1.0f;
 EXPORT char standin_model[512];
 
+static int64_t now_ns(void) {
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return now.tv_sec * 1000000000LL + now.tv_nsec;
+}
+static void wait_until(int64_t ns) {
+    struct timespec until = {ns / 1000000000LL, ns % 1000000000LL};
+    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL)) {}
+}
 static void *born(size_t size, uint32_t magic) {
     uint32_t *thing = calloc(1, size);
     *thing = magic;
@@ -48,6 +60,13 @@ static void dies(void *thing) {
     free(thing);
 }
 
+/* k4a_hardware_version_t: four versions of three numbers, build, signature. */
+EXPORT int k4a_device_get_version(const void *device, uint32_t *version) {
+    if (!device) return FAILED;
+    memset(version, 0, 56);
+    memcpy(version, standin_firmware, sizeof standin_firmware);
+    return SUCCEEDED;
+}
 EXPORT int k4a_calibration_get_from_raw(char *raw, size_t size, int depth_mode, int color_mode, uint8_t *calibration) {
     if (standin_calibration_status || size == 0 || raw[size - 1] != 0 || color_mode != 0) return FAILED;
     memset(calibration, 0, CALIBRATION_SIZE);
@@ -111,6 +130,9 @@ EXPORT int k4abt_tracker_enqueue_capture(tracker_t *tracker, capture_t *capture,
     if (!capture->depth || !capture->ir) return FAILED;
     if (tracker->count == QUEUE) return TIMEOUT;
     tracker->corner[tracker->count] = *(uint16_t *)capture->depth->data;
+    int64_t begun = now_ns();
+    if (tracker->busy_until > begun) begun = tracker->busy_until;
+    tracker->busy_until = tracker->due[tracker->count] = begun + standin_tracking_ms * 1000000LL;
     tracker->waiting[tracker->count++] = capture->depth->usec;
     return SUCCEEDED;
 }
@@ -120,6 +142,12 @@ EXPORT int k4abt_tracker_pop_result(tracker_t *tracker, frame_t **out, int32_t t
     if (!is(tracker, TRACKER)) return FAILED;
     if (standin_pop_status) return standin_pop_status;
     if (tracker->count == 0) return TIMEOUT;
+    if (standin_tracking_ms) {
+        int64_t until = now_ns() + timeout_ms * 1000000LL;
+        int in_time = tracker->due[0] <= until;
+        wait_until(in_time ? tracker->due[0] : until);
+        if (!in_time) return TIMEOUT;
+    }
     frame_t *frame = born(sizeof *frame, FRAME);
     frame->usec = tracker->waiting[0];
     frame->corner = tracker->corner[0];
@@ -127,6 +155,7 @@ EXPORT int k4abt_tracker_pop_result(tracker_t *tracker, frame_t **out, int32_t t
     tracker->count--;
     memmove(tracker->waiting, tracker->waiting + 1, sizeof tracker->waiting - sizeof *tracker->waiting);
     memmove(tracker->corner, tracker->corner + 1, sizeof tracker->corner - sizeof *tracker->corner);
+    memmove(tracker->due, tracker->due + 1, sizeof tracker->due - sizeof *tracker->due);
     *out = frame;
     return SUCCEEDED;
 }

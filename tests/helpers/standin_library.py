@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -25,6 +26,7 @@ _SETTINGS = {
     "gpu": ctypes.c_int,
     "wait_ms": ctypes.c_int32,
     "smoothing": ctypes.c_float,
+    "tracking_ms": ctypes.c_int32,
 }
 _AT_START = {"bodies": 1, "first_id": 7, "smoothing": -1.0}
 
@@ -54,6 +56,15 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("standin") / "libk4abt.so"
     command = [need_compiler(), "-shared", "-fPIC", "-O1", "-Wall", "-Werror", "-o", str(path), str(_SOURCE)]
     subprocess.run(command, check=True)
+    return path
+
+
+@pytest.fixture(scope="session")
+def wheel_library(compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The stand-in loaded as libk4a from a wheel, whose libraries carry a hash in their names."""
+    path = tmp_path_factory.mktemp("wheel.libs") / "libk4a-f64cb9eb.so.1.4.2"
+    shutil.copyfile(compiled, path)
+    ctypes.CDLL(str(path))
     return path
 
 

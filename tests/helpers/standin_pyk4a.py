@@ -1,4 +1,7 @@
-"""A stand-in for the module pyk4a: its names, its capsules, and a bus of sensors to break on demand."""
+"""A stand-in for the module pyk4a 1.5.0: its names and capsules, and what libk4a 1.4 refuses.
+
+``tests/devices/test_pyk4a_contract.py`` holds it and the real library to the same clauses.
+"""
 
 from __future__ import annotations
 
@@ -7,55 +10,37 @@ import enum
 import sys
 import time
 import types
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-_new_capsule = ctypes.pythonapi.PyCapsule_New
-_new_capsule.restype = ctypes.py_object
-_new_capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
-_CAPTURE_NAME = ctypes.c_char_p(b"pyk4a capture handle")
-_CALIBRATION_NAME = ctypes.c_char_p(b"pyk4a calibration handle")
-JPEG = cv2.imencode(".jpg", np.full((72, 128, 3), (40, 120, 200), np.uint8))[1].tobytes()
+from devices.azure import firmware
+from devices.azure.calibration import DEPTH_MODES
+from devices.azure.recording.mkv import MkvRecording
+from tests.helpers.standin_camera import Device, Shot, refused
+from tests.helpers.standin_values import (
+    DEVICE_NAME,
+    JPEG,
+    Calibration,
+    K4AException,
+    K4ATimeoutException,
+    LeakyCapture,
+    PyK4ACapture,
+    WouldCrashError,
+    borrowed,
+    give_none_away,
+    new_capsule,
+)
 
+__all__ = ["JPEG", "Bus", "Device", "WouldCrashError", "make_module"]
 
-class K4AException(Exception):  # noqa: N818
-    """As the real one: often without a message."""
-
-
-class K4ATimeoutException(K4AException):
-    pass
+_SHAPES = {number: (mode.height, mode.width) for number, mode in enumerate(DEPTH_MODES.values(), start=1)}
+_MASTER, _SUBORDINATE = 1, 2
 
 
 def _names(title: str, names: str) -> type[enum.IntEnum]:
     return enum.IntEnum(title, [(name, number) for number, name in enumerate(names.split())])
-
-
-@dataclass
-class Device:
-    """One sensor on the stand-in's bus, and what is wrong with it."""
-
-    serial: str
-    jacks: tuple[bool, bool] = (False, False)
-    busy: bool = False
-    plugged: bool = True
-    starts: bool = True
-    silent: bool = False
-    blind: bool = False  # captures without depth
-    fails_to_stop: bool = False
-    clock_usec: int = 1_000_000
-    captures: int = 0
-    interval_usec: int = 33_333
-    color: bool = False
-    skips: int = 0  # captures before each that the SDK's queue had no room for
-    paced: bool = False  # captures come when they are due, by the machine's clock
-    begun: float | None = None
-    at: dict[int, Callable[[], object]] = field(default_factory=dict)  # what happens at which capture
-    opened_by: object = None
-    log: list[str] = field(default_factory=list)
 
 
 class Bus:
@@ -68,6 +53,9 @@ class Bus:
         self.thread_safe: list[bool] = []
         self.timeouts: list[int] = []
         self.started: list[str] = []
+        self.counts = self.failed_opens = 0  # searches of the bus, and references to None that pyk4a lost
+        self.master_begun_ns: int | None = None
+        self.gives_none_away = False  # as pyk4a 1.5.0 does
 
     def plugged(self) -> list[Device]:
         return [device for device in self.devices if device.plugged]
@@ -75,63 +63,6 @@ class Bus:
     @property
     def open_serials(self) -> list[str]:
         return [device.serial for device in self.devices if device.opened_by is not None]
-
-
-class Capture:
-    def __init__(self, bus: Bus, device: Device) -> None:
-        device.captures += 1
-        device.clock_usec += device.interval_usec * (1 + device.skips)
-        shape = (576, 640)
-        self.depth = None if device.blind else np.full(shape, 2000 + device.captures, np.uint16)
-        self.ir = np.full(shape, 900, np.uint16)
-        self.color = np.frombuffer(JPEG, np.uint8).copy() if device.color else None
-        self.depth_timestamp_usec = device.clock_usec
-        self.depth_system_timestamp_nsec = 0
-        self._bus = bus
-        self._handle = ctypes.c_void_p()
-        if bus.native is not None and self.depth is not None:
-            self._fill(bus.native)
-        # As in pyk4a: the capsule holds the address of the handle, not the handle.
-        self._capture_handle = _new_capsule(ctypes.addressof(self._handle), _CAPTURE_NAME, None)
-
-    def _fill(self, native: ctypes.CDLL) -> None:
-        native.k4a_image_get_buffer.restype = ctypes.c_void_p
-        native.k4a_capture_create(ctypes.byref(self._handle))
-        for image, kind, attach in (
-            (self.depth, 4, native.k4a_capture_set_depth_image),
-            (self.ir, 5, native.k4a_capture_set_ir_image),
-        ):
-            handle = ctypes.c_void_p()
-            native.k4a_image_create(kind, 640, 576, 1280, ctypes.byref(handle))
-            address = native.k4a_image_get_buffer(handle)
-            ctypes.memmove(address, image.ctypes.data, image.nbytes)
-            native.k4a_image_set_device_timestamp_usec(handle, ctypes.c_uint64(self.depth_timestamp_usec))
-            attach(self._handle, handle)
-            native.k4a_image_release(handle)
-
-    def __del__(self) -> None:
-        if self._handle:
-            self._bus.native.k4a_capture_release(self._handle)
-
-
-class Calibration:
-    def __init__(self, config: types.SimpleNamespace) -> None:
-        self._struct = ctypes.create_string_buffer(1032)
-        ctypes.c_int.from_buffer(self._struct, 1024).value = int(config.depth_mode)
-        self._calibration_handle = _new_capsule(ctypes.addressof(self._struct), _CALIBRATION_NAME, None)
-
-    def get_camera_matrix(self, camera: int) -> np.ndarray:
-        if camera == 1:
-            return np.array([[610.0, 0.0, 640.0], [0.0, 611.0, 365.0], [0.0, 0.0, 1.0]])
-        return np.array([[504.0, 0.0, 332.0], [0.0, 505.0, 348.0], [0.0, 0.0, 1.0]])
-
-    def get_extrinsic_parameters(self, source: int, target: int) -> tuple[np.ndarray, np.ndarray]:
-        assert (source, target) == (0, 1), "depth to colour"
-        return np.eye(3), np.array([-0.032, 0.0, 0.004])  # metres, as pyk4a makes of the SDK's millimetres
-
-    def get_distortion_coefficients(self, camera: int) -> np.ndarray:
-        assert camera in (0, 1)
-        return np.array([0.5, -0.02, 1e-5, -7e-5, -0.003, 0.9, 0.09, -0.01])
 
 
 def make_module(bus: Bus) -> types.ModuleType:
@@ -150,13 +81,21 @@ def make_module(bus: Bus) -> types.ModuleType:
             return self._device is not None
 
         def open(self) -> None:
+            if self.opened:
+                raise K4AException("Device already opened")
             plugged = bus.plugged()
-            if self._device_id >= len(plugged) or plugged[self._device_id].busy:
+            device = plugged[self._device_id] if self._device_id < len(plugged) else None
+            taken = device is not None and (device.busy or device.opened_by is not None)
+            if device is None or (taken and not device.orbbec):
+                bus.failed_opens += 1
+                if bus.gives_none_away:
+                    give_none_away()
                 raise K4AException
-            if plugged[self._device_id].opened_by is not None:
-                raise K4AException
-            self._device = plugged[self._device_id]
-            self._device.opened_by = self
+            self._device = device
+            if not taken:
+                device.opened_by = self
+            self._number = ctypes.c_void_p(1 + bus.devices.index(device))
+            self._device_handle = new_capsule(self._number, DEVICE_NAME)
 
         @property
         def serial(self) -> str:
@@ -164,25 +103,47 @@ def make_module(bus: Bus) -> types.ModuleType:
 
         @property
         def sync_jack_status(self) -> tuple[bool, bool]:
-            return self._present().jacks
+            device = self._present()
+            if device.orbbec and device.busy:  # opening it was left until now
+                raise K4AException
+            return (False, False) if device.orbbec else device.jacks
 
         def start(self) -> None:
-            if not self._present().starts:
+            if not self.opened:
+                self.open()
+            device, config = self._present(), self._config
+            if not device.starts or device.busy or refused(config, device):
                 raise K4AException
             self.is_running = True
-            bus.started.append(self._device.serial)
-            bus.configs.append(self._config)
+            bus.started.append(device.serial)
+            bus.configs.append(config)
+            begun_ns = device.time.now_ns()
+            if int(config.wired_sync_mode) == _MASTER:
+                bus.master_begun_ns = begun_ns
+            delay_ns = 1000 * config.subordinate_delay_off_master_usec
+
+            def first_exposure_ns() -> int | None:
+                if int(config.wired_sync_mode) != _SUBORDINATE:
+                    return begun_ns
+                return None if bus.master_begun_ns is None else bus.master_begun_ns + delay_ns
+
+            device.start(
+                int(config.color_resolution) != 0, config.synchronized_images_only, first_exposure_ns
+            )
 
         def stop(self) -> None:
-            assert self.is_running
-            if self._device.fails_to_stop or not self._device.plugged:
-                raise K4AException
-            self.close()
+            if not self.opened:
+                raise WouldCrashError("stop() of a device that is not open")
+            self.close()  # as the real one, whether the device is still there or not
             self.is_running = False
 
         def close(self) -> None:
-            assert self._device is not None
-            self._device.opened_by = None
+            if self._device is None:
+                raise K4AException("Device is not opened")
+            if self._device.opened_by is self:
+                self._device.opened_by = None
+                if int(self._config.wired_sync_mode) == _MASTER:
+                    bus.master_begun_ns = None
             self._device = None
 
         def __del__(self) -> None:
@@ -194,35 +155,107 @@ def make_module(bus: Bus) -> types.ModuleType:
         @property
         def calibration(self) -> Calibration:
             self._present()
-            return Calibration(self._config)
+            return Calibration(self._config.depth_mode, self._config.color_resolution)
 
-        def get_capture(self, timeout: int = -1) -> Capture:
+        def get_capture(self, timeout: int = -1) -> PyK4ACapture:
+            if self._device is None:
+                raise K4AException("Device is not opened")
             bus.timeouts.append(timeout)
-            self._device.at.pop(self._present().captures, lambda: None)()
-            device = self._present()
-            if device.silent:
-                time.sleep(timeout / 1000 if device.paced else 0.0)
+            self._device.at.pop(self._device.captures, lambda: None)()
+            if not self._device.plugged:
+                if not self._device.orbbec:
+                    raise K4AException
+                self._device.time.wait_until(self._device.time.now_ns() + timeout * 1_000_000)
                 raise K4ATimeoutException
-            if device.paced:
-                self._wait_until_due(device)
-            return Capture(bus, device)
+            device = self._device
+            if device.silent and device.paced:
+                device.time.wait_until(device.time.now_ns() + timeout * 1_000_000)
+            shot = None if device.silent else device.next_shot(timeout)
+            if shot is None:
+                raise K4ATimeoutException
+            device.captures += 1
+            return self._capture(device, shot)
 
-        @staticmethod
-        def _wait_until_due(device: Device) -> None:
-            period = device.interval_usec * 1e-6
-            now = time.perf_counter()
-            if device.begun is None:
-                device.begun = now - device.captures * period
-            time.sleep(max(0.0, device.begun + (device.captures + 1) * period - now))
+        def _capture(self, device: Device, shot: Shot) -> PyK4ACapture:
+            kind = LeakyCapture if bus.gives_none_away else PyK4ACapture
+            shape = _SHAPES.get(int(self._config.depth_mode), (576, 640))
+            host_ns = time.time_ns() if device.orbbec else shot.depth_host_ns
+            return kind(
+                bus.native,
+                np.full(shape, 2000 + device.captures, np.uint16) if shot.has_depth else None,
+                np.full(shape, 900, np.uint16) if shot.has_depth else None,
+                np.frombuffer(JPEG, np.uint8).copy() if shot.has_color else None,
+                shot.clock_usec,
+                host_ns,
+            )
 
         def _present(self) -> Device:
-            if self._device is None or not self._device.plugged:
+            if self._device is None:
+                raise K4AException("Device is not opened")
+            if not self._device.plugged:
                 raise K4AException
             return self._device
 
+    class PyK4APlayback:
+        """A recording, read by this project's own reader."""
+
+        def __init__(self, path: str | Path, thread_safe: bool = True) -> None:  # noqa: ARG002
+            self._recording = MkvRecording(path)
+            self._frames: object = None
+
+        def open(self) -> None:
+            if not self._recording.path.is_file():
+                raise K4AException(f"Cannot open file {self._recording.path}")
+            self._recording.__enter__()
+            self._frames = self._recording.frames()
+
+        def close(self) -> None:
+            self._recording.__exit__()
+
+        @property
+        def _info(self) -> object:
+            if self._recording.info is None:
+                raise K4AException("Playback not opened.")
+            return self._recording.info
+
+        @property
+        def configuration(self) -> dict[str, object]:
+            info = self._info
+            return {
+                "color_resolution": module.ColorResolution[f"RES_{info.color_mode}"],
+                "depth_mode": module.DepthMode[info.depth_mode],
+                "camera_fps": module.FPS[f"FPS_{round(1e9 / info.interval_ns)}"],
+                "color_format": module.ImageFormat.COLOR_MJPG,
+                "wired_sync_mode": module.WiredSyncMode[info.sync_mode],
+                "subordinate_delay_off_master_usec": info.subordinate_delay_ns // 1000,
+                "start_timestamp_offset_usec": info.start_offset_ns // 1000,
+            }
+
+        @property
+        def calibration_raw(self) -> str:
+            return self._info.calibration_json.rstrip(b"\0").decode()
+
+        @property
+        def calibration(self) -> Calibration:
+            modes = self.configuration
+            return Calibration(modes["depth_mode"], modes["color_resolution"], self.calibration_raw)
+
+        def get_next_capture(self) -> PyK4ACapture:
+            frame = next(self._frames, None)
+            if frame is None:
+                raise EOFError
+            jpeg = None if frame.color is None else np.frombuffer(frame.color.jpeg, np.uint8)
+            images = (None if image is None else borrowed(image) for image in (frame.depth, frame.ir, jpeg))
+            return PyK4ACapture(None, *images, frame.time_ns // 1000, 0)  # no host time in a recording
+
+    def connected_device_count() -> int:
+        bus.counts += 1
+        return len(bus.plugged())
+
     module.K4AException, module.K4ATimeoutException = K4AException, K4ATimeoutException
-    module.PyK4A = PyK4A
-    module.connected_device_count = lambda: len(bus.plugged())
+    module.PyK4A, module.PyK4APlayback, module.PyK4ACapture = PyK4A, PyK4APlayback, PyK4ACapture
+    module.Calibration = Calibration
+    module.connected_device_count = connected_device_count
     module.DepthMode = _names(
         "DepthMode", "OFF NFOV_2X2BINNED NFOV_UNBINNED WFOV_2X2BINNED WFOV_UNBINNED PASSIVE_IR"
     )
@@ -245,8 +278,7 @@ def make_module(bus: Bus) -> types.ModuleType:
         subordinate_delay_off_master_usec: int = 0,
         disable_streaming_indicator: bool = False,
     ) -> types.SimpleNamespace:
-        # As the SDK: refused when the cameras start, here at once.
-        assert color_resolution or not synchronized_images_only, "colour off needs unsynchronised images"
+        assert subordinate_delay_off_master_usec >= 0
         return types.SimpleNamespace(**locals())
 
     module.Config = config
@@ -258,4 +290,5 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> Bus:
     """An empty bus behind a stand-in pyk4a, without libk4a: captures carry images only."""
     result = Bus(None)
     monkeypatch.setitem(sys.modules, "pyk4a", make_module(result))
+    monkeypatch.setattr(firmware, "loaded_libk4a", lambda: None)  # one that another test has loaded
     return result

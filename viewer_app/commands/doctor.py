@@ -26,7 +26,9 @@ def run(options: DoctorOptions) -> None:
     console = Console()
     tracker = TrackerSettings(library=options.k4abt, processing=options.processing)
     choice = options.kinect_a, options.kinect_b, options.principal
-    devices = device_checks(tracker, choice=choice, x_answers=why_no_x() is None)
+    devices = device_checks(
+        tracker, choice=choice, named_master=options.sync_master, x_answers=why_no_x() is None
+    )
     checks = [*devices, *program_checks()]
     for check in checks:
         console.print(line(check), soft_wrap=True)

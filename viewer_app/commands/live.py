@@ -13,11 +13,13 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from devices.azure.kinect import LASER_GAP_US, KinectSensor, KinectSettings
+from devices.azure.kinect import KinectSensor
+from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings
 from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects
-from devices.azure.sensor_roles import NeedsChoiceError, choose_two, sync_master
+from devices.azure.sensor_roles import NeedsChoiceError, cable_notes, choose_two, sync_master
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.image_thinning import thinned_camera
+from devices.live.frame_decimation import FrameDecimation
 from devices.live.sensor_pair import TwoSensors
 from devices.live.sensor_state import SensorEvent
 from devices.live.stream_pairing import LivePairing, Side
@@ -84,13 +86,10 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
     connected = connected_kinects()
     serials = _choose(connected, options, console)
     kinect_a, kinect_b = (next(k for k in connected if k.serial == serial) for serial in serials)
-    master = sync_master(kinect_a, kinect_b)
-    if master is None:
-        console.print(
-            "No sync cable: pairs are up to half a frame apart, and the sensors' lasers disturb each other "
-            "where both shine. A 3.5 mm cable from one's sync out to the other's sync in mends both."
-        )
-    else:
+    master = sync_master(kinect_a, kinect_b, options.sync_master)
+    for note in cable_notes(kinect_a, kinect_b, master):
+        console.print(note, style="yellow", highlight=False, markup=False)
+    if master is not None:
         leads, follows = ("A", "B") if master == serials[0] else ("B", "A")
         console.print(
             f"Sync cable: {leads} leads, {follows} captures {LASER_GAP_US} µs later and is started first, to "
@@ -101,26 +100,32 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
     )
     if options.processing == "cpu":
         console.print(
-            "A CPU tracks about one frame a second, and A's and B's hardly ever pair: for a fused session "
+            "A CPU tracks about one frame a second, and so both sensors give no more: for a fused session "
             "record with k4arecorder, then duplex fuse a.mkv b.mkv.",
             style="yellow",
             highlight=False,
         )
     if options.processing == "tensorrt":
         console.print("TensorRT builds its engine; minutes the first time.")
-    a, b = (KinectSensor(serial, _settings(options, serial, master), tracker) for serial in serials)
+    decimation = FrameDecimation(options.fps)
+    a, b = (
+        KinectSensor(serial, _settings(options, serial, master), tracker, decimation=decimation)
+        for serial in serials
+    )
     interval_ns = round(1e9 / options.fps)
     delay_ns = {None: None, serials[0]: 1000 * LASER_GAP_US}.get(master, -1000 * LASER_GAP_US)
     pairing = LivePairing(
         interval_ns,
-        # at 5 fps a partner may come 100 ms later by itself
-        max_wait_ns=max(100_000_000, interval_ns),
-        gone_after_ns=max(500_000_000, 4 * interval_ns),
         sync_delay_ns=delay_ns,
     )
     first: Side = "a" if master == serials[1] else "b"
     return TwoSensors(
-        *(a, b), pairing=pairing, first=first, open_s=_opens_within(options), tell=_teller(console)
+        *(a, b),
+        pairing=pairing,
+        decimation=decimation,
+        first=first,
+        open_s=_opens_within(options),
+        tell=_teller(console),
     )
 
 
@@ -251,6 +256,7 @@ def _settings(options: LiveOptions, serial: str, master: str | None) -> KinectSe
         fps=options.fps,
         color=None if options.color == "off" else options.color,
         sync="standalone" if master is None else "master" if serial == master else "subordinate",
+        trust_jacks=options.sync_master is None,
         start_s=_opens_within(options),
     )
 

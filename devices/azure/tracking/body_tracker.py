@@ -190,8 +190,13 @@ class BodyTracker:
             raise DeviceError("The body tracker is not open: open it with the sensor's calibration first.")
         return self._library
 
+    @property
+    def patience_s(self) -> float:
+        """How long the next result may take before the tracker counts as stalled."""
+        return self.settings.timeout_s * (1 if self._results else 10)
+
     def _timeout_ms(self) -> int:
-        return round(self.settings.timeout_s * (1000 if self._results else 10_000))
+        return round(1000 * self.patience_s)
 
     def _stalled(self, what: str) -> DeviceError:
         return DeviceError(

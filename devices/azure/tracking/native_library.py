@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import re
 import sys
 from pathlib import Path
 
@@ -51,7 +52,9 @@ def loaded_file(name: str) -> Path | None:
     except OSError:
         return None
     files = (Path(columns[5]) for line in lines if len(columns := line.split(maxsplit=5)) == 6)
-    return next((file for file in files if file.name.startswith(f"lib{name}.so")), None)
+    # A wheel's libraries carry a hash in their names: libk4a-f64cb9eb.so.1.4.2.
+    pattern = re.compile(rf"lib{name}(-[0-9a-f]+)?\.so(\.\d+)*")
+    return next((file for file in files if pattern.fullmatch(file.name)), None)
 
 
 def _candidates(name: str) -> list[str]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections import OrderedDict
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 
 from devices.azure.tracking.body_tracker import BodyTracker
@@ -19,16 +20,38 @@ class TrackerQueue:
     takes longer than ``wait_s``, and at once when not.
     """
 
-    def __init__(self, tracker: BodyTracker, wait_s: float) -> None:
+    def __init__(
+        self,
+        tracker: BodyTracker,
+        wait_s: float,
+        took: Callable[[int], object] = lambda _: None,
+        clock: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
         """Joins one sensor's frames with an open tracker's results.
 
         Args:
             tracker: Open; nothing enqueued but what goes through here.
             wait_s: How long to wait for the newest frame's people before going on to the next frame.
+            took: Told how long the tracker worked on each frame, in ns: since the frame went in, or since
+                the result before it where that came later.
+            clock: Nanoseconds; tests put their own.
         """
         self._tracker = tracker
         self._wait_s = wait_s
-        self._inside: OrderedDict[int, SensorFrame] = OrderedDict()
+        self._took, self._clock = took, clock
+        self._inside: OrderedDict[int, tuple[SensorFrame, int]] = OrderedDict()  # and when it went in
+        self._result_ns: int | None = None
+        self._waited_s = 0.0  # for the oldest frame, in waits that ended without a result
+
+    @property
+    def empty(self) -> bool:
+        """Whether the tracker has nothing to work on."""
+        return not self._inside
+
+    @property
+    def full(self) -> bool:
+        """Whether one more frame would only wait, and grow old, in the tracker."""
+        return len(self._inside) >= _AT_WORK
 
     def put(self, frame: SensorFrame, capture: int) -> None:
         """Gives the tracker a frame's capture (a ``k4a_capture_t``).
@@ -38,16 +61,17 @@ class TrackerQueue:
         """
         self._tracker.enqueue(capture)
         # The tracker knows times in whole microseconds.
-        self._inside[frame.time_ns // 1000] = frame
+        self._inside[frame.time_ns // 1000] = frame, self._clock()
 
     def done(self) -> Iterator[SensorFrame]:
-        """The frames whose people are found; waits only while more than two are at work.
+        """The frames whose people are found; waits for one only while more than two are at work.
 
         Raises:
             DeviceError: The tracker failed or stalls.
         """
         while self._inside:
-            yielded = yield from self._take(None if len(self._inside) > _AT_WORK else self._wait_s)
+            overdue = self._waited_s >= self._tracker.patience_s
+            yielded = yield from self._take(None if len(self._inside) > _AT_WORK or overdue else self._wait_s)
             if not yielded:
                 return
 
@@ -63,13 +87,19 @@ class TrackerQueue:
     def _take(self, wait_s: float | None) -> Generator[SensorFrame, None, bool]:
         bodies = self._tracker.pop(wait_s)
         if bodies is None:
+            self._waited_s += self._wait_s
             return False
+        self._waited_s = 0.0
         time_us = bodies.time_ns // 1000
         if time_us not in self._inside:
             return True  # a result of before a restart
         while self._inside:
-            at_us, frame = self._inside.popitem(last=False)
+            at_us, (frame, went_in_ns) = self._inside.popitem(last=False)
             if at_us == time_us:
+                now_ns = self._clock()
+                begun_ns = went_in_ns if self._result_ns is None else max(went_in_ns, self._result_ns)
+                self._result_ns = now_ns
+                self._took(now_ns - begun_ns)
                 yield replace(frame, people=bodies.people)
                 return True
             yield frame  # the tracker skipped it: no people are known

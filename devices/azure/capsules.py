@@ -1,0 +1,33 @@
+"""The handles of libk4a inside pyk4a's objects, for what pyk4a itself does not offer."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+from devices.sensor import DeviceError
+
+
+def capture_pointer(capture: Any) -> int:
+    """The ``k4a_capture_t`` in a capture: its capsule holds the address of the handle."""
+    at = capsule_pointer(capture._capture_handle, b"pyk4a capture handle")
+    return ctypes.c_void_p.from_address(at).value or 0
+
+
+def capsule_pointer(capsule: object, name: bytes) -> int:
+    """The address in a capsule; the name guards against handing the library a pointer to something else."""
+    get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
+    get_pointer.restype, get_pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+    try:
+        pointer: int = get_pointer(capsule, name)
+    except ValueError as fault:
+        raise DeviceError(
+            f"This pyk4a keeps no {name.decode()!r} ({fault}): it is another version. Install pyk4a 1.5."
+        ) from fault
+    return pointer
+
+
+def device_handle(device: Any) -> int:
+    """The ``k4a_device_t`` in an opened ``pyk4a.PyK4A``: its capsule holds the address of the handle."""
+    at = capsule_pointer(device._device_handle, b"pyk4a device handle")
+    return ctypes.c_void_p.from_address(at).value or 0

@@ -1,0 +1,144 @@
+"""Which moments two sensors hand to their body trackers when a tracker is slower than the cameras.
+
+Each sensor would otherwise keep whichever frame comes when its own tracker is free: the two keep different
+moments, and hardly a pair forms. Here both count the moments of one common grid, and both keep every n-th.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from dataclasses import dataclass, field
+from statistics import median
+
+from devices.live.host_clock import Arrival, HostClock
+
+_FIRST_RESULTS = 2  # not counted: a tracker loads and compiles its network then
+_ENOUGH_TO_SLOW = 5
+_ENOUGH_TO_SPEED = 15
+_USED_TO_SLOW = 0.95  # of the time between two kept moments: a tracker busier than this falls behind
+_USED_TO_SPEED = 0.8  # below the other, so that the choice does not swing
+_REGRID = 0.6  # of a period: beyond half of one, so that a sensor midway between the other's does not swing
+_SAME_STREAM_NS = 1_000_000_000
+
+
+@dataclass(eq=False)
+class _Sensor:
+    """What is known of one sensor: its place on the grid of moments, and its tracker's times."""
+
+    clock: HostClock = field(default_factory=HostClock)
+    time_ns: int | None = None
+    moment: int = 0
+    results: int = 0
+    tracking_ns: deque[int] = field(default_factory=lambda: deque(maxlen=_ENOUGH_TO_SPEED))
+
+
+class FrameDecimation:
+    """Keeps the same moments of all sensors that share it: every one, or every second, third …
+
+    How many are left out follows from the slowest tracker. Safe to use from several threads.
+
+    Args:
+        fps: Frames per second of the cameras.
+    """
+
+    def __init__(self, fps: float) -> None:
+        self.period_ns = round(1e9 / fps)
+        self._step = 1
+        self._slowest, self._slowest_s = "", 0.0
+        self._sensors: dict[str, _Sensor] = {}
+        self._lock = threading.Lock()
+
+    @property
+    def step(self) -> int:
+        """Every which moment is kept; 1 keeps all."""
+        return self._step
+
+    @property
+    def interval_ns(self) -> int:
+        """Time between two kept moments."""
+        return self._step * self.period_ns
+
+    @property
+    def slowest(self) -> str:
+        """The sensor whose tracker decided the step; empty as long as it is 1."""
+        return self._slowest if self._step > 1 else ""
+
+    @property
+    def slowest_s(self) -> float:
+        """Seconds per frame that this tracker took when the step was chosen; 0 as long as it is 1."""
+        return self._slowest_s if self._step > 1 else 0.0
+
+    def restart(self, sensor: str) -> None:
+        """Forgets a sensor: it is opened anew, its clock and its tracker too."""
+        with self._lock:
+            self._sensors[sensor] = _Sensor()
+
+    def moment(self, sensor: str, time_ns: int, host_ns: int) -> int:
+        """The number of the moment at which a sensor captured, counted on a grid that all sensors share.
+
+        Moments are counted on by the sensor's own clock. Where a sensor's grid begins, and whether the
+        second sensor's still fits the first's, is told by this machine's clock.
+
+        Args:
+            sensor: Its name.
+            time_ns: Capture time on the sensor's clock.
+            host_ns: When the images reached this machine.
+        """
+        with self._lock:
+            mine = self._sensors.setdefault(sensor, _Sensor())
+            arrival = mine.clock.observe(time_ns, host_ns)
+            gap_ns = None if mine.time_ns is None else time_ns - mine.time_ns
+            follows = gap_ns is not None and 0 <= gap_ns < _SAME_STREAM_NS and arrival is not Arrival.RESET
+            if follows and gap_ns is not None:
+                mine.moment += round(gap_ns / self.period_ns)
+            mine.time_ns = time_ns
+            first, *_ = self._sensors.values()
+            for other in self._sensors.values():
+                if other is mine or other.time_ns is None or (follows and mine is first):
+                    continue
+                off = self._ahead(mine, other) - (mine.moment - other.moment)
+                if not follows or abs(off) > _REGRID:
+                    mine.moment += round(off)
+                break
+            return mine.moment
+
+    def keeps(self, moment: int) -> bool:
+        """Whether this moment's frames go to the trackers."""
+        return moment % self._step == 0
+
+    def kept_before(self, moment: int, count: int) -> int:
+        """How many of the ``count`` moments before one are kept."""
+        return (moment - 1) // self._step - (moment - count - 1) // self._step
+
+    def tracked(self, sensor: str, time_ns: int) -> None:
+        """Takes note of how long a sensor's tracker worked on one frame."""
+        with self._lock:
+            mine = self._sensors.setdefault(sensor, _Sensor())
+            mine.results += 1
+            if mine.results > _FIRST_RESULTS:
+                mine.tracking_ns.append(time_ns)
+                self._choose_step()
+
+    def _ahead(self, mine: _Sensor, other: _Sensor) -> float:
+        """How many periods later one sensor captured last than the other, by this machine's clock."""
+        mine_ns = (mine.time_ns or 0) + (mine.clock.offset_ns or 0)
+        return (mine_ns - (other.time_ns or 0) - (other.clock.offset_ns or 0)) / self.period_ns
+
+    def _choose_step(self) -> None:
+        times = {name: sensor.tracking_ns for name, sensor in self._sensors.items() if sensor.tracking_ns}
+        enough = {name: median(all_) for name, all_ in times.items() if len(all_) >= _ENOUGH_TO_SLOW}
+        if not enough:
+            return
+        slowest = max(enough, key=lambda name: enough[name])
+        needed = math.ceil(enough[slowest] / (_USED_TO_SLOW * self.period_ns))
+        if needed < self._step:
+            needed = math.ceil(enough[slowest] / (_USED_TO_SPEED * self.period_ns))
+            if needed >= self._step or any(len(all_) < _ENOUGH_TO_SPEED for all_ in times.values()):
+                return
+        if needed != self._step:
+            self._step, self._slowest = max(1, needed), slowest
+            self._slowest_s = enough[slowest] * 1e-9
+            for all_ in times.values():
+                all_.clear()

@@ -1,0 +1,112 @@
+"""Which moments two trackers get, and how that stays the same for both."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from devices.live.frame_decimation import FrameDecimation
+from devices.live.stream_pairing import LivePairing
+from tests.helpers.slow_trackers import run_slow_trackers
+from tests.helpers.standin_pyk4a import Bus
+
+MS = 1_000_000
+PERIOD_NS = 33_333_333
+
+
+@pytest.mark.parametrize("tracking_ms", [(20, 20), (40, 40), (60, 60), (20, 60), (60, 20)])
+@pytest.mark.parametrize("latency_ms", [0, 50, 100, 150, 200])
+def test_frames_that_both_trackers_can_process_are_paired_and_new(
+    bus: Bus, latency_ms: int, tracking_ms: tuple[int, int]
+) -> None:
+    a, b = tracking_ms
+    outcome = run_slow_trackers(
+        bus, color_latency_ns=latency_ms * MS, tracking_ns=(a * MS, b * MS), seconds=12.0
+    )
+    assert outcome.paired >= 0.99
+    assert outcome.age_ns <= max(tracking_ms) * MS + PERIOD_NS
+    assert outcome.step == (1 if max(tracking_ms) < 33 else 2)
+
+
+def test_without_a_cable_the_same_moments_survive_too(bus: Bus) -> None:
+    outcome = run_slow_trackers(bus, tracking_ns=(60 * MS, 40 * MS), cable=False, seconds=12.0)
+    assert outcome.paired >= 0.99
+    assert outcome.age_ns <= 60 * MS + PERIOD_NS
+
+
+@pytest.mark.parametrize(("tracking_ms", "step"), [(10, 1), (31, 1), (34, 2), (60, 2), (70, 3), (1000, 32)])
+def test_the_step_follows_from_the_slowest_tracker(tracking_ms: int, step: int) -> None:
+    decimation = FrameDecimation(30)
+    for index in range(30):
+        for sensor, ms in (("a", 10), ("b", 10_000 if index < 2 else tracking_ms)):
+            decimation.tracked(sensor, ms * MS)
+    assert decimation.step == step
+    assert decimation.interval_ns == step * decimation.period_ns
+    assert (decimation.slowest, decimation.slowest_s) == (
+        ("b", pytest.approx(tracking_ms / 1000)) if step > 1 else ("", 0)
+    )
+
+
+def test_a_tracker_that_recovers_gets_every_frame_again_and_a_short_hitch_changes_nothing() -> None:
+    decimation, steps = FrameDecimation(30), []
+    for ms in [20] * 20 + [200, 200] + [20] * 20 + [50] * 10 + [20] * 30:
+        decimation.tracked("a", ms * MS)
+        steps.append(decimation.step)
+    assert set(steps[:42]) == {1}
+    assert 2 in steps
+    assert steps[-1] == 1
+    assert sum(first != later for first, later in pairwise(steps)) == 2
+
+
+def _moments(decimation: FrameDecimation, sensor: str, times_ns: list[int], clock_ns: int, ppm: float = 0.0):
+    return [
+        decimation.moment(sensor, round(at_ns * (1 + ppm * 1e-6)) + clock_ns, at_ns + 15 * MS)
+        for at_ns in times_ns
+    ]
+
+
+@pytest.mark.parametrize("clock_ns", [0, 12_345_678_901, -500 * MS])
+def test_both_count_the_same_moments_whatever_their_clocks_say(clock_ns: int) -> None:
+    decimation = FrameDecimation(30)
+    times = [10**12 + index * PERIOD_NS for index in range(200)]
+    a, b = [], []
+    for at_ns in times:
+        a += _moments(decimation, "a", [at_ns], 0)
+        if at_ns != times[50]:  # one that B missed
+            b += _moments(decimation, "b", [at_ns + 160_000], 10**12 + clock_ns)
+    del a[50]
+    assert a == b
+    assert [later - first for first, later in pairwise(a)].count(2) == 1
+
+
+def test_clocks_that_drift_apart_for_an_hour_stay_on_one_grid() -> None:
+    decimation = FrameDecimation(30)
+    off = 0
+    for index in range(108_000):
+        at_ns = 10**12 + index * PERIOD_NS
+        (a,) = _moments(decimation, "a", [at_ns], 0, ppm=30.0)
+        # B captures 50 ppm slower: after an hour its camera is 5.4 frames behind
+        (b,) = _moments(decimation, "b", [round(10**12 + index * PERIOD_NS * (1 + 50e-6))], 7 * MS, ppm=-20.0)
+        behind = index * 50e-6
+        off = max(off, abs((b - a) - behind))
+    assert off <= 0.75  # the hysteresis is 0.6; a period of B is 50 ppm longer
+
+
+def test_a_clock_that_is_reset_finds_its_place_again() -> None:
+    decimation = FrameDecimation(30)
+    for index in range(200):
+        at_ns = 10**12 + index * PERIOD_NS
+        (a,) = _moments(decimation, "a", [at_ns], 0 if index < 90 else 10**13)
+        (b,) = _moments(decimation, "b", [at_ns], 500 * MS if index < 120 else -(10**12))
+        if index not in (90, 120):
+            assert a == b, index
+
+
+def test_pairing_is_as_patient_as_the_frames_are_few() -> None:
+    pairing = LivePairing(PERIOD_NS)
+    assert (pairing._max_wait_ns, pairing._gone_after_ns) == (100 * MS, 500 * MS)
+    pairing.set_interval(200 * MS)
+    assert (pairing._max_wait_ns, pairing._gone_after_ns) == (200 * MS, 800 * MS)
+    pairing.set_interval(PERIOD_NS)
+    assert (pairing._max_wait_ns, pairing._gone_after_ns) == (100 * MS, 500 * MS)

@@ -1,0 +1,134 @@
+"""Two stand-in Kinects on a sync cable with trackers that take their time, run in virtual time.
+
+Each sensor has a clock of its own; the one that is behind goes on, so that what they share (the decimation,
+the pairing) sees the frames in the order of time. Nothing sleeps.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from devices.azure.kinect import KinectSensor
+from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings
+from devices.azure.tracking.body_tracker import TrackedBodies
+from devices.live.frame_decimation import FrameDecimation
+from devices.live.stream_pairing import LivePairing
+from devices.pairing import FramePair
+from tests.helpers.standin_camera import DEPTH_LATENCY_NS, Device, VirtualTime
+from tests.helpers.standin_pyk4a import Bus
+
+PERIOD_NS = 33_333_000
+SETTLED_NS = 3_000_000_000  # by then the trackers' times are known
+
+
+class SlowTracker:
+    """A body tracker on a thread of its own: results come so long after a capture went in."""
+
+    patience_s = 5.0
+
+    def __init__(self, time: VirtualTime, takes_ns: Callable[[], int]) -> None:
+        self._time, self._takes_ns = time, takes_ns
+        self._inside: deque[tuple[int, int]] = deque()
+        self._busy_until_ns = 0
+
+    def open(self, calibration: int) -> None:
+        assert calibration
+
+    def close(self) -> None:
+        self._inside.clear()
+
+    def enqueue(self, capture: int) -> None:
+        begun_ns = max(self._time.now_ns(), self._busy_until_ns)
+        self._busy_until_ns = begun_ns + self._takes_ns()
+        self._inside.append((capture, self._busy_until_ns))
+
+    def pop(self, wait_s: float | None = None) -> TrackedBodies | None:
+        until_ns = self._time.now_ns() + round(1e9 * (self.patience_s if wait_s is None else wait_s))
+        if not self._inside or self._inside[0][1] > until_ns:
+            self._time.wait_until(until_ns)
+            return None
+        capture, ready_ns = self._inside.popleft()
+        self._time.wait_until(ready_ns)
+        return TrackedBodies(1000 * capture, {})
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a run, after it settled.
+
+    Attributes:
+        paired: Share of the frames that both trackers could process that came out as pairs.
+        age_ns: Median of how old both frames of a pair were when it came out, since they could be had
+            from libk4a.
+        since_capture_ns: The same since the exposure's depth image was on the host: what capture sync held
+            them back is in it.
+        step: Every which moment was tracked at the end.
+        missed: Wanted frames that were lost, of both sensors.
+    """
+
+    paired: float
+    age_ns: float
+    since_capture_ns: float
+    step: int
+    missed: int
+
+
+def run_slow_trackers(
+    bus: Bus,
+    *,
+    color_latency_ns: int = 0,
+    tracking_ns: tuple[int, int] = (20_000_000, 20_000_000),
+    jitter_ns: int = 1_000_000,
+    seconds: float = 20.0,
+    cable: bool = True,
+) -> Outcome:
+    """Runs two sensors in virtual time, A the master."""
+    rng = np.random.default_rng(1)
+    serials = ("000001", "000002")
+    times = [VirtualTime(), VirtualTime()]
+    bus.devices = [
+        Device(serial, jacks, paced=True, time=time, color_latency_ns=color_latency_ns, clock_usec=clock)
+        for serial, jacks, time, clock in zip(
+            serials, ((False, cable), (cable, False)), times, (1_000_000, 777_000_123), strict=True
+        )
+    ]
+    decimation = FrameDecimation(30)
+    roles = ("master", "subordinate") if cable else ("standalone", "standalone")
+    sensors = [
+        KinectSensor(serial, KinectSettings(sync=role), decimation=decimation, clock=time.now_ns)  # type: ignore[arg-type]
+        for serial, role, time in zip(serials, roles, times, strict=True)
+    ]
+    for sensor, time, takes in zip(sensors, times, tracking_ns, strict=True):
+        sensor._tracker = SlowTracker(time, lambda takes=takes: takes + int(rng.integers(0, jitter_ns + 1)))  # type: ignore[assignment]
+    pairing = LivePairing(round(1e9 / 30), sync_delay_ns=1000 * LASER_GAP_US if cable else None)
+    pairs: list[tuple[int, FramePair]] = []
+    with sensors[1], sensors[0]:
+        streams = [sensor.frames() for sensor in sensors]
+        arrivals: list[tuple[int, int, object]] = []
+        end_ns = times[0].now_ns() + round(1e9 * seconds)
+        while min(time.now_ns() for time in times) < end_ns:
+            index = min((0, 1), key=lambda index: times[index].now_ns())
+            frame = next(streams[index])
+            arrivals.append((times[index].now_ns(), index, frame))
+            # What came before both clocks' present is in order of time.
+            arrivals.sort(key=lambda arrival: arrival[0])
+            while arrivals and arrivals[0][0] <= min(time.now_ns() for time in times):
+                at_ns, side, ready = arrivals.pop(0)
+                pairing.set_interval(decimation.interval_ns)
+                came = pairing.add("ab"[side], ready, at_ns)  # type: ignore[arg-type]
+                pairs += [(at_ns, pair) for pair in came if pair.a is not None and pair.b is not None]
+        missed = sum(sensor.missed for sensor in sensors)
+        for stream in streams:
+            stream.close()  # type: ignore[attr-defined]
+    begun_ns = 100_000_000_000 + SETTLED_NS
+    settled = [(at_ns, pair) for at_ns, pair in pairs if begun_ns <= at_ns < end_ns - SETTLED_NS // 10]
+    span_ns = end_ns - SETTLED_NS // 10 - begun_ns
+    possible = span_ns / (PERIOD_NS * -(-max(tracking_ns) // PERIOD_NS))
+    held_ns = max(0, color_latency_ns - DEPTH_LATENCY_NS) if cable else 0
+    ages = [at_ns - (frame.host_ns or 0) for at_ns, pair in settled for frame in (pair.a, pair.b) if frame]
+    since_ns = float(np.median(ages)) if ages else float("nan")
+    return Outcome(len(settled) / possible, since_ns - held_ns, since_ns, decimation.step, missed)

@@ -1,0 +1,174 @@
+"""One sensor on the stand-in's bus: when its images reach the host, and what the SDK's queues make of that.
+
+After libk4a 1.4: without colour, depth goes to the queue of captures as it comes. With colour, capture sync
+holds depth back until the colour image of its moment is there; where that is missing, depth goes alone when
+the next colour image comes, or after half a second, or never with synchronized_images_only.
+"""
+
+from __future__ import annotations
+
+import time
+import types
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+QUEUE = 7  # captures; one more drops the oldest
+HELD = 15  # depth images that capture sync holds back
+DEPTH_LATENCY_NS = 15_000_000  # from exposure until the depth image is on the host
+_MASTER, _SUBORDINATE, _WFOV_UNBINNED, _3072P = 1, 2, 4, 6
+
+
+class RealTime:
+    """The machine's own clock."""
+
+    def now_ns(self) -> int:
+        return time.perf_counter_ns()
+
+    def wait_until(self, ns: int) -> None:
+        time.sleep(max(0.0, (ns - self.now_ns()) * 1e-9))
+
+
+class VirtualTime:
+    """A clock that jumps to whatever is waited for."""
+
+    def __init__(self, now_ns: int = 100_000_000_000) -> None:
+        self._now_ns = now_ns
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def wait_until(self, ns: int) -> None:
+        self._now_ns = max(self._now_ns, ns)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What the camera made of one moment, as it is in the queue of captures."""
+
+    number: int
+    clock_usec: int
+    depth_host_ns: int
+    ready_ns: int
+    has_depth: bool
+    has_color: bool
+
+
+@dataclass
+class Device:
+    """One sensor on the stand-in's bus, and what is wrong with it."""
+
+    serial: str
+    jacks: tuple[bool, bool] = (False, False)
+    busy: bool = False
+    plugged: bool = True
+    starts: bool = True
+    silent: bool = False
+    blind: bool = False  # captures without depth
+    orbbec: bool = False  # behind Orbbec's wrapper: opens lazily, hides its jacks, epoch times
+    firmware: tuple[int, int, int] = (1, 6, 110)
+    clock_usec: int = 1_000_000
+    captures: int = 0
+    interval_usec: int = 33_333
+    color: bool = True  # the colour camera works
+    color_latency_ns: int = 40_000_000
+    color_lost: Callable[[int], bool] = lambda _number: False
+    skips: int = 0  # captures before each that the SDK's queue had no room for
+    paced: bool = False  # captures come when they are due; else one for every wait
+    time: RealTime | VirtualTime = field(default_factory=RealTime)
+    at: dict[int, Callable[[], object]] = field(default_factory=dict)  # what happens at which capture
+    opened_by: object = None
+    color_runs: bool = False
+    synchronized_only: bool = False
+    begun_ns: Callable[[], int | None] = lambda: None
+    ready: list[int] = field(default_factory=list)  # when each capture with depth was in the queue
+    _made: int = 0
+    _queue: deque[Shot] = field(default_factory=deque)
+    _next: Shot | None = None
+
+    def start(self, color: bool, synchronized_only: bool, begun_ns: Callable[[], int | None]) -> None:
+        """Starts the cameras; ``begun_ns`` says when the first exposure was, once the master runs."""
+        self.color_runs, self.synchronized_only, self.begun_ns = color, synchronized_only, begun_ns
+        self._made, self._next = 0, None
+        self._queue.clear()
+
+    def next_shot(self, timeout_ms: int) -> Shot | None:
+        """The oldest capture in the queue, after waiting at most so long; None where none comes."""
+        if not self.paced:
+            return self._make(self.time.now_ns()) if timeout_ms else None
+        until_ns = self.time.now_ns() + timeout_ms * 1_000_000
+        self._fill()
+        while not self._queue:
+            following = None if self.silent else self._upcoming()
+            # A subordinate waits for a master that another thread will start.
+            ready_ns = self.time.now_ns() + 2_000_000 if following is None else following.ready_ns
+            self.time.wait_until(min(ready_ns, until_ns))
+            if self.time.now_ns() >= until_ns:
+                return None
+            self._fill()
+        return self._queue.popleft()
+
+    def _fill(self) -> None:
+        while (shot := self._upcoming()) is not None and shot.ready_ns <= self.time.now_ns():
+            self._next = None
+            self.ready += [shot.ready_ns] * shot.has_depth
+            self._queue.append(shot)
+            if len(self._queue) > QUEUE:
+                self._queue.popleft()
+
+    def _upcoming(self) -> Shot | None:
+        begun_ns = self.begun_ns()
+        while self._next is None and begun_ns is not None:
+            exposed_ns = begun_ns + (self._made + 1) * self.interval_usec * 1000
+            shot = self._make(exposed_ns + DEPTH_LATENCY_NS)
+            if self.color_runs:
+                shot = self._synchronized(shot, exposed_ns)
+            self._next = shot
+        return self._next
+
+    def _make(self, host_ns: int) -> Shot:
+        self._made += 1
+        self.clock_usec += self.interval_usec * (1 + self.skips)
+        color = self.color_runs and self.color and not self.color_lost(self._made)
+        return Shot(self._made, self.clock_usec, host_ns, host_ns, not self.blind, color)
+
+    def _synchronized(self, shot: Shot, exposed_ns: int) -> Shot | None:
+        """The capture as capture sync lets it go; None if it never does."""
+        if shot.has_color:
+            ready_ns = max(shot.ready_ns, exposed_ns + self.color_latency_ns)
+        elif self.synchronized_only:
+            return None
+        elif self.color:  # the colour image of the next moment shows that this one is missing
+            ready_ns = max(shot.ready_ns, exposed_ns + self.interval_usec * 1000 + self.color_latency_ns)
+        else:
+            ready_ns = shot.ready_ns + HELD * self.interval_usec * 1000
+        return Shot(
+            shot.number, shot.clock_usec, shot.depth_host_ns, ready_ns, shot.has_depth, shot.has_color
+        )
+
+
+def refused(config: types.SimpleNamespace, device: Device) -> str:
+    """Why libk4a 1.4 does not start cameras with this configuration; empty if it does."""
+    depth, color = int(config.depth_mode) != 0, int(config.color_resolution) != 0
+    sync, delay = int(config.wired_sync_mode), config.subordinate_delay_off_master_usec
+    period = 1_000_000 // (5, 15, 30)[int(config.camera_fps)]
+    sync_in, sync_out = device.jacks
+    if not device.orbbec:
+        if (sync == _SUBORDINATE and not sync_in) or (sync == _MASTER and not sync_out):
+            return "no cable in the jack"
+        if sync == _MASTER and not color:
+            return "a master needs its colour camera"
+    if delay and (sync != _SUBORDINATE or delay > period):
+        return "the delay is a subordinate's, and at most a frame"
+    if not depth and not color:
+        return "no camera at all"
+    if not (depth and color) and (config.synchronized_images_only or config.depth_delay_off_color_usec):
+        return "both cameras are needed for that"
+    if abs(config.depth_delay_off_color_usec) > period:
+        return "depth and colour more than a frame apart"
+    fast = int(config.camera_fps) == 2
+    if fast and (int(config.depth_mode) == _WFOV_UNBINNED or int(config.color_resolution) == _3072P):
+        return "15 fps at most"
+    if color and int(config.color_format) in (1, 2) and int(config.color_resolution) != 1:
+        return "NV12 and YUY2 in 720p only"
+    return ""

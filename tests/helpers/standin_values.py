@@ -1,0 +1,151 @@
+"""What the stand-in for pyk4a hands out: captures, calibrations, errors."""
+
+from __future__ import annotations
+
+import ctypes
+
+import cv2
+import numpy as np
+
+from devices.azure.calibration import COLOR_MODES, DEPTH_MODES, read_calibration
+
+_new_capsule = ctypes.pythonapi.PyCapsule_New
+_new_capsule.restype = ctypes.py_object
+_new_capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
+DEVICE_NAME = ctypes.c_char_p(b"pyk4a device handle")
+_CAPTURE_NAME = ctypes.c_char_p(b"pyk4a capture handle")
+_CALIBRATION_NAME = ctypes.c_char_p(b"pyk4a calibration handle")
+JPEG = cv2.imencode(".jpg", np.full((72, 128, 3), (40, 120, 200), np.uint8))[1].tobytes()
+
+
+class WouldCrashError(BaseException):
+    """The real library would end the process here with a segmentation fault."""
+
+
+class K4AException(Exception):  # noqa: N818
+    """As the real one: nearly always without a message."""
+
+
+class K4ATimeoutException(K4AException):
+    pass
+
+
+def new_capsule(handle: ctypes.c_void_p, name: ctypes.c_char_p) -> object:
+    """As in pyk4a: the capsule holds the address of the handle, not the handle."""
+    return _new_capsule(ctypes.addressof(handle), name, None)
+
+
+class PyK4ACapture:
+    """A capture: depth and infrared, colour where it was in time, or only one of them."""
+
+    def __init__(
+        self,
+        native: ctypes.CDLL | None,
+        depth: np.ndarray | None,
+        ir: np.ndarray | None,
+        color: np.ndarray | None,
+        time_usec: int,
+        host_ns: int,
+    ) -> None:
+        self.depth, self.ir, self.color = depth, ir, color
+        self.depth_timestamp_usec, self.depth_system_timestamp_nsec = (
+            (0, 0) if depth is None else (time_usec, host_ns)
+        )
+        self._native = native
+        # Without a libk4a beneath, the handle is the capture's time, for trackers that tests make up.
+        self._handle = ctypes.c_void_p(None if native is not None else time_usec)
+        if native is not None and depth is not None and ir is not None:
+            self._fill(native, depth, ir)
+        self._capture_handle = new_capsule(self._handle, _CAPTURE_NAME)
+
+    def _fill(self, native: ctypes.CDLL, depth: np.ndarray, ir: np.ndarray) -> None:
+        native.k4a_image_get_buffer.restype = ctypes.c_void_p
+        native.k4a_capture_create(ctypes.byref(self._handle))
+        for image, kind, attach in (
+            (depth, 4, native.k4a_capture_set_depth_image),
+            (ir, 5, native.k4a_capture_set_ir_image),
+        ):
+            handle = ctypes.c_void_p()
+            height, width = image.shape
+            native.k4a_image_create(kind, width, height, 2 * width, ctypes.byref(handle))
+            address = native.k4a_image_get_buffer(handle)
+            ctypes.memmove(address, image.ctypes.data, image.nbytes)
+            native.k4a_image_set_device_timestamp_usec(handle, ctypes.c_uint64(self.depth_timestamp_usec))
+            attach(self._handle, handle)
+            native.k4a_image_release(handle)
+
+    def __del__(self) -> None:
+        if self._native is not None and self._handle:
+            self._native.k4a_capture_release(self._handle)
+
+
+def give_none_away() -> None:
+    decrease = ctypes.pythonapi.Py_DecRef
+    decrease.restype, decrease.argtypes = None, [ctypes.py_object]
+    decrease(None)
+
+
+class LeakyCapture(PyK4ACapture):
+    """A capture that gives a reference to None away for each image that it lacks, as pyk4a 1.5.0."""
+
+    def __getattribute__(self, name: str) -> object:
+        value = object.__getattribute__(self, name)
+        if name in ("depth", "ir", "color") and value is None:
+            give_none_away()
+        return value
+
+
+def borrowed(image: np.ndarray) -> np.ndarray:
+    """As pyk4a's: an array over memory that is the SDK's."""
+    return np.frombuffer(bytearray(image.tobytes()), image.dtype).reshape(image.shape)
+
+
+class Calibration:
+    """Two made-up cameras, or those of a sensor's calibration JSON."""
+
+    def __init__(self, depth_mode: int, color_resolution: int, raw: str | None = None) -> None:
+        self._depth_mode, self._color_resolution, self._raw = int(depth_mode), int(color_resolution), raw
+        self._struct = ctypes.create_string_buffer(1032)
+        ctypes.c_int.from_buffer(self._struct, 1024).value = int(depth_mode)
+        self._calibration_handle = _new_capsule(ctypes.addressof(self._struct), _CALIBRATION_NAME, None)
+
+    @classmethod
+    def from_raw(
+        cls,
+        value: str,
+        depth_mode: int,
+        color_resolution: int,
+        thread_safe: bool = True,  # noqa: ARG003
+    ) -> Calibration:
+        if (int(depth_mode) == 0 and int(color_resolution) == 0) or "CalibrationInformation" not in value:
+            raise K4AException
+        return cls(depth_mode, color_resolution, value)
+
+    def _lens(self, camera: int) -> tuple[float, float, float, float, tuple[float, ...]]:
+        if camera not in (0, 1):
+            raise ValueError("Camera matrix only available for color and depth cameras.")
+        if (self._color_resolution if camera == 1 else self._depth_mode) == 0:
+            raise ValueError("Unknown camera calibration type")
+        if self._raw is None:
+            lens = (0.5, -0.02, 1e-5, -7e-5, -0.003, 0.9, 0.09, -0.01)
+            return (610.0, 611.0, 640.0, 365.0, lens) if camera == 1 else (504.0, 505.0, 332.0, 348.0, lens)
+        depth_mode = [*DEPTH_MODES][max(0, min(self._depth_mode, 4) - 1)]
+        color = [None, *COLOR_MODES][self._color_resolution]
+        both = read_calibration(self._raw, depth_mode, color)
+        read = both.depth if camera == 0 or both.color is None else both.color.intrinsics
+        return read.fx, read.fy, read.cx, read.cy, read.distortion
+
+    def get_camera_matrix(self, camera: int) -> np.ndarray:
+        fx, fy, cx, cy, _ = self._lens(camera)
+        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+    def get_distortion_coefficients(self, camera: int) -> np.ndarray:
+        return np.array(self._lens(camera)[4])
+
+    def get_extrinsic_parameters(self, source: int, target: int) -> tuple[np.ndarray, np.ndarray]:
+        if self._raw is None:
+            return np.eye(3), np.array([[-0.032, 0.0, 0.004]])  # (1, 3) metres, from the SDK's millimetres
+        color = read_calibration(self._raw, "NFOV_UNBINNED", "720P").color
+        assert (source, target) == (0, 1), "depth to colour"
+        assert color is not None
+        return color.color_from_depth.rotation.copy(), color.color_from_depth.translation.reshape(1, 3)
