@@ -132,7 +132,7 @@ def _gap(depth, u, v, z, along, across, sorted_gaps):  # type: ignore[no-untyped
 def _edge(depth, u, v, z, along, across, outside):  # type: ignore[no-untyped-def]
     """Signed distance to the silhouette, metres: positive inside; searched in squares that grow."""
     height, width = depth.shape
-    step = max(1, int(_STEP * across))
+    step = max(1, round(_STEP * across))
     farthest = int(REACH * across)
     nearest = float(farthest * farthest)
     k = step
@@ -162,7 +162,7 @@ def _patch(depth, pixel_u, pixel_v, z, along, across, gap):  # type: ignore[no-u
     """Centre of the readings near the surface at the joint, less the joint, across the ray, metres."""
     height, width = depth.shape
     radius = _PATCH_RADIUS * across
-    step = max(1, int(_STEP * across))
+    step = max(1, round(_STEP * across))
     centre_u, centre_v = pixel_u - 0.5, pixel_v - 0.5
     sum_u = sum_v = 0.0
     count = 0
