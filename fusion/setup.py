@@ -11,7 +11,7 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
-from fusion.methods.reliability import PAPER_H
+from fusion.paper_constants import PAPER_H
 
 
 @dataclass(frozen=True)

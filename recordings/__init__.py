@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from recordings.errors import RecordingError
+    from recordings.events import Event
     from recordings.fusing import fuse
     from recordings.live_fusing import fuse_live
-    from recordings.reading.stored_settings import Event
     from recordings.session import Session
     from recordings.session_arrays import RecordedFrame, SessionArrays
     from recordings.session_series import QualitySeries, SkeletonSeries
@@ -30,7 +30,7 @@ _HOMES = {
     "RecordingError": "recordings.errors",
     "fuse": "recordings.fusing",
     "fuse_live": "recordings.live_fusing",
-    "Event": "recordings.reading.stored_settings",
+    "Event": "recordings.events",
     "Session": "recordings.session",
     "RecordedFrame": "recordings.session_arrays",
     "SessionArrays": "recordings.session_arrays",

@@ -15,10 +15,10 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import SkeletonPair
-from recordings.reading.stored_settings import Event
+from recordings.events import Event
+from recordings.images.session_images import RecordingImages
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
-from recordings.session_images import RecordingImages
 
 
 def fuse(

@@ -119,6 +119,8 @@ STATE_NAMES = ("not tracked", "inferred", "tracked")
 STATE_COLORS: tuple[Color, ...] = ((190, 60, 60), (226, 168, 60), (86, 160, 96))
 PROMINENT_JOINTS = ("ELBOW_LEFT", "ELBOW_RIGHT", "WRIST_LEFT", "WRIST_RIGHT", "KNEE_LEFT", "KNEE_RIGHT")
 """Whose weights are shown until one asks for more: the joints that hide and are mixed up most."""
+PROMINENT_BONES = ("upper_arm", "forearm", "thigh", "shin")
+"""Of both sides: those of the paper's fig. 5."""
 TARGET_COLOR = (128, 128, 128)
 """Of the target bone length: readable on light and on dark, where the paper's black is not."""
 JOINT_RADII = {"a": 0.012, "b": 0.012, "fused": 0.020, "truth": 0.010}

@@ -25,32 +25,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.pairing import FramePair, Pairing
-from devices.sensor import ColorImage, SensorFrame
-from fusion.body import BODIES, Body
+from devices.sensor import ColorImage
+from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import Intrinsics
 from fusion.setup import FuserSettings, FusionSetup
-from fusion.skeleton import Skeleton
 from recordings import layout
 from recordings.errors import RecordingError
-from recordings.reading.rrd_file import read_columns
-from recordings.reading.stored_frames import frames_of
-from recordings.reading.stored_settings import (
-    Event,
-    calibrations_of,
-    camera_of,
-    checked_properties,
-    events_of,
-    settings_of,
-)
+from recordings.events import Event, Spell, spells_of
+from recordings.images.session_images import NO_IMAGES, Images, SessionImages
+from recordings.reading.session_pairs import recorded_pairs
 from recordings.session_arrays import RecordedFrame, SessionArrays
-from recordings.session_images import NO_IMAGES, FileImages, Images, SessionImages
 from recordings.session_series import QualitySeries, SkeletonSeries
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.properties import as_lists, session_properties
-
-PERSON = "0"
-"""The id of the one person of a session, as a source of pairs."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -162,45 +150,9 @@ class Session:
             RecordingError: The file is missing, no session, of another layout, or damaged before its first
                 frame.
         """
-        path = Path(path)
-        found = read_columns(path, lambda entity: entity != layout.BONES)
-        about = checked_properties(path, found)
-        name = about["session"]["body"][0]
-        if name not in BODIES:
-            raise RecordingError(f"{path} is of an unknown body {name!r}. Known: {', '.join(BODIES)}.")
-        calibrations = calibrations_of(path, BODIES[name], found)
-        rows, checks, lost = frames_of(BODIES[name], calibrations, found)
-        used = [number < max(len(rows), 1) for number, _ in calibrations]
-        calibrations = [c for c, use in zip(calibrations, used, strict=True) if use]
-        events = events_of(found)
-        damage = found.damage
-        end = about.get("end", {}).get("frames")
-        if end is None:
-            damage = damage or "it was not ended"
-        elif int(end[0]) != len(rows) or lost:
-            lost = max(lost, int(end[0]) - len(rows))
-            damage = damage or f"frame {len(rows)} does not match its checksum or is missing"
-        if len(rows) == 0:
-            raise RecordingError(
-                f"{path} has no whole frame" + (f": {damage}." if damage else "; nothing was recorded.")
-            )
-        session, cameras = about["session"], about["intrinsics"]
-        return Session(
-            path=path,
-            rows=rows,
-            settings=settings_of(about["settings"]),
-            calibrations=tuple(calibrations),
-            intrinsics_a=camera_of(cameras["a"]),
-            intrinsics_b=camera_of(cameras["b"]),
-            sources=(str(session["source_a"][0]), str(session["source_b"][0])),
-            about=about,
-            events=events,
-            fused_checksums=checks[0],
-            joint_digests=checks[1],
-            frames_lost=lost,
-            damage=damage,
-            images=FileImages(path),
-        )
+        from recordings.reading.session_reader import read_session
+
+        return read_session(Path(path))
 
     def __len__(self) -> int:
         """The number of frames T."""
@@ -289,6 +241,11 @@ class Session:
         return float(1e9 / np.median(np.diff(self.rows.time_ns)))
 
     @property
+    def spells(self) -> list[Spell]:
+        """What lasted: from the event that began it to the one that ended it."""
+        return spells_of(self.events)
+
+    @property
     def whereabouts(self) -> NDArray[np.float64]:
         """(3,) metres in K_A's frame, the middle of where the person is; before K_A where no one is."""
         at = self.rows.fused.reshape(-1, 3)
@@ -319,28 +276,8 @@ class Session:
         Args:
             depth: With the depth images the session has.
         """
-        images = {side: iter(self.depth(side)) if depth else iter(()) for side in layout.SIDES}
-        ahead = {side: next(images[side], None) for side in layout.SIDES}
-        rows = self.rows
-        for t in range(len(rows)):
-            seen: dict[str, NDArray[np.uint16]] = {}
-            for side in layout.SIDES:
-                image = ahead[side]
-                if image is not None and image[0] == t:
-                    seen[side] = image[1]
-                    ahead[side] = next(images[side], None)
-            yield FramePair.of(
-                _sensor_frame(
-                    self.body, rows.clock_a[t], rows.positions_a[t], rows.states_a[t], seen.get("a")
-                ),
-                _sensor_frame(
-                    self.body, rows.clock_b[t], rows.positions_b[t], rows.states_b[t], seen.get("b")
-                ),
-                PERSON,
-                PERSON,
-                int(rows.time_ns[t]),
-                int(rows.skew_ns[t]),
-            )
+        images = {side: self.depth(side) if depth else () for side in layout.SIDES}
+        return recorded_pairs(self.rows, images)
 
     def depth(self, side: str, first: int = 0, end: int | None = None) -> Images[NDArray[np.uint16]]:
         """Depth images of a sensor, read as they are asked for; damaged ones are left out and counted.
@@ -360,16 +297,3 @@ class Session:
 
     def _frames(self, first: int, end: int | None) -> range:
         return range(first, len(self) if end is None else min(end, len(self)))
-
-
-def _sensor_frame(
-    body: Body,
-    clock: np.int64,
-    positions: NDArray[np.float32],
-    states: NDArray[np.uint8],
-    depth: NDArray[np.uint16] | None,
-) -> SensorFrame | None:
-    if clock == layout.NO_FRAME:
-        return None
-    people = {PERSON: Skeleton.of(body, positions, states, int(clock))} if states.any() else {}
-    return SensorFrame(int(clock), people, depth)

@@ -79,9 +79,9 @@ class Comparison:
         return int(np.count_nonzero(present[0] != present[1]))
 
     @cached_property
-    def jitter(self) -> NDArray[np.float64]:
-        """(2, J) metres: see :func:`jitter_of`."""
-        return np.stack([jitter_of(of.fused, of.frame) for of in (self.first, self.second)])
+    def frame_noise(self) -> NDArray[np.float64]:
+        """(2, J) metres: see :func:`frame_noise_of`."""
+        return np.stack([frame_noise_of(of.fused, of.frame) for of in (self.first, self.second)])
 
     @cached_property
     def bone_deviation(self) -> NDArray[np.float64]:
@@ -112,7 +112,7 @@ class Comparison:
         return found
 
 
-def jitter_of(positions: NDArray[np.float64], frame: NDArray[np.int64]) -> NDArray[np.float64]:
+def frame_noise_of(positions: NDArray[np.float64], frame: NDArray[np.int64]) -> NDArray[np.float64]:
     """(J,) metres of (T, J, 3): the median length of the second difference over √6.
 
     White noise of that size on each frame gives such a second difference; slow movement gives nearly none.

@@ -10,22 +10,36 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
-from viewer_app import options as of
+from viewer_app.options import (
+    BenchAccuracyOptions,
+    BenchRealOptions,
+    BenchSpeedOptions,
+    CompareOptions,
+    DemoOptions,
+    DoctorOptions,
+    ExportOptions,
+    FuseOptions,
+    InfoOptions,
+    LiveOptions,
+    ReplayOptions,
+    ReviewOptions,
+    TrimOptions,
+)
 
 _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
-    "demo": (of.DemoOptions, "viewer_app.commands.demo"),
-    "live": (of.LiveOptions, "viewer_app.commands.live"),
-    "fuse": (of.FuseOptions, "viewer_app.commands.fuse"),
-    "replay": (of.ReplayOptions, "viewer_app.commands.replay"),
-    "review": (of.ReviewOptions, "viewer_app.commands.review"),
-    "compare": (of.CompareOptions, "viewer_app.commands.compare"),
-    "export": (of.ExportOptions, "viewer_app.commands.export"),
-    "trim": (of.TrimOptions, "viewer_app.commands.trim"),
-    "info": (of.InfoOptions, "viewer_app.commands.info"),
-    "doctor": (of.DoctorOptions, "viewer_app.commands.doctor"),
-    "bench accuracy": (of.BenchAccuracyOptions, "viewer_app.bench.accuracy"),
-    "bench real": (of.BenchRealOptions, "viewer_app.bench.real"),
-    "bench speed": (of.BenchSpeedOptions, "viewer_app.bench.speed"),
+    "demo": (DemoOptions, "viewer_app.commands.demo"),
+    "live": (LiveOptions, "viewer_app.commands.live"),
+    "fuse": (FuseOptions, "viewer_app.commands.fuse"),
+    "replay": (ReplayOptions, "viewer_app.commands.replay"),
+    "review": (ReviewOptions, "viewer_app.commands.review"),
+    "compare": (CompareOptions, "viewer_app.commands.compare"),
+    "export": (ExportOptions, "viewer_app.commands.export"),
+    "trim": (TrimOptions, "viewer_app.commands.trim"),
+    "info": (InfoOptions, "viewer_app.commands.info"),
+    "doctor": (DoctorOptions, "viewer_app.commands.doctor"),
+    "bench accuracy": (BenchAccuracyOptions, "viewer_app.bench.accuracy"),
+    "bench real": (BenchRealOptions, "viewer_app.bench.real"),
+    "bench speed": (BenchSpeedOptions, "viewer_app.bench.speed"),
 }
 """By name, ``group command`` or ``command``: the options, and the module whose ``run`` carries it out."""
 

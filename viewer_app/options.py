@@ -1,35 +1,41 @@
 """The command line as values: a command is a frozen dataclass, its field docstrings are the help text.
 
-Nothing heavy is imported here, so that ``duplex --help`` answers at once.
+Nothing heavy is imported here, so that ``duplex --help`` answers at once. The module is long
+because all commands are in it, which share options.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from fusion.paper_constants import PAPER_H
+
 _BENCH_MOTIONS = ("walk", "arms", "badminton", "basketball", "squat", "sit", "boxing", "still")
 
 
+# A class's own options come after those of its bases, and those of its last base come first.
+
+
 @dataclass(frozen=True)
-class FuseOptions:
-    """Fuse two recorded skeleton streams into one skeleton with bones of constant length.
+class OutputOptions:
+    """The files that a command writes."""
 
-    Recordings are .csv (time_us,body,joint,x,y,z[,state]; metres), .json (Microsoft's offline_processor),
-    .skeleton (NTU RGB+D), or .mkv of an Azure Kinect, on which the body tracker is run.
-    """
-
-    a: Positional[Path]
-    """Recording of the principal sensor K_A; S* is in its frame."""
-    b: Positional[Path]
-    """Recording of the secondary sensor K_B."""
     save: Path | None = None
     """Keep the session as an .rrd file."""
     report: Path | None = None
     """Write all figures of the summary as JSON."""
+    force: bool = False
+    """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
+class ViewerOptions:
+    """How a session is looked at while it is made."""
+
     no_viewer: bool = False
     """Do not open the viewer."""
     web: bool = False
@@ -38,36 +44,86 @@ class FuseOptions:
     """With --web: an address of this machine to be reached at, by others too. Else only from here."""
     layout: Literal["setup", "inspect", "report"] = "inspect"
     """Which of the viewer's tabs is open at first."""
-    skeletons_a: Path | None = None
-    """For an .mkv: skeletons of A saved before, in place of the body tracker."""
-    skeletons_b: Path | None = None
-    """For an .mkv: skeletons of B saved before, in place of the body tracker."""
-    k4abt: Path | None = None
-    """For an .mkv: Microsoft's body tracker, libk4abt; where the system finds it if not given."""
-    processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
-    """For an .mkv: where the body tracker runs; a CPU tracks about one frame a second."""
-    person_a: str | None = None
-    """Id of the person in A; the one seen longest if not given."""
-    person_b: str | None = None
-    """Id of the person in B; the one seen longest if not given."""
-    h: float = 0.786
+
+
+@dataclass(frozen=True)
+class TerminalOptions:
+    """What a running loop says."""
+
+    quiet: bool = False
+    """No status line and no advice, only warnings."""
+    verbose: bool = False
+    """Keep every status line."""
+
+
+@dataclass(frozen=True)
+class MethodOptions:
+    """What the method is told."""
+
+    calibrate: str = "auto"
+    """auto: on the start-up pose, once it is held. Or a file of --save-calibration."""
+    save_calibration: Path | None = None
+    """Keep the sensors' placement and the bone lengths in a file."""
+    h: float = PAPER_H
     """How much more a tracked joint counts than an inferred one, between 0.5 and 1."""
     solver: Literal["exact", "paper"] = "exact"
     """exact: one constraint a bone. paper: eqs. (3)-(9) as published."""
     weights: Literal["paper", "equal"] = "paper"
     """paper: trust a joint, eqs. (10), (11). equal: both views alike."""
-    calibrate: str = "auto"
-    """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
-    save_calibration: Path | None = None
-    """Keep the sensors' placement and the bone lengths in a file."""
-    depth: Literal["none", "half", "full"] = "full"
-    """For an .mkv: its depth images in the session: none, every second pixel in both directions, or all."""
-    force: bool = False
-    """Overwrite files that exist."""
 
 
 @dataclass(frozen=True)
-class DemoOptions:
+class TrackerOptions:
+    """The body tracker, where one runs."""
+
+    k4abt: Path | None = None
+    """Microsoft's body tracker, libk4abt; where the system finds it if not given."""
+    processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
+    """Where the body tracker runs; a CPU tracks about one frame a second."""
+
+
+@dataclass(frozen=True)
+class SensorOptions:
+    """Which two of the connected sensors."""
+
+    kinect_a: str | None = None
+    """Serial number of the principal sensor K_A; S* is in its frame."""
+    kinect_b: str | None = None
+    """Serial number of the secondary sensor K_B."""
+    principal: str | None = None
+    """Of two connected, the one that is K_A; without it the first question that duplex live asks."""
+    sync_master: str | None = None
+    """Serial number of the sensor that the sync cable leads out of. Orbbec's wrapper cannot tell."""
+
+
+@dataclass(frozen=True)
+class FuseOptions(TrackerOptions, MethodOptions, ViewerOptions, OutputOptions):
+    """Fuse two recorded skeleton streams into one skeleton with bones of constant length.
+
+    Recordings are .csv (time_us,body,joint,x,y,z[,state]; metres), .json (Microsoft's offline_processor),
+    .skeleton (NTU RGB+D), or .mkv of an Azure Kinect, on which the body tracker is run.
+    """
+
+    a: Positional[Path] = field(kw_only=True)
+    """Recording of the principal sensor K_A; S* is in its frame."""
+    b: Positional[Path] = field(kw_only=True)
+    """Recording of the secondary sensor K_B."""
+    calibrate: str = "auto"
+    """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
+    person_a: str | None = None
+    """Id of the person in A; the one seen longest if not given."""
+    person_b: str | None = None
+    """Id of the person in B; the one seen longest if not given."""
+    skeletons_a: Path | None = None
+    """For an .mkv: skeletons of A saved before, in place of the body tracker."""
+    skeletons_b: Path | None = None
+    """For an .mkv: skeletons of B saved before, in place of the body tracker."""
+    depth: Literal["none", "half", "full"] = "full"
+    """For an .mkv: its depth images in the session: none, every second pixel in both directions, or all."""
+
+
+@dataclass(frozen=True)
+class DemoOptions(TerminalOptions, ViewerOptions):
     """See the whole program at work without a sensor: two simulated Kinects watch one person.
 
     The person's true joints are logged too, as a fourth skeleton (hidden at first).
@@ -88,102 +144,41 @@ class DemoOptions:
     most are for full, images are left out, skeletons never."""
     save: Path | None = None
     """Keep the session as an .rrd file; without a display demo.rrd if not given."""
-    no_viewer: bool = False
-    """Do not open the viewer."""
-    web: bool = False
-    """Show it in a browser instead of a window."""
-    listen: str | None = None
-    """With --web: an address of this machine to be reached at, by others too. Else only from here."""
-    layout: Literal["setup", "inspect", "report"] = "inspect"
-    """Which of the viewer's tabs is open at first."""
-    quiet: bool = False
-    """No status line and no advice, only warnings."""
-    verbose: bool = False
-    """Keep every status line."""
     force: bool = False
     """Overwrite files that exist."""
 
 
 @dataclass(frozen=True)
-class LiveOptions:
+class LiveOptions(
+    TrackerOptions, MethodOptions, TerminalOptions, ViewerOptions, OutputOptions, SensorOptions
+):
     """Fuse what two Azure Kinects (or Orbbec Femto Bolt / Mega) see, as they see it.
 
     Ctrl-C ends it and saves everything. duplex doctor says what this machine lacks.
     """
 
-    kinect_a: str | None = None
-    """Serial number of the principal sensor K_A; S* is in its frame."""
-    kinect_b: str | None = None
-    """Serial number of the secondary sensor K_B."""
-    principal: str | None = None
-    """Of the two connected, the one that is K_A; without it the first question asked."""
-    sync_master: str | None = None
-    """Serial number of the sensor that the sync cable leads out of. Orbbec's wrapper cannot tell."""
+    layout: Literal["setup", "inspect", "report"] = "setup"
+    """Which of the viewer's tabs is open at first."""
+    seconds: float | None = None
+    """End after so many seconds; with Ctrl-C if not given."""
+    depth: Literal["none", "half", "full"] = "half"
+    """Depth images shown and saved: none, every second pixel in both directions, or all."""
     depth_mode: Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"] = "NFOV_UNBINNED"
     """Narrow and far, or wide and near."""
     fps: Literal[5, 15, 30] = 30
     """Frames a second."""
-    depth: Literal["none", "half", "full"] = "half"
-    """Depth images shown and saved: none, every second pixel in both directions, or all."""
     color: Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"] = "off"
     """Colour images, and at which resolution."""
-    k4abt: Path | None = None
-    """Microsoft's body tracker, libk4abt; where the system finds it if not given."""
-    processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
-    """Where the body tracker runs; a CPU gives about one frame a second."""
     smoothing: float = 0.0
     """Temporal smoothing of the body tracker, 0 to 1; fusion wants 0."""
-    h: float = 0.786
-    """How much more a tracked joint counts than an inferred one, between 0.5 and 1."""
-    solver: Literal["exact", "paper"] = "exact"
-    """exact: one constraint a bone. paper: eqs. (3)-(9) as published."""
-    weights: Literal["paper", "equal"] = "paper"
-    """paper: trust a joint, eqs. (10), (11). equal: both views alike."""
-    calibrate: str = "auto"
-    """auto: on the start-up pose, once it is held. Or a file of --save-calibration."""
-    save_calibration: Path | None = None
-    """Keep the sensors' placement and the bone lengths in a file."""
-    seconds: float | None = None
-    """End after so many seconds; with Ctrl-C if not given."""
-    report: Path | None = None
-    """Write all figures of the summary as JSON."""
-    save: Path | None = None
-    """Keep the session as an .rrd file."""
-    no_viewer: bool = False
-    """Do not open the viewer."""
-    web: bool = False
-    """Show it in a browser instead of a window."""
-    listen: str | None = None
-    """With --web: an address of this machine to be reached at, by others too. Else only from here."""
-    layout: Literal["setup", "inspect", "report"] = "setup"
-    """Which of the viewer's tabs is open at first."""
-    quiet: bool = False
-    """No status line and no advice, only warnings."""
-    verbose: bool = False
-    """Keep every status line."""
-    force: bool = False
-    """Overwrite files that exist."""
 
 
 @dataclass(frozen=True)
-class DoctorOptions:
+class DoctorOptions(TrackerOptions, SensorOptions):
     """Say what of live capture works on this machine, and what to do where it does not.
 
     The exit code is 0 if duplex live could start, 1 if not.
     """
-
-    kinect_a: str | None = None
-    """Serial number of the sensor that would be K_A, where more than two are connected."""
-    kinect_b: str | None = None
-    """Serial number of the sensor that would be K_B."""
-    principal: str | None = None
-    """Of two connected, the one that would be K_A."""
-    sync_master: str | None = None
-    """Serial number of the sensor that the sync cable leads out of. Orbbec's wrapper cannot tell."""
-    k4abt: Path | None = None
-    """Microsoft's body tracker, libk4abt; where the system finds it if not given."""
-    processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
-    """Where the body tracker would run."""
 
 
 @dataclass(frozen=True)
@@ -225,13 +220,13 @@ class BenchAccuracyOptions:
 
 
 @dataclass(frozen=True)
-class ReplayOptions:
+class ReplayOptions(OutputOptions):
     """Fuse a session's two skeletons again, with its own settings or with others.
 
     With the session's own settings S* comes out bit for bit; --verify checks that.
     """
 
-    session: Positional[Path]
+    session: Positional[Path] = field(kw_only=True)
     """The .rrd to replay."""
     h: float | None = None
     """How much more a tracked joint counts than an inferred one; as recorded if not given."""
@@ -241,14 +236,10 @@ class ReplayOptions:
     """paper: trust a joint, eqs. (10), (11). equal: both views alike. As recorded if not given."""
     verify: bool = False
     """Compare S* with the recorded one; exit code 1 and the first difference where a bit differs."""
-    save: Path | None = None
-    """Keep the new session, its depth images included, as an .rrd file."""
-    report: Path | None = None
-    """Write all figures of the summary as JSON."""
     no_viewer: bool = False
     """Do not open the viewer."""
-    force: bool = False
-    """Overwrite files that exist."""
+    save: Path | None = None
+    """Keep the new session, its depth images included, as an .rrd file."""
 
 
 @dataclass(frozen=True)

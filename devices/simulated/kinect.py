@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from devices.image_thinning import Depth
 from devices.sensor import DeviceError, SensorFrame
 from devices.simulated.imaging.rendering import DepthErrors, depth_image, halved, surface
 from devices.simulated.person import anatomy
@@ -24,7 +25,6 @@ from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.rigid import RigidTransform
 
-Depth = Literal["off", "half", "full"]
 PERSON = "1"
 """The tracker's id of the only person."""
 _CHUNK = 32  # frames whose poses are computed together: one call costs little more than one pose
@@ -154,11 +154,11 @@ class SimulatedKinect:
         which: int,
         *,
         errors: TrackerErrors | None = None,
-        depth: Depth = "off",
+        depth: Depth = "none",
         depth_errors: DepthErrors | None = None,
     ) -> None:
-        if depth not in ("off", "half", "full"):
-            raise DeviceError(f"depth is 'off', 'half' or 'full'; got {depth!r}.")
+        if depth not in ("none", "half", "full"):
+            raise DeviceError(f"depth is 'none', 'half' or 'full'; got {depth!r}.")
         self.name = f"simulated {'ab'[which]}"
         self.body = scene.body
         full = NOMINAL_INTRINSICS[scene.body.name]
@@ -199,9 +199,9 @@ class SimulatedKinect:
             skeleton = tracker.report(joints, visibility(joints, shapes, flesh, self._lens), time_ns)
             dropped = dropping.random() < rig.dropped
             image = None
-            if self._depth != "off" and self.hurried:
+            if self._depth != "none" and self.hurried:
                 self.images_left_out += 1
-            elif self._depth != "off":
+            elif self._depth != "none":
                 imaging = np.random.default_rng([scene.seed, which, 2, frame])
                 z, _, cosine = surface(shapes, sensor_from_world, self._lens)
                 image = depth_image(z, cosine, self._depth_errors, imaging)
@@ -228,7 +228,7 @@ def simulated_pair(
     angle_deg: float = 90.0,
     seconds: float | None = None,
     height: float = anatomy.REFERENCE_HEIGHT,
-    depth: Depth = "off",
+    depth: Depth = "none",
     errors: TrackerErrors | None = None,
     depth_errors: DepthErrors | None = None,
     rig: Rig | None = None,

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.compiling.kernels import inner_kernel, kernel
-
-PAPER_H = 0.786
-"""h of sec. 3: how much more a tracked position counts than an inferred one."""
+from fusion.paper_constants import PAPER_H
 
 _TRACKED = 2  # fusion.skeleton.TrackingState.TRACKED
 

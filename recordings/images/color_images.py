@@ -13,7 +13,7 @@ from devices.sensor import ColorCamera, ColorImage
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from recordings import layout
-from recordings.appearance import entity_styles as appearance
+from recordings.appearance import entity_styles
 from recordings.reading.image_reader import ImageReader
 from recordings.writing.checksums import image_checksum
 
@@ -36,7 +36,7 @@ class ColorLog:
             self._stream.log(
                 entity,
                 rr.Transform3D(translation=depth_from_color.translation, mat3x3=depth_from_color.rotation),
-                appearance.camera(camera.intrinsics, side),
+                entity_styles.camera(camera.intrinsics, side),
                 static=True,
             )
         values = _values(camera)

@@ -3,7 +3,7 @@
 Rerun's own reader is not asked, because it ends the whole process where a byte is wrong. The file is a chain
 of messages, each with its kind and length before it; those of kind 2 hold one chunk of one entity as an
 Arrow stream packed with LZ4. A message that cannot be unpacked is left out, and the rest is read all the
-same.
+same. The module is long because it is the whole file format.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,25 +17,9 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
 from recordings import layout
 from recordings.errors import RecordingError
+from recordings.events import Event, Phase
 from recordings.reading.rrd_file import Columns
 from recordings.writing.checksums import event_checksum, properties_checksum
-
-
-@dataclass(frozen=True)
-class Event:
-    """What happened.
-
-    Attributes:
-        frame: The frame it happened at; the first where it happened before that.
-        time_ns: Since the first pair.
-        text: What.
-        level: INFO, WARN or ERROR.
-    """
-
-    frame: int
-    time_ns: int
-    text: str
-    level: str
 
 
 def checked_properties(path: Path, found: Columns) -> dict[str, dict[str, list[Any]]]:
@@ -108,14 +92,17 @@ def camera_of(values: list[float]) -> Intrinsics:
 def events_of(found: Columns) -> tuple[Event, ...]:
     events = []
     for frame, time, row in found.texts:
-        text, level, check = (row.get(k) or [None] for k in ("TextLog:text", "TextLog:level", "crc32"))
+        names = "TextLog:text", "TextLog:level", "crc32", "topic", "phase"
+        text, level, check, topic, phase = ((row.get(name) or [None])[0] for name in names)
+        spell = () if phase is None else (str(topic), str(phase))
         if (
             frame is not None
             and time is not None
-            and isinstance(text[0], str)
-            and check[0] == event_checksum((frame, time), text[0], str(level[0]))
+            and isinstance(text, str)
+            and check == event_checksum((frame, time), text, str(level), *spell)
         ):
-            events.append(Event(frame, time, text[0], str(level[0])))
+            known: Phase = "start" if phase == "start" else "end" if phase == "end" else "moment"
+            events.append(Event(frame, time, text, str(level), str(topic or ""), known))
         else:
             found.damage = found.damage or "an event does not match its checksum"
     return tuple(events)

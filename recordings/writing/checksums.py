@@ -69,9 +69,9 @@ def image_checksum(frame: int, blob: bytes) -> int:
     return crc32(blob, crc32(frame.to_bytes(8, "little", signed=True)))
 
 
-def event_checksum(at: tuple[int, int], text: str, level: str) -> int:
-    """CRC-32 of an event: number and time (ns) of its frame, what, and how bad."""
-    return crc32("\0".join(map(str, (*at, text, level))).encode())
+def event_checksum(at: tuple[int, int], text: str, level: str, *spell: str) -> int:
+    """CRC-32 of an event: number and time (ns) of its frame, what, how bad; topic and phase of a spell."""
+    return crc32("\0".join(map(str, (*at, text, level, *spell))).encode())
 
 
 def _checksums(*columns: NDArray[Any]) -> NDArray[np.uint32]:

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from devices.sensor import ColorImage
 from fusion.setup import FusionSetup
 from recordings import layout
-from recordings.appearance import entity_styles as appearance
+from recordings.appearance import entity_styles
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.joint_trust import StateLanes, TrustMatrix, matrix_frame
+from recordings.events import Phase
 from recordings.images.color_images import ColorLog
 from recordings.images.depth_points import prepare_points, thin_points
 from recordings.images.rvl import MEDIA_TYPE, encode_depth
@@ -174,18 +175,27 @@ class Recorder:
         self._set_time(frame, time_ns)
         self._color.record(side, frame, color)
 
-    def event(self, text: str, level: str = "INFO", at: tuple[int, int] | None = None) -> None:
+    def event(
+        self,
+        text: str,
+        level: str = "INFO",
+        topic: str = "",
+        phase: Phase = "moment",
+        at: tuple[int, int] | None = None,
+    ) -> None:
         """Logs what happened, at the time of the last frame.
 
         Args:
             text: What.
             level: How bad: INFO, WARN or ERROR.
+            topic, phase: Of a spell that begins or ends; see :class:`recordings.events.Event`.
             at: Number and time (ns since the first pair) of the frame meant, where it is not the last.
         """
         at = at or self._last or (self._frames, 0)
         self._set_time(*at)
-        check = event_checksum(at, text, level)
-        self._stream.log(layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=check))
+        spell: dict[str, Any] = {} if phase == "moment" else {"topic": topic, "phase": phase}
+        check = event_checksum(at, text, level, *spell.values())
+        self._stream.log(layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=check, **spell))
 
     def coach(self, page: CoachPage) -> None:
         """Logs what to do next, at the time of the last frame."""
@@ -247,7 +257,7 @@ class Recorder:
                 rr.StateChange.columns(state=[layout.STATE_NAMES[state] for _, state in changes]),
             )
             if changes[0][0] is None:
-                self._stream.log(lane, appearance.STATE_LANES, static=True)
+                self._stream.log(lane, entity_styles.STATE_LANES, static=True)
 
     def _log_matrix(self, pages: Iterable[tuple[int, int, bytes]]) -> None:
         for frame, time_ns, png in pages:
@@ -261,18 +271,18 @@ class Recorder:
         def once(entity: str, *what: Any) -> None:
             stream.log(entity, *what, static=True)
 
-        once(layout.ROOT, rr.ViewCoordinates.RDF, appearance.annotation_context(body))
+        once(layout.ROOT, rr.ViewCoordinates.RDF, entity_styles.annotation_context(body))
         once(layout.kinect("a"), rr.Transform3D.from_fields(translation=(0.0, 0.0, 0.0)))
         for side, intrinsics in (("a", setup.intrinsics_a), ("b", setup.intrinsics_b)):
-            once(layout.skeleton(side), appearance.joint_look(body, side))
-            once(layout.depth(side), appearance.camera(intrinsics, side))
-            once(layout.depth(side), appearance.DEPTH)
-            once(layout.image_edge(side), appearance.image_edge(intrinsics))
-            once(layout.points(side), appearance.cloud_look(side))
+            once(layout.skeleton(side), entity_styles.joint_look(body, side))
+            once(layout.depth(side), entity_styles.camera(intrinsics, side))
+            once(layout.depth(side), entity_styles.DEPTH)
+            once(layout.image_edge(side), entity_styles.image_edge(intrinsics))
+            once(layout.points(side), entity_styles.cloud_look(side))
         beneath = rr.EncodedImage(contents=matrix_frame(body), media_type="image/png", draw_order=-20.0)
         once(layout.MATRIX_FRAME, beneath)
-        once(layout.FUSED_SKELETON, appearance.joint_look(body, "fused"))
-        once(layout.TRUTH_SKELETON, appearance.joint_look(body, "truth"))
+        once(layout.FUSED_SKELETON, entity_styles.joint_look(body, "fused"))
+        once(layout.TRUTH_SKELETON, entity_styles.joint_look(body, "truth"))
 
 
 def _times(rows: SessionArrays) -> list[rr.TimeColumn]:

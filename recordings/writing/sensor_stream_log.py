@@ -7,7 +7,7 @@ import rerun as rr
 
 from devices.live.sensor_pair import StreamFigures
 from recordings import layout
-from recordings.appearance import entity_styles as appearance
+from recordings.appearance import entity_styles
 
 _AGAIN_NS = 1_000_000_000
 """How long an unchanged figure is left standing, so that its line goes on."""
@@ -30,7 +30,7 @@ class StreamFiguresLog:
         for name, values in of.items():
             before = self._last.get(name)
             if before is None:
-                self._stream.log(layout.stream_figure(name), appearance.STREAM_LINES[name], static=True)
+                self._stream.log(layout.stream_figure(name), entity_styles.STREAM_LINES[name], static=True)
             elif time_ns - before[0] < _AGAIN_NS and (values == before[1] or name == "drift_ppm"):
                 continue  # drift changes a little with every frame
             self._last[name] = time_ns, values

@@ -126,7 +126,7 @@ def _arrived(frame: RecordedFrame) -> int:
 
 def soak(
     seconds: float,
-    depth: Literal["off", "half", "full"],
+    depth: Literal["none", "half", "full"],
     path: Path,
     report_every_s: float = 30.0,
     viewer: bool = False,
@@ -204,7 +204,7 @@ def main() -> int:
     """The program."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--minutes", type=float, default=10.0)
-    options.add_argument("--depth", choices=("off", "half", "full"), default="half")
+    options.add_argument("--depth", choices=("none", "half", "full"), default="half")
     options.add_argument("--viewer", action="store_true")
     given = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:

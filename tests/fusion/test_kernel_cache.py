@@ -75,7 +75,9 @@ def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path: Path
     code = (
         "import recordings.images.rvl\n"
         "import devices.simulated.imaging.rendering, devices.simulated.tracking.tracker\n"
-        "import os, pathlib\n"
+        "import os, pathlib, numpy\n"
+        "assert 'NUMBA_CACHE_DIR' not in os.environ\n"
+        "recordings.images.rvl.encode_depth(numpy.zeros((1, 1), dtype=numpy.uint16))\n"
         "folder = pathlib.Path(os.environ['NUMBA_CACHE_DIR'])\n"
         "print(recordings.images.rvl.__file__, folder.is_dir(), folder)"
     )

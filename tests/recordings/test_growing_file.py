@@ -29,7 +29,7 @@ from recordings.reading.rrd_file import RrdFile
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 from recordings.testing import assert_sessions_match, record_fused
-from recordings.writing import growing_file as growing
+from recordings.writing import growing_file
 from recordings.writing.recorder import Recorder
 from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
@@ -69,7 +69,7 @@ def fused_frames(count: int, depth: bool = False) -> tuple[Fuser, list[RecordedF
     ]
 
 
-def growing_file(path: Path, fuser: Fuser, **options: object) -> SessionFile:
+def file_of(path: Path, fuser: Fuser, **options: object) -> SessionFile:
     identity = uuid4()
     file = SessionFile(
         path,
@@ -105,7 +105,7 @@ def test_it_is_the_same_session_as_one_written_at_once(
 ) -> None:
     monkeypatch.setattr(compact_copy, "_BLOCK", 20)
     fuser, frames = fused_frames(50)
-    file = growing_file(tmp_path / "s.rrd", fuser)
+    file = file_of(tmp_path / "s.rrd", fuser)
     for number, frame in enumerate(frames):
         file.write(frame)
         if number in (9, 29):
@@ -148,7 +148,7 @@ def test_images_are_written_as_they_come_and_skeletons_in_blocks(
     )
     fuser, frames = fused_frames(10, depth=True)
     frames[0] = replace(frames[0], pair=without_images(frames[0].pair))  # the first begins the session
-    file = growing_file(tmp_path / "s.rrd", fuser)
+    file = file_of(tmp_path / "s.rrd", fuser)
     for frame in frames:
         file.write(frame)
     assert eventually(lambda: written[:10] == list(range(10)))
@@ -170,7 +170,7 @@ def test_images_are_written_as_they_come_and_skeletons_in_blocks(
 def test_the_file_waits_for_who_goes_first(tmp_path: Path) -> None:
     asked, over = threading.Event(), threading.Event()
     fuser, frames = fused_frames(3)
-    file = growing_file(tmp_path / "s.rrd", fuser, turn=lambda seconds: (asked.set(), over.wait(5.0)))
+    file = file_of(tmp_path / "s.rrd", fuser, turn=lambda seconds: (asked.set(), over.wait(5.0)))
     file.write(frames[0])
     assert asked.wait(5.0)
     assert file.waiting == 1
@@ -182,7 +182,7 @@ def test_the_file_waits_for_who_goes_first(tmp_path: Path) -> None:
 def test_it_can_be_read_while_it_grows(tmp_path: Path) -> None:
     path = tmp_path / "s.rrd"
     fuser, frames = fused_frames(40, depth=True)
-    file = growing_file(path, fuser)
+    file = file_of(path, fuser)
     for frame in frames[:20]:
         file.write(frame)
     assert eventually(lambda: frames_in(path) == 20)
@@ -204,7 +204,7 @@ def test_it_can_be_read_while_it_grows(tmp_path: Path) -> None:
 def grown(path: Path, whole: bool) -> Path:
     """A file of 200 frames in blocks of ten."""
     fuser, frames = fused_frames(200)
-    file = growing_file(path, fuser)
+    file = file_of(path, fuser)
     for number, frame in enumerate(frames):
         file.write(frame)
         if number % 10 == 9:
@@ -227,7 +227,7 @@ def test_a_copy_that_fails_leaves_the_file_that_grew(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(compact_copy.shutil, "copyfile", full)
     fuser, frames = fused_frames(20)
-    file = growing_file(tmp_path / "s.rrd", fuser)
+    file = file_of(tmp_path / "s.rrd", fuser)
     for frame in frames:
         file.write(frame)
     file.finish()
@@ -242,12 +242,12 @@ def test_a_file_of_the_name_stays_until_there_is_something_to_put_there(tmp_path
     path = tmp_path / "s.rrd"
     path.write_text("precious")
     fuser, frames = fused_frames(10)
-    file = growing_file(path, fuser, overwrite=True)
+    file = file_of(path, fuser, overwrite=True)
     file.event("nobody there")
     file.finish()
     file.close()
     assert path.read_text() == "precious"
-    file = growing_file(path, fuser, overwrite=True)
+    file = file_of(path, fuser, overwrite=True)
     for frame in frames:
         file.write(frame)
     file.finish()
@@ -259,7 +259,7 @@ def test_a_file_of_the_name_stays_until_there_is_something_to_put_there(tmp_path
 def test_a_file_that_came_in_between_is_not_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "s.rrd"
     fuser, frames = fused_frames(10)
-    file = growing_file(path, fuser)
+    file = file_of(path, fuser)
     path.write_text("precious")
     for frame in frames:
         file.write(frame)
@@ -294,15 +294,15 @@ def disk(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
         subprocess.call(["umount", "-l", str(folder)])
     else:
         number, most = {"read-only": (errno.EROFS, 0), "limit": (errno.EFBIG, 1_000_000)}[request.param]
-        real, failing = growing.FileIO.write, threading.Event()
+        real, failing = growing_file.FileIO.write, threading.Event()
 
-        def write(file: growing.FileIO, block: memoryview) -> int:
+        def write(file: growing_file.FileIO, block: memoryview) -> int:
             room = most - file.tell() if failing.is_set() else len(block)
             if room <= 0:
                 raise OSError(number, os.strerror(number))
             return int(real(file, block[:room]))
 
-        monkeypatch.setattr(growing, "FileIO", type("Failing", (growing.FileIO,), {"write": write}))
+        monkeypatch.setattr(growing_file, "FileIO", type("Failing", (growing_file.FileIO,), {"write": write}))
         yield Disk(folder, failing.set, os.strerror(number))
 
 
@@ -310,7 +310,7 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
     path = disk.folder / "s.rrd"
     fuser, frames = fused_frames(600)
     said: list[str] = []
-    file = growing_file(path, fuser, on_failure=said.append)
+    file = file_of(path, fuser, on_failure=said.append)
     for number, frame in enumerate(frames):
         file.write(frame)
         if number == 9:
@@ -414,7 +414,7 @@ def test_the_threads_end_with_the_file(tmp_path: Path) -> None:
     fuser, frames = fused_frames(3)
     before = threading.active_count()
     for k in range(3):
-        file = growing_file(tmp_path / f"{k}.rrd", fuser)
+        file = file_of(tmp_path / f"{k}.rrd", fuser)
         file.write(frames[0])
         file.finish()
         file.close()

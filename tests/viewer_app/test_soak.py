@@ -14,7 +14,7 @@ from tests.campaigns.soak import Soak, at_pace, soak
 def test_no_pair_is_lost_and_no_queue_grows(tmp_path: Path) -> None:
     if psutil.getloadavg()[0] > 2.0 * (os.cpu_count() or 1):
         pytest.skip("this machine is too busy to tell frames that we lose from frames that it loses")
-    seen = soak(3.0, "off", tmp_path / "soak.rrd")
+    seen = soak(3.0, "none", tmp_path / "soak.rrd")
     figures = seen.pairing
     assert seen.dropped == (0, 0)
     assert (figures.alone_a, figures.alone_b, figures.unmatched_b, figures.late) == (0, 0, 0, 0)

@@ -17,7 +17,7 @@ from fusion.calibration.calibration import Calibration, calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
-from fusion.methods import paper as frame
+from fusion.methods import paper
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
 from fusion.solvers.tree_solver import TreeSolver, solve_tree
@@ -118,14 +118,14 @@ def time_stages(pairs: Sequence[SkeletonPair], calibration: Calibration) -> dict
         )
     ]  # fmt: skip
     setup = FusionSetup(calibration)
-    model = frame.new_model(
+    model = paper.new_model(
         body, calibration.bone_lengths, calibration.a_from_b.rotation, setup.intrinsics,
-        setup.settings.h, frame.TRUST,
+        setup.settings.h, paper.TRUST,
     )  # fmt: skip
-    result = frame.new_result(1, len(body))
+    result = paper.new_result(1, len(body))
 
     def loop(stages: int) -> float:
-        memory = frame.new_memory(len(body), calibration.a_from_b.translation)
+        memory = paper.new_memory(len(body), calibration.a_from_b.translation)
         before = time.perf_counter_ns()
         _some_stages(stages, model, memory, result, *views)
         return (time.perf_counter_ns() - before) * 1e-3 / len(pairs)
@@ -142,9 +142,9 @@ def _some_stages(stages, model, memory, result, a, states_a, b, states_b):  # ty
     positions = result.positions[0]
     for k in range(len(a)):
         if stages > 0:
-            frame.carry(model, memory, a[k], states_a[k], b[k], states_b[k])
+            paper.carry(model, memory, a[k], states_a[k], b[k], states_b[k])
         if stages > 1:
-            frame.trust(
+            paper.trust(
                 model,
                 memory,
                 a[k],
@@ -155,10 +155,10 @@ def _some_stages(stages, model, memory, result, a, states_a, b, states_b):  # ty
                 weights_b,
                 result.misleading[0],
             )
-        anyone = stages > 2 and frame.blend(memory, a[k], weights_a, weights_b, result.predicted[0])
+        anyone = stages > 2 and paper.blend(memory, a[k], weights_a, weights_b, result.predicted[0])
         if stages > 3 and anyone:
             if memory.before_ns[1] == 0:
-                frame.first_guess(model, memory)
+                paper.first_guess(model, memory)
             solve_tree(
                 model.parents, model.order, model.rest, memory.targets, memory.weights, model.bone_lengths,
                 memory.before, memory.tree_work, positions,

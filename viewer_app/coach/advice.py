@@ -60,13 +60,18 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
     yield verdict(calibration)
 
 
+def quality(residual_mm: float) -> Literal["good", "usable", "poor"]:
+    """How good a calibration is whose views differ by so many millimetres (median)."""
+    return "good" if residual_mm < GOOD else "usable" if residual_mm < USABLE else "poor"
+
+
 def verdict(calibration: Calibration) -> Advice:
     """How good a calibration is, in millimetres, and what limits it."""
     registration = calibration.registration
     if registration is None:
         return Advice("calibration", f"Calibration: {calibration.how}; how well it fits is not known.")
     apart = registration.residual_median * 1e3
-    word = "good" if apart < GOOD else "usable" if apart < USABLE else "poor"
+    word = quality(apart)
     worst = ", ".join(f"{name} {1e3 * off:.0f} mm" for name, off in registration.worst_joints(2))
     limit = f"limited by {worst}" if worst else "no joint was seen by both"
     if (uncertain := math.degrees(registration.rotation_sd)) > _CERTAIN:

@@ -1,6 +1,7 @@
 """What to do next while two sensors are set up: each advice names its figure and its threshold.
 
-Pure: it sees what the loop sees, time is the pairs' own, nothing waits and nothing is printed.
+Pure: it sees what the loop sees, time is the pairs' own, nothing waits and nothing is printed. The module is
+long because every advice stands with its words.
 """
 
 from __future__ import annotations

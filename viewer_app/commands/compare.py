@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -15,6 +14,7 @@ from recordings.writing.session_writer import whole_recording
 from viewer_app.errors import UsageError
 from viewer_app.options import CompareOptions
 from viewer_app.output_files import check_outputs
+from viewer_app.report.numbers_in_words import in_mm
 from viewer_app.report.session_notes import print_damage
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
@@ -68,15 +68,15 @@ def run(options: CompareOptions) -> None:
 
 
 def _joint_table(comparison: Comparison) -> Table:
-    table = Table(title="Joints, mm: distance of the two S*, and jitter of each", title_justify="left")
-    for column in ("joint", "median", "95 %", "max", "jitter 1", "jitter 2", "swapped"):
+    table = Table(title="Joints, mm: distance of the two S*, and noise of each", title_justify="left")
+    for column in ("joint", "median", "95 %", "max", "noise 1", "noise 2", "swapped"):
         table.add_column(column, justify="left" if column == "joint" else "right")
-    apart, jitter = comparison.apart * 1e3, comparison.jitter * 1e3
+    apart, noise = comparison.apart * 1e3, comparison.frame_noise * 1e3
     for j, name in enumerate(comparison.body.joints):
         of = apart[:, j][np.isfinite(apart[:, j])]
         figures = [_mm(np.percentile(of, p)) if len(of) else "–" for p in (50, 95, 100)]
         swapped = int(comparison.swapped[:, j].sum())
-        table.add_row(name, *figures, _mm(jitter[0, j]), _mm(jitter[1, j]), str(swapped) if swapped else "")
+        table.add_row(name, *figures, _mm(noise[0, j]), _mm(noise[1, j]), str(swapped) if swapped else "")
     return table
 
 
@@ -91,11 +91,8 @@ def _bone_table(comparison: Comparison) -> Table:
     return table
 
 
-def _mm(value: float | NDArray[np.float64]) -> str:
-    value = float(value)
-    if not np.isfinite(value):
-        return "–"
-    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+def _mm(value: float | np.float64) -> str:
+    return in_mm(float(value), "")
 
 
 def _blueprint() -> rrb.Blueprint:

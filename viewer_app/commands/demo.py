@@ -66,7 +66,7 @@ def run(options: DemoOptions) -> None:
         body=body,
         angle_deg=options.angle,
         seconds=options.seconds,
-        depth="off" if options.depth == "none" else options.depth,
+        depth=options.depth,
     )
     start = truth.positions_at(0)
     nominal = FusionSetup(nominal_calibration(body), None, a.intrinsics, b.intrinsics)

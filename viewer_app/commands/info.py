@@ -9,8 +9,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from recordings import layout
+from recordings.images.session_images import Images
 from recordings.session import Session
-from recordings.session_images import Images
 from viewer_app.options import InfoOptions
 from viewer_app.report.figures import calibration_in_words
 

@@ -13,9 +13,9 @@ from rich.progress import track
 
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.reading.stored_settings import Event
+from recordings.events import Event
+from recordings.images.session_images import NO_IMAGES
 from recordings.session import Session
-from recordings.session_images import NO_IMAGES
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.session_writer import write_session
 from viewer_app.errors import UsageError

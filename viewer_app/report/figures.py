@@ -20,6 +20,8 @@ from fusion.calibration.calibration import Calibration
 from fusion.setup import FuserSettings
 from fusion.solvers.solver import MAX_ITERATIONS
 from recordings.session_arrays import SessionArrays
+from viewer_app.coach.advice import ANGLES, quality
+from viewer_app.report.numbers_in_words import in_mm
 from viewer_app.viewer.display import has_display
 
 Figures = dict[str, Any]
@@ -149,10 +151,10 @@ def print_method(console: Console, calibration: Calibration, figures: Figures) -
     console.print(_bone_table(figures))
     error, apart = figures["bone_error_mm"], figures["disagreement_mm"]
     console.print(
-        f"[bold]Largest bone error[/]: S_A {_mm(error['a']['max'])}, S_B {_mm(error['b']['max'])}, "
-        f"[bold]S* {_mm(error['fused']['max'])}[/]"
+        f"[bold]Largest bone error[/]: S_A {in_mm(error['a']['max'])}, S_B {in_mm(error['b']['max'])}, "
+        f"[bold]S* {in_mm(error['fused']['max'])}[/]"
     )
-    console.print(f"[bold]S_A against S_B[/]: median {_mm(apart['median'])}, 95 % {_mm(apart['p95'])}")
+    console.print(f"[bold]S_A against S_B[/]: median {in_mm(apart['median'])}, 95 % {in_mm(apart['p95'])}")
     ms = figures["fuse_ms"]
     console.print(
         f"[bold]Fusion[/]: {ms['p50']:.3f} ms a frame (median), 99 % {ms['p99']:.3f} ms, "
@@ -180,13 +182,12 @@ def calibration_in_words(calibration: Calibration) -> list[str]:
     registration = calibration.registration
     lines = [f"{calibration.how}."]
     angle = math.degrees(calibration.axes_angle)
-    advice = (
-        "" if 60.0 <= angle <= 120.0 else " (about 90° lets each sensor see most of what the other cannot)"
-    )
+    low, high = ANGLES
+    advice = "" if low <= angle <= high else " (about 90° lets each sensor see most of what the other cannot)"
     if registration is None:
         return [*lines, f"The sensors' axes are {angle:.0f}° apart{advice}."]
     median, rms = registration.residual_median * 1e3, registration.residual_rms * 1e3
-    verdict = "good" if median < 40.0 else "usable" if median < 80.0 else "poor"
+    verdict: str = quality(median)
     if registration.frames < _FEWEST_FRAMES:
         verdict = f"too few frames to trust ({_FEWEST_FRAMES} at least)"
     worst = ", ".join(f"{name} {distance * 1e3:.0f} mm" for name, distance in registration.worst_joints())
@@ -222,7 +223,7 @@ def _comparison_table(figures: Figures) -> Table:
     apart = figures["difference_mm"]
     table = Table(
         title="The paper's scheme beside the exact solver, same frames and weights",
-        caption=f"Joints differ by {_mm(apart['median'])} (median), {_mm(apart['max'])} at most.",
+        caption=f"Joints differ by {in_mm(apart['median'])} (median), {in_mm(apart['max'])} at most.",
         title_justify="left",
         caption_justify="left",
     )
@@ -232,7 +233,7 @@ def _comparison_table(figures: Figures) -> Table:
         of = figures[name]
         table.add_row(
             name,
-            _mm(of["max_bone_error_mm"]),
+            in_mm(of["max_bone_error_mm"]),
             f"{of['median_iterations']:.0f}",
             f"{of['at_iteration_limit']} frames",
             f"{of['fuse_ms_p50']:.3f}",
@@ -257,12 +258,6 @@ def _mean_and_deviation(of_bone: Figures) -> str:
     if of_bone["mean_m"] is None:
         return "–"
     return f"{of_bone['mean_m'] * 1e3:.0f} ± {of_bone['std_mm']:.1f}"
-
-
-def _mm(value: float | None) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.0f} mm" if value >= 10.0 else f"{value:.2g} mm"
 
 
 def _of(figure: Any, values: NDArray[Any]) -> float | None:

@@ -13,12 +13,12 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from recordings import layout
 from recordings.session import Session
-from recordings.session_comparison import jitter_of
+from recordings.session_comparison import frame_noise_of
 from viewer_app.report.figures import calibration_in_words
+from viewer_app.report.numbers_in_words import in_mm
 from viewer_app.report.svg_plots import bar_plot, line_plot, trust_map
-
-_LIMBS = ("upper_arm", "forearm", "thigh", "shin")  # of the paper's fig. 5
 
 
 def review_page(session: Session, figures: dict[str, Any]) -> str:
@@ -31,7 +31,7 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
     environment = Environment(
         loader=PackageLoader("viewer_app.report"), autoescape=True, undefined=StrictUndefined
     )
-    environment.filters["millimetres"] = _mm
+    environment.filters["millimetres"] = in_mm
     source_a, source_b = _without_folders(session.sources)
     time_ns = session.rows.time_ns
     return environment.get_template("review_page.html").render(
@@ -69,7 +69,7 @@ def _bone_plots(session: Session) -> Markup:
     rows = session.rows
     time, lengths = rows.time_ns * 1e-9, rows.bone_length_of_each
     plots = []
-    for limb in _LIMBS:
+    for limb in layout.PROMINENT_BONES:
         for side in ("left", "right"):
             bone = f"{limb}_{side}"
             if bone not in session.body.bones:
@@ -99,9 +99,9 @@ def _bone_rows(figures: dict[str, Any]) -> list[list[str]]:
 def _jitter_plot(session: Session) -> Markup:
     rows = session.rows
     jitter = {
-        "S_A": (jitter_of(rows.positions_a.astype(np.float64), rows.frame) * 1e3, "a"),
-        "S_B": (jitter_of(rows.positions_b.astype(np.float64), rows.frame) * 1e3, "b"),
-        "S*": (jitter_of(rows.fused, rows.frame) * 1e3, "fused"),
+        "S_A": (frame_noise_of(rows.positions_a.astype(np.float64), rows.frame) * 1e3, "a"),
+        "S_B": (frame_noise_of(rows.positions_b.astype(np.float64), rows.frame) * 1e3, "b"),
+        "S*": (frame_noise_of(rows.fused, rows.frame) * 1e3, "fused"),
     }
     return Markup(bar_plot("mm", session.body.joints, jitter))
 
@@ -141,9 +141,3 @@ def _without_folders(sources: tuple[str, str]) -> tuple[str, str]:
         if a[-parts:] != b[-parts:]:
             return "/".join(a[-parts:]), "/".join(b[-parts:])
     return a[-1], b[-1]
-
-
-def _mm(value: float | None) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.0f} mm" if value >= 10.0 else f"{value:.2g} mm"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from devices.image_thinning import has_images, without_images
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
+from recordings.events import Phase
 from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder
 
@@ -56,14 +57,17 @@ class Note:
     Attributes:
         text: What is said.
         level: How bad it is.
+        topic, phase: Of a spell that begins or ends.
     """
 
     text: str
     level: str = "INFO"
+    topic: str = ""
+    phase: Phase = "moment"
 
     def write(self, recorder: Recorder) -> None:
         """At the time of the last frame."""
-        recorder.event(self.text, self.level)
+        recorder.event(self.text, self.level, self.topic, self.phase)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ import rerun as rr
 
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
+from recordings.events import Phase
 from recordings.session_arrays import RecordedFrame
 from recordings.writing.growing_file import GrowingFile
 from recordings.writing.recorder import Recorder
@@ -121,9 +122,9 @@ class SessionFile(FileSink):
             item = item.without_images()
         self._offer(item)
 
-    def event(self, text: str, level: str = "INFO") -> None:
+    def event(self, text: str, level: str = "INFO", topic: str = "", phase: Phase = "moment") -> None:
         """Takes an event, without waiting."""
-        self._offer(Note(text, level))
+        self._offer(Note(text, level, topic, phase))
 
     def recalibrated(self, setup: FusionSetup) -> None:
         """Takes a calibration, without waiting."""

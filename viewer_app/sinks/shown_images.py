@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.sensor import ColorImage
+from recordings.images.session_images import Images, MadeImages
 from recordings.session import Session
-from recordings.session_images import Images, MadeImages
 from viewer_app.sinks.viewer_sink import ViewerSink
 
 

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
+from recordings.events import Phase
 from recordings.session_arrays import RecordedFrame
 
 
@@ -20,12 +21,13 @@ class Sink:
     def write(self, frame: RecordedFrame) -> None:
         """Takes the next frame."""
 
-    def event(self, text: str, level: str = "INFO") -> None:
+    def event(self, text: str, level: str = "INFO", topic: str = "", phase: Phase = "moment") -> None:
         """Takes what happened, at the time of the last frame.
 
         Args:
             text: What.
             level: How bad: INFO, WARN or ERROR.
+            topic, phase: Of a spell that begins or ends; see :class:`recordings.events.Event`.
         """
 
     def recalibrated(self, setup: FusionSetup) -> None:
@@ -56,10 +58,10 @@ class FanOut(Sink):
         for sink in self.sinks:
             sink.write(frame)
 
-    def event(self, text: str, level: str = "INFO") -> None:
+    def event(self, text: str, level: str = "INFO", topic: str = "", phase: Phase = "moment") -> None:
         """To each."""
         for sink in self.sinks:
-            sink.event(text, level)
+            sink.event(text, level, topic, phase)
 
     def recalibrated(self, setup: FusionSetup) -> None:
         """To each."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
+from recordings.events import Phase
 from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder
 from viewer_app.errors import UsageError
@@ -133,9 +134,9 @@ class ShownSession(ViewerSink):
         self.feed.offer(Frame(self._offered, self._turns.capped(frame)))
         self._offered += 1
 
-    def event(self, text: str, level: str = "INFO") -> None:
+    def event(self, text: str, level: str = "INFO", topic: str = "", phase: Phase = "moment") -> None:
         """Takes an event, without waiting."""
-        self.feed.offer(Note(text, level))
+        self.feed.offer(Note(text, level, topic, phase))
 
     def recalibrated(self, setup: FusionSetup) -> None:
         """Takes a calibration; a viewer that comes later begins with it."""

@@ -18,12 +18,11 @@ from fusion.body import Body
 from fusion.calibration.calibration import nominal_calibration
 from fusion.setup import FusionSetup
 from recordings import layout
-from recordings.appearance import entity_styles as appearance
+from recordings.appearance import entity_styles
 
 Layout = Literal["setup", "inspect", "report"]
 LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report")
 
-_LIMBS = ("upper_arm", "forearm", "thigh", "shin")  # of the paper's fig. 5
 _FIGURES = (
     ("disagreement_mm", "S_A against S_B (mm)"),
     ("bone_error_mm", "S* bone error (mm)"),
@@ -101,7 +100,7 @@ def _setup(setup: FusionSetup, person_at: NDArray[np.float64], color: bool) -> r
         origin=layout.QUALITY,
         contents=["$origin"],  # beneath it are the streams' figures, in other units
         name="joints tracked by each sensor",
-        overrides={layout.QUALITY: appearance.tracked_lines()},
+        overrides={layout.QUALITY: entity_styles.tracked_lines()},
         axis_y=rrb.ScalarAxis(range=(0.0, len(setup.body) + 1.0)),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftBottom),
     )
@@ -140,13 +139,13 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool) -> 
     away = person_at - 0.5 * _place_of_b(setup, person_at)
     away /= max(float(np.linalg.norm(away)), 1e-6)
     behind = person_at + _BEHIND * away - np.array([0.0, _ABOVE, 0.0])
-    limbs = [f"{bone}_{side}" for bone in _LIMBS for side in ("left", "right")]
+    limbs = [f"{bone}_{side}" for bone in layout.PROMINENT_BONES for side in ("left", "right")]
     prominent = [body.joints[body.joint(name)] for name in layout.PROMINENT_JOINTS]
     disagreement, *others = (_plot(*figure) for figure in _FIGURES)
     trust_lines = rrb.TimeSeriesView(
         origin=layout.FUSED_SKELETON,
         name="trust in A, limbs",
-        overrides={layout.FUSED_SKELETON: appearance.weight_lines(body, "a")},
+        overrides={layout.FUSED_SKELETON: entity_styles.weight_lines(body, "a")},
         axis_y=rrb.ScalarAxis(range=(-0.05, 1.05)),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
     )
@@ -206,7 +205,7 @@ def _bone_plots(bones: Iterable[str], unit: str = "") -> list[rrb.View]:
             origin=layout.BONES,
             name=bone_title(bone) + unit,
             plot_legend=rrb.PlotLegend(visible=False),
-            overrides={layout.BONES: appearance.bone_lines(bone)},
+            overrides={layout.BONES: entity_styles.bone_lines(bone)},
         )
         for bone in bones
     ]
@@ -225,7 +224,7 @@ def _plot(name: str, title: str) -> rrb.TimeSeriesView:
         contents=["$origin"],
         name=title,
         plot_legend=rrb.PlotLegend(visible=False),
-        overrides={layout.QUALITY: appearance.figure_lines(name)},
+        overrides={layout.QUALITY: entity_styles.figure_lines(name)},
     )
 
 

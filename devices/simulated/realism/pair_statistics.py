@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from devices.sensor import DeviceError
 from devices.simulated.tracking.tracker_errors import JointGroups
 from fusion.body import Body
-from fusion.rigid import RigidTransform
+from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.registration.rigid_fit import fit_rigid
 from fusion.skeleton import Skeleton, TrackingState
 
 Array = NDArray[np.float64]
@@ -86,7 +87,7 @@ def statistics(a: Sequence[Skeleton | None], b: Sequence[Skeleton | None]) -> Pa
     apart, mirrored = _views_apart(pa, pb, body)
     swapped = np.nanmean(mirrored, axis=1) < np.nanmean(apart, axis=1)
     runs = run_lengths(swapped)
-    lengths = np.concatenate([_bone_lengths(p, body) for p, _ in views], axis=1)
+    lengths = np.concatenate([bone_lengths_of(body, p)[:, body.bone_joints] for p, _ in views], axis=1)
     lengths = lengths[:, np.isfinite(lengths).sum(axis=0) >= _WINDOW]
     deviations, means = np.nanstd(lengths, axis=0), np.nanmean(lengths, axis=0)
     states = np.concatenate([s for _, s in views])
@@ -113,14 +114,6 @@ def statistics(a: Sequence[Skeleton | None], b: Sequence[Skeleton | None]) -> Pa
     )
 
 
-def rigid_fit(source: Array, target: Array) -> RigidTransform:
-    """``target_from_source`` that brings (N, 3) points nearest to others (Kabsch 1976)."""
-    from_mean, to_mean = source.mean(axis=0), target.mean(axis=0)
-    U, _, Vt = np.linalg.svd((source - from_mean).T @ (target - to_mean))
-    R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
-    return RigidTransform.of(R, to_mean - R @ from_mean)
-
-
 def _positions(skeletons: Sequence[Skeleton]) -> Array:
     return np.stack([s.positions for s in skeletons]).astype(np.float64)
 
@@ -128,16 +121,8 @@ def _positions(skeletons: Sequence[Skeleton]) -> Array:
 def _views_apart(a: Array, b: Array, body: Body) -> tuple[Array, Array]:
     """(T, J) distances between the views after the fit, as they are and with B's left and right exchanged."""
     known = np.isfinite(a).all(axis=2) & np.isfinite(b).all(axis=2)
-    b_in_a = rigid_fit(b[known], a[known]).apply(b)
+    b_in_a = fit_rigid(a[known], b[known]).apply(b)
     return np.linalg.norm(b_in_a - a, axis=2), np.linalg.norm(b_in_a[:, body.mirror] - a, axis=2)
-
-
-def _bone_lengths(at: Array, body: Body) -> Array:
-    """(T, J-1) lengths of the bones."""
-    lengths: Array = np.linalg.norm(
-        at[:, body.bone_joints] - at[:, body.parent_indices[body.bone_joints]], axis=2
-    )
-    return lengths
 
 
 def _kinds(body: Body, *groups: str) -> list[int]:

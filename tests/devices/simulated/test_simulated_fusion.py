@@ -20,7 +20,7 @@ TOLERANCE = 1e-5
 fitted to those, and the longest chain of bones is 8."""
 
 
-def fused_and_true(body: Body, motion: str, rig: Rig, depth: str = "off") -> tuple[np.ndarray, np.ndarray]:
+def fused_and_true(body: Body, motion: str, rig: Rig, depth: str = "none") -> tuple[np.ndarray, np.ndarray]:
     a, b, truth = simulated_pair(
         motion=motion,
         body=body,

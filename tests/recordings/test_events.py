@@ -1,0 +1,38 @@
+"""Events at a moment, and spells with a start and an end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from fusion.body import KINECT_V1
+from recordings.events import Event, spells_of
+from recordings.session import Session
+from recordings.testing import FusedRun, fused_run
+from recordings.writing.session_writer import write_session
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
+
+__all__ = ["fused_run"]  # a fixture
+
+LOST = Event(2, 66_000_000, "A is lost", "WARN", "A", "start")
+TURNED = Event(3, 99_000_000, "B is mirrored", "INFO", "B", "start")
+BACK = Event(5, 165_000_000, "A is back", "INFO", "A", "end")
+
+
+def test_a_spell_is_read_back_as_it_was_written(fused_run: FusedRun, tmp_path: Path) -> None:
+    session = fused_run(frame_pairs(KINECT_V1, 8), calibration_of(KINECT_V1))
+    events = (*session.events, LOST, TURNED, BACK)
+    write_session(replace(session, events=events), tmp_path / "spells.rrd")
+    read = Session.open(tmp_path / "spells.rrd")
+    assert read.damage is None
+    assert read.events == events
+    lost, turned = read.spells
+    assert (lost.start, lost.end) == (LOST, BACK)
+    assert (turned.start, turned.end) == (TURNED, None)
+
+
+def test_a_spell_that_begins_anew_while_it_lasts_is_one() -> None:
+    again = replace(LOST, frame=4)
+    assert [(spell.start, spell.end) for spell in spells_of([LOST, again, BACK, BACK])] == [(LOST, BACK)]
+    assert spells_of([BACK, Event(0, 0, "moment", "INFO")]) == []
