@@ -10,13 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
-from rerun.experimental import ViewerClient
 
 from recordings.errors import RecordingError
 from recordings.images.rvl import MEDIA_TYPE, decode_depth, encode_depth
-from tests.helpers.machine import need_viewer
+from tests.helpers.pictures import headless_viewer
 from tests.helpers.waiting import eventually
-from viewer_app.viewer.rerun_process import free_port
 
 
 def wall(height: int = 576, width: int = 640) -> NDArray[np.uint16]:
@@ -59,9 +57,7 @@ def test_a_cut_image_is_refused() -> None:
 
 def test_the_viewer_draws_it(tmp_path: Path) -> None:
     picture = tmp_path / "depth.png"
-    need_viewer()
-    viewer = ViewerClient.spawn(headless=True, port=free_port())
-    try:
+    with headless_viewer() as viewer:
         stream = rr.RecordingStream("rvl", recording_id=uuid4())
         stream.connect_grpc(viewer.url)
         view = rrb.Spatial2DView(origin="/depth")
@@ -73,8 +69,6 @@ def test_the_viewer_draws_it(tmp_path: Path) -> None:
         )
         viewer.save_screenshot(str(picture), view_id=view.id)
         reports = [report for shown in viewer.get_state().views for report in shown.reports]
-    finally:
-        viewer.quit()
     assert reports == []
     pixels = cv2.imread(str(picture))
     assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 50
