@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from fusion.fuser import Fuser
+from fusion.recording import plan_recording
 from fusion.setup import FusionSetup
 from recordings.events import Event
+from recordings.exchanged_sides import exchange_events
+from recordings.fusing import fuse_segments, setups_of
 from recordings.images.session_images import NO_IMAGES
 from recordings.session import Session
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.session_writer import write_session
 from viewer_app.errors import UsageError
-from viewer_app.loop.fusing import fuse_offline
 from viewer_app.options import ReplayOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import FusionResult, print_summary, report, report_to_json
 from viewer_app.report.session_notes import print_damage, print_damaged_images
-from viewer_app.sinks.sink import NullSink
 from viewer_app.viewer.blueprint import inspect_blueprint
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
@@ -54,17 +54,35 @@ def run(options: ReplayOptions) -> None:
         )
     print_damage(console, session)
     window = not options.no_viewer and not options.verify and has_display()
-    setups = list(session.setups(settings))
     pairs = list(session.pairs())
-    fused = []
-    for setup, own in track(
-        setups, "fusing", console=console, transient=True, disable=not console.is_terminal
-    ):
-        fused.append((setup, fuse_offline(pairs[own], Fuser(setup), NullSink())))
+    skeletons = [pair.skeletons for pair in pairs]
+    codes = None
+    if settings.method == "duplex" and session.settings.method != "duplex":
+        # The session has neither labels nor a refined calibration: they are found as for two recordings.
+        settings = replace(settings, hindsight="labels")
+        plan = plan_recording(session.body, skeletons, settings, session.calibration)
+        codes, segments = plan.codes, setups_of(plan, settings, (session.intrinsics_a, session.intrinsics_b))
+    else:
+        segments = list(session.setups(settings))
+        if settings.hindsight != "none" and session.rows.exchanged is not None:
+            codes = session.rows.exchanged.astype(np.int64)
+    frames = list(
+        track(
+            fuse_segments(segments, pairs, codes),
+            "fusing",
+            total=len(pairs),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+    )
+    first_ns = pairs[0].time_ns
+    events = [_calibrated(setup, session, own) for setup, own in segments]
+    events += exchange_events((frame.fused for frame in frames), first_ns)
     replayed = Session.of(
-        fused,
+        [(setup, frames[own]) for setup, own in segments],
         session.sources,
-        events=[_calibrated(setup, session, own) for setup, own in setups],
+        events=sorted(events, key=lambda event: event.frame),
         images=NO_IMAGES if options.save is None else session.images,
         about={"first_frame": session.first_frame, "replay_of": session.name},
     )
