@@ -9,6 +9,7 @@ from pathlib import Path
 from devices.azure.recording.mkv import MkvInfo, MkvRecording
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
+from devices.depth_witness import with_witness
 from devices.following import PersonChoice
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.skeletons.recording import SkeletonRecording
@@ -52,8 +53,13 @@ def recording_info(source: Sensor) -> MkvInfo | None:
 
 
 def without_images(source: Sensor) -> Iterator[SensorFrame]:
-    """An open source's frames with their people only: an hour of them is some hundred MB, not 150 GB."""
+    """An open source's frames with their people only: an hour of them is some hundred MB, not 150 GB.
+
+    What the depth images say about the joints stays with the skeletons.
+    """
     for frame in source.frames():
+        if source.intrinsics is not None:
+            frame = with_witness(frame, source.intrinsics)
         yield replace(frame, depth=None, ir=None, color=None)
 
 

@@ -3,56 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import typeof
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fusion.compiling.parallel_compilation import tree_solver_compiled_meanwhile
-from fusion.methods import paper
-from fusion.rigid import RigidTransform
+from fusion.errors import FusionError
+from fusion.estimator.duplex_fusion import DuplexFusion
+from fusion.fused_frame import FusedFrame as FusedFrame
+from fusion.methods.paper_fusion import PaperFusion
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
 
 
-@dataclass(frozen=True, eq=False)
-class FusedFrame:
-    """S* of one pair, and why it is so.
-
-    Attributes:
-        positions: (J, 3) metres, in K_A's frame; NaN throughout where neither sensor sees a person.
-        predicted: (J,) whether a joint has no data and hangs on its bones and the frame before.
-        weights_a, weights_b: (J,) w^A and w^B of eq. (11); both 0 where predicted.
-        misleading: (J,) the mis-leading joint m of sec. 3; -1 where there is none.
-        a_from_b: R, and t of this frame.
-        iterations: Steps the solver took.
-        stale_a, stale_b: Whether the sensor's skeleton repeats its last one.
-        time_ns: The pair's time.
-    """
-
-    positions: NDArray[np.float64]
-    predicted: NDArray[np.bool_]
-    weights_a: NDArray[np.float64]
-    weights_b: NDArray[np.float64]
-    misleading: NDArray[np.int64]
-    a_from_b: RigidTransform
-    iterations: int
-    stale_a: bool
-    stale_b: bool
-    time_ns: int
-
-    @property
-    def has_person(self) -> bool:
-        """Whether there is an S* at all."""
-        return not self.predicted.all()
-
-
 class Fuser:
-    """Makes one skeleton of two, pair by pair; it remembers only the frame before.
+    """Makes one skeleton of two, pair by pair.
 
-    The steps of a frame are those of ``docs/method.md``, compiled in :mod:`fusion.methods.paper`.
+    The steps of a frame are those of ``docs/method.md``, compiled in :mod:`fusion.estimator.estimator` and
+    :mod:`fusion.methods.paper`.
 
     Args:
         setup: Calibration, settings and cameras.
@@ -60,17 +29,13 @@ class Fuser:
 
     def __init__(self, setup: FusionSetup) -> None:
         self.setup = setup
-        body, calibration = setup.body, setup.calibration
-        self._nobody = Skeleton.of(body, np.full((len(body), 3), np.nan))
-        self._model = paper.new_model(
-            body,
-            calibration.bone_lengths,
-            calibration.a_from_b.rotation,
-            setup.intrinsics,
-            setup.settings.h,
-            paper.EQUAL if setup.settings.weights == "equal" else paper.TRUST,
-        )
-        self._memory = paper.new_memory(len(body), calibration.a_from_b.translation)
+        self._nobody = Skeleton.of(setup.body, np.full((len(setup.body), 3), np.nan))
+        self._unlabelled = np.full((1, 2), -1, dtype=np.int64)
+        self._fusion: DuplexFusion | PaperFusion
+        if setup.settings.method == "duplex":
+            self._fusion = DuplexFusion(setup)
+        else:
+            self._fusion = PaperFusion(setup)
 
     def warm_up(self, meanwhile: Callable[[], object] = lambda: None) -> None:
         """Compiles everything that :meth:`update` runs, without touching what this fuser remembers.
@@ -79,47 +44,86 @@ class Fuser:
             meanwhile: What else there is to compile: on a first run another process is at work too.
         """
         other = Fuser(self.setup)
-        if self.setup.settings.solver == "paper":
+        if self.setup.settings.method == "published":
             meanwhile()
         else:
-            with tree_solver_compiled_meanwhile():
+            with tree_solver_compiled_meanwhile(self._fusion.kernel, self.setup.settings.method == "duplex"):
                 meanwhile()
-                other._compile_preparation()
+                other._fusion.compile(self._nobody.positions, self._nobody.states)
         other.update(SkeletonPair(None, None, 0))
 
-    def _compile_preparation(self) -> None:
-        positions, states = self._nobody.positions, self._nobody.states
-        result = paper.new_result(1, len(states))
-        given = self._model, self._memory, result, 0, 0, positions, states, positions, states
-        paper.prepare.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
+    def recalibrate(self, setup: FusionSetup) -> None:
+        """Goes on with another calibration; what is known of the person stays.
 
-    def update(self, pair: SkeletonPair) -> FusedFrame:
+        Args:
+            setup: With the body and the settings of this fuser.
+
+        Raises:
+            FusionError: Another body, or other settings.
+        """
+        if setup.body is not self.setup.body or setup.settings != self.setup.settings:
+            raise FusionError("A fuser goes on with another calibration only: its body and settings stay.")
+        self.setup = setup
+        self._fusion.recalibrate(setup)
+
+    def update(self, pair: SkeletonPair, codes: tuple[int, int] | None = None) -> FusedFrame:
         """Fuses the next pair.
 
         Args:
             pair: Both skeletons in their own sensors' frames, of the calibration's body. A sensor that sees
                 no one gives None, and S* comes from the other alone; with neither there is no S*.
+            codes: Which sides of A and of B are exchanged, where that is known
+                (:func:`fusion.facing.sequence.relabel_sequence`); found pair by pair where None.
         """
         a, b = pair.a or self._nobody, pair.b or self._nobody
-        result = self._run(
+        return self._fusion.run(
             np.array([pair.time_ns], dtype=np.int64),
+            np.array([pair.skew_ns], dtype=np.int64),
+            self._unlabelled if codes is None else np.array([codes], dtype=np.int64),
             a.positions[None],
             a.states[None],
             b.positions[None],
             b.states[None],
-        )
-        return self._fused(result, 0, pair.time_ns)
+        )[0]
 
-    def fuse_sequence(self, pairs: Sequence[SkeletonPair]) -> list[FusedFrame]:
-        """Fuses the next pairs in one compiled loop; bit for bit what :meth:`update` gives one by one."""
-        if not pairs:
-            return []
-        result = self._run(
+    def fuse_sequence(
+        self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None
+    ) -> list[FusedFrame]:
+        """Fuses the next pairs in one compiled loop; bit for bit what :meth:`update` gives one by one.
+
+        Args:
+            pairs: In time order.
+            codes: (T, 2) as in :meth:`update`.
+        """
+        return self._fusion.run(*self._rows(pairs, codes)) if pairs else []
+
+    def smooth_sequence(
+        self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None
+    ) -> list[FusedFrame]:
+        """Fuses a whole recording with what comes before and after each pair: no lag, and calmer.
+
+        Args:
+            pairs, codes: As in :meth:`fuse_sequence`.
+
+        Raises:
+            FusionError: The method is one of the paper's, which know no time.
+        """
+        if not isinstance(self._fusion, DuplexFusion):
+            raise FusionError(
+                f"Only the method duplex can smooth a recording; this is {self.setup.settings.method}."
+            )
+        return self._fusion.run(*self._rows(pairs, codes), smooth=True) if pairs else []
+
+    def _rows(self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None) -> tuple[NDArray[Any], ...]:
+        return (
             np.array([pair.time_ns for pair in pairs], dtype=np.int64),
+            np.array([pair.skew_ns for pair in pairs], dtype=np.int64),
+            np.full((len(pairs), 2), -1, dtype=np.int64)
+            if codes is None
+            else np.array(codes, dtype=np.int64),
             *self._stacked([pair.a or self._nobody for pair in pairs]),
             *self._stacked([pair.b or self._nobody for pair in pairs]),
         )
-        return [self._fused(result, k, pair.time_ns) for k, pair in enumerate(pairs)]
 
     @staticmethod
     def _stacked(skeletons: Sequence[Skeleton]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -127,24 +131,3 @@ class Fuser:
         states = np.array([skeleton.states for skeleton in skeletons])
         positions.flags.writeable = states.flags.writeable = False  # the type update() calls with
         return positions, states
-
-    def _run(self, time_ns: NDArray[np.int64], *views: NDArray[Any]) -> paper.Result:
-        result = paper.new_result(len(time_ns), len(self._nobody.states))
-        fuse = paper.fuse_frames_as_published if self.setup.settings.solver == "paper" else paper.fuse_frames
-        fuse(self._model, self._memory, result, time_ns, *views)
-        return result
-
-    def _fused(self, result: paper.Result, k: int, time_ns: int) -> FusedFrame:
-        iterations, stale_a, stale_b = result.counts[k].tolist()
-        return FusedFrame(
-            positions=result.positions[k],
-            predicted=result.predicted[k],
-            weights_a=result.weights_a[k],
-            weights_b=result.weights_b[k],
-            misleading=result.misleading[k],
-            a_from_b=RigidTransform(self.setup.calibration.a_from_b.rotation, result.translation[k]),
-            iterations=iterations,
-            stale_a=bool(stale_a),
-            stale_b=bool(stale_b),
-            time_ns=time_ns,
-        )

@@ -10,8 +10,11 @@ import numpy as np
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
+from fusion.estimator.constants import DEFAULT_SMOOTHING
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.paper_constants import PAPER_H
+
+Method = Literal["duplex", "paper", "published"]
 
 
 @dataclass(frozen=True)
@@ -19,18 +22,25 @@ class FuserSettings:
     """The choices the method leaves open, with the paper's values where it names one.
 
     Attributes:
-        h: How much more a tracked joint counts than an inferred one, in (0.5, 1); sec. 3.
-        solver: ``exact`` (one constraint a bone) or ``paper`` (eqs. (3)-(9) as published).
-        weights: ``paper`` (eqs. (10), (11)) or ``equal``.
+        method: ``duplex``: an estimator in time (:mod:`fusion.estimator`). ``paper``: eqs. (10)-(13), with
+            t in every frame and exact bones. ``published``: eqs. (3)-(9) as well; bones are nearly right.
+        h: How much more a tracked joint counts than an inferred one, in (0.5, 1); sec. 3. Not of ``duplex``.
+        weights: ``paper`` (eqs. (10), (11)) or ``equal``. Not of ``duplex``.
+        smoothing: How calm S* is, from 0 (each frame by itself) to 1. Of ``duplex`` only.
     """
 
+    method: Method = "duplex"
     h: float = PAPER_H
-    solver: Literal["exact", "paper"] = "exact"
     weights: Literal["paper", "equal"] = "paper"
+    smoothing: float = DEFAULT_SMOOTHING
 
     def __post_init__(self) -> None:
+        if self.method not in ("duplex", "paper", "published"):
+            raise FusionError(f"The method is duplex, paper or published; got {self.method!r}.")
         if not 0.5 < self.h < 1.0:
             raise FusionError(f"h must lie between 0.5 and 1 (sec. 3); got {self.h}.")
+        if not 0.0 <= self.smoothing <= 1.0:
+            raise FusionError(f"smoothing must lie between 0 and 1; got {self.smoothing}.")
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -36,12 +36,15 @@ class Skeleton:
         positions: (J, 3) float32, metres, in the sensor's frame; NaN where not tracked.
         states: (J,) uint8, a :class:`TrackingState` a joint.
         time_ns: When it was captured, on the sensor's clock.
+        witness: (J, 4) float32, what the depth image says about each joint, see :mod:`fusion.witness`; None
+            without an image.
     """
 
     body: Body
     positions: NDArray[np.float32]
     states: NDArray[np.uint8]
     time_ns: int
+    witness: NDArray[np.float32] | None = None
 
     @staticmethod
     def of(body: Body, positions: ArrayLike, states: ArrayLike | None = None, time_ns: int = 0) -> Skeleton:
@@ -78,6 +81,18 @@ class Skeleton:
         at[state == TrackingState.NOT_TRACKED] = np.nan
         at.flags.writeable = state.flags.writeable = False
         return Skeleton(body, at, state, int(time_ns))
+
+    def with_witness(self, witness: NDArray[np.float32] | None) -> Skeleton:
+        """The same skeleton with what a depth image says about it.
+
+        Raises:
+            FusionError: The witness is not (J, 4).
+        """
+        if witness is not None and witness.shape != (len(self.states), 4):
+            raise FusionError(
+                f"A witness of {self.body.name} has shape ({len(self.states)}, 4); got {witness.shape}."
+            )
+        return replace(self, witness=witness)
 
     @property
     def has_position(self) -> NDArray[np.bool_]:

@@ -6,9 +6,9 @@ The layout is the same live and in a file. Positions are metres; the world is K_
 from __future__ import annotations
 
 APPLICATION_ID = "duplex_kinects"
-VERSION = 5
+VERSION = 6
 """Of this layout; goes up when a reader of the old one would misread the new one."""
-READABLE_VERSIONS = (5,)
+READABLE_VERSIONS = (5, 6)
 """The layouts that this program reads: all that differ from :data:`VERSION` in optional figures only."""
 
 FRAME = "frame"

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from devices.live.sensor_pair import StreamFigures
 from devices.pairing import FramePair
+from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.fuser import FusedFrame
+from fusion.skeleton import Skeleton
 from recordings import layout
 from recordings.frame_fields import (
     JOINTS,
@@ -164,6 +166,20 @@ class SessionArrays:
         optional=True,
     )
     """(T, J, 3) where the joints really are, in K_A's frame; simulations only."""
+    witness_a: NDArray[np.float32] | None = per_frame(
+        *(np.float32, (JOINTS, 4), layout.skeleton("a"), "depth_witness", np.float16),
+        lambda f: _witness(f.pair.a, f.pair.skeletons.a, f.fused.positions),
+        absent=np.nan,
+        optional=True,
+    )
+    """(T, J, 4) what A's depth image says about each joint of S_A: ``fusion.witness.COLUMNS``; metres."""
+    witness_b: NDArray[np.float32] | None = per_frame(
+        *(np.float32, (JOINTS, 4), layout.skeleton("b"), "depth_witness", np.float16),
+        lambda f: _witness(f.pair.b, f.pair.skeletons.b, f.fused.positions),
+        absent=np.nan,
+        optional=True,
+    )
+    """(T, J, 4) likewise of B."""
 
     @staticmethod
     def stack(
@@ -255,6 +271,17 @@ class SessionArrays:
         seen = np.count_nonzero(~np.isnan(nearest), axis=1)
         frame = np.arange(len(nearest))
         return np.asarray((nearest[frame, (seen - 1) // 2] + nearest[frame, seen // 2]) / 2.0)
+
+
+def _witness(
+    frame: SensorFrame | None, skeleton: Skeleton | None, joints: NDArray[np.float64]
+) -> NDArray[np.float32] | None:
+    """Of an image in which no one is seen all NaN: a session has what its first frame has."""
+    if skeleton is not None:
+        return skeleton.witness
+    if frame is None or frame.depth is None:
+        return None
+    return np.full((len(joints), 4), np.nan, dtype=np.float32)
 
 
 FRAME_FIELDS: Mapping[str, FrameField] = MappingProxyType(frame_fields(fields(SessionArrays)))

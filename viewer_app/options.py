@@ -66,8 +66,10 @@ class MethodOptions:
     """Keep the sensors' placement and the bone lengths in a file."""
     h: float = PAPER_H
     """How much more a tracked joint counts than an inferred one, between 0.5 and 1."""
-    solver: Literal["exact", "paper"] = "exact"
-    """exact: one constraint a bone. paper: eqs. (3)-(9) as published."""
+    method: Literal["duplex", "paper", "published"] = "duplex"
+    """duplex: an estimator in time. paper: eqs. (10)-(13), exact bones. published: eqs. (3)-(9) as well."""
+    smoothing: float = 0.5
+    """How calm the joints are, from 0 (each frame by itself) to 1; of the method duplex."""
     weights: Literal["paper", "equal"] = "paper"
     """paper: trust a joint, eqs. (10), (11). equal: both views alike."""
 
@@ -169,7 +171,7 @@ class LiveOptions(
     """Frames a second."""
     color: Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"] = "off"
     """Colour images, and at which resolution."""
-    smoothing: float = 0.0
+    tracker_smoothing: float = 0.0
     """Temporal smoothing of the body tracker, 0 to 1; fusion wants 0."""
 
 
@@ -230,8 +232,11 @@ class ReplayOptions(OutputOptions):
     """The .rrd to replay."""
     h: float | None = None
     """How much more a tracked joint counts than an inferred one; as recorded if not given."""
-    solver: Literal["exact", "paper"] | None = None
-    """exact: one constraint a bone. paper: eqs. (3)-(9) as published. As recorded if not given."""
+    method: Literal["duplex", "paper", "published"] | None = None
+    """duplex: an estimator in time. paper: eqs. (10)-(13), exact bones. published: eqs. (3)-(9) as well. As
+    recorded if not given."""
+    smoothing: float | None = None
+    """How calm the joints are, from 0 (each frame by itself) to 1; as recorded if not given."""
     weights: Literal["paper", "equal"] | None = None
     """paper: trust a joint, eqs. (10), (11). equal: both views alike. As recorded if not given."""
     verify: bool = False

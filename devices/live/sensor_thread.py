@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import replace
 
+from devices.depth_witness import with_witness
 from devices.live import sensor_messages as messages
 from devices.live.retries import Retries
 from devices.live.sensor_state import SensorEvent, SensorState
@@ -255,6 +256,8 @@ class SensorThread:
             for frame in frames:
                 if stopping.is_set():
                     return
+                if self.sensor.intrinsics is not None:
+                    frame = with_witness(frame, self.sensor.intrinsics)
                 self._deliver(frame)
         finally:
             # A generator may hold files or handles: let it go now, on this thread.

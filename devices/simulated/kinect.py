@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from devices.depth_witness import with_witness
 from devices.image_thinning import Depth
 from devices.sensor import DeviceError, SensorFrame
 from devices.simulated.imaging.rendering import DepthErrors, depth_image, halved, surface
@@ -206,7 +207,8 @@ class SimulatedKinect:
                 z, _, cosine = surface(shapes, sensor_from_world, self._lens)
                 image = depth_image(z, cosine, self._depth_errors, imaging)
             if not dropped:
-                yield SensorFrame(time_ns, {} if skeleton is None else {PERSON: skeleton}, image)
+                frame_now = SensorFrame(time_ns, {} if skeleton is None else {PERSON: skeleton}, image)
+                yield with_witness(frame_now, self._lens)
 
     def _poses(self) -> Iterator[tuple[int, Array]]:
         """Frame numbers and (N, 3) landmarks in the world."""

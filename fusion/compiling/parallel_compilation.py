@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,17 +20,24 @@ from fusion.compiling.kernels import find_on_disk
 from fusion.solvers.tree_solver import TreeSolver, solve_tree
 
 
-def compile_tree_solver() -> None:
-    """Compiles the solver, by solving something."""
+def compile_tree_solver(matrices: bool = False) -> None:
+    """Compiles the solver, by solving something: with 3×3 weights or with numbers."""
     body = KINECT_V1
     solver = TreeSolver(body.parent_indices, body.order, body.rest)
-    solver.solve(np.zeros((len(body), 3)), np.ones(len(body)), body.nominal_lengths)
+    weights = np.tile(np.eye(3), (len(body), 1, 1)) if matrices else np.ones(len(body))
+    solver.solve(np.zeros((len(body), 3)), weights, body.nominal_lengths)
 
 
 @contextmanager
-def tree_solver_compiled_meanwhile() -> Iterator[None]:
-    """Lets another process compile the solver, if it is not on disk; waits for it at the end."""
-    process = None if _is_on_disk() else _start()
+def tree_solver_compiled_meanwhile(needed_by: Any = None, matrices: bool = False) -> Iterator[None]:
+    """Lets another process compile the solver, if it is not on disk; waits for it at the end.
+
+    Args:
+        needed_by: The kernel that is to be called, if not the solver: where it is on disk, nothing is to be
+            compiled.
+        matrices: Whether the solver is to take 3×3 weights.
+    """
+    process = None if _is_on_disk(needed_by) else _start(matrices)
     try:
         yield
         if process is not None:
@@ -40,20 +48,26 @@ def tree_solver_compiled_meanwhile() -> Iterator[None]:
             process.wait()
 
 
-def _is_on_disk() -> bool:
-    find_on_disk(solve_tree)
-    folder = Path(solve_tree.stats.cache_path)  # type: ignore[attr-defined]
+def _is_on_disk(kernel: Any = None) -> bool:
+    kernel = kernel or solve_tree
+    find_on_disk(kernel)
+    folder = Path(kernel.stats.cache_path)
     python = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
-    return any(folder.glob(f"*{solve_tree.__name__}-*.{python}.nbi"))
+    return any(folder.glob(f"*{kernel.__name__}-*.{python}.nbi"))
 
 
-def _start() -> subprocess.Popen[bytes] | None:
+def _start(matrices: bool) -> subprocess.Popen[bytes] | None:
     """None where no process can be started; then it is compiled here, later."""
     packages = str(Path(__file__).parents[2])
     path = os.pathsep.join(filter(None, (packages, os.environ.get("PYTHONPATH"))))
     try:
         return subprocess.Popen(
-            [sys.executable, "-P", "-c", f"import {__name__} as first_run; first_run.compile_tree_solver()"],
+            [
+                sys.executable,
+                "-P",
+                "-c",
+                f"import {__name__} as first_run; first_run.compile_tree_solver({matrices})",
+            ],
             env={**os.environ, "PYTHONPATH": path},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

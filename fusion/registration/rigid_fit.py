@@ -63,6 +63,8 @@ class Registration:
             observation however many frames saw it: a joint's bias stays the same in all of them.
         frames: How many pairs were used.
         body: The body the joints belong to.
+        translation_sd: Metres, standard error of where R q + t lays the person's centre, along the least
+            certain axis; NaN where it was not estimated.
     """
 
     a_from_b: RigidTransform
@@ -72,6 +74,7 @@ class Registration:
     rotation_sd: float
     frames: int
     body: Body
+    translation_sd: float = float("nan")
 
     def worst_joints(self, count: int = 3) -> list[tuple[str, float]]:
         """The joints that disagree most: (name, median residual in metres), worst first."""

@@ -37,8 +37,22 @@ def recorded_pairs(
                 seen[side] = image[1]
                 ahead[side] = next(images[side], None)
         yield FramePair.of(
-            _sensor_frame(rows.body, rows.clock_a[t], rows.positions_a[t], rows.states_a[t], seen.get("a")),
-            _sensor_frame(rows.body, rows.clock_b[t], rows.positions_b[t], rows.states_b[t], seen.get("b")),
+            _sensor_frame(
+                rows.body,
+                rows.clock_a[t],
+                rows.positions_a[t],
+                rows.states_a[t],
+                seen.get("a"),
+                None if rows.witness_a is None else rows.witness_a[t],
+            ),
+            _sensor_frame(
+                rows.body,
+                rows.clock_b[t],
+                rows.positions_b[t],
+                rows.states_b[t],
+                seen.get("b"),
+                None if rows.witness_b is None else rows.witness_b[t],
+            ),
             PERSON,
             PERSON,
             int(rows.time_ns[t]),
@@ -52,8 +66,11 @@ def _sensor_frame(
     positions: NDArray[np.float32],
     states: NDArray[np.uint8],
     depth: NDArray[np.uint16] | None,
+    witness: NDArray[np.float32] | None,
 ) -> SensorFrame | None:
     if clock == layout.NO_FRAME:
         return None
-    people = {PERSON: Skeleton.of(body, positions, states, int(clock))} if states.any() else {}
-    return SensorFrame(int(clock), people, depth)
+    if not states.any():
+        return SensorFrame(int(clock), {}, depth)
+    skeleton = Skeleton.of(body, positions, states, int(clock)).with_witness(witness)
+    return SensorFrame(int(clock), {PERSON: skeleton}, depth)

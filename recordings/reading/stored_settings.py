@@ -74,6 +74,10 @@ def calibrations_of(path: Path, body: Body, found: Columns) -> list[tuple[int, C
 
 
 def settings_of(of: dict[str, list[Any]]) -> FuserSettings:
+    """The settings of a session; version 0.1 knew the paper's method only, with two solvers for its bones."""
+    if "solver" in of:
+        method = "published" if of["solver"][0] == "paper" else "paper"
+        of = {"method": [method], **{name: value for name, value in of.items() if name != "solver"}}
     known = {f.name for f in fields(FuserSettings)}
     strangers = sorted(set(of) - known)
     if strangers:

@@ -1,3 +1,5 @@
+"""The fuser with the paper's method; see ``tests/fusion/estimator`` for the default."""
+
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -25,6 +27,7 @@ from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, 
 # add as much again, and turning an error over the longest chain of a body triples it at most.
 FLOAT32 = 3e-6
 
+PAPER = FuserSettings(method="paper")
 Weights = Literal["paper", "equal"]
 WEIGHTS: tuple[Weights, ...] = ("paper", "equal")
 
@@ -46,7 +49,7 @@ def bone_error(body: Body, frame: FusedFrame) -> float:
 def test_two_flawless_views_give_the_truth(body: Body) -> None:
     truth = moving(body, 90)
     pairs = [pair_of(body, at, t * FRAME_NS) for t, at in enumerate(truth)]
-    fuser = Fuser(FusionSetup(calibrate(body, pairs[:40], "test")))
+    fuser = Fuser(FusionSetup(calibrate(body, pairs[:40], "test"), PAPER))
     for pair, at in zip(pairs, truth, strict=True):
         np.testing.assert_allclose(fuser.update(pair).positions, at, atol=FLOAT32)
 
@@ -54,7 +57,7 @@ def test_two_flawless_views_give_the_truth(body: Body) -> None:
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
 def test_fused_bones_have_their_length_whatever_the_noise(body: Body) -> None:
     rng = np.random.default_rng(5)
-    fuser = Fuser(FusionSetup(calibration_of(body)))
+    fuser = Fuser(FusionSetup(calibration_of(body), PAPER))
     for t, at in enumerate(moving(body, 40)):
         frame = fuser.update(noisy(pair_of(body, at, t * FRAME_NS), rng, 0.06))
         assert bone_error(body, frame) < 1e-9
@@ -69,13 +72,13 @@ def test_a_mistracked_elbow_follows_the_view_that_keeps_it_apart() -> None:
     elbow, hip = body.joint("ElbowRight"), body.joint("HipRight")
     mixed_up = np.array(pair.a.positions)
     mixed_up[elbow] = mixed_up[hip] + [0.01, 0.0, 0.0]
-    frame = Fuser(FusionSetup(calibration_of(body))).update(
+    frame = Fuser(FusionSetup(calibration_of(body), PAPER)).update(
         SkeletonPair(Skeleton.of(body, mixed_up), pair.b, pair.time_ns)
     )
     assert frame.misleading[elbow] == hip
     assert frame.weights_b[elbow] > 0.99
     off = np.linalg.norm(frame.positions[elbow] - truth[elbow])
-    equal = Fuser(FusionSetup(calibration_of(body), FuserSettings(weights="equal"))).update(
+    equal = Fuser(FusionSetup(calibration_of(body), FuserSettings(method="paper", weights="equal"))).update(
         SkeletonPair(Skeleton.of(body, mixed_up), pair.b, pair.time_ns)
     )
     assert off < 0.02 < 0.1 < np.linalg.norm(equal.positions[elbow] - truth[elbow])
@@ -85,8 +88,8 @@ def test_a_tracked_view_outweighs_an_inferred_one() -> None:
     body = KINECT_V1
     pair = pair_of(body, standing(body))
     hidden = with_states(pair.a, {"KneeLeft": TrackingState.INFERRED})
-    plain = Fuser(FusionSetup(calibration_of(body))).update(pair)
-    frame = Fuser(FusionSetup(calibration_of(body))).update(SkeletonPair(hidden, pair.b, 0))
+    plain = Fuser(FusionSetup(calibration_of(body), PAPER)).update(pair)
+    frame = Fuser(FusionSetup(calibration_of(body), PAPER)).update(SkeletonPair(hidden, pair.b, 0))
     knee = body.joint("KneeLeft")
     ratio = (0.786 / (1.0 - 0.786)) ** 4  # eq. (11)
     assert frame.weights_b[knee] / frame.weights_a[knee] == pytest.approx(
@@ -99,7 +102,7 @@ def test_a_joint_one_view_lost_takes_the_others(weights: Weights) -> None:
     body = KINECT_V2
     truth = standing(body)
     pair = pair_of(body, truth)
-    frame = Fuser(FusionSetup(calibration_of(body), FuserSettings(weights=weights))).update(
+    frame = Fuser(FusionSetup(calibration_of(body), FuserSettings(method="paper", weights=weights))).update(
         SkeletonPair(with_states(pair.a, {"WristLeft": TrackingState.NOT_TRACKED}), pair.b, 0)
     )
     wrist = body.joint("WristLeft")
@@ -112,7 +115,7 @@ def test_a_joint_both_lost_hangs_on_its_bones_and_the_frame_before() -> None:
     body = KINECT_V2
     truth = standing(body)
     pair = pair_of(body, truth)
-    fuser = Fuser(FusionSetup(calibration_of(body)))
+    fuser = Fuser(FusionSetup(calibration_of(body), PAPER))
     fuser.update(pair)
     lost = dict.fromkeys(("HandLeft", "HandTipLeft", "ElbowRight"), TrackingState.NOT_TRACKED)
     step = np.array([0.05, 0.0, 0.1])
@@ -131,14 +134,14 @@ def test_one_sensor_alone_still_gives_a_skeleton_with_the_same_bones() -> None:
     truth = standing(body)
     pair = pair_of(body, truth)
     for alone in (SkeletonPair(pair.a, None, 0), SkeletonPair(None, pair.b, 0)):
-        frame = Fuser(FusionSetup(calibration_of(body))).update(alone)
+        frame = Fuser(FusionSetup(calibration_of(body), PAPER)).update(alone)
         assert frame.has_person
         np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
 
 
 def test_without_anyone_there_is_no_skeleton_and_the_next_person_is_picked_up() -> None:
     body = KINECT_V1
-    fuser = Fuser(FusionSetup(calibration_of(body)))
+    fuser = Fuser(FusionSetup(calibration_of(body), PAPER))
     fuser.update(pair_of(body, standing(body)))
     empty = fuser.update(SkeletonPair(None, None, FRAME_NS))
     assert not empty.has_person
@@ -154,17 +157,17 @@ def test_after_a_second_without_anyone_the_frame_before_is_forgotten(seconds: fl
     lost = dict.fromkeys(("ElbowLeft", "WristLeft", "HandLeft", "HandTipLeft"), TrackingState.NOT_TRACKED)
     back = pair_of(body, standing(body, arms_out=20.0), round(seconds * 1e9))
     back = SkeletonPair(with_states(back.a, lost), with_states(back.b, lost), back.time_ns)
-    fuser = Fuser(FusionSetup(calibration_of(body)))
+    fuser = Fuser(FusionSetup(calibration_of(body), PAPER))
     fuser.update(pair_of(body, standing(body, arms_out=80.0)))
     found = fuser.update(back).positions
-    anew = Fuser(FusionSetup(calibration_of(body))).update(back).positions
+    anew = Fuser(FusionSetup(calibration_of(body), PAPER)).update(back).positions
     elbow = body.joint("ElbowLeft")
     assert (np.linalg.norm(found[elbow] - anew[elbow]) < FLOAT32) == forgotten
 
 
 def test_a_repeated_frame_is_noticed_a_sensor_at_a_time() -> None:
     body = KINECT_V1
-    fuser = Fuser(FusionSetup(calibration_of(body)))
+    fuser = Fuser(FusionSetup(calibration_of(body), PAPER))
     first, second = (pair_of(body, at, t) for t, at in enumerate(moving(body, 60)[58:]))
     assert not fuser.update(first).stale_a
     frame = fuser.update(SkeletonPair(first.a, second.b, 1))
@@ -176,7 +179,7 @@ def test_t_follows_the_torso_when_a_sensor_is_pushed() -> None:
     truth = standing(body)
     push = np.array([0.1, -0.03, 0.2])
     pushed = RigidTransform(A_FROM_B.rotation, A_FROM_B.translation + push)
-    frame = Fuser(FusionSetup(calibration_of(body))).update(pair_of(body, truth, 0, pushed))
+    frame = Fuser(FusionSetup(calibration_of(body), PAPER)).update(pair_of(body, truth, 0, pushed))
     np.testing.assert_allclose(frame.a_from_b.translation, pushed.translation, atol=FLOAT32)
     np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
 
@@ -185,7 +188,7 @@ def test_the_same_pairs_give_the_same_skeleton_bit_for_bit() -> None:
     body = KINECT_V2
     rng = np.random.default_rng(2)
     pairs = [noisy(pair_of(body, at, t * FRAME_NS), rng, 0.03) for t, at in enumerate(moving(body, 30))]
-    one, two = (Fuser(FusionSetup(calibration_of(body))) for _ in range(2))
+    one, two = (Fuser(FusionSetup(calibration_of(body), PAPER)) for _ in range(2))
     for pair in pairs:
         assert (one.update(pair).positions == two.update(pair).positions).all()
 
@@ -205,7 +208,7 @@ def test_a_sequence_is_bit_for_bit_the_pairs_one_by_one() -> None:
     pairs[22] = SkeletonPair(
         with_states(pairs[22].a, {"HandLeft": TrackingState.NOT_TRACKED}), None, 22 * FRAME_NS
     )
-    one_by_one, at_once = (Fuser(FusionSetup(calibration_of(body))) for _ in range(2))
+    one_by_one, at_once = (Fuser(FusionSetup(calibration_of(body), PAPER)) for _ in range(2))
     for single, of_sequence in zip(
         [one_by_one.update(pair) for pair in pairs], at_once.fuse_sequence(pairs), strict=True
     ):
@@ -221,7 +224,7 @@ def test_a_frame_allocates_nothing() -> None:
     """Calls allocate what a call needs, however many frames it fuses."""
     _nrt_python.memsys_enable_stats()
     pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 20))]
-    fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
+    fuser = Fuser(FusionSetup(calibration_of(KINECT_V1), PAPER))
     allocated = []
     try:
         for some in (pairs[:1], pairs[:1], pairs):
@@ -236,9 +239,9 @@ def test_a_frame_allocates_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("solver", "name"), [("exact", "fuse_frames"), ("paper", "fuse_frames_as_published")]
+    ("method", "name"), [("paper", "fuse_frames"), ("published", "fuse_frames_as_published")]
 )
-def test_no_frame_after_warming_up_compiles(solver: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_frame_after_warming_up_compiles(method: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     fresh: Any = kernel(getattr(paper, name).py_func)  # as in a process that begins
     monkeypatch.setattr(paper, name, fresh)
     pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 8))]
@@ -248,7 +251,7 @@ def test_no_frame_after_warming_up_compiles(solver: Any, name: str, monkeypatch:
         SkeletonPair(None, pairs[0].b, 10 * FRAME_NS),
         replace(a_noisy_pair(KINECT_V1, 0), time_ns=11 * FRAME_NS),
     ]
-    fuser = Fuser(FusionSetup(calibration_of(KINECT_V1), FuserSettings(solver=solver)))
+    fuser = Fuser(FusionSetup(calibration_of(KINECT_V1), FuserSettings(method=method)))
     fuser.warm_up()
     assert len(fresh.signatures) == 1
     with event.install_recorder("numba:compile") as compiling:
@@ -262,7 +265,7 @@ def test_no_frame_after_warming_up_compiles(solver: Any, name: str, monkeypatch:
 def test_warming_up_leaves_no_trace() -> None:
     body = KINECT_V1
     pairs = [pair_of(body, at, t * FRAME_NS) for t, at in enumerate(moving(body, 5))]
-    cold, warm = (Fuser(FusionSetup(calibration_of(body))) for _ in range(2))
+    cold, warm = (Fuser(FusionSetup(calibration_of(body), PAPER)) for _ in range(2))
     warm.warm_up()
     for pair in pairs:
         assert cold.update(pair).positions.tobytes() == warm.update(pair).positions.tobytes()
@@ -290,7 +293,7 @@ def fused_in_moved_frames(
 ) -> tuple[np.ndarray, np.ndarray]:
     """S* of a pair, moved; and S* of the pair whose views were moved, each sensor's with its own motion."""
     assert pair.a is not None
-    chosen = FuserSettings(weights=weights)
+    chosen = FuserSettings(method="paper", weights=weights)
     calibration = calibration_of(pair.a.body)
     other = replace(calibration, a_from_b=by_a @ calibration.a_from_b @ by_b.inverse())
     plain = Fuser(FusionSetup(calibration, chosen)).update(pair)
@@ -353,8 +356,8 @@ def test_the_order_of_joints_does_not_matter_to_the_skeleton(seed: int) -> None:
         return Skeleton.of(shuffled, skeleton.positions[new], skeleton.states[new], skeleton.time_ns)
 
     pair = a_noisy_pair(body, seed)
-    plain = Fuser(FusionSetup(calibration_of(body))).update(pair)
-    other = Fuser(FusionSetup(calibration_of(shuffled))).update(
+    plain = Fuser(FusionSetup(calibration_of(body), PAPER)).update(pair)
+    other = Fuser(FusionSetup(calibration_of(shuffled), PAPER)).update(
         SkeletonPair(reordered(pair.a), reordered(pair.b), 0)
     )
     # t sums the torso in another order, so no more than rounding in double precision differs; the solver's
@@ -370,7 +373,7 @@ def test_a_weighted_mean_with_the_right_bones_is_the_skeleton(seed: int, weights
     pair = a_noisy_pair(body, seed)
     assert pair.a is not None
     assert pair.b is not None
-    chosen = FuserSettings(weights=weights)
+    chosen = FuserSettings(method="paper", weights=weights)
     first = Fuser(FusionSetup(calibration_of(body), chosen)).update(pair)
     b_in_a = np.nan_to_num(first.a_from_b.apply(pair.b.positions))  # where B has no joint its weight is 0
     mean = first.weights_a[:, None] * pair.a.positions + first.weights_b[:, None] * b_in_a

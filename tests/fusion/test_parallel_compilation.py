@@ -18,10 +18,10 @@ COLD = """
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
-from fusion.setup import FusionSetup
+from fusion.setup import FuserSettings, FusionSetup
 from fusion.methods.paper import prepare
 from fusion.solvers.tree_solver import solve_tree
-Fuser(FusionSetup(nominal_calibration(AZURE_KINECT))).warm_up()
+Fuser(FusionSetup(nominal_calibration(AZURE_KINECT), FuserSettings(method="paper"))).warm_up()
 print(*(sum(counts.values()) for counts in (solve_tree.stats.cache_hits, solve_tree.stats.cache_misses)))
 print(len(prepare.signatures))
 """
@@ -37,7 +37,7 @@ def test_another_process_compiles_the_solver_on_a_first_run(tmp_path: Path) -> N
 
 
 def test_where_no_process_starts_all_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(first_run, "_is_on_disk", lambda: False)
+    monkeypatch.setattr(first_run, "_is_on_disk", lambda _: False)
     monkeypatch.setattr(sys, "executable", "/nonexistent")
     with tree_solver_compiled_meanwhile():
         pass

@@ -86,7 +86,7 @@ def test_only_fusions_of_the_same_skeletons_are_compared(fused_run: FusedRun, tm
     chance = fused_run(frame_pairs(KINECT_V1, 40, noise=0.03), calibration)  # the same times
     with pytest.raises(RecordingError, match="40 frames of the same time, but S_A or S_B of frame 0"):
         Comparison.of(one, chance)
-    again = fused_run(frame_pairs(KINECT_V1, 40), calibration, FuserSettings(h=0.9))
+    again = fused_run(frame_pairs(KINECT_V1, 40), calibration, FuserSettings("paper", h=0.9))
     write_session(again, tmp_path / "part.rrd", first=10, end=30)
     part = Comparison.of(one, Session.open(tmp_path / "part.rrd"))
     assert part.first.frame.tolist() == list(range(10, 30))

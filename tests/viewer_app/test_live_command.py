@@ -110,7 +110,7 @@ def test_options_reach_the_sensors_and_the_tracker(kinects: Bus, standin: Standi
     options = ("--fps", 15, "--depth-mode", "WFOV_2X2BINNED", "--color", "1080P", "--processing", "cuda")
     for device in kinects.devices:
         device.interval_usec = 66_667
-    assert live(standin, tmp_path / "s.rrd", *options, "--smoothing", 0.5, seconds=0.3) == 0
+    assert live(standin, tmp_path / "s.rrd", *options, "--tracker-smoothing", 0.5, seconds=0.3) == 0
     module = sys.modules["pyk4a"]
     for config in kinects.configs:
         assert config.camera_fps == module.FPS.FPS_15

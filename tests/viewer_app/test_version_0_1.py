@@ -19,7 +19,7 @@ from tests.helpers.command_line import duplex
 
 DATA = Path(__file__).parents[1] / "data" / "version_0_1"
 
-THE_METHOD_OF_0_1: tuple[str, ...] = ()
+THE_METHOD_OF_0_1: tuple[str, ...] = ("--method", "paper")
 """The options of ``duplex fuse`` that choose what version 0.1 did."""
 
 

@@ -127,11 +127,11 @@ def fused(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
             before = time.perf_counter_ns()
             frames.append(fuser.update(skeletons))
             cost.append(time.perf_counter_ns() - before)
-        sd = [getattr(frame, "sigma", None) for frame in frames]
+        sd = np.array([frame.sigma for frame in frames])
         return Found(
             np.array([frame.positions for frame in frames]),
             float(np.median(cost)) * 1e-3,
-            None if sd[0] is None else np.array(sd),
+            sd if np.isfinite(sd).any() else None,
         )
 
     return find
@@ -175,19 +175,19 @@ METHODS: tuple[Method, ...] = (
     Method("Kalman, start-up", "baseline", _baseline(lambda r: _kalman(r, r.start_up))),
     Method("Kalman, refined", "baseline", _baseline(lambda r: _kalman(r, r.refined))),
     Method("oracle", "bound", _baseline(_oracle)),
-    Method("published", "method", fused(replace(DEFAULT, solver="paper"))),
-    Method("paper", "method", fused(DEFAULT)),
+    Method("published", "method", fused(replace(DEFAULT, method="published"))),
+    Method("paper", "method", fused(replace(DEFAULT, method="paper"))),
+    Method("duplex", "method", fused(DEFAULT)),
 )
 """In the order of the tables.
 
 ``start-up`` and ``refined`` name the registration, which is held fixed: the start-up pose's, or a robust fit
 over the whole recording. ``oracle`` is the better view of every joint in every frame. ``published`` is
-eqs. (3)–(11) as published; ``paper`` has the paper's weights and exact bones."""
+eqs. (3)–(11) as published; ``paper`` has the paper's weights and exact bones; ``duplex`` is the estimator in
+time."""
 
-OURS = "paper"
+OURS = "duplex"
 """The method that the tables compare the others with: the default."""
 
-ABLATIONS: tuple[Method, ...] = (
-    Method("equal weights", "ablation", fused(replace(DEFAULT, weights="equal"))),
-)
+ABLATIONS: tuple[Method, ...] = (Method("without time", "ablation", fused(replace(DEFAULT, smoothing=0.0))),)
 """The default with one part switched off, for ``--ablations``."""

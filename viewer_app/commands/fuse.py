@@ -56,7 +56,7 @@ def run(options: FuseOptions) -> None:
     outputs = (options.save, options.report, options.save_calibration)
     inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
     check_outputs(outputs, filter(None, inputs), options.force)
-    settings = FuserSettings(h=options.h, solver=options.solver, weights=options.weights)
+    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
     progress = _progress(console)
     tracker = TrackerSettings(processing=options.processing, library=options.k4abt)
     read = read_two(*_choices(options), tracker, progress)
@@ -120,10 +120,10 @@ def _verdict(setup: FusionSetup) -> CoachPage:
 
 
 def _exact(frames: list[RecordedFrame], setup: FusionSetup) -> SessionArrays | None:
-    """The same frames by the exact solver, where another one was asked for."""
-    if setup.settings.solver == "exact":
+    """The same frames with exact bones, where the published scheme was asked for."""
+    if setup.settings.method != "published":
         return None
-    exact = replace(setup, settings=replace(setup.settings, solver="exact"))
+    exact = replace(setup, settings=replace(setup.settings, method="paper"))
     fuser = Fuser(exact)
     again = [fuse_one(fuser, frame.pair) for frame in frames]
     return SessionArrays.stack(setup.body, setup.calibration.bone_lengths, again)

@@ -96,7 +96,7 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
             f"be there at the first pulse."
         )
     tracker = TrackerSettings(
-        processing=options.processing, smoothing=options.smoothing, library=options.k4abt
+        processing=options.processing, smoothing=options.tracker_smoothing, library=options.k4abt
     )
     if options.processing == "cpu":
         console.print(
@@ -132,7 +132,7 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
 def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
     """Fuses what two sensors give, until they end, Ctrl-C, or the time is up; saves and sums up."""
     viewing = _viewing(options)
-    settings = FuserSettings(h=options.h, solver=options.solver, weights=options.weights)
+    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
     a, b = sensors.a.sensor, sensors.b.sensor
     calibration = _given_calibration(options, a)
     nominal = FusionSetup(calibration or nominal_calibration(a.body), settings)

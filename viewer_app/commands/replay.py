@@ -41,8 +41,8 @@ def run(options: ReplayOptions) -> None:
     console = Console()
     changed: dict[str, Any] = {
         name: value
-        for name, value in (("h", options.h), ("solver", options.solver), ("weights", options.weights))
-        if value is not None
+        for name in ("method", "h", "weights", "smoothing")
+        if (value := getattr(options, name)) is not None
     }
     check_outputs([options.save, options.report], [options.session], options.force)
     session = Session.open(options.session)

@@ -72,9 +72,10 @@ def fusion_figures(calibration: Calibration, settings: FuserSettings, rows: Sess
             "both": int(rows.predicted.all(axis=1).sum()),
         },
         "settings": {
+            "method": settings.method,
             "h": settings.h,
-            "solver": settings.solver,
             "weights": settings.weights,
+            "smoothing": settings.smoothing,
         },
         "calibration": {
             "how": calibration.how,

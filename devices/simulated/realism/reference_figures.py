@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -19,21 +19,31 @@ TUNING_SEEDS = range(1000, 1020)
 
 @dataclass(frozen=True)
 class Setting:
-    """A simulated recording like a real one: the movement, and how it was watched."""
+    """A simulated recording like a real one: the movement, and how it was watched.
+
+    Attributes:
+        motion: A movement by name.
+        body: What the trackers report.
+        angle_deg: Between the sensors.
+        seconds: How long.
+        standing: Share of that time in which the person stands between the sensors and faces them.
+    """
 
     motion: str
     body: Body
     angle_deg: float
     seconds: float
+    standing: float = 0.0
 
 
 COUNTERPARTS = {
     "kinect_v2_90deg_stationary": Setting("still", KINECT_V2, 90.0, 8.0),
     "kinect_v2_90deg_steps": Setting("steps", KINECT_V2, 90.0, 24.0),
-    "kinect_v2_90deg_walk": Setting("walk", KINECT_V2, 90.0, 30.0),
+    "kinect_v2_90deg_walk": Setting("walk", KINECT_V2, 90.0, 30.0, standing=0.4),
     "azure_squat": Setting("squat", AZURE_KINECT, 45.0, 24.0),
 }
-"""Which setting each real recording is compared with, by the recording's name."""
+"""Which setting each real recording is compared with, by its name. On seven real walks the trunk is
+slower than 0.2 m/s in 30 to 48 % of the frames, mean 41 %, and then the person faces the sensors."""
 
 PUBLISHED: dict[str, dict[str, tuple[float, float]]] = {
     "kinect_v2_90deg_stationary": {
@@ -204,22 +214,31 @@ def simulated_statistics(
     """
     found = []
     for seed in seeds:
-        a, b, truth = simulated_pair(
-            motion=setting.motion,
-            body=setting.body,
-            angle_deg=setting.angle_deg,
-            seconds=setting.seconds,
-            seed=seed,
-            errors=errors,
-        )
-        skip = int(np.ceil(getattr(truth.scene.motion, "begins", 0.0) / truth.rig.frame_seconds))
-        views: list[Sequence[Skeleton | None]] = [
-            [frame.people.get(PERSON) for frame in sensor.frames()][skip:] for sensor in (a, b)
-        ]
+        views: list[list[Skeleton | None]] = [[], []]
+        for motion, share in ((setting.motion, 1.0 - setting.standing), ("idle", setting.standing)):
+            if share > 0.0:
+                for view, more in zip(views, _reported(setting, motion, share, seed, errors), strict=True):
+                    view += more
         found.append(asdict(statistics(*views)))
     jitter = {kind: _median([one["jitter"][kind] for one in found]) for kind in found[0]["jitter"]}
     others = {name: _median([one[name] for one in found]) for name in found[0] if name != "jitter"}
     return PairStatistics(jitter=jitter, **others)
+
+
+def _reported(
+    setting: Setting, motion: str, share: float, seed: int, errors: TrackerErrors | None
+) -> list[list[Skeleton | None]]:
+    """Both views' skeletons of one movement that takes a share of the time, without the start-up pose."""
+    a, b, truth = simulated_pair(
+        motion=motion,
+        body=setting.body,
+        angle_deg=setting.angle_deg,
+        seconds=share * setting.seconds,
+        seed=seed,
+        errors=errors,
+    )
+    skip = int(np.ceil(getattr(truth.scene.motion, "begins", 0.0) / truth.rig.frame_seconds))
+    return [[frame.people.get(PERSON) for frame in sensor.frames()][skip:] for sensor in (a, b)]
 
 
 def _median(values: list[float]) -> float:

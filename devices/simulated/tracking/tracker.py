@@ -2,8 +2,8 @@
 
 The errors, in the order in which they befall a joint: a bias that depends on the view; its place under the
 skin; a guess where it is hidden, or the place of the joint that covers it (sec. 3); an outlier or a
-heavy-tailed error of its limb; the whole skeleton's scale; jitter; left taken for right when the back is
-turned; a frame delivered twice; a person lost.
+heavy-tailed error of its limb; the whole skeleton's scale; jitter; a back taken for a front; a frame
+delivered twice; a person lost.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from devices.simulated.person.anatomy import Array
 from devices.simulated.tracking.heavy_tails import HeavyTails
+from devices.simulated.tracking.mirroring import MirroringTracker
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import Body
 from fusion.compiling.kernels import njit
@@ -71,6 +72,7 @@ class Tracker:
         self._spell = np.full(count, int(TrackingState.INFERRED))
         self._cover = np.arange(count)
         self._away = np.zeros((count, 3))
+        self._mirroring = MirroringTracker(body, errors.mirroring, frame_seconds, random.spawn(1)[0])
         self._swapped = self._lost = False
         self._before: Array | None = None
         self._last: tuple[NDArray[np.float64], NDArray[np.uint8]] | None = None
@@ -110,6 +112,7 @@ class Tracker:
 
         states = np.where(hidden, self._spell, int(TrackingState.TRACKED)).astype(np.uint8)
         facing = self._facing(joints)
+        at, states = self._mirroring.apply(at, states, self._front(joints), facing)
         if self._switch(
             self._swapped, e.swapped if facing < _BACK_TURNED else 0.0, e.swap_seconds, chance[0]
         ):
@@ -206,6 +209,13 @@ class Tracker:
         to_sensor = -joints[self._body.root]
         across = np.hypot(direction[0], direction[2]) * np.hypot(to_sensor[0], to_sensor[2])
         return float((direction[0] * to_sensor[0] + direction[2] * to_sensor[2]) / max(across, 1e-9))
+
+    def _front(self, joints: Array) -> Array:
+        """(3,) horizontal unit vector in which the person faces."""
+        l1, l2, r1, r2 = joints[self._corners]
+        left = (l1 - r1) + (l2 - r2)
+        front = np.array((left[2], 0.0, -left[0]))
+        return np.asarray(front / max(float(np.linalg.norm(front)), 1e-9))
 
     def _rates(self, share: Array | float, seconds: float) -> tuple[Array, float]:
         """Chances a frame that a spell starts and ends, for spells of this length that fill this share."""

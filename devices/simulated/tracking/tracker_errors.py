@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from devices.simulated.person.anatomy import Array
+from devices.simulated.tracking.mirroring import Mirroring
 from fusion.body import AZURE_KINECT, Body
 
 
@@ -77,7 +78,9 @@ class TrackerErrors:
         jitter: Standard deviation of a joint's jitter an axis, by kind.
         moving_jitter: What is added to that an axis, for each metre a second that the joint moves.
         jitter_memory: Correlation of the jitter of one frame with the next.
-        swapped: Share of frames with left and right swapped while the back is turned.
+        mirroring: How often a person whose back is turned is reported mirrored.
+        swapped: Share of frames with left and right swapped at random moments while the back is turned: what
+            version 0.1 assumed instead of mirroring; see :meth:`with_random_swaps`.
         swap_seconds: How long a swap lasts.
         stale: Share of frames that repeat the skeleton before.
         lost: Share of frames in which the person is lost.
@@ -103,6 +106,7 @@ class TrackerErrors:
     jitter: JointGroups = field(default_factory=JointGroups)
     moving_jitter: float = 0.0
     jitter_memory: float = 0.5
+    mirroring: Mirroring = field(default_factory=Mirroring)
     swapped: float = 0.0
     swap_seconds: float = 0.5
     stale: float = 0.0
@@ -121,6 +125,13 @@ class TrackerErrors:
         """The errors of the body's own tracker."""
         return _AZURE if body is AZURE_KINECT else _KINECT_V2
 
+    @staticmethod
+    def with_random_swaps(body: Body) -> TrackerErrors:
+        """The errors of version 0.1: sides swapped at random moments while the back is turned."""
+        return replace(
+            TrackerErrors.of(body), mirroring=Mirroring(), swapped=0.18 if body is AZURE_KINECT else 0.34
+        )
+
     def only(self, *knobs: str) -> TrackerErrors:
         """These errors with all but the named knobs turned off."""
         return replace(TrackerErrors.none(), **{knob: getattr(self, knob) for knob in knobs})
@@ -138,7 +149,8 @@ _KINECT_V2 = TrackerErrors(
     stretch=0.12, outliers=0.0065, outlier_size=0.17, rescale=0.018, rescale_seconds=2.0,
     jitter=JointGroups(spine=0.0016, head=0.001, girdle=0.0024, elbow=0.0024, wrist=0.0036, hand=0.005,
                        tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
-    moving_jitter=0.002, jitter_memory=0.7, swapped=0.34, swap_seconds=2.0, stale=0.05, lost=0.002,
+    moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.97),
+    swap_seconds=2.0, stale=0.05, lost=0.002,
 )  # fmt: skip
 _AZURE = TrackerErrors(
     view_bias=0.009, skin=0.15, seen_share=0.35,
@@ -147,5 +159,6 @@ _AZURE = TrackerErrors(
     stretch=0.16, outliers=0.005, outlier_size=0.20, rescale=0.028, rescale_seconds=0.6,
     jitter=JointGroups(spine=0.0012, head=0.001, girdle=0.0020, elbow=0.0024, wrist=0.0036, hand=0.005,
                        tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
-    moving_jitter=0.002, jitter_memory=0.7, swapped=0.18, swap_seconds=2.0, stale=0.04, lost=0.001,
+    moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.35),
+    swap_seconds=2.0, stale=0.04, lost=0.001,
 )  # fmt: skip

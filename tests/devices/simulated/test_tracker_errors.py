@@ -12,6 +12,7 @@ import pytest
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.realism.pair_statistics import run_lengths, statistics
 from devices.simulated.rig import Rig
+from devices.simulated.tracking.mirroring import Mirroring
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import KINECT_V2
 
@@ -42,6 +43,7 @@ TABLE: list[tuple[TrackerErrors, str, Any, Any, str, float]] = [
     (NONE, "jitter", JointGroups(hand=0.002), JointGroups(hand=0.008), "jitter hand", 1.2),
     (NONE, "moving_jitter", 0.005, 0.02, "tracked_change", 1.2),
     (replace(NONE, jitter=EVEN), "jitter_memory", 0.0, 0.9, "tracked_change", 1 / 1.2),
+    (NONE, "mirroring", Mirroring(back=0.1), Mirroring(back=0.9), "swapped", 1.2),
     (NONE, "swapped", 0.1, 0.6, "swapped", 1.2),
     (replace(NONE, swapped=0.5), "swap_seconds", 0.1, 1.0, "swap_frames", 2.0),
     (NONE, "stale", 0.05, 0.2, "stale", 2.0),

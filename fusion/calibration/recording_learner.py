@@ -1,0 +1,246 @@
+"""The calibration of a whole recording, in two passes: what happened, then R, t and bones of each stretch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fusion.body import Body
+from fusion.calibration.bone_statistics import robust_bone_lengths
+from fusion.calibration.calibration import (
+    Calibration,
+    calibrate,
+    nominal_calibration,
+)
+from fusion.calibration.learner import (
+    CalibrationChange,
+    CalibrationLearner,
+    LearnerSettings,
+    prior_of,
+    registration_of,
+)
+from fusion.calibration.start_up_pose import find_start_up_pose
+from fusion.errors import CalibrationError
+from fusion.registration.clock_offset import ClockOffset, clock_offset_of
+from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
+from fusion.registration.refinement import held_out_gain
+from fusion.registration.rigid_fit import fit_rigid
+from fusion.registration.robust_fit import RobustFit, disagreement, fit_robust
+from fusion.rigid import RigidTransform
+from fusion.skeleton import SkeletonPair
+
+_KEYFRAMES = 128  # of a stretch; the tempering of the fit was chosen for so many
+_FEWEST = 12
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationSpan:
+    """A calibration and from when on it holds.
+
+    Attributes:
+        first_ns: Time of the first pair that it holds for; it holds until the next span.
+        calibration: R, t and bone lengths.
+    """
+
+    first_ns: int
+    calibration: Calibration
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedCalibration:
+    """What a whole recording tells.
+
+    Attributes:
+        spans: One, or one more for each time a sensor was moved; in order of time.
+        clock: Offset and skew of B's clock; None where there is too little motion.
+        events: What happened, as the learner tells it live; knocks with their times.
+    """
+
+    spans: tuple[CalibrationSpan, ...]
+    clock: ClockOffset | None
+    events: tuple[CalibrationChange, ...]
+
+    def calibration_at(self, time_ns: int) -> Calibration:
+        """The calibration that holds at a time."""
+        held = [span.calibration for span in self.spans if span.first_ns <= time_ns]
+        return held[-1] if held else self.spans[0].calibration
+
+
+def learn_from_recording(
+    body: Body,
+    pairs: Sequence[SkeletonPair],
+    codes: Sequence[tuple[int, int]] | None = None,
+    start: Calibration | None = None,
+    settings: LearnerSettings | None = None,
+    skews_ns: Sequence[int] | None = None,
+) -> LearnedCalibration:
+    """Learns one calibration from a recording, or one for each stretch between knocks.
+
+    The first pass goes through the recording as the live learner does and finds when a sensor was moved. The
+    second fits R and t to all keyframes of each stretch, and the bone lengths to all keyframes.
+
+    Args:
+        body: Of both views.
+        pairs: In order of time.
+        codes: For each pair, what of A and of B is mirrored: bit 0 arms, bit 1 legs; nothing where None.
+        start: A calibration to begin with; the recording's start-up pose where None.
+        settings: What is learned.
+        skews_ns: How much later B captured than A by the time stamps; 0 where None.
+
+    Raises:
+        CalibrationError: No frame shows a person to both sensors, or too few joints.
+    """
+    settings = settings or LearnerSettings()
+    codes = [(0, 0)] * len(pairs) if codes is None else codes
+    skews_ns = [0] * len(pairs) if skews_ns is None else skews_ns
+    fresh = _fresh(pairs)
+    if start is None:
+        start = _start_of(body, pairs, [pairs[k] for k in fresh])
+    start = _best_start(body, [pairs[k] for k in fresh], [codes[k] for k in fresh], start, settings)
+
+    learner = CalibrationLearner(body, start, replace(settings, clock=False, bones=False))
+    changes: list[CalibrationChange] = []
+    for k in fresh:
+        changes += learner.observe(pairs[k], codes[k], (False, False), skews_ns[k])
+
+    knocks = [change for change in changes if change.kind == "followed" and change.since_ns is not None]
+    begins = [pairs[0].time_ns, *(int(change.since_ns or 0) for change in knocks)]
+    starts = [start, *(change.calibration for change in knocks)]
+    spans, bone_evidence = [], []
+    for number, (begin_ns, first) in enumerate(zip(begins, starts, strict=True)):
+        end_ns = begins[number + 1] if number + 1 < len(begins) else None
+        within = [
+            k for k in fresh
+            if pairs[k].time_ns >= begin_ns and (end_ns is None or pairs[k].time_ns < end_ns)
+        ]  # fmt: skip
+        frames = KeyframeSet(body, _KEYFRAMES)
+        for k in within:
+            frames.add(pairs[k], codes[k])
+        calibration = _refit(body, frames.evidence, first, settings) if settings.refine else first
+        spans.append(CalibrationSpan(begin_ns, calibration))
+        bone_evidence.append((frames.evidence, calibration))
+    if settings.bones:
+        spans = _with_bones(body, spans, bone_evidence)
+    clock = None
+    if settings.clock:
+        last = [k for k in fresh if len(begins) == 1 or pairs[k].time_ns < begins[1]]
+        clock = clock_offset_of(
+            body, [pairs[k] for k in last], spans[0].calibration.a_from_b, [skews_ns[k] for k in last]
+        )
+    events = tuple(change for change in changes if change.kind in ("knocked", "followed"))
+    return LearnedCalibration(tuple(spans), clock, events)
+
+
+def label_free_fit(body: Body, evidence: Evidence) -> RigidTransform | None:
+    """R and t from the midline and from midpoints of left and right, robustly; None where they leave it open.
+
+    These points are the same whether or not a view is mirrored. They pin R only if the person walks about.
+    """
+    own = np.array([j for j in range(len(body)) if j <= body.mirror[j]])
+    other = body.mirror[own]
+    usable = np.minimum(evidence.weights[:, own], evidence.weights[:, other]) > 0.5
+    p = (0.5 * (evidence.a[:, own] + evidence.a[:, other]))[usable]
+    q = (0.5 * (evidence.b[:, own] + evidence.b[:, other]))[usable]
+    try:
+        found = fit_rigid(p, q)
+        for _ in range(10):
+            apart = np.linalg.norm(p - found.apply(q), axis=1)
+            near = apart <= 2.0 * max(float(np.median(apart)), 1e-4)
+            found = fit_rigid(p[near], q[near])
+    except CalibrationError:
+        return None
+    return found
+
+
+def _fresh(pairs: Sequence[SkeletonPair]) -> list[int]:
+    """The pairs with two views, neither of which repeats the one before."""
+    fresh = []
+    before: SkeletonPair | None = None
+    for k, pair in enumerate(pairs):
+        if pair.a is not None and pair.b is not None:
+            stale = before is not None and (pair.a.repeats(before.a) or pair.b.repeats(before.b))
+            if not stale:
+                fresh.append(k)
+        before = pair
+    return fresh
+
+
+def _start_of(body: Body, pairs: Sequence[SkeletonPair], fresh: Sequence[SkeletonPair]) -> Calibration:
+    """The start-up pose's calibration; the label-free fit where one view of that pose is mirrored."""
+    held, how = find_start_up_pose(body, pairs)
+    try:
+        return calibrate(body, held, how)
+    except CalibrationError:
+        found = label_free_fit(body, evidence_of(body, fresh[:: max(1, len(fresh) // _KEYFRAMES)]))
+        if found is None:
+            raise
+        return replace(nominal_calibration(body), a_from_b=found, how="label-free fit of the recording")
+
+
+def _best_start(
+    body: Body,
+    pairs: Sequence[SkeletonPair],
+    codes: Sequence[tuple[int, int]],
+    start: Calibration,
+    settings: LearnerSettings,
+) -> Calibration:
+    """The given start, or the label-free fit of the first half minute where that explains it far better."""
+    until_ns = pairs[0].time_ns + 30_000_000_000 if pairs else 0
+    frames = KeyframeSet(body, _KEYFRAMES)
+    for pair, code in zip(pairs, codes, strict=True):
+        if pair.time_ns <= until_ns:
+            frames.add(pair, code)
+    evidence = frames.evidence
+    if len(evidence.a) < _FEWEST:
+        return start
+    other = label_free_fit(body, evidence)
+    if other is None:
+        return start
+    costs = []
+    for transform in (start.a_from_b, other):
+        copy = evidence.copy()
+        match_sides(body, copy, transform)
+        costs.append(disagreement(body, copy, transform, settings.refinement.fit, 0.03))
+    if costs[1] > costs[0] - max(settings.refinement.gain, 0.2 * costs[0]):
+        return start
+    return replace(start, a_from_b=other, how="label-free fit of the first half minute")
+
+
+def _refit(body: Body, evidence: Evidence, start: Calibration, settings: LearnerSettings) -> Calibration:
+    """R and t from all keyframes of a stretch, if held-out ones agree."""
+    fit_settings = settings.refinement.fit
+    if len(evidence.a) < _FEWEST:
+        return start
+    try:
+        match_sides(body, evidence, start.a_from_b)
+        prior = prior_of(start)
+        fit: RobustFit = fit_robust(body, evidence, start.a_from_b, fit_settings, prior=prior)
+        match_sides(body, evidence, fit.a_from_b)
+        fit = fit_robust(body, evidence, fit.a_from_b, fit_settings, noise_sd=fit.noise_sd, biases=fit.biases)
+        gain = held_out_gain(body, evidence, start.a_from_b, fit, fit_settings, prior)
+    except CalibrationError:
+        return start
+    if gain < settings.refinement.gain:
+        return start
+    return replace(
+        start,
+        a_from_b=fit.a_from_b,
+        how=f"robust fit of {len(evidence.a)} keyframes of the recording",
+        registration=registration_of(body, evidence, fit),
+    )
+
+
+def _with_bones(
+    body: Body, spans: list[CalibrationSpan], seen: list[tuple[Evidence, Calibration]]
+) -> list[CalibrationSpan]:
+    """The spans with one set of bone lengths: a person's bones outlast a knock."""
+    evidence, calibration = max(seen, key=lambda item: len(item[0].a))
+    if len(evidence.a) < _FEWEST:
+        return spans
+    try:
+        lengths = robust_bone_lengths(body, evidence, calibration.a_from_b, spans[0].calibration.bone_lengths)
+    except CalibrationError:
+        return spans
+    return [replace(s, calibration=replace(s.calibration, bone_lengths=lengths)) for s in spans]

@@ -1,0 +1,223 @@
+"""What the estimator works on: named arrays, owned by the fuser, so that a frame allocates nothing.
+
+J is the number of joints. Arrays of both views have the view first: 0 is A, 1 is B.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.estimator.constants import (
+    DEFAULT_SMOOTHING,
+    Constants,
+    acceleration_shares,
+    by_joint,
+    calmness,
+    joint_errors,
+)
+from fusion.solvers.tree_elimination import BLOCKS
+
+Array = NDArray[np.float64]
+
+
+class Model(NamedTuple):
+    """What stays the same from frame to frame."""
+
+    parents: NDArray[np.int64]  # (J,)
+    order: NDArray[np.int64]  # (J,) parents before children
+    rest: Array  # (J, 3)
+    linked: NDArray[np.bool_]  # (J, J)
+    lateral: NDArray[np.bool_]  # (J,) whether a joint has a counterpart on the other side
+    hinges: NDArray[np.int64]  # (4, 3) near end, hinge, far end: both knees, both elbows
+    bends: Array  # (4,) 1 where the hinge lies before the line of its ends, -1 behind
+    sides: NDArray[np.int64]  # (4,) left and right hip, left and right shoulder
+    slow: Array  # (J,) metres
+    fast: Array  # (J,) metres
+    acceleration: Array  # (J,) relative to an elbow's
+    bone_lengths: Array  # (J,) metres
+    rotation: Array  # (3, 3) R of a_from_b
+    translation: Array  # (3,) t, which is where K_B stands
+    up: Array  # (3,) against gravity in K_A's frame; NaN where it is learnt from the person
+    calmness: float
+    constants: Constants
+
+
+class State(NamedTuple):
+    """What one frame leaves to the next."""
+
+    positions: Array  # (J, 3) S*, metres, K_A's frame
+    velocities: Array  # (J, 3) m/s
+    variances: Array  # (J, 3) of position, of position with velocity, of velocity; along any axis
+    known: NDArray[np.bool_]  # (J,)
+    offsets: Array  # (2, J, 3) what each view reports, less S*: the difference between the views, shared
+    offset_variances: Array  # (2, J)
+    shared_error: Array  # (J, 3, 3) covariance of the slow error that S* has
+    doubt: Array  # (2, J) probability that the view's last measurement was an outlier
+    scales: Array  # (2,) of each view's skeleton, less 1
+    scale_variances: Array  # (2,)
+    before: Array  # (J, 3) S* of the last frame, where the solver starts
+    clock: NDArray[np.int64]  # (2,) time of the last frame with a person, ns, and whether there is one
+    last_positions: NDArray[np.float32]  # (2, J, 3) as the sensors gave them
+    last_states: NDArray[np.uint8]  # (2, J)
+
+
+class Views(NamedTuple):
+    """Both views of one pair, as measurements."""
+
+    reported: Array  # (2, J, 3) as the sensors gave them, in K_A's frame, metres
+    reported_states: NDArray[np.uint8]  # (2, J)
+    stale: NDArray[np.bool_]  # (2,) whether a view repeats its last skeleton
+    positions: Array  # (2, J, 3) re-labelled, less the view's scale
+    states: NDArray[np.uint8]  # (2, J) re-labelled; 0 where the view gives no measurement
+    delays: Array  # (2,) s, capture time less the pair's
+    codes: NDArray[np.int64]  # (2,) what was exchanged; see :mod:`fusion.facing.model`
+    side_doubt: Array  # (2,) probability that a view's sides are wrong all the same
+    rays: Array  # (2, J, 3) unit vectors from the sensor to the joint
+    covers: NDArray[np.int64]  # (2, J) nearest joint before this one in the viewing plane, or -1
+    cover_distances: Array  # (2, J) how far across the ray, metres
+    slow: Array  # (2, J, 3, 3) covariance of the slow error
+    fast: Array  # (2, J) variance of the fast error
+    surprise: Array  # (J,) probability that both views are right and the prediction is wrong
+    trust: Array  # (2, J) probability that the measurement is none of the outliers
+
+
+class Solve(NamedTuple):
+    """Room for the tree solver."""
+
+    targets: Array  # (J, 3)
+    information: Array  # (J, 3, 3)
+    positions: Array  # (J, 3)
+    upward: Array  # (J, 4) what a joint's subtree says about its parent: direction, and information along it
+    covariance: Array  # (J, 3, 3)
+    sums: Array  # (3, 3)
+    room: Array  # (3, 3)
+    tree_work: Array
+
+
+class Output(NamedTuple):
+    """What T pairs come to; see :class:`fusion.fuser.FusedFrame`."""
+
+    positions: Array  # (T, J, 3)
+    predicted: NDArray[np.bool_]  # (T, J)
+    weights_a: Array  # (T, J)
+    weights_b: Array  # (T, J)
+    misleading: NDArray[np.int64]  # (T, J)
+    covariance: Array  # (T, J, 3, 3)
+    sigma: Array  # (T, J)
+    velocities: Array  # (T, J, 3)
+    codes: NDArray[np.int64]  # (T, 2)
+    counts: NDArray[np.int64]  # (T, 3) iterations, stale A, stale B
+
+
+_LIMBS = (("Hip", "Knee", "Ankle"), ("Shoulder", "Elbow", "Wrist"))
+
+
+def new_model(
+    body: Body,
+    bone_lengths: Array,
+    rotation: Array,
+    translation: Array,
+    smoothing: float = DEFAULT_SMOOTHING,
+    constants: Constants | None = None,
+) -> Model:
+    """The model of one body and calibration."""
+    errors = joint_errors(body)
+    return Model(
+        parents=body.parent_indices,
+        order=body.order,
+        rest=np.ascontiguousarray(body.rest),
+        linked=body.linked,
+        lateral=body.mirror != np.arange(len(body)),
+        hinges=np.array(
+            [[body.joint(joint + side) for joint in limb] for limb in _LIMBS for side in ("Left", "Right")],
+            dtype=np.int64,
+        ),
+        bends=np.array([1.0, 1.0, -1.0, -1.0]),
+        sides=np.array(
+            [body.joint(j) for j in ("HipLeft", "HipRight", "ShoulderLeft", "ShoulderRight")], dtype=np.int64
+        ),
+        slow=by_joint(body, errors.slow),
+        fast=by_joint(body, errors.fast),
+        acceleration=acceleration_shares(body),
+        bone_lengths=np.array(bone_lengths, dtype=np.float64),
+        rotation=np.array(rotation, dtype=np.float64),
+        translation=np.array(translation, dtype=np.float64),
+        up=np.full(3, np.nan),
+        calmness=calmness(smoothing),
+        constants=constants or Constants(),
+    )
+
+
+def new_state(joints: int) -> State:
+    """The state before the first frame."""
+    return State(
+        positions=np.zeros((joints, 3)),
+        velocities=np.zeros((joints, 3)),
+        variances=np.zeros((joints, 3)),
+        known=np.zeros(joints, dtype=np.bool_),
+        offsets=np.zeros((2, joints, 3)),
+        offset_variances=np.zeros((2, joints)),
+        shared_error=np.zeros((joints, 3, 3)),
+        doubt=np.zeros((2, joints)),
+        scales=np.zeros(2),
+        scale_variances=np.zeros(2),
+        before=np.full((joints, 3), np.nan),
+        clock=np.zeros(2, dtype=np.int64),
+        last_positions=np.full((2, joints, 3), np.nan, dtype=np.float32),
+        last_states=np.zeros((2, joints), dtype=np.uint8),
+    )
+
+
+def new_views(joints: int) -> Views:
+    """Room for one pair."""
+    return Views(
+        reported=np.zeros((2, joints, 3)),
+        reported_states=np.zeros((2, joints), dtype=np.uint8),
+        stale=np.zeros(2, dtype=np.bool_),
+        positions=np.zeros((2, joints, 3)),
+        states=np.zeros((2, joints), dtype=np.uint8),
+        delays=np.zeros(2),
+        codes=np.zeros(2, dtype=np.int64),
+        side_doubt=np.zeros(2),
+        rays=np.zeros((2, joints, 3)),
+        covers=np.full((2, joints), -1, dtype=np.int64),
+        cover_distances=np.zeros((2, joints)),
+        slow=np.zeros((2, joints, 3, 3)),
+        fast=np.zeros((2, joints)),
+        surprise=np.zeros(joints),
+        trust=np.zeros((2, joints)),
+    )
+
+
+def new_solve(joints: int) -> Solve:
+    """Room for one solution."""
+    return Solve(
+        targets=np.zeros((joints, 3)),
+        information=np.zeros((joints, 3, 3)),
+        positions=np.zeros((joints, 3)),
+        upward=np.zeros((joints, 4)),
+        covariance=np.zeros((joints, 3, 3)),
+        sums=np.zeros((3, 3)),
+        room=np.zeros((3, 3)),
+        tree_work=np.zeros((BLOCKS, joints, 6)),
+    )
+
+
+def new_output(frames: int, joints: int) -> Output:
+    """Room for the results of so many pairs."""
+    return Output(
+        positions=np.empty((frames, joints, 3)),
+        predicted=np.empty((frames, joints), dtype=np.bool_),
+        weights_a=np.empty((frames, joints)),
+        weights_b=np.empty((frames, joints)),
+        misleading=np.empty((frames, joints), dtype=np.int64),
+        covariance=np.empty((frames, joints, 3, 3)),
+        sigma=np.empty((frames, joints)),
+        velocities=np.empty((frames, joints, 3)),
+        codes=np.zeros((frames, 2), dtype=np.int64),
+        counts=np.empty((frames, 3), dtype=np.int64),
+    )

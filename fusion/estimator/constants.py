@@ -1,0 +1,163 @@
+"""The numbers of the estimator, and where they come from.
+
+Two kinds of numbers: how trackers err, by kind of joint (:class:`JointErrors`), and how a person moves and
+how the filter reacts (:class:`Constants`). The tables are medians over recordings, made by
+``python -m tests.campaigns.fit_estimator errors FOLDER…``. The constants are the end of a coordinate search
+by ``python -m tests.campaigns.fit_estimator constants FOLDER…`` over simulated recordings of both bodies
+(seeds 3000 and 3001), simulated ones with all errors × 1.5 (seed 3002), and real pairs (``real/``, and ``_2``
+and ``_14`` of ``real_more/``), rounded to two digits.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import AZURE_KINECT, Body
+
+KINDS = (
+    "spine", "head", "girdle", "elbow", "wrist", "hand", "tip", "thumb", "knee", "ankle", "foot", "face",
+)  # fmt: skip
+"""Kinds of joints, by how well a tracker finds them. The girdle is hips, shoulders and clavicles."""
+
+# The first that occurs in a joint's name decides.
+_KIND_OF_NAME = {
+    "handtip": "tip", "thumb": "thumb", "hand": "hand", "wrist": "wrist", "elbow": "elbow",
+    "spineshoulder": "spine", "shouldercenter": "spine", "hipcenter": "spine", "shoulder": "girdle",
+    "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle", "foot": "foot", "head": "head",
+    "nose": "face", "eye": "face", "ear": "face",
+}  # fmt: skip
+
+
+def kind_of(joint: str) -> str:
+    """The kind of a joint, by its name in any body's spelling."""
+    name = joint.replace("_", "").lower()
+    return next((kind for part, kind in _KIND_OF_NAME.items() if part in name), "spine")
+
+
+class JointErrors(NamedTuple):
+    """How one body tracker errs, by kind of joint in the order of :data:`KINDS`; metres, along one axis.
+
+    Attributes:
+        slow: Standard deviation of the error that lasts: a bias that depends on the view and the pose.
+        fast: Standard deviation of the error that changes from frame to frame.
+    """
+
+    slow: tuple[float, ...]
+    fast: tuple[float, ...]
+
+
+_FAST = (0.0011, 0.0015, 0.0016, 0.0024, 0.0029, 0.0036, 0.0039, 0.0086, 0.0017, 0.0015, 0.0021, 0.0028)
+AZURE_ERRORS = JointErrors(
+    (0.0086, 0.0112, 0.0145, 0.0230, 0.0173, 0.0193, 0.0202, 0.0286, 0.0119, 0.0167, 0.0167, 0.0212), _FAST
+)
+"""Azure Kinect: simulated recordings, whose errors were fitted to 87 real trials that are not at hand."""
+KINECT_ERRORS = JointErrors(
+    (0.0184, 0.0255, 0.0280, 0.0392, 0.0384, 0.0321, 0.0344, 0.0521, 0.0237, 0.0199, 0.0261, 0.0255), _FAST
+)
+"""Kinect v1 and v2: ten real pairs of Kinect v2."""
+
+_ACCELERATION = (
+    0.64,
+    0.72,
+    0.79,
+    1.00,
+    1.12,
+    1.28,
+    1.44,
+    1.90,
+    1.00,
+    1.04,
+    1.30,
+    0.87,
+)  # by kind; the elbow's is 1
+
+
+class Constants(NamedTuple):
+    """How the filter reacts. SI units; standard deviations along one axis.
+
+    Attributes:
+        slow_scale: Of the slow errors of :class:`JointErrors`.
+        along_ray: How much larger a slow error is along the view's ray than across it.
+        inferred_slow: How many times larger the slow error of an inferred joint is.
+        inferred_fast: How many times larger its fast error counts. A guess errs to the same side for some
+            half a second, so that thirty frames of it say little more than one.
+        fast_scale: Of the fast errors.
+        fast_by_speed: Fast error added for each m/s that the joint moves, s.
+        near: Distance across the ray, metres, at which a joint before this one doubles its slow variance.
+        near_power: How steeply that grows as the two come nearer.
+        near_limit: Largest factor of that variance.
+        before: How much farther than this joint the other may be and still count as before it, metres.
+        acceleration: Standard deviation of a still elbow's acceleration, m/s².
+        acceleration_by_speed: What is added for each m/s, 1/s.
+        velocity_seconds: How long a joint keeps its velocity relative to its parent's.
+        agreement_seconds: How long an offset between the views lasts while both see the joint.
+        alone_seconds: How long an offset lasts while one view sees it.
+        outlier: Probability that a tracked joint is an outlier.
+        inferred_outlier: The same of an inferred joint.
+        outlier_lasts: Probability that an outlier is followed by one.
+        outlier_side: Side of the cube that outliers are spread over, metres.
+        surprise: Probability that a joint moves as the prediction cannot tell.
+        sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
+        scale_sd: Standard deviation of a view's scale about 1.
+        scale_seconds: How long a scale lasts.
+        bone_sd: Standard deviation of one bone's relative length within a view.
+        spread: Factor of all reported standard deviations; found so that 68 % of true joints lie within one.
+    """
+
+    slow_scale: float = 0.8
+    along_ray: float = 1.3
+    inferred_slow: float = 2.5
+    inferred_fast: float = 10.0
+    fast_scale: float = 2.5
+    fast_by_speed: float = 0.004
+    near: float = 0.10
+    near_power: float = 2.0
+    near_limit: float = 20.0
+    before: float = 0.0
+    acceleration: float = 1.0
+    acceleration_by_speed: float = 16.0
+    velocity_seconds: float = 0.4
+    agreement_seconds: float = 1.0
+    alone_seconds: float = 2.0
+    outlier: float = 0.02
+    inferred_outlier: float = 0.2
+    outlier_lasts: float = 0.85
+    outlier_side: float = 0.6
+    surprise: float = 0.05
+    sides_doubted: float = 1.0
+    scale_sd: float = 0.035
+    scale_seconds: float = 0.6
+    bone_sd: float = 0.03
+    spread: float = 1.1
+
+
+DEFAULT_SMOOTHING = 0.5
+"""The smoothing at which :class:`Constants` were fitted."""
+
+
+def joint_errors(body: Body) -> JointErrors:
+    """How the body's own tracker errs."""
+    return AZURE_ERRORS if body is AZURE_KINECT else KINECT_ERRORS
+
+
+def by_joint(body: Body, values: tuple[float, ...]) -> NDArray[np.float64]:
+    """(J,) the value of each joint's kind."""
+    return np.array([values[KINDS.index(kind_of(joint))] for joint in body.joints])
+
+
+def acceleration_shares(body: Body) -> NDArray[np.float64]:
+    """(J,) how much more than an elbow each joint accelerates."""
+    return by_joint(body, _ACCELERATION)
+
+
+def calmness(smoothing: float) -> float:
+    """The factor of the acceleration's variance that a smoothing from 0 to 1 stands for.
+
+    ``((1 - s) / s)⁴``: 1 at the default of one half; so large at 0 that the prediction counts for nothing,
+    and each frame stands by itself; 10⁻⁸ or so at 1.
+    """
+    s = min(max(smoothing, 1e-3), 1.0 - 1e-2)
+    return float(((1.0 - s) / s) ** 4)

@@ -1,0 +1,114 @@
+"""The estimator as the fuser runs it: its arrays, and its rows as fused frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import typeof
+from numpy.typing import NDArray
+
+from fusion.estimator.arrays import Output, new_model, new_output, new_solve, new_state, new_views
+from fusion.estimator.constants import Constants
+from fusion.estimator.estimator import estimate_pairs
+from fusion.estimator.smoother import new_trace, smooth_pairs
+from fusion.estimator.views import relabel
+from fusion.facing.model import new_facing_model, new_facing_state
+from fusion.fused_frame import FusedFrame
+from fusion.setup import FusionSetup
+
+
+class DuplexFusion:
+    """``duplex``; see :class:`fusion.setup.FuserSettings`.
+
+    Args:
+        setup: Calibration and settings.
+        constants: Of the filter; the fitted ones where None.
+    """
+
+    kernel: Any = estimate_pairs
+    """What takes longest to compile."""
+
+    def __init__(self, setup: FusionSetup, constants: Constants | None = None) -> None:
+        body = setup.body
+        self._constants = constants
+        self._facing_model, self._facing = new_facing_model(body), new_facing_state(body)
+        joints = len(body)
+        self._state, self._views, self._solve = new_state(joints), new_views(joints), new_solve(joints)
+        self._no_trace = new_trace(0, joints)
+        self._calibrate(setup)
+
+    def compile(self, positions: NDArray[np.float32], states: NDArray[np.uint8]) -> None:
+        """Compiles a good part of what needs no solver."""
+        del positions, states
+        given = self._model, self._facing_model, self._facing, self._views, 0.0, 0, 0
+        relabel.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
+
+    def recalibrate(self, setup: FusionSetup) -> None:
+        """Goes on with another calibration; S* does not jump.
+
+        Where R and t change, S_B moves. Its offsets take that up, from where B last saw each joint, and fade
+        as offsets do.
+        """
+        before = self._setup.calibration.a_from_b
+        last = self._state.last_positions[1].astype(np.float64)
+        moved = setup.calibration.a_from_b.apply(last) - before.apply(last)
+        seen = np.isfinite(moved).all(axis=1)
+        self._state.offsets[1][seen] += moved[seen]
+        self._calibrate(setup)
+
+    def _calibrate(self, setup: FusionSetup) -> None:
+        self._setup = setup
+        a_from_b = setup.calibration.a_from_b
+        self._model = new_model(
+            setup.body,
+            setup.calibration.bone_lengths,
+            a_from_b.rotation,
+            a_from_b.translation,
+            setup.settings.smoothing,
+            self._constants,
+        )
+
+    def run(
+        self,
+        time_ns: NDArray[np.int64],
+        skew_ns: NDArray[np.int64],
+        codes: NDArray[np.int64],
+        *views: NDArray[Any],
+        smooth: bool = False,
+    ) -> list[FusedFrame]:
+        """The next pairs.
+
+        Args:
+            time_ns, skew_ns, codes, views: As :func:`fusion.estimator.estimator.estimate_pairs` takes them.
+            smooth: Whether these pairs are the whole recording, and all of them count for each.
+        """
+        joints = views[1].shape[1]
+        output = new_output(len(time_ns), joints)
+        trace = new_trace(len(time_ns), joints) if smooth else self._no_trace
+        estimate_pairs(
+            self._model, self._facing_model, self._state, self._facing, self._views, self._solve, output,
+            trace, time_ns, skew_ns, codes, *views,
+        )  # fmt: skip
+        if smooth:
+            smooth_pairs(self._model, self._solve, trace, output)
+        return [self._fused(output, k, int(time)) for k, time in enumerate(time_ns)]
+
+    def _fused(self, output: Output, k: int, time_ns: int) -> FusedFrame:
+        iterations, stale_a, stale_b = output.counts[k].tolist()
+        return FusedFrame(
+            positions=output.positions[k],
+            predicted=output.predicted[k],
+            weights_a=output.weights_a[k],
+            weights_b=output.weights_b[k],
+            misleading=output.misleading[k],
+            a_from_b=self._setup.calibration.a_from_b,
+            iterations=iterations,
+            stale_a=bool(stale_a),
+            stale_b=bool(stale_b),
+            time_ns=time_ns,
+            sigma=output.sigma[k],
+            covariance=output.covariance[k],
+            exchanged_a=int(output.codes[k, 0]),
+            exchanged_b=int(output.codes[k, 1]),
+        )

@@ -1,0 +1,192 @@
+"""The estimator: one pair of skeletons in, S* out. Each step is a line, and a module of its own."""
+
+from __future__ import annotations
+
+import math
+
+from fusion.compiling.kernels import inner_kernel, kernel
+from fusion.estimator.bones import aim, follow_bones, hold_bones
+from fusion.estimator.limits import respect_hinges
+from fusion.estimator.measurement import cast_rays, find_covers, set_covariances
+from fusion.estimator.motion import predict
+from fusion.estimator.offsets import fade_offsets, learn_offsets
+from fusion.estimator.robust import be_surprised, judge, remember_doubt
+from fusion.estimator.smoother import trace_prediction, trace_result
+from fusion.estimator.uncertainty import spread
+from fusion.estimator.update import begin_joints, share_error, take_in
+from fusion.estimator.views import relabel, rescale, take_views
+
+FORGET_NS = 1_000_000_000
+"""After so long without a person the next one starts afresh."""
+_SHORTEST_STEP = 1e-3  # s: two pairs at one time are no infinite speed
+
+
+@kernel
+def estimate_pairs(  # type: ignore[no-untyped-def]
+    model,
+    facing_model,
+    state,
+    facing,
+    views,
+    solve,
+    output,
+    trace,
+    time_ns,
+    skew_ns,
+    codes,
+    a,
+    states_a,
+    b,
+    states_b,
+):
+    """:func:`estimate_pair` over consecutive pairs.
+
+    Args:
+        model, facing_model: Of the body and the calibration.
+        state, facing: Carried on.
+        views, solve: Room.
+        output: Room for T pairs.
+        trace: Room for what a smoother needs (:mod:`fusion.estimator.smoother`), or for no pair.
+        codes: (T, 2) exchange codes of A and B where they are known, -1 where the facing filter finds them.
+        time_ns, skew_ns: (T,) the pairs' times, and capture time of B less that of A.
+        a, b: (T, J, 3) float32 positions, each in its sensor's frame; NaN where not tracked.
+        states_a, states_b: (T, J) uint8 tracking states; all 0 where the sensor sees no one.
+    """
+    for k in range(len(time_ns)):
+        estimate_pair(
+            model, facing_model, state, facing, views, solve, output, trace, k,
+            time_ns[k], skew_ns[k], codes[k],
+            a[k], states_a[k], b[k], states_b[k],
+        )  # fmt: skip
+
+
+@inner_kernel
+def estimate_pair(  # type: ignore[no-untyped-def]
+    model,
+    facing_model,
+    state,
+    facing,
+    views,
+    solve,
+    output,
+    trace,
+    k,
+    time_ns,
+    skew_ns,
+    codes,
+    a,
+    states_a,
+    b,
+    states_b,
+):
+    """S* of one pair into row k of the output."""
+    constants, room, sums = model.constants, solve.room, solve.sums
+    dt = elapsed(state, time_ns)
+    # the views, carried to K_A's frame
+    take_views(model, state, views, skew_ns, a, states_a, b, states_b)
+    output.counts[k, 0], output.counts[k, 1], output.counts[k, 2] = 0, views.stale[0], views.stale[1]
+    if not anyone(states_a, states_b):
+        no_one(output, k)
+        return
+    # left and right as they are on the person
+    relabel(model, facing_model, facing, views, dt, codes[0], codes[1])
+    # each view's own scale taken out
+    rescale(model, state, views, dt)
+    # where the joints should be by now
+    predict(model, state, dt)
+    trace_prediction(model, state, trace, k, dt)
+    # how far each measurement can be trusted beforehand
+    cast_rays(model, views)
+    find_covers(model, views)
+    set_covariances(model, state, views)
+    # by how much each view is off
+    fade_offsets(model, state, views, dt)
+    # which measurements are outliers
+    judge(model, state, views)
+    be_surprised(model, state, views, dt)
+    # information adds up
+    take_in(model, state, views)
+    # what the views still differ by is shared out
+    learn_offsets(model, state, views, room)
+    together, alone = math.exp(-dt / constants.agreement_seconds), math.exp(-dt / constants.alone_seconds)
+    share_error(model, state, views, together, alone, sums, room)
+    # joints seen for the first time
+    begin_joints(model, state, views, sums, room)
+    remember_doubt(model, state, views)
+    # hinges bend one way only
+    respect_hinges(model, state, views)
+    # the skeleton with exactly these bones
+    aim(model, state, solve)
+    output.counts[k, 0] = hold_bones(model, state, solve)
+    # the filter goes on from there
+    follow_bones(model, state, solve)
+    trace_result(model, state, trace, k)
+    state.clock[0], state.clock[1] = time_ns, 1
+    # how sure all that is
+    spread(model, solve, output.covariance[k], output.sigma[k], room)
+    report(state, views, solve, output, k)
+
+
+@inner_kernel
+def elapsed(state, time_ns):  # type: ignore[no-untyped-def]
+    """Seconds since the last pair with a person; after too long a time, what was known is forgotten."""
+    if state.clock[1] == 1 and time_ns - state.clock[0] > FORGET_NS:
+        state.clock[1] = 0
+        for i in range(len(state.known)):
+            state.known[i] = False
+    if state.clock[1] == 0:
+        return _SHORTEST_STEP
+    return max(1e-9 * (time_ns - state.clock[0]), _SHORTEST_STEP)
+
+
+@inner_kernel
+def anyone(states_a, states_b):  # type: ignore[no-untyped-def]
+    """Whether a sensor reports a person."""
+    some = False
+    for i in range(len(states_a)):
+        some = some or states_a[i] != 0 or states_b[i] != 0
+    return some
+
+
+@inner_kernel
+def no_one(output, k):  # type: ignore[no-untyped-def]
+    """Row k of the output where neither sensor sees a person."""
+    for i in range(output.positions.shape[1]):
+        output.predicted[k, i] = True
+        output.weights_a[k, i] = output.weights_b[k, i] = 0.0
+        output.misleading[k, i] = -1
+        output.sigma[k, i] = math.nan
+        for r in range(3):
+            output.positions[k, i, r] = output.velocities[k, i, r] = math.nan
+            for c in range(3):
+                output.covariance[k, i, r, c] = math.nan
+
+
+@inner_kernel
+def report(state, views, solve, output, k):  # type: ignore[no-untyped-def]
+    """Row k of the output: S*, and each view's share of the information about each joint."""
+    output.codes[k, 0], output.codes[k, 1] = views.codes[0], views.codes[1]
+    for i in range(output.positions.shape[1]):
+        says_a = _information(views, 0, i)
+        says_b = _information(views, 1, i)
+        total = says_a + says_b
+        output.predicted[k, i] = total == 0.0
+        output.weights_a[k, i] = says_a / total if total > 0.0 else 0.0
+        output.weights_b[k, i] = says_b / total if total > 0.0 else 0.0
+        nearer_b = views.cover_distances[1, i] < views.cover_distances[0, i]
+        output.misleading[k, i] = views.covers[1, i] if nearer_b else views.covers[0, i]
+        for c in range(3):
+            output.positions[k, i, c] = solve.positions[i, c]
+            output.velocities[k, i, c] = state.velocities[i, c]
+
+
+@inner_kernel
+def _information(views, v, i):  # type: ignore[no-untyped-def]
+    """What a view says about a joint: its trust over the mean variance of its measurement, 1/m²."""
+    if views.states[v, i] == 0 or views.trust[v, i] < _HARDLY:
+        return 0.0
+    C = views.slow[v, i]
+    return views.trust[v, i] / ((C[0, 0] + C[1, 1] + C[2, 2]) / 3.0 + views.fast[v, i])
+
+
+_HARDLY = 0.01  # trust: with less, a joint counts as predicted

@@ -1,0 +1,104 @@
+"""By how much each view's joints are off from S*, lastingly: what the two views disagree about, shared out.
+
+Two trackers place a joint centimetres apart, for as long as the pose lasts. Only the difference shows; each
+view takes its share of it, by its covariance. With the offsets taken out the views agree, and S* does not
+move when one view loses the joint or finds it again.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fusion.compiling.kernels import inner_kernel
+from fusion.estimator.three import inverse
+
+
+@inner_kernel
+def fade_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
+    """Offsets decay as an Ornstein–Uhlenbeck process does: b ← φ b, Var b ← φ² Var b + (1 - φ²) C.
+
+    C is the mean slow variance of the measurement. They last for ``agreement_seconds`` while both views are
+    trusted, for ``alone_seconds`` while only one is. The variance of an offset does not grow for a view that
+    is trusted alone: then it is the one S* follows.
+    """
+    k = model.constants
+    together, alone = math.exp(-dt / k.agreement_seconds), math.exp(-dt / k.alone_seconds)
+    for i in range(len(model.parents)):
+        both = views.states[0, i] != 0 and views.states[1, i] != 0
+        agreed = both and state.doubt[0, i] < 0.5 and state.doubt[1, i] < 0.5
+        kept = together if agreed else alone
+        for v in range(2):
+            for c in range(3):
+                state.offsets[v, i, c] *= kept
+            if views.states[v, i] != 0:
+                C = views.slow[v, i]
+                slow = (C[0, 0] + C[1, 1] + C[2, 2]) / 3.0
+            else:
+                slow = _UNSEEN * (k.slow_scale * model.slow[i]) ** 2
+            if both or views.states[v, i] != 2 or state.doubt[v, i] > 0.5:
+                state.offset_variances[v, i] += (1.0 - together * together) * (
+                    slow - state.offset_variances[v, i]
+                )
+
+
+@inner_kernel
+def learn_offsets(model, state, views, room):  # type: ignore[no-untyped-def]
+    """Gives each view its share of what the two still differ by: d = y_A - y_B.
+
+    With V_v the covariance of view v's offset, the slow covariance of its measurement in the size of the
+    offset's variance:
+
+        b_A ← b_A + g V_A (V_A + V_B)⁻¹ d,    b_B ← b_B - g V_B (V_A + V_B)⁻¹ d
+
+    where g = β_A β_B (Var b_A + Var b_B) / (Var b_A + Var b_B + fast_A + fast_B). So a view that comes back
+    takes nearly all of the difference.
+
+    Args:
+        model, state, views: Of the pair.
+        room: (3, 3) scratch.
+    """
+    for i in range(len(model.parents)):
+        trust = views.trust[0, i] * views.trust[1, i]
+        if not state.known[i] or trust == 0.0:
+            continue
+        A, B = views.slow[0, i], views.slow[1, i]
+        Va, Vb = state.offset_variances[0, i], state.offset_variances[1, i]
+        sa, sb = Va / (A[0, 0] + A[1, 1] + A[2, 2]), Vb / (B[0, 0] + B[1, 1] + B[2, 2])
+        gain = trust * (Va + Vb) / (Va + Vb + views.fast[0, i] + views.fast[1, i])
+        for r in range(3):
+            for c in range(3):
+                room[r, c] = sa * A[r, c] + sb * B[r, c]
+        inverse(room, room)
+        later = views.delays[0] - views.delays[1]
+        x = (
+            views.positions[0, i, 0]
+            - state.offsets[0, i, 0]
+            - views.positions[1, i, 0]
+            + state.offsets[1, i, 0]
+        )
+        y = (
+            views.positions[0, i, 1]
+            - state.offsets[0, i, 1]
+            - views.positions[1, i, 1]
+            + state.offsets[1, i, 1]
+        )
+        z = (
+            views.positions[0, i, 2]
+            - state.offsets[0, i, 2]
+            - views.positions[1, i, 2]
+            + state.offsets[1, i, 2]
+        )
+        x -= state.velocities[i, 0] * later
+        y -= state.velocities[i, 1] * later
+        z -= state.velocities[i, 2] * later
+        u = room[0, 0] * x + room[0, 1] * y + room[0, 2] * z
+        v = room[1, 0] * x + room[1, 1] * y + room[1, 2] * z
+        w = room[2, 0] * x + room[2, 1] * y + room[2, 2] * z
+        for r in range(3):
+            state.offsets[0, i, r] += gain * sa * (A[r, 0] * u + A[r, 1] * v + A[r, 2] * w)
+            state.offsets[1, i, r] -= gain * sb * (B[r, 0] * u + B[r, 1] * v + B[r, 2] * w)
+        state.offset_variances[0, i] *= 1.0 - gain
+        state.offset_variances[1, i] *= 1.0 - gain
+
+
+_UNSEEN = 2.0  # a joint that the view does not give is probably covered

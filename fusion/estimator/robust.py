@@ -1,0 +1,134 @@
+"""Which measurements are outliers: the probability of each, from the prediction and the other view."""
+
+from __future__ import annotations
+
+import math
+
+from fusion.compiling.kernels import inner_kernel
+
+_TWO_PI = 2.0 * math.pi
+
+
+@inner_kernel
+def judge(model, state, views):  # type: ignore[no-untyped-def]
+    """The trust β of each measurement: the probability that it is no outlier, given both views.
+
+    A measurement y (less its view's offset) is the predicted x plus Gaussian noise of variance
+    S = P + fast + offset variance along each axis, or an outlier, spread evenly over a cube of side
+    ``outlier_side``. With both views there are four hypotheses. The likelihood that both are good is
+    N(y_A; x, S_A) N(y_B; x', S'), where x' and S' are predicted with y_A taken in: so two views that agree
+    with each other need not agree with the prediction. β sums the posterior over the hypotheses.
+
+    A fifth hypothesis says that both are good and the prediction is wrong: the person has done what no one
+    expects. Then the two agree with each other and stand anywhere: N(y_A - y_B; 0, noise_A + noise_B) over
+    the cube. Its posterior is the surprise, which :func:`be_surprised` acts on.
+
+    An outlier is followed by one with probability ``outlier_lasts``; β is 0 without a measurement.
+    """
+    k = model.constants
+    uniform = -3.0 * math.log(k.outlier_side)
+    for i in range(len(model.parents)):
+        has_a, has_b = views.states[0, i] != 0, views.states[1, i] != 0
+        if not state.known[i]:
+            views.trust[0, i], views.trust[1, i] = 1.0 if has_a else 0.0, 1.0 if has_b else 0.0
+            continue
+        views.trust[0, i] = views.trust[1, i] = views.surprise[i] = 0.0
+        P = state.variances[i, 0]
+        if has_a and has_b:
+            a, b = prior_outlier(model, state, views, 0, i), prior_outlier(model, state, views, 1, i)
+            Sa = P + views.fast[0, i] + state.offset_variances[0, i]
+            Sb = P + views.fast[1, i] + state.offset_variances[1, i]
+            gain = P / Sa
+            Sab = P * (1.0 - gain) + views.fast[1, i] + state.offset_variances[1, i]
+            square_a = square_b = square_ab = apart = 0.0
+            for c in range(3):
+                ea, eb = innovation(state, views, 0, i, c), innovation(state, views, 1, i, c)
+                square_a += ea * ea
+                square_b += eb * eb
+                square_ab += (eb - gain * ea) ** 2
+                apart += (eb - ea) ** 2
+            good_a, good_b = normal(square_a, Sa), normal(square_b, Sb)
+            right = math.log((1.0 - a) * (1.0 - b))
+            both = good_a + normal(square_ab, Sab) + right
+            turn = uniform + normal(apart, Sa + Sb - 2.0 * P) + right + math.log(k.surprise)
+            only_a = good_a + uniform + math.log((1.0 - a) * b)
+            only_b = good_b + uniform + math.log(a * (1.0 - b))
+            none = 2.0 * uniform + math.log(a * b)
+            top = max(max(both, turn), max(max(only_a, only_b), none))
+            both, only_a = math.exp(both - top), math.exp(only_a - top)
+            only_b, none, turn = math.exp(only_b - top), math.exp(none - top), math.exp(turn - top)
+            total = both + only_a + only_b + none + turn
+            views.trust[0, i] = (both + turn + only_a) / total
+            views.trust[1, i] = (both + turn + only_b) / total
+            views.surprise[i] = turn / total
+        elif has_a or has_b:
+            s = 0 if has_a else 1
+            outlier = prior_outlier(model, state, views, s, i)
+            S = P + views.fast[s, i] + state.offset_variances[s, i]
+            square = 0.0
+            for c in range(3):
+                square += innovation(state, views, s, i, c) ** 2
+            odds = uniform + math.log(outlier) - normal(square, S) - math.log(1.0 - outlier)
+            views.trust[s, i] = 1.0 / (1.0 + math.exp(min(odds, 50.0)))
+
+
+@inner_kernel
+def be_surprised(model, state, views, dt):  # type: ignore[no-untyped-def]
+    """Where both views say together that the prediction is wrong, its variance grows to let them through.
+
+        P ← P + surprise (|e|²/3) g gᵀ,    g = [1, 1/(2 dt)]
+
+    with e the views' mean innovation: the joint has moved by e, half of it for good.
+    """
+    for i in range(len(model.parents)):
+        if not state.known[i] or views.surprise[i] < _UNLIKELY:
+            continue
+        square = 0.0
+        for c in range(3):
+            e = 0.5 * (innovation(state, views, 0, i, c) + innovation(state, views, 1, i, c))
+            square += e * e
+        grown = views.surprise[i] * square / 3.0
+        state.variances[i, 0] += grown
+        state.variances[i, 1] += 0.5 * grown / dt
+        state.variances[i, 2] += 0.25 * grown / (dt * dt)
+
+
+@inner_kernel
+def innovation(state, views, v, i, c):  # type: ignore[no-untyped-def]
+    """Measured less predicted along axis c, with the view's offset taken out, at the view's own time."""
+    at_capture = state.positions[i, c] + state.velocities[i, c] * views.delays[v]
+    return views.positions[v, i, c] - state.offsets[v, i, c] - at_capture
+
+
+@inner_kernel
+def normal(square, variance):  # type: ignore[no-untyped-def]
+    """log N(e; 0, variance I) in three dimensions, with |e|² = square."""
+    return -1.5 * math.log(_TWO_PI * variance) - 0.5 * square / variance
+
+
+@inner_kernel
+def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
+    """Probability of an outlier before it is measured: a Markov chain, or the doubt about the sides."""
+    k = model.constants
+    rare = k.outlier if views.states[v, i] == 2 else k.inferred_outlier
+    prior = rare + max(k.outlier_lasts - rare, 0.0) * state.doubt[v, i]
+    if model.lateral[i]:
+        prior = max(prior, min(k.sides_doubted * views.side_doubt[v], _SURE))
+    return prior
+
+
+@inner_kernel
+def remember_doubt(model, state, views):  # type: ignore[no-untyped-def]
+    """1 - β for the next pair; without a measurement, doubt fades towards its mean."""
+    rare = model.constants.outlier
+    for v in range(2):
+        for i in range(len(model.parents)):
+            if views.states[v, i] != 0:
+                state.doubt[v, i] = 1.0 - views.trust[v, i]
+            else:
+                state.doubt[v, i] = rare + _FADES * (state.doubt[v, i] - rare)
+
+
+_FADES = 0.9  # per pair
+_UNLIKELY = 1e-3  # less surprise changes nothing that shows
+_SURE = 0.99  # no measurement is an outlier for certain

@@ -1,0 +1,89 @@
+"""How sure S* is: the covariance of each joint, with what the bones say about it."""
+
+from __future__ import annotations
+
+import math
+
+from fusion.compiling.kernels import inner_kernel
+from fusion.estimator.three import inverse
+
+
+@inner_kernel
+def spread(model, solve, covariance, sigma, room):  # type: ignore[no-untyped-def]
+    """The covariance of each joint of S* given all joints' information and the bones' lengths.
+
+    A hard bone lets a joint say about its neighbour only how far it lies along the bone, n: with A the
+    neighbour's own information and all that comes from beyond it, that is n nᵀ / (nᵀ A⁻¹ n). Sums of these go
+    up the tree, then down: belief propagation, exact on a tree for bones whose directions are given.
+
+    Args:
+        model, solve: After the bones; the information in ``solve`` is that of the targets.
+        covariance: (J, 3, 3) out, m².
+        sigma: (J,) out: the square root of its trace, m: one standard deviation of the distance to the truth.
+        room: (3, 3) scratch.
+    """
+    A = solve.covariance  # information first, covariance in the end
+    order, parents = model.order, model.parents
+    for i in range(len(parents)):
+        for r in range(3):
+            for c in range(3):
+                A[i, r, c] = solve.information[i, r, c]
+            A[i, r, r] += _ANYWHERE
+    for n in range(len(order) - 1, 0, -1):
+        i = order[n]
+        p = parents[i]
+        nx, ny, nz = _direction(solve.positions, i, p)
+        says = _along(A[i], nx, ny, nz, room)
+        up = solve.upward[i]
+        up[0], up[1], up[2], up[3] = nx, ny, nz, says
+        _add_along(A[p], nx, ny, nz, says)
+    for n in range(1, len(order)):
+        i = order[n]
+        p = parents[i]
+        nx, ny, nz, said = solve.upward[i, 0], solve.upward[i, 1], solve.upward[i, 2], solve.upward[i, 3]
+        _add_along(A[p], nx, ny, nz, -said)  # what the parent knows without this joint
+        says = _along(A[p], nx, ny, nz, room)
+        _add_along(A[p], nx, ny, nz, said)
+        _add_along(A[i], nx, ny, nz, says)
+    square = model.constants.spread**2
+    for i in range(len(parents)):
+        inverse(A[i], room)
+        for r in range(3):
+            for c in range(3):
+                covariance[i, r, c] = square * room[r, c]
+        sigma[i] = math.sqrt(covariance[i, 0, 0] + covariance[i, 1, 1] + covariance[i, 2, 2])
+
+
+@inner_kernel
+def _direction(positions, i, p):  # type: ignore[no-untyped-def]
+    x, y, z = (
+        positions[i, 0] - positions[p, 0],
+        positions[i, 1] - positions[p, 1],
+        positions[i, 2] - positions[p, 2],
+    )
+    s = 1.0 / max(math.sqrt(x * x + y * y + z * z), 1e-12)
+    return x * s, y * s, z * s
+
+
+@inner_kernel
+def _along(A, x, y, z, room):  # type: ignore[no-untyped-def]
+    """1 / (nᵀ A⁻¹ n)."""
+    inverse(A, room)
+    return 1.0 / (
+        room[0, 0] * x * x + room[1, 1] * y * y + room[2, 2] * z * z
+        + 2.0 * (room[0, 1] * x * y + room[0, 2] * x * z + room[1, 2] * y * z)
+    )  # fmt: skip
+
+
+@inner_kernel
+def _add_along(A, x, y, z, information):  # type: ignore[no-untyped-def]
+    A[0, 0] += information * x * x
+    A[1, 1] += information * y * y
+    A[2, 2] += information * z * z
+    A[0, 1] += information * x * y
+    A[0, 2] += information * x * z
+    A[1, 2] += information * y * z
+    A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
+
+
+_ANYWHERE = 1.0  # 1/m²: even a joint that was never seen is within a metre

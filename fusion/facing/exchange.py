@@ -1,0 +1,45 @@
+"""Exchanges the labels of one view, before it is fused and before it teaches the registration."""
+
+from __future__ import annotations
+
+import math
+
+from fusion.compiling.kernels import kernel
+from fusion.facing.model import HIP, SHOULDER, TRUNK, WHOLE
+
+_INFERRED, _TRACKED = 1, 2  # fusion.skeleton.TrackingState
+
+
+@kernel
+def exchange(model, positions, states, code, out_positions, out_states):  # type: ignore[no-untyped-def]
+    """Writes a skeleton with left and right exchanged as the code says.
+
+    Where arms or legs are exchanged alone, real trackers leave the girdle as it is; shoulders (hips) go with
+    the limb only where shoulders and hips contradict each other. With the whole body exchanged, feet, thumbs
+    and face become inferred: a tracker places them by the way that it believes the person to face, so they
+    stand on the wrong side.
+
+    Args:
+        model: Of the body.
+        positions, states: (J, 3), (J,) as reported.
+        code: 0, or a sum of ARMS, LEGS and TRUNK (see :mod:`fusion.facing.model`).
+        out_positions, out_states: Room for the result; not the same arrays.
+    """
+    along = 0.0
+    for c in range(3):
+        shoulders = positions[model.pairs[SHOULDER, 0], c] - positions[model.pairs[SHOULDER, 1], c]
+        hips = positions[model.pairs[HIP, 0], c] - positions[model.pairs[HIP, 1], c]
+        along += shoulders * hips
+    opposed = math.isfinite(along) and along < 0.0
+    trunk = ((code & WHOLE) == WHOLE) != ((code & TRUNK) != 0)
+    for j in range(len(positions)):
+        exchanged = (code & model.limb[j]) != 0
+        if model.face[j] or (model.girdle[j] and not opposed):
+            exchanged = trunk
+        source = model.mirror[j] if exchanged else j
+        for c in range(3):
+            out_positions[j, c] = positions[source, c]
+        state = states[source]
+        if trunk and model.believed[j] and state == _TRACKED:
+            state = _INFERRED
+        out_states[j] = state

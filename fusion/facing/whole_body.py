@@ -1,0 +1,258 @@
+"""The hidden Markov model of the whole body: heading, A mirrored, B mirrored.
+
+The state is (θ, m_A, m_B) with θ one of N headings in the horizontal plane and m_v whether view v reports the
+person with left and right exchanged. One step is
+
+    p(θ', m') ∝ L(θ', m'_A, m'_B) Σ P(m'_A | m_A, θ') P(m'_B | m_B, θ') P(θ' | θ) p(θ, m_A, m_B).
+
+**Turning**, P(θ' | θ): a mixture of two wrapped normal distributions, one of a person who goes straight on
+and one of a person who turns. It is the prior on turning speed.
+
+**Exchanging**, P(m' | m, θ): a tracker that takes a back for a front exchanges labels where the back is
+turned. The share of mirrored frames s is a function of the cosine between the heading and the direction to
+the sensor, and is reached with the time constant τ: the chance to become mirrored in dt is r s, the chance to
+cease is r (1 − s), with r = 1 − exp(−dt/τ). That is the price of an exchange; both views exchanged at once
+pay both prices. Where the labels' places of the frame before say so, r is larger (``continuity.py``).
+
+**Evidence**, log L, with f the heading's unit vector; every term is weighted by its share that is new:
+
+* axes (only these depend on m): −β(κ (1 − cos)) + ½ log κ, a von Mises density of the angle between f and the
+  axis, reversed where the view is mirrored; κ = 1/σ² from the table;
+* cues: −β(½ ((x − μ)/σ)²) − log σ, a normal density of x = cue · f, with μ and σ by the cosine to the sensor;
+  β(c) = c / (1 + c / most) bounds what a single outlier can say;
+* motion: w |v|² cos(v, f), with |v| capped: people rarely walk backwards fast.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fusion.compiling.kernels import inner_kernel
+from fusion.facing.model import TAPS
+
+_INTERVALS = 4  # of the tables over the cosine
+_FRAME = 1.0 / 30.0  # the interval that the turning constants are stated for
+
+
+@inner_kernel
+def make_headings(state, up):  # type: ignore[no-untyped-def]
+    """The unit vectors of the headings, horizontal under ``up``; the first as near to K_A's x as can be."""
+    same = True
+    for c in range(3):
+        same = same and abs(state.frame_up[c] - up[c]) < 1e-12
+    if same:
+        return
+    norm = math.sqrt(up[0] ** 2 + up[1] ** 2 + up[2] ** 2)
+    for c in range(3):
+        state.frame_up[c] = up[c] / norm
+    u = state.frame_up
+    length = math.sqrt(1.0 - u[0] * u[0])
+    x0, x1, x2 = (1.0 - u[0] * u[0]) / length, -u[0] * u[1] / length, -u[0] * u[2] / length
+    z0, z1, z2 = u[1] * x2 - u[2] * x1, u[2] * x0 - u[0] * x2, u[0] * x1 - u[1] * x0
+    count = len(state.headings)
+    for n in range(count):
+        angle = 2.0 * math.pi * n / count
+        cosine, sine = math.cos(angle), math.sin(angle)
+        state.headings[n, 0] = cosine * x0 + sine * z0
+        state.headings[n, 1] = cosine * x1 + sine * z1
+        state.headings[n, 2] = cosine * x2 + sine * z2
+
+
+@inner_kernel
+def mirrored_share(scalars, cosine):  # type: ignore[no-untyped-def]
+    """Share of frames that a tracker reports mirrored: a logistic step from front to back."""
+    rise = 1.0 + math.exp((cosine - scalars.mirrored_centre) / scalars.mirrored_width)
+    return scalars.mirrored_front + (scalars.mirrored_back - scalars.mirrored_front) / rise
+
+
+@inner_kernel
+def start(state):  # type: ignore[no-untyped-def]
+    """The prediction for a person who was not there: any heading, each view mirrored with its share there."""
+    count = len(state.headings)
+    for n in range(count):
+        a, b = state.shares[0, n], state.shares[1, n]
+        state.predicted[n, 0, 0] = (1.0 - a) * (1.0 - b) / count
+        state.predicted[n, 0, 1] = (1.0 - a) * b / count
+        state.predicted[n, 1, 0] = a * (1.0 - b) / count
+        state.predicted[n, 1, 1] = a * b / count
+
+
+@inner_kernel
+def _cosine(state, view, n):  # type: ignore[no-untyped-def]
+    f, s = state.headings[n], state.toward[view]
+    return f[0] * s[0] + f[1] * s[1] + f[2] * s[2]
+
+
+@inner_kernel
+def make_turning(scalars, state, dt):  # type: ignore[no-untyped-def]
+    """P(θ' | θ) for differences of up to ``reach`` headings: three deviations of a turning person."""
+    step = 2.0 * math.pi / len(state.headings)
+    slow = scalars.turning_sigma * math.sqrt(dt / _FRAME) / step
+    fast = scalars.turning_sigma_fast * math.sqrt(dt / _FRAME) / step
+    reach = min(TAPS, math.ceil(3.0 * fast))
+    state.reach[0] = reach
+    slow_sum = fast_sum = 0.0
+    for k in range(-reach, reach + 1):
+        slow_sum += math.exp(-0.5 * (k / slow) ** 2)
+        fast_sum += math.exp(-0.5 * (k / fast) ** 2)
+    for k in range(-reach, reach + 1):
+        straight = math.exp(-0.5 * (k / slow) ** 2) / slow_sum
+        turns = math.exp(-0.5 * (k / fast) ** 2) / fast_sum
+        state.turning[k + TAPS] = (1.0 - scalars.turning_share) * straight + scalars.turning_share * turns
+
+
+@inner_kernel
+def exchanging(state, view, n):  # type: ignore[no-untyped-def]
+    """The chances that a view becomes mirrored and that it ceases to be, after continuity."""
+    rate, odds, share = state.rates[view], state.odds[view], state.shares[view, n]
+    to, fro = rate * share, rate * (1.0 - share)
+    return to * odds / (1.0 - to + to * odds), fro * odds / (1.0 - fro + fro * odds)
+
+
+@inner_kernel
+def predict(state, before, after):  # type: ignore[no-untyped-def]
+    """p(θ', m') before the frame's evidence; from ``before`` into ``after``."""
+    count, reach = len(before), state.reach[0]
+    for n in range(count):
+        p00 = p01 = p10 = p11 = 0.0
+        for k in range(TAPS - reach, TAPS + reach + 1):
+            w, m = state.turning[k], n + k - TAPS
+            m = m + count if m < 0 else (m - count if m >= count else m)
+            p00 += w * before[m, 0, 0]
+            p01 += w * before[m, 0, 1]
+            p10 += w * before[m, 1, 0]
+            p11 += w * before[m, 1, 1]
+        to, fro = exchanging(state, 0, n)
+        p00, p10 = p00 * (1.0 - to) + p10 * fro, p00 * to + p10 * (1.0 - fro)
+        p01, p11 = p01 * (1.0 - to) + p11 * fro, p01 * to + p11 * (1.0 - fro)
+        to, fro = exchanging(state, 1, n)
+        after[n, 0, 0] = p00 * (1.0 - to) + p01 * fro
+        after[n, 0, 1] = p00 * to + p01 * (1.0 - fro)
+        after[n, 1, 0] = p10 * (1.0 - to) + p11 * fro
+        after[n, 1, 1] = p10 * to + p11 * (1.0 - fro)
+
+
+@inner_kernel
+def retrodict(state, after, before, room):  # type: ignore[no-untyped-def]
+    """The transpose of :func:`predict`: what frames to come say of the state before; for smoothing."""
+    count, reach = len(after), state.reach[0]
+    for n in range(count):
+        to, fro = exchanging(state, 1, n)
+        p00 = after[n, 0, 0] * (1.0 - to) + after[n, 0, 1] * to
+        p01 = after[n, 0, 0] * fro + after[n, 0, 1] * (1.0 - fro)
+        p10 = after[n, 1, 0] * (1.0 - to) + after[n, 1, 1] * to
+        p11 = after[n, 1, 0] * fro + after[n, 1, 1] * (1.0 - fro)
+        to, fro = exchanging(state, 0, n)
+        room[n, 0, 0], room[n, 1, 0] = p00 * (1.0 - to) + p10 * to, p00 * fro + p10 * (1.0 - fro)
+        room[n, 0, 1], room[n, 1, 1] = p01 * (1.0 - to) + p11 * to, p01 * fro + p11 * (1.0 - fro)
+    for n in range(count):
+        p00 = p01 = p10 = p11 = 0.0
+        for k in range(TAPS - reach, TAPS + reach + 1):
+            w, m = state.turning[k], n - k + TAPS
+            m = m + count if m < 0 else (m - count if m >= count else m)
+            p00 += w * room[m, 0, 0]
+            p01 += w * room[m, 0, 1]
+            p10 += w * room[m, 1, 0]
+            p11 += w * room[m, 1, 1]
+        before[n, 0, 0], before[n, 0, 1] = p00, p01
+        before[n, 1, 0], before[n, 1, 1] = p10, p11
+
+
+@inner_kernel
+def weigh_evidence(model, state, fresh_a, fresh_b):  # type: ignore[no-untyped-def]
+    """Writes the log-likelihood of the frame for every state; a stale view says nothing."""
+    s = model.scalars
+    v, likelihood = state.velocity, state.likelihood
+    speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    pace = s.motion_weight * min(speed, s.motion_cap) ** 2 / max(speed, 1e-9)
+    if not (fresh_a or fresh_b):
+        pace = 0.0
+    for n in range(len(state.headings)):
+        f = state.headings[n]
+        common = pace * (v[0] * f[0] + v[1] * f[1] + v[2] * f[2])
+        axis_a = axis_b = 0.0
+        for view in range(2):
+            cosine = _cosine(state, view, n)
+            state.shares[view, n] = mirrored_share(s, cosine)
+            if not (fresh_b if view == 1 else fresh_a):
+                continue
+            common += _cue_evidence(model, state, view, f, cosine)
+            straight, back = _axis_evidence(model, state, view, f, cosine)
+            common += 0.5 * (straight + back)
+            if view == 0:
+                axis_a = 0.5 * (straight - back)
+            else:
+                axis_b = 0.5 * (straight - back)
+        likelihood[n, 0, 0] = common + axis_a + axis_b
+        likelihood[n, 0, 1] = common + axis_a - axis_b
+        likelihood[n, 1, 0] = common - axis_a + axis_b
+        likelihood[n, 1, 1] = common - axis_a - axis_b
+
+
+@inner_kernel
+def _in_table(table, cosine):  # type: ignore[no-untyped-def]
+    at = 2.0 * (1.0 - max(-1.0, min(1.0, cosine)))
+    i = min(int(at), _INTERVALS - 1)
+    return table[i] + (at - i) * (table[i + 1] - table[i])
+
+
+@inner_kernel
+def _cue_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-def]
+    """Sum over the view's cues of their log densities, if the person faces f."""
+    total = 0.0
+    for row in range(5):
+        trust = state.cue_trust[view, row]
+        if trust > 0.0:
+            kind = row // 2
+            sigma = _in_table(model.cue_sigma[kind], cosine)
+            d = state.cues[view, row]
+            z = (d[0] * f[0] + d[1] * f[1] + d[2] * f[2] - _in_table(model.cue_mean[kind], cosine)) / sigma
+            total -= trust * (
+                _bounded(0.5 * z * z, model.scalars.cue_floor) + _in_table(model.cue_log[kind], cosine)
+            )
+    still = max(model.scalars.still_weight, min(1.0, state.speed[view] / model.scalars.moving_speed))
+    return model.scalars.cue_weight * still * total
+
+
+@inner_kernel
+def _axis_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-def]
+    """Sum of the log densities of shoulder and hip axis if the person faces f: as they are, and reversed."""
+    straight = back = 0.0
+    kappa = _in_table(model.axis_kappa, cosine)
+    for girdle in range(2):
+        trust = state.axis_trust[view, girdle]
+        if trust > 0.0:
+            g = state.axes[view, girdle]
+            along = g[0] * f[0] + g[1] * f[1] + g[2] * f[2]
+            peak = 0.5 * math.log(kappa)
+            straight += trust * (peak - _bounded(kappa * (1.0 - along), model.scalars.axis_floor))
+            back += trust * (peak - _bounded(kappa * (1.0 + along), model.scalars.axis_floor))
+    return model.scalars.axis_weight * straight, model.scalars.axis_weight * back
+
+
+@inner_kernel
+def _bounded(cost, most):  # type: ignore[no-untyped-def]
+    """A cost that grows at first as given and never beyond ``most``: an outlier costs no more."""
+    return cost / (1.0 + cost / most)
+
+
+@inner_kernel
+def correct(state, leak):  # type: ignore[no-untyped-def]
+    """Multiplies the prediction by the likelihood and normalises; no state falls below the leak."""
+    best = -math.inf
+    count = len(state.headings)
+    for n in range(count):
+        for x in range(2):
+            for y in range(2):
+                best = max(best, state.likelihood[n, x, y])
+    total = 0.0
+    for n in range(count):
+        for x in range(2):
+            for y in range(2):
+                p = state.predicted[n, x, y] * math.exp(state.likelihood[n, x, y] - best)
+                state.belief[n, x, y] = p
+                total += p
+    for n in range(count):
+        for x in range(2):
+            for y in range(2):
+                state.belief[n, x, y] = max(state.belief[n, x, y] / total, leak)

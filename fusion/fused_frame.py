@@ -1,0 +1,53 @@
+"""What the method makes of one pair: S*, and why it is so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.rigid import RigidTransform
+
+
+@dataclass(frozen=True, eq=False)
+class FusedFrame:
+    """S* of one pair, and why it is so.
+
+    Attributes:
+        positions: (J, 3) metres, in K_A's frame; NaN throughout where neither sensor sees a person.
+        predicted: (J,) whether a joint has no data and hangs on its bones and the frames before.
+        weights_a, weights_b: (J,) each view's share in a joint; both 0 where predicted. With the paper's
+        method
+            these are w^A and w^B of eq. (11), else shares of the information.
+        misleading: (J,) the mis-leading joint m of sec. 3; -1 where there is none.
+        a_from_b: R and t that S_B was carried with.
+        iterations: Steps the solver took.
+        stale_a, stale_b: Whether the sensor's skeleton repeats its last one.
+        time_ns: The pair's time.
+        sigma: (J,) metres, one standard deviation of a joint's distance to the truth: the square root of the
+            covariance's trace. NaN with the paper's method, which knows none.
+        covariance: (J, 3, 3) m², of each joint; NaN likewise.
+        exchanged_a, exchanged_b: Which sides of the view were exchanged: bit 0 arms, bit 1 legs, 3 the whole
+            body; bit 2 where the trunk does not go with them (:mod:`fusion.facing.model`).
+    """
+
+    positions: NDArray[np.float64]
+    predicted: NDArray[np.bool_]
+    weights_a: NDArray[np.float64]
+    weights_b: NDArray[np.float64]
+    misleading: NDArray[np.int64]
+    a_from_b: RigidTransform
+    iterations: int
+    stale_a: bool
+    stale_b: bool
+    time_ns: int
+    sigma: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    exchanged_a: int = 0
+    exchanged_b: int = 0
+
+    @property
+    def has_person(self) -> bool:
+        """Whether there is an S* at all."""
+        return bool(np.isfinite(self.positions[0, 0]))

@@ -1,0 +1,306 @@
+"""By how much one sensor captures later than its time stamps say, found from the motion that both see.
+
+If B captures τ later than A, a joint that moves with velocity v stands v τ farther in B's view:
+p − (R q + t) = −v τ + bias. Over a second the bias of a joint is constant, so residual and velocity are taken
+relative to their means of that second; τ follows by robust regression over many seconds. The points used are
+those that an exchange of left and right leaves where they are.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.registration.joint_noise import relative_noise
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+
+Array = NDArray[np.float64]
+
+_TRACKED = int(TrackingState.TRACKED)
+_WINDOW_NS = 1_000_000_000
+_WINDOWS = 120  # kept online
+_FEWEST_WINDOWS = 10
+_SLOWEST = 0.08  # m/s, RMS about the second's mean: with less motion the biases' changes decide
+_SCATTER = 1.5  # what the windows' scatter is multiplied by to cover the error on the simulator
+_LEAST_SD_NS = 2_000_000.0
+_SLOPE = 2  # frames before and after, between which a velocity is measured
+_FAR = 2.5  # robust deviations from which a residual counts less
+_LONGEST_NS = 500_000_000  # offset that is searched for in a recording
+_CERTAIN_NS = 5_000_000  # standard deviation below which an offset is worth telling
+_CHANGED = 3.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """How much later B captures than the time stamps say.
+
+    Attributes:
+        offset_ns: Positive where B is later. Add it to the skew of each pair.
+        sd_ns: Its standard deviation, from the scatter between seconds.
+        skew_ppm: By how many millionths B's clock runs slow, so that the offset grows; 0 where unknown.
+        skew_sd_ppm: Of that; infinite where unknown.
+        windows: Seconds of motion that it is based on.
+    """
+
+    offset_ns: float
+    sd_ns: float
+    skew_ppm: float = 0.0
+    skew_sd_ppm: float = float("inf")
+    windows: int = 0
+
+    @property
+    def significant(self) -> bool:
+        """Whether the offset is beyond twice its uncertainty, and worth applying."""
+        return abs(self.offset_ns) > 2.0 * self.sd_ns
+
+    @property
+    def event(self) -> str:
+        """In plain English."""
+        size = f"{self.offset_ns * 1e-6:+.1f} ± {self.sd_ns * 1e-6:.1f} ms"
+        if not self.significant:
+            return f"The motion shows no offset between the sensors' clocks: {size}."
+        return f"The motion shows that B captures {size} relative to its time stamps."
+
+
+@dataclass(frozen=True)
+class _Window:
+    """One second's share of the regression."""
+
+    time_ns: float
+    moment: float  # Σ w v·r, m²/s
+    power: float  # Σ w v·v, (m/s)²
+
+
+class ClockOffsetEstimator:
+    """Estimates the offset while pairs come in; bounded memory, work once a second.
+
+    Args:
+        body: Of both views.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self._points = _Points(body)
+        self._pending: list[tuple[SkeletonPair, int]] = []
+        self._windows: deque[_Window] = deque(maxlen=_WINDOWS)
+        self._told: ClockOffset | None = None
+
+    @property
+    def estimate(self) -> ClockOffset | None:
+        """The offset as known so far; None before there was enough motion."""
+        return _combined(list(self._windows))
+
+    def observe(self, pair: SkeletonPair, a_from_b: RigidTransform, skew_ns: int = 0) -> ClockOffset | None:
+        """Takes a pair that is neither stale nor one-sided.
+
+        Returns:
+            The estimate, when it becomes certain or changes beyond its uncertainty.
+        """
+        if self._pending and pair.time_ns - self._pending[0][0].time_ns >= _WINDOW_NS:
+            pairs = [pair for pair, _ in self._pending]
+            skews = np.array([skew for _, skew in self._pending])
+            self._windows.extend(_windows(self._points, pairs, a_from_b, skews, 0.0))
+            self._pending = [(pair, skew_ns)]
+            return self._news()
+        self._pending.append((pair, skew_ns))
+        return None
+
+    def _news(self) -> ClockOffset | None:
+        now = self.estimate
+        if now is None or now.sd_ns > _CERTAIN_NS:
+            return None
+        if self._told is not None:
+            change = abs(now.offset_ns - self._told.offset_ns)
+            if change < _CHANGED * np.hypot(now.sd_ns, self._told.sd_ns):
+                return None
+        self._told = now
+        return now
+
+
+def clock_offset_of(
+    body: Body, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform, skews_ns: Sequence[int] | None = None
+) -> ClockOffset | None:
+    """The offset and skew of a whole recording, up to half a second.
+
+    A coarse search over shifts by whole frames finds the right neighbourhood; the regression then refines it
+    step by step, with B interpolated at the offset found so far.
+
+    Args:
+        body: Of both views.
+        pairs: In order, without stale ones and with both views.
+        a_from_b: R and t.
+        skews_ns: How much later B captured than A by the time stamps; 0 where None.
+
+    Returns:
+        None where there is too little motion.
+    """
+    if len(pairs) < 4 * _SLOPE + 2:
+        return None
+    points = _Points(body)
+    skews = np.zeros(len(pairs)) if skews_ns is None else np.array(skews_ns, dtype=np.float64)
+    interval = float(np.median(np.diff([pair.time_ns for pair in pairs])))
+    reach = int(_LONGEST_NS / max(interval, 1.0))
+    views = points.of(pairs, a_from_b)
+    costs = [_cost(points, views, pairs, skews, shift * interval) for shift in range(-reach, reach + 1)]
+    if not np.isfinite(costs).any():
+        return None
+    offset_ns = (int(np.nanargmin(costs)) - reach) * interval
+    found: ClockOffset | None = None
+    times = np.array([pair.time_ns for pair in pairs], dtype=np.float64)
+    skew_ppm = 0.0
+    for _ in range(4):
+        drifted = skews + skew_ppm * 1e-6 * (times - times.mean())
+        windows = _windows(points, pairs, a_from_b, drifted, offset_ns)
+        correction = _combined(windows)
+        if correction is None:
+            return found
+        offset_ns += correction.offset_ns
+        slope, slope_sd = _drift(windows, correction)
+        found = ClockOffset(offset_ns, correction.sd_ns, skew_ppm + slope, slope_sd, correction.windows)
+        if abs(skew_ppm + slope) > 2.0 * slope_sd:
+            skew_ppm += slope
+    return found
+
+
+class _Points:
+    """Joints of the midline and midpoints of joints with two sides."""
+
+    def __init__(self, body: Body) -> None:
+        self.own = np.array([j for j in range(len(body)) if j <= body.mirror[j]])
+        self.other = body.mirror[self.own]
+        self.noise = relative_noise(body)[self.own]
+
+    def of(self, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform) -> tuple[Array, Array]:
+        """(T, M, 3) the points of A and of B, in K_A's frame; NaN where not tracked."""
+        a = np.array([self._view(pair.a) for pair in pairs])
+        b = np.array([self._view(pair.b) for pair in pairs])
+        return a, a_from_b.apply(b)
+
+    def _view(self, skeleton: Skeleton | None) -> Array:
+        if skeleton is None:
+            return np.full((len(self.own), 3), np.nan)
+        positions = np.where((skeleton.states == _TRACKED)[:, None], skeleton.positions, np.nan)
+        return np.asarray(0.5 * (positions[self.own] + positions[self.other]), dtype=np.float64)
+
+
+def _windows(
+    points: _Points,
+    pairs: Sequence[SkeletonPair],
+    a_from_b: RigidTransform,
+    skews_ns: Array,
+    offset_ns: float,
+) -> list[_Window]:
+    """The regression of each second, for what remains of the offset beyond ``offset_ns``."""
+    if len(pairs) < 2 * _SLOPE + 3:
+        return []
+    times, residual, velocity = _residuals(points.of(pairs, a_from_b), pairs, skews_ns, offset_ns)
+    windows = []
+    number = (times - times[0]) // _WINDOW_NS
+    for k in range(int(number[-1]) + 1):
+        inside = number == k
+        if np.count_nonzero(inside) < 8:
+            continue
+        r, v, weight = _centred(points, residual[inside], velocity[inside])
+        moment, power = float(np.sum(weight * r * v)), float(np.sum(weight * v * v))
+        if power < _SLOWEST**2 * float(weight.sum()):
+            continue
+        windows.append(_Window(float(times[inside].mean()), moment, power))
+    return windows
+
+
+def _residuals(
+    views: tuple[Array, Array],
+    pairs: Sequence[SkeletonPair],
+    skews_ns: Array,
+    offset_ns: float,
+) -> tuple[Array, Array, Array]:
+    """Times (T,), p − q' (T, M, 3) with B taken at A's times, and the velocity (T, M, 3) in m/s."""
+    a, b = views
+    times = np.array([pair.time_ns for pair in pairs], dtype=np.float64)
+    at_b = times + skews_ns + offset_ns  # when B's points were truly captured
+    index = np.clip(np.searchsorted(at_b, times), 1, len(times) - 1)
+    gap = at_b[index] - at_b[index - 1]
+    share = (times - at_b[index - 1]) / np.maximum(gap, 1.0)
+    inside = (share >= -1.0) & (share <= 2.0) & (gap < 2.0e8)
+    share = np.where(inside, share, np.nan)[:, None, None]
+    b = (1.0 - share) * b[index - 1] + share * b[index]
+    middle = 0.5 * (a + b)
+    velocity = np.full_like(middle, np.nan)
+    elapsed = (times[2 * _SLOPE :] - times[: -2 * _SLOPE]) * 1e-9
+    velocity[_SLOPE:-_SLOPE] = (middle[2 * _SLOPE :] - middle[: -2 * _SLOPE]) / elapsed[:, None, None]
+    velocity[_SLOPE:-_SLOPE][elapsed > 0.3] = np.nan  # across a gap
+    return times, a - b, velocity
+
+
+def _centred(points: _Points, residual: Array, velocity: Array) -> tuple[Array, Array, Array]:
+    """Residual and velocity about their means of the window, and robust weights; 0 where unknown."""
+    known = np.isfinite(residual).all(axis=2) & np.isfinite(velocity).all(axis=2)
+    enough = known.sum(axis=0) >= 6
+    known &= enough
+    count = np.maximum(known.sum(axis=0), 1)[:, None]
+
+    def about_mean(values: Array) -> Array:
+        values = np.where(known[..., None], values, 0.0)
+        return np.asarray(np.where(known[..., None], values - values.sum(axis=0) / count, 0.0))
+
+    r, v = about_mean(residual), about_mean(velocity)
+    size = np.linalg.norm(r, axis=2) / points.noise
+    typical = float(np.median(size[known])) if known.any() else 1.0
+    weight = known / (points.noise**2 * (1.0 + (size / (_FAR * max(typical, 1e-6))) ** 2))
+    return r, v, np.asarray(weight[..., None])
+
+
+def _cost(
+    points: _Points,
+    views: tuple[Array, Array],
+    pairs: Sequence[SkeletonPair],
+    skews_ns: Array,
+    offset_ns: float,
+) -> float:
+    """How badly the views' motions match at an offset: mean robust penalty of the residuals."""
+    times, residual, velocity = _residuals(views, pairs, skews_ns, offset_ns)
+    penalty, count = 0.0, 0
+    number = (times - times[0]) // _WINDOW_NS
+    for k in range(int(number[-1]) + 1):
+        inside = number == k
+        r, _, weight = _centred(points, residual[inside], velocity[inside])
+        known = weight[..., 0] > 0.0
+        size = np.linalg.norm(r, axis=2) / points.noise
+        penalty += float(np.log1p((size[known] / 0.02) ** 2).sum())
+        count += int(known.sum())
+    return penalty / count if count > 50 else np.nan
+
+
+def _combined(windows: Sequence[_Window]) -> ClockOffset | None:
+    """The regression over all windows; its uncertainty from how the windows scatter about it."""
+    if len(windows) < _FEWEST_WINDOWS:
+        return None
+    moment = np.array([window.moment for window in windows])
+    power = np.array([window.power for window in windows])
+    total = power.sum()
+    if total <= 0.0:
+        return None
+    slope = moment.sum() / total
+    sd = _SCATTER * np.sqrt(np.sum((moment - slope * power) ** 2)) / total
+    return ClockOffset(float(-slope * 1e9), max(float(sd * 1e9), _LEAST_SD_NS), windows=len(windows))
+
+
+def _drift(windows: Sequence[_Window], correction: ClockOffset) -> tuple[float, float]:
+    """By how many millionths the offset grows with time, and its standard deviation."""
+    times = np.array([window.time_ns for window in windows])
+    moment = np.array([window.moment for window in windows])
+    power = np.array([window.power for window in windows])
+    middle = np.sum(power * times) / power.sum()
+    lever = times - middle
+    information = np.sum(power * lever**2)
+    if information <= 0.0:
+        return 0.0, float("inf")
+    rest = moment + correction.offset_ns * 1e-9 * power
+    slope = np.sum(rest * lever) / information
+    sd = _SCATTER * np.sqrt(np.sum(((rest - slope * power * lever) * lever) ** 2)) / information
+    return float(-slope * 1e9 * 1e6), float(sd * 1e9 * 1e6)

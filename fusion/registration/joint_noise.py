@@ -1,0 +1,81 @@
+"""How well body trackers place each kind of joint: relative noise and bias of a joint by its name."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+
+# Name fragment → (noise, bias) relative to the spine. The order matters: "handtip" stands before "hand".
+# Noise: quiet jitter and outlier rate of real Kinect v2 and Azure recordings, compressed to a factor of four.
+# Bias: offsets against optical motion capture grow from the trunk to the limbs' ends.
+_KINDS = (
+    ("handtip", 3.5, 1.5),
+    ("thumb", 4.0, 1.7),
+    ("hand", 2.5, 1.3),
+    ("wrist", 2.0, 1.2),
+    ("elbow", 1.5, 1.1),
+    ("spineshoulder", 1.0, 0.7),
+    ("shouldercenter", 1.0, 0.7),
+    ("hipcenter", 1.0, 0.7),
+    ("shoulder", 1.2, 0.9),
+    ("clavicle", 1.2, 0.9),
+    ("hip", 1.2, 0.9),
+    ("knee", 1.3, 1.0),
+    ("ankle", 1.6, 1.1),
+    ("foot", 2.5, 1.5),
+    ("head", 1.2, 0.9),
+    ("nose", 1.3, 1.0),
+    ("eye", 1.3, 1.0),
+    ("ear", 1.3, 1.0),
+)
+_SPINE = (1.0, 0.7)
+
+ARM, LEG = 1, 2
+"""The limbs whose labels a tracker can exchange on their own; the bits of an exchange code."""
+
+
+@lru_cache
+def relative_noise(body: Body) -> NDArray[np.float64]:
+    """(J,) standard deviation of a joint's frame-to-frame error, relative to the spine's."""
+    return _fixed([_kind(name)[0] for name in body.joints])
+
+
+@lru_cache
+def relative_bias(body: Body) -> NDArray[np.float64]:
+    """(J,) standard deviation of a joint's view bias, relative to a knee's."""
+    return _fixed([_kind(name)[1] for name in body.joints])
+
+
+@lru_cache
+def limbs(body: Body) -> NDArray[np.int64]:
+    """(J,) ``ARM`` or ``LEG`` for joints that have a left and a right side, 0 for the midline.
+
+    Hips belong to the legs; shoulders, clavicles, eyes and ears to the arms.
+    """
+    lower = ("hip", "knee", "ankle", "foot")
+    return np.array(
+        [
+            0 if body.mirror[j] == j else LEG if any(part in _plain(name) for part in lower) else ARM
+            for j, name in enumerate(body.joints)
+        ],
+        dtype=np.int64,
+    )
+
+
+def _fixed(values: list[float]) -> NDArray[np.float64]:
+    array = np.array(values)
+    array.flags.writeable = False  # shared by all who ask
+    return array
+
+
+def _kind(name: str) -> tuple[float, float]:
+    plain = _plain(name)
+    return next(((noise, bias) for part, noise, bias in _KINDS if part in plain), _SPINE)
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", "").lower()

@@ -1,0 +1,243 @@
+"""The evidence that registration learns from: a bounded set of pairs that fills the volume.
+
+A person who stands still for an hour adds one keyframe, not 100,000: a joint's bias is the same in all of
+them. Keyframes are kept by where the person stood and faced, so that the set keeps the whole volume.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.registration.joint_noise import limbs
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+
+Array = NDArray[np.float64]
+
+_TRACKED, _NOT_TRACKED = int(TrackingState.TRACKED), int(TrackingState.NOT_TRACKED)
+_SHORTEST_NS = 200_000_000  # between two keyframes
+_LONGEST_NS = 2_000_000_000  # after so long the pair is taken although nobody moved
+_MOVED = 0.06  # metres, mean over the joints: a pose that is new
+_CELL = 0.5  # metres
+_SECTORS = 8  # of the person's heading
+_BLOCK_NS = 2_000_000_000  # frames of one block share a fold
+_INFERRED_WEIGHT = 0.1
+"""Information of an inferred joint relative to a tracked one: its error is some three times as large."""
+
+
+class Evidence(NamedTuple):
+    """Joints of K pairs, ready for a fit.
+
+    Attributes:
+        a, b: (K, J, 3) metres, each in its sensor's frame; 0 where unknown.
+        weights: (K, J) 0 where one of the views has no position, 1 where both track the joint.
+        basis: (K, 3) 1, cos h, sin h of the person's heading h in K_A's frame.
+        time_ns: (K,) when.
+    """
+
+    a: Array
+    b: Array
+    weights: Array
+    basis: Array
+    time_ns: NDArray[np.int64]
+
+    def chosen(self, index: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Evidence:
+        """Some of the pairs."""
+        return Evidence(
+            self.a[index], self.b[index], self.weights[index], self.basis[index], self.time_ns[index]
+        )
+
+    def copy(self) -> Evidence:
+        """The same pairs in arrays of their own."""
+        return Evidence(
+            self.a.copy(), self.b.copy(), self.weights.copy(), self.basis.copy(), self.time_ns.copy()
+        )
+
+    @property
+    def folds(self) -> NDArray[np.int64]:
+        """(K,) 0 or 1: blocks of two seconds in turn, so that one half can be held out."""
+        return np.asarray((self.time_ns // _BLOCK_NS) % 2, dtype=np.int64)
+
+
+def relabelled(skeleton: Skeleton, code: int) -> tuple[Array, Array]:
+    """Positions and weights of a view with left and right of its limbs exchanged back.
+
+    Args:
+        skeleton: As the sensor reported it.
+        code: Bit 0 exchanges the arms, bit 1 the legs.
+
+    Returns:
+        (J, 3) positions, 0 where unknown; (J,) weights 0, 0.1 (inferred) or 1 (tracked).
+    """
+    at = skeleton.positions.astype(np.float64)
+    states = skeleton.states
+    if code:
+        body = skeleton.body
+        source = np.where(limbs(body) & code, body.mirror, np.arange(len(body)))
+        at, states = at[source], states[source]
+    weight = np.where(states == _TRACKED, 1.0, _INFERRED_WEIGHT)
+    known = states != _NOT_TRACKED
+    return np.where(known[:, None], at, 0.0), np.where(known, weight, 0.0)
+
+
+class KeyframeSet:
+    """Keeps at most ``capacity`` pairs, spread over places, headings and time.
+
+    Args:
+        body: Of both views.
+        capacity: A full set gives up the oldest keyframe of its most crowded cell.
+        selective: Whether a pair must show something new: a pose that has moved, or two seconds later.
+    """
+
+    def __init__(self, body: Body, capacity: int = 128, *, selective: bool = True) -> None:
+        self._body, self._capacity, self._selective = body, capacity, selective
+        self._limbs = limbs(body)
+        self._left, self._right = _sides(body)
+        count = len(body)
+        self._store = Evidence(
+            np.zeros((capacity, count, 3)),
+            np.zeros((capacity, count, 3)),
+            np.zeros((capacity, count)),
+            np.zeros((capacity, 3)),
+            np.zeros(capacity, dtype=np.int64),
+        )
+        self._cells: list[tuple[int, int, int]] = []
+        self._newest: int | None = None
+
+    def __len__(self) -> int:
+        """How many keyframes there are."""
+        return len(self._cells)
+
+    @property
+    def evidence(self) -> Evidence:
+        """All keyframes, as views of the store, in no order of time."""
+        return self._store.chosen(slice(0, len(self._cells)))
+
+    def clear(self) -> None:
+        """Forgets all keyframes."""
+        self._cells.clear()
+        self._newest = None
+
+    def forget_before(self, time_ns: int) -> None:
+        """Forgets the keyframes older than ``time_ns``."""
+        keep = [k for k in range(len(self)) if self._store.time_ns[k] >= time_ns]
+        for values in self._store:
+            values[: len(keep)] = values[keep]
+        self._cells = [self._cells[k] for k in keep]
+        self._newest = int(np.argmax(self._store.time_ns[: len(keep)])) if keep else None
+
+    def add(self, pair: SkeletonPair, codes: tuple[int, int] = (0, 0)) -> bool:
+        """Takes a pair that shows something new; the caller leaves out stale ones.
+
+        Returns:
+            Whether the pair became a keyframe.
+        """
+        if pair.a is None or pair.b is None or (self._selective and not self._due(pair.time_ns)):
+            return False
+        a, weight_a = relabelled(pair.a, codes[0])
+        b, weight_b = relabelled(pair.b, codes[1])
+        weight = weight_a * weight_b
+        if np.count_nonzero(weight == 1.0) < len(self._body) // 3:
+            return False
+        if self._selective and not self._new(a, weight_a, pair.time_ns):
+            return False
+        across = a[self._left].mean(axis=0) - a[self._right].mean(axis=0)
+        heading = float(np.arctan2(across[2], across[0]))
+        centre = a[weight_a > 0.0].mean(axis=0)
+        cell = (
+            int(np.floor(centre[0] / _CELL)),
+            int(np.floor(centre[2] / _CELL)),
+            int((heading / (2.0 * np.pi) + 0.5) * _SECTORS) % _SECTORS,
+        )
+        slot = self._slot(cell)
+        store = self._store
+        store.a[slot], store.b[slot], store.weights[slot] = a, b, weight
+        store.basis[slot] = 1.0, np.cos(heading), np.sin(heading)
+        store.time_ns[slot] = pair.time_ns
+        self._newest = slot
+        return True
+
+    def relabel(self, a_from_b: RigidTransform) -> None:
+        """Exchanges left and right of B's limbs where that lays them on A's; see :func:`match_sides`."""
+        match_sides(self._body, self.evidence, a_from_b)
+
+    def _due(self, time_ns: int) -> bool:
+        return self._newest is None or time_ns - self._store.time_ns[self._newest] >= _SHORTEST_NS
+
+    def _new(self, a: Array, weight: Array, time_ns: int) -> bool:
+        if self._newest is None or time_ns - self._store.time_ns[self._newest] >= _LONGEST_NS:
+            return True
+        both = (weight > 0.0) & (self._store.weights[self._newest] > 0.0)
+        if not both.any():
+            return True
+        moved = np.linalg.norm((a - self._store.a[self._newest])[both], axis=1)
+        return bool(moved.mean() > _MOVED)
+
+    def _slot(self, cell: tuple[int, int, int]) -> int:
+        if len(self._cells) < self._capacity:
+            self._cells.append(cell)
+            return len(self._cells) - 1
+        counts: dict[tuple[int, int, int], int] = {}
+        for other in self._cells:
+            counts[other] = counts.get(other, 0) + 1
+        most = max(counts.values())
+        crowded = [k for k, other in enumerate(self._cells) if counts[other] == most]
+        slot = min(crowded, key=lambda k: int(self._store.time_ns[k]))
+        self._cells[slot] = cell
+        return slot
+
+
+def evidence_of(
+    body: Body, pairs: Sequence[SkeletonPair], codes: Sequence[tuple[int, int]] | None = None
+) -> Evidence:
+    """All given pairs that both sensors saw, as evidence; the caller has left out stale ones."""
+    every = KeyframeSet(body, capacity=max(1, len(pairs)), selective=False)
+    for k, pair in enumerate(pairs):
+        every.add(pair, (0, 0) if codes is None else codes[k])
+    return every.evidence
+
+
+def match_sides(body: Body, evidence: Evidence, a_from_b: RigidTransform) -> NDArray[np.int64]:
+    """Exchanges left and right of B's arms, and of B's legs, in pairs where that lays them on A's better.
+
+    Registration needs only that both views mean the same joint; which of them is mirrored does not matter.
+    ``evidence.b`` and ``evidence.weights`` are changed in place. A joint is exchanged only together with the
+    other joints of its kind of limb.
+
+    Returns:
+        (K,) codes of what was exchanged: bit 0 arms, bit 1 legs.
+    """
+    part = limbs(body)
+    codes = np.zeros(len(evidence.a), dtype=np.int64)
+    b_in_a = evidence.b @ a_from_b.rotation.T + a_from_b.translation
+    for bit in (1, 2):
+        joints = np.flatnonzero(part == bit)
+        mirrored = body.mirror[joints]
+        weight = np.minimum(evidence.weights[:, joints], evidence.weights[:, mirrored])
+        as_is = _penalty(evidence.a[:, joints] - b_in_a[:, joints])
+        exchanged = _penalty(evidence.a[:, joints] - b_in_a[:, mirrored])
+        better = np.flatnonzero((weight * (exchanged - as_is)).sum(axis=1) < 0.0)
+        rows = better[:, None]
+        evidence.b[rows, joints] = evidence.b[rows, mirrored]
+        evidence.weights[rows, joints] = weight[better]
+        codes[better] |= bit
+    return codes
+
+
+_FAR = 0.08  # metres: from here on a joint's disagreement counts less and less
+
+
+def _penalty(apart: Array) -> Array:
+    return np.asarray(np.log1p(np.sum(apart * apart, axis=-1) / _FAR**2))
+
+
+def _sides(body: Body) -> tuple[list[int], list[int]]:
+    return (
+        [body.joint("SHOULDER_LEFT"), body.joint("HIP_LEFT")],
+        [body.joint("SHOULDER_RIGHT"), body.joint("HIP_RIGHT")],
+    )

@@ -1,0 +1,161 @@
+"""R and t refined while the person moves: a proposal a second, accepted on held-out pairs only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.errors import CalibrationError
+from fusion.registration.keyframes import Evidence, KeyframeSet
+from fusion.registration.robust_fit import Prior, RobustFit, RobustFitSettings, disagreement, fit_robust
+from fusion.rigid import RigidTransform
+from fusion.skeleton import SkeletonPair
+
+
+@dataclass(frozen=True)
+class RefinementSettings:
+    """When a refinement is proposed and what it must achieve.
+
+    Attributes:
+        interval_ns: Between two proposals.
+        fewest: Keyframes that a proposal needs.
+        gain: By how much the log-likelihood of held-out pairs must rise; 3 is a likelihood ratio of 20.
+        smallest_turn, smallest_shift: Radians and metres; a smaller change is not worth an event.
+        half_life_ns: How fast the weight of a keyframe falls with its age.
+        fit: What the fit assumes.
+    """
+
+    interval_ns: int = 1_000_000_000
+    fewest: int = 16
+    gain: float = 3.0
+    smallest_turn: float = 0.0015
+    smallest_shift: float = 0.003
+    half_life_ns: int = 600_000_000_000
+    fit: RobustFitSettings = field(default_factory=RobustFitSettings)
+
+
+class Refinement:
+    """Collects keyframes and proposes a better transform about once a second.
+
+    The test is cross-validation. One fit on the even two-second blocks is judged on the odd ones, and the
+    other way round; the transform in force is judged on both. The fit on all keyframes is accepted if the
+    two held-out fits together explain the pairs better than the transform in force.
+
+    Args:
+        body: Of both views.
+        a_from_b: In force at the start.
+        settings: When and how.
+        prior: What is known about the transform without the keyframes.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        a_from_b: RigidTransform,
+        settings: RefinementSettings | None = None,
+        prior: Prior | None = None,
+    ) -> None:
+        self._body, self._settings = body, settings or RefinementSettings()
+        self.keyframes = KeyframeSet(body)
+        self._in_force, self._prior = a_from_b, prior
+        self._noise_sd = 0.02
+        self._biases: NDArray[np.float64] | None = None
+        self._next_ns: int | None = None
+        self._seen = 0
+
+    def restart(self, a_from_b: RigidTransform, keep_from_ns: int | None = None) -> None:
+        """Puts another transform in force and forgets the keyframes, or those before a time."""
+        self._in_force, self._prior = a_from_b, None
+        self._biases, self._next_ns = None, None
+        if keep_from_ns is None:
+            self.keyframes.clear()
+        else:
+            self.keyframes.forget_before(keep_from_ns)
+
+    def adopt(self, a_from_b: RigidTransform, prior: Prior | None = None) -> None:
+        """Puts another transform in force and keeps the evidence."""
+        self._in_force, self._prior = a_from_b, prior
+
+    def observe(self, pair: SkeletonPair, codes: tuple[int, int] = (0, 0)) -> RobustFit | None:
+        """Takes a pair that is neither stale nor one-sided.
+
+        Returns:
+            A fit that explains held-out pairs better than the transform in force, and is now in force.
+        """
+        self._seen += self.keyframes.add(pair, codes)
+        if self._next_ns is None:
+            self._next_ns = pair.time_ns + self._settings.interval_ns
+        if pair.time_ns < self._next_ns or self._seen == 0 or len(self.keyframes) < self._settings.fewest:
+            return None
+        self._next_ns = pair.time_ns + self._settings.interval_ns
+        self._seen = 0
+        return self.propose(pair.time_ns)
+
+    def propose(self, now_ns: int) -> RobustFit | None:
+        """Fits all keyframes and accepts the fit if it explains held-out pairs better."""
+        settings = self._settings
+        self.keyframes.relabel(self._in_force)
+        evidence = aged(self.keyframes.evidence, now_ns, settings.half_life_ns)
+        try:
+            candidate = self._fit(evidence, iterations=3)
+            self._biases, self._noise_sd = candidate.biases, candidate.noise_sd
+            if not self._worth_it(candidate.a_from_b, candidate.centre):
+                return None
+            if (
+                held_out_gain(self._body, evidence, self._in_force, candidate, settings.fit, self._prior)
+                < settings.gain
+            ):
+                return None
+        except CalibrationError:
+            return None
+        self._in_force = candidate.a_from_b
+        return candidate
+
+    def _fit(self, evidence: Evidence, iterations: int) -> RobustFit:
+        return fit_robust(
+            self._body, evidence, self._in_force, self._settings.fit,
+            iterations=iterations, noise_sd=self._noise_sd, biases=self._biases, prior=self._prior,
+        )  # fmt: skip
+
+    def _worth_it(self, proposed: RigidTransform, centre: NDArray[np.float64]) -> bool:
+        shift = proposed.apply(self._in_force.inverse().apply(centre)) - centre
+        return bool(
+            proposed.angle_to(self._in_force) > self._settings.smallest_turn
+            or np.linalg.norm(shift) > self._settings.smallest_shift
+        )
+
+
+def aged(evidence: Evidence, now_ns: int, half_life_ns: int) -> Evidence:
+    """The evidence with weights that halve with every half-life of age."""
+    age = (now_ns - evidence.time_ns) / half_life_ns
+    return evidence._replace(weights=evidence.weights * np.exp2(-age)[:, None])
+
+
+def held_out_gain(
+    body: Body,
+    evidence: Evidence,
+    in_force: RigidTransform,
+    candidate: RobustFit,
+    settings: RobustFitSettings,
+    prior: Prior | None = None,
+) -> float:
+    """By how much fits like the candidate raise the log-likelihood of pairs that they were not fitted to.
+
+    Two folds, blocks of two seconds in turn. Each fold's fit starts at the candidate and sees the other fold
+    only. −inf where a fold is too thin to be fitted.
+    """
+    gain = 0.0
+    for fold in (0, 1):
+        learned, held_out = evidence.chosen(evidence.folds != fold), evidence.chosen(evidence.folds == fold)
+        if len(learned.a) < 6 or len(held_out.a) < 6:
+            return -np.inf
+        fit = fit_robust(
+            body, learned, candidate.a_from_b, settings,
+            iterations=2, noise_sd=candidate.noise_sd, biases=candidate.biases, prior=prior,
+        )  # fmt: skip
+        gain += disagreement(body, held_out, in_force, settings, candidate.noise_sd)
+        gain -= disagreement(body, held_out, fit.a_from_b, settings, candidate.noise_sd)
+    return gain

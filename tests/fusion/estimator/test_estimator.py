@@ -1,0 +1,238 @@
+"""What S* of the method duplex promises, on a person of known truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fusion.body import BODIES, KINECT_V2, Body
+from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.calibration.calibration import Calibration
+from fusion.errors import FusionError
+from fusion.fused_frame import FusedFrame
+from fusion.fuser import Fuser
+from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings, FusionSetup
+from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing
+
+BODY = KINECT_V2
+FLOAT32 = 3e-6  # m: of a coordinate of up to 4 m, through R and t and along the longest chain of bones
+Array = NDArray[np.float64]
+
+
+def fuser(smoothing: float = 0.5, body: Body = BODY) -> Fuser:
+    return Fuser(FusionSetup(calibration_of(body), FuserSettings(smoothing=smoothing)))
+
+
+def recording(truth: Array, sd: float = 0.0, seed: int = 0, body: Body = BODY) -> list[SkeletonPair]:
+    rng = np.random.default_rng(seed)
+    pairs = [pair_of(body, at, t * FRAME_NS) for t, at in enumerate(truth)]
+    return [noisy(pair, rng, sd) for pair in pairs] if sd else pairs
+
+
+def changed(skeleton: Skeleton | None, change: Callable[[Array], Array]) -> Skeleton:
+    assert skeleton is not None
+    return Skeleton.of(
+        skeleton.body, change(skeleton.positions.astype(float)), skeleton.states, skeleton.time_ns
+    )
+
+
+def fused(pairs: list[SkeletonPair], smoothing: float = 0.5, body: Body = BODY) -> list[FusedFrame]:
+    """S* with the sides as they are: these people move as no one does, and have no front."""
+    return fuser(smoothing, body).fuse_sequence(pairs, np.zeros((len(pairs), 2)))
+
+
+def positions(frames: list[FusedFrame]) -> Array:
+    return np.array([frame.positions for frame in frames])
+
+
+def apart(a: Array, b: Array) -> Array:
+    distance: Array = np.linalg.norm(a - b, axis=-1)
+    return distance
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_two_flawless_views_of_a_still_person_give_the_truth(body: Body) -> None:
+    truth = np.tile(standing(body), (20, 1, 1))
+    shaken = recording(truth, 1e-6, body=body)  # a skeleton that repeats would be stale
+    np.testing.assert_allclose(positions(fused(shaken, body=body)), truth, atol=1e-5)
+
+
+def test_a_moving_person_is_followed_without_noise_to_centimetres() -> None:
+    truth = moving(BODY, 120)
+    assert np.percentile(apart(positions(fused(recording(truth))), truth), 99) < 0.02
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_bones_are_exact_whatever_the_noise(body: Body) -> None:
+    for frame in fused(recording(moving(body, 40), 0.06, body=body), body=body):
+        lengths = bone_lengths_of(body, frame.positions)[body.bone_joints]
+        np.testing.assert_allclose(lengths, body.nominal_lengths[body.bone_joints], atol=1e-9)
+
+
+def test_one_by_one_and_all_at_once_are_the_same_bits() -> None:
+    pairs = recording(moving(BODY, 40), 0.02)
+    pairs[20] = replace(pairs[20], b=None)
+    pairs[21] = SkeletonPair(None, None, pairs[21].time_ns)
+    pairs[22] = replace(pairs[22], skew_ns=5_000_000)
+    singly, together = fuser(), fuser().fuse_sequence(pairs)
+    for pair, expected in zip(pairs, together, strict=True):
+        found = singly.update(pair)
+        for name in ("positions", "sigma", "covariance", "weights_a", "weights_b", "predicted", "misleading"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    assert not together[21].has_person
+    assert together[22].has_person
+
+
+def test_averaging_two_views_over_time_beats_either() -> None:
+    truth = np.tile(standing(BODY), (150, 1, 1))
+    found = positions(fused(recording(truth, 0.01)))[30:]
+    one_view = 0.01 * np.sqrt(8.0 / np.pi)  # mean length of a Gaussian vector in three dimensions
+    assert apart(found, truth[30:]).mean() < 0.5 * one_view
+
+
+def test_a_stale_view_is_no_measurement() -> None:
+    pairs = recording(moving(BODY, 70)[40:], 0.005)
+    pairs[20] = replace(pairs[20], b=pairs[19].b)
+    frame = fused(pairs)[20]
+    assert frame.stale_b
+    assert (frame.weights_b == 0.0).all()
+    assert (frame.weights_a[~frame.predicted] == 1.0).all()
+
+
+Fault = Callable[[Array], Array]
+
+
+def shifted(at: Array) -> Array:
+    return at + np.array((0.25, 0.0, 0.0))
+
+
+def snapped(at: Array) -> Array:
+    arm = [BODY.joint(f"{joint}Right") for joint in ("Elbow", "Wrist", "Hand", "HandTip", "Thumb")]
+    at = at.copy()
+    at[arm] = at[BODY.joint("SpineMid")] + np.array((0.12, 0.0, 0.0)) + 0.02 * np.arange(5)[:, None]
+    return at
+
+
+@pytest.mark.parametrize(("fault", "share"), [(shifted, 0.25), (snapped, 0.05)])
+@pytest.mark.parametrize("view", ["a", "b"])
+def test_a_fault_in_one_view_does_not_pass_into_the_skeleton(fault: Fault, share: float, view: str) -> None:
+    pairs = recording(moving(BODY, 120), 0.004)
+    bad = list(pairs)
+    for k in range(70, 90):
+        bad[k] = replace(pairs[k], **{view: changed(getattr(pairs[k], view), fault)})
+    clean, found = (positions(fused(some)) for some in (pairs, bad))
+    sizes = [
+        apart(getattr(p, view).positions, getattr(q, view).positions) for p, q in zip(pairs, bad, strict=True)
+    ]
+    hit = np.array(sizes) > 0.08
+    assert hit.sum() > 90
+    assert apart(found, clean)[hit].sum() < share * np.array(sizes)[hit].sum()
+
+
+def test_a_view_that_is_lost_and_found_makes_no_jump() -> None:
+    """The views differ by 6 cm, as those of real trackers do."""
+    truth = np.tile(standing(BODY), (150, 1, 1))
+    pairs = [replace(p, b=changed(p.b, lambda at: at + 0.035)) for p in recording(truth, 0.002)]
+    for k in range(60, 80):
+        pairs[k] = replace(pairs[k], b=None)
+    steps = apart(*(positions(fused(pairs))[s] for s in (slice(1, None), slice(None, -1))))
+    assert steps[40:100].max() < 0.006
+
+
+def test_uncertainty_grows_while_no_one_sees_a_joint_and_shrinks_again() -> None:
+    wrist = BODY.joint("WristLeft")
+    pairs = recording(moving(BODY, 140), 0.004)
+
+    def hidden(skeleton: Skeleton | None) -> Skeleton:
+        assert skeleton is not None
+        states = skeleton.states.copy()
+        states[[BODY.joint(f"{j}Left") for j in ("Wrist", "Hand", "HandTip", "Thumb")]] = (
+            TrackingState.NOT_TRACKED
+        )
+        return Skeleton.of(BODY, skeleton.positions, states, skeleton.time_ns)
+
+    for k in range(60, 75):
+        pairs[k] = replace(pairs[k], a=hidden(pairs[k].a), b=hidden(pairs[k].b))
+    frames = fused(pairs)
+    sigma = np.array([frame.sigma[wrist] for frame in frames])
+    assert (np.diff(sigma[60:75]) > 0.0).all()
+    assert sigma[74] > 1.5 * sigma[59]
+    assert sigma[80] < 0.4 * sigma[74]
+    assert all(frame.predicted[wrist] for frame in frames[60:75])
+    assert not frames[75].predicted[wrist]
+
+
+def test_another_calibration_makes_no_jump_and_is_followed() -> None:
+    truth = np.tile(standing(BODY), (200, 1, 1))
+    pairs = recording(truth, 0.002)
+    off = RigidTransform.of(
+        Rotation.from_euler("y", 4.0, degrees=True).as_matrix() @ A_FROM_B.rotation,
+        A_FROM_B.translation + np.array((0.05, 0.0, 0.03)),
+    )
+    wrong = Calibration(BODY, off, BODY.nominal_lengths, "knocked")
+    found = Fuser(FusionSetup(wrong))
+    before = [found.update(pair) for pair in pairs[:60]]
+    found.recalibrate(FusionSetup(calibration_of(BODY)))
+    after = [found.update(pair) for pair in pairs[60:]]
+    assert apart(after[0].positions, before[-1].positions).max() < 0.006
+    assert (
+        np.median(apart(after[-1].positions, truth[-1]))
+        < np.median(apart(before[-1].positions, truth[0])) / 3.0
+    )
+    with pytest.raises(FusionError, match="body and settings stay"):
+        found.recalibrate(FusionSetup(calibration_of(BODIES["kinect_v1"])))
+
+
+def test_more_smoothing_is_calmer_and_less_follows_each_frame() -> None:
+    truth = np.tile(standing(BODY), (120, 1, 1))
+    pairs = recording(truth, 0.01)
+    rough = [
+        np.abs(np.diff(positions(fused(pairs, smoothing))[20:], 2, axis=0)).mean()
+        for smoothing in (0.0, 0.3, 0.5, 0.7, 1.0)
+    ]
+    assert (np.diff(rough) < 0.0).all()
+    assert rough[0] > 5.0 * rough[-1]
+
+
+def test_a_smoothed_recording_is_nearer_to_the_truth_and_has_exact_bones() -> None:
+    truth = moving(BODY, 200)
+    pairs = recording(truth, 0.015)
+    filtered, smoothed = fused(pairs), fuser().smooth_sequence(pairs, np.zeros((200, 2)))
+    off, smooth_off = (apart(positions(frames), truth)[10:-10].mean() for frames in (filtered, smoothed))
+    assert smooth_off < 0.9 * off
+    rough, smooth_rough = (
+        np.abs(np.diff(positions(frames), 2, axis=0)).mean() for frames in (filtered, smoothed)
+    )
+    assert smooth_rough < 0.8 * rough
+    lengths = bone_lengths_of(BODY, positions(smoothed))[:, BODY.bone_joints]
+    np.testing.assert_allclose(lengths - BODY.nominal_lengths[BODY.bone_joints], 0.0, atol=1e-9)
+    with pytest.raises(FusionError, match="Only the method duplex"):
+        Fuser(FusionSetup(calibration_of(BODY), FuserSettings(method="paper"))).smooth_sequence(pairs)
+
+
+def test_the_reported_deviation_holds_the_truth() -> None:
+    """Errors as the filter assumes them: a lasting one of the joint's own size in each view, a fast one."""
+    body, inside = BODY, []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        model = fuser()._fusion._model  # type: ignore[union-attr]
+        k = model.constants
+        truth = moving(body, 100, seed)
+        bias = rng.normal(size=(2, len(body), 3)) * k.slow_scale * model.slow[:, None]
+        pairs = [
+            replace(p, a=changed(p.a, lambda at: at + bias[0]), b=changed(p.b, lambda at: at + bias[1]))  # noqa: B023
+            for p in recording(truth, 0.003, seed)
+        ]
+        frames = fused(pairs)[40:]
+        sigma = np.array([frame.sigma for frame in frames])
+        inside.append([np.mean(apart(positions(frames), truth[40:]) < n * sigma) for n in (1, 2)])
+    one, two = np.mean(inside, axis=0)
+    assert 0.5 < one < 0.95
+    assert two > 0.9

@@ -1,0 +1,335 @@
+"""Each step of the estimator against the textbook: matrices, enumeration, dense solutions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+from scipy.stats import multivariate_normal
+
+from fusion.body import AZURE_KINECT, KINECT_V2
+from fusion.estimator import measurement, motion, offsets, robust, smoother, uncertainty, update, views
+from fusion.estimator.arrays import Model, Solve, State, Views, new_model, new_solve, new_state, new_views
+from fusion.estimator.constants import KINDS, kind_of
+from fusion.estimator.limits import respect_hinges
+from tests.helpers.interpreted import interpreted
+from tests.helpers.two_views import A_FROM_B, standing
+
+BODY = KINECT_V2
+J = len(BODY)
+DT = 1.0 / 30.0
+ROUNDING = 1e-10  # of quantities of the order of 1 after some hundred operations in double precision
+
+
+@dataclass(frozen=True)
+class Scene:
+    model: Model
+    state: State
+    views: Views
+    solve: Solve
+    random: np.random.Generator
+
+
+@pytest.fixture
+def scene() -> Scene:
+    """A standing person whom both views report with errors, and a filter that knows all joints."""
+    random = np.random.default_rng(7)
+    model = new_model(BODY, BODY.nominal_lengths, A_FROM_B.rotation, A_FROM_B.translation)
+    state, seen = new_state(J), new_views(J)
+    truth = standing(BODY)
+    state.positions[:] = truth + random.normal(0.0, 0.01, (J, 3))
+    state.velocities[:] = random.normal(0.0, 0.3, (J, 3))
+    for i in range(J):
+        root = random.normal(0.0, (0.01, 0.2), (2, 2))
+        P = root @ root.T + np.diag((1e-5, 1e-3))
+        state.variances[i] = P[0, 0], P[0, 1], P[1, 1]
+        for v in range(2):
+            root = random.normal(0.0, 0.02, (3, 3))
+            seen.slow[v, i] = root @ root.T + 1e-5 * np.eye(3)
+        root = random.normal(0.0, 0.02, (3, 3))
+        state.shared_error[i] = root @ root.T + 1e-5 * np.eye(3)
+    state.known[:] = True
+    state.offsets[:] = random.normal(0.0, 0.02, (2, J, 3))
+    state.offset_variances[:] = random.uniform(1e-5, 1e-3, (2, J))
+    state.doubt[:] = random.uniform(0.0, 0.6, (2, J))
+    seen.positions[:] = truth + random.normal(0.0, 0.03, (2, J, 3))
+    seen.states[:] = random.integers(0, 3, (2, J))
+    seen.fast[:] = random.uniform(1e-5, 1e-4, (2, J))
+    seen.trust[:] = np.where(seen.states > 0, random.uniform(0.1, 1.0, (2, J)), 0.0)
+    seen.delays[1] = 0.004
+    seen.side_doubt[:] = 0.1, 0.4
+    return Scene(model, state, seen, new_solve(J), random)
+
+
+def innovations(scene: Scene) -> np.ndarray[Any, np.dtype[np.float64]]:
+    s, w = scene.state, scene.views
+    return w.positions - s.offsets - s.positions - s.velocities * w.delays[:, None, None]
+
+
+def covariance(variances: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return np.array(((variances[0], variances[1]), (variances[1], variances[2])))
+
+
+def test_every_joint_of_every_body_has_a_kind_of_its_own_name() -> None:
+    kinds = {joint: kind_of(joint) for joint in (*AZURE_KINECT.joints, *KINECT_V2.joints)}
+    assert set(kinds.values()) == set(KINDS)
+    assert kinds["HANDTIP_LEFT"] == kinds["HandTipRight"] == "tip"
+    assert kinds["SHOULDER_LEFT"] == "girdle"
+    assert kinds["SpineShoulder"] == kinds["PELVIS"] == "spine"
+
+
+def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the_parents(
+    scene: Scene,
+) -> None:
+    model, before = scene.model, scene.state
+    k = model.constants
+    x, v, P = before.positions.copy(), before.velocities.copy(), before.variances.copy()
+    interpreted(motion.predict)(model, before, DT)
+    kept = math.exp(-DT / k.velocity_seconds)
+    for i in BODY.order:
+        parent = BODY.parents[i]
+        relax = np.diag((1.0, kept if parent >= 0 else 1.0))
+        if parent >= 0:
+            v[i] = before.velocities[parent] + kept * (v[i] - before.velocities[parent])
+        F = np.array(((1.0, DT), (0.0, 1.0)))
+        sd = model.acceleration[i] * (k.acceleration + k.acceleration_by_speed * np.linalg.norm(v[i]))
+        g = np.array((0.5 * DT**2, DT))
+        expected = F @ relax @ covariance(P[i]) @ relax.T @ F.T + sd**2 * np.outer(g, g)
+        np.testing.assert_allclose(covariance(before.variances[i]), expected, rtol=ROUNDING)
+        np.testing.assert_allclose(before.positions[i], x[i] + DT * v[i], rtol=ROUNDING)
+
+
+def test_slow_errors_stretch_along_the_ray_and_grow_under_a_cover(scene: Scene) -> None:
+    model, seen = scene.model, scene.views
+    trunk, wrist = BODY.joint("SpineMid"), BODY.joint("WristLeft")
+    seen.states[:, (trunk, wrist)] = 2
+    seen.positions[0, wrist] = 1.1 * seen.positions[0, trunk] + 0.02
+    interpreted(measurement.cast_rays)(model, seen)
+    interpreted(measurement.find_covers)(model, seen)
+    interpreted(measurement.set_covariances)(model, scene.state, seen)
+    k = model.constants
+    sensors = np.zeros(3), A_FROM_B.translation
+    covered = 0
+    for v in range(2):
+        for i in np.flatnonzero(seen.states[v]):
+            ray = seen.positions[v, i] - sensors[v]
+            depth = float(np.linalg.norm(ray))
+            ray /= depth
+            best = math.inf
+            for j in np.flatnonzero(seen.states[v]):
+                other = seen.positions[v, j] - sensors[v]
+                if not BODY.linked[i, j] and other @ ray <= depth:
+                    best = min(best, float(np.linalg.norm(other * depth / (other @ ray) - ray * depth)))
+            factor = min(1.0 + (k.near / (best + 1e-3)) ** k.near_power, k.near_limit)
+            covered += factor > 2.0
+            across = (k.slow_scale * model.slow[i]) ** 2 * factor
+            across *= k.inferred_slow**2 if seen.states[v, i] == 1 else 1.0
+            expected = across * (np.eye(3) + (k.along_ray**2 - 1.0) * np.outer(ray, ray))
+            np.testing.assert_allclose(seen.slow[v, i], expected, rtol=1e-9, atol=1e-15)
+    assert covered > 0
+
+
+def test_trust_is_the_posterior_over_all_hypotheses(scene: Scene) -> None:
+    model, state, seen = scene.model, scene.state, scene.views
+    seen.states[:] = np.where(seen.states == 0, 2, seen.states)
+    seen.states[0, 3] = seen.states[1, 5] = 0
+    e = innovations(scene)
+    interpreted(robust.judge)(model, state, seen)
+    k = model.constants
+    uniform = k.outlier_side**-3
+    assert (seen.trust[:, 6:] < 0.5).any()
+    assert (seen.trust[:, 6:] > 0.5).any()
+    for i in range(J):
+        prior = []
+        for v in range(2):
+            rare = k.outlier if seen.states[v, i] == 2 else k.inferred_outlier
+            p = rare + max(k.outlier_lasts - rare, 0.0) * state.doubt[v, i]
+            doubted = min(k.sides_doubted * seen.side_doubt[v], 0.99) if model.lateral[i] else 0.0
+            prior.append(max(p, doubted))
+        noise = seen.fast[:, i] + state.offset_variances[:, i]
+        total, good = 0.0, np.zeros(2)
+        here = [v for v in range(2) if seen.states[v, i] > 0]
+        for hypothesis in range(2 ** len(here)):
+            right = [v for n, v in enumerate(here) if hypothesis >> n & 1]
+            weight = 1.0
+            for v in here:
+                weight *= 1.0 - prior[v] if v in right else prior[v] * uniform
+            if right:  # joint density of all right measurements, whose common part is the prediction
+                S = np.kron(
+                    np.full((len(right),) * 2, state.variances[i, 0]) + np.diag(noise[right]), np.eye(3)
+                )
+                weight *= multivariate_normal.pdf(e[right, i].ravel(), cov=S)
+            total += weight
+            good[right] += weight
+        surprised = 0.0
+        if len(here) == 2:
+            d = multivariate_normal.pdf(e[0, i] - e[1, i], cov=noise.sum() * np.eye(3))
+            surprised = k.surprise * uniform * d * (1.0 - prior[0]) * (1.0 - prior[1])
+            total += surprised
+            good += surprised
+            np.testing.assert_allclose(seen.surprise[i], surprised / total, rtol=1e-7, atol=1e-12)
+        np.testing.assert_allclose(seen.trust[:, i], good / total, rtol=1e-7, atol=1e-12)
+
+
+def test_a_surprise_lets_both_views_through(scene: Scene) -> None:
+    state, seen, i = scene.state, scene.views, 7
+    seen.states[:, i] = 2
+    state.offsets[:] = 0.0
+    state.doubt[:] = 0.0
+    seen.delays[:] = seen.side_doubt[:] = 0.0
+    state.variances[i] = 1e-4, 1e-3, 0.1
+    for v in range(2):
+        seen.positions[v, i] = state.positions[i] + (0.3, 0.2, 0.0)
+    before = state.variances[i].copy()
+    interpreted(robust.judge)(scene.model, state, seen)
+    interpreted(robust.be_surprised)(scene.model, state, seen, DT)
+    assert seen.surprise[i] > 0.95
+    assert (seen.trust[:, i] > 0.95).all()
+    g = np.array((1.0, 0.5 / DT))
+    expected = covariance(before) + seen.surprise[i] * 0.13 / 3.0 * np.outer(g, g)
+    np.testing.assert_allclose(covariance(state.variances[i]), expected, rtol=ROUNDING)
+
+
+def test_measurements_are_taken_in_as_information(scene: Scene) -> None:
+    state, seen = scene.state, scene.views
+    x, v, P = state.positions.copy(), state.velocities.copy(), state.variances.copy()
+    seen.delays[:] = 0.0
+    interpreted(update.take_in)(scene.model, state, seen)
+    for i in range(J):
+        information = np.linalg.inv(covariance(P[i]))
+        b = information @ np.stack((x[i], v[i]))
+        for s in range(2):
+            if seen.trust[s, i] > 0.0:
+                w = seen.trust[s, i] / (seen.fast[s, i] + state.offset_variances[s, i])
+                information = information + np.diag((w, 0.0))
+                b[0] += w * (seen.positions[s, i] - state.offsets[s, i])
+        expected = np.linalg.solve(information, b)
+        np.testing.assert_allclose(state.positions[i], expected[0], rtol=1e-8)
+        np.testing.assert_allclose(state.velocities[i], expected[1], rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(covariance(state.variances[i]), np.linalg.inv(information), rtol=1e-6)
+
+
+def test_the_difference_of_the_views_is_shared_by_covariance(scene: Scene) -> None:
+    state, seen = scene.state, scene.views
+    before, variances, d = state.offsets.copy(), state.offset_variances.copy(), innovations(scene)
+    interpreted(offsets.learn_offsets)(scene.model, state, seen, np.zeros((3, 3)))
+    changed = 0
+    for i in range(J):
+        trust = seen.trust[0, i] * seen.trust[1, i]
+        both = variances[:, i].sum()
+        gain = trust * both / (both + seen.fast[:, i].sum())
+        V = [seen.slow[v, i] / np.trace(seen.slow[v, i]) * variances[v, i] for v in range(2)]
+        share = V[0] @ np.linalg.solve(V[0] + V[1], d[0, i] - d[1, i])
+        rest = d[0, i] - d[1, i] - share
+        np.testing.assert_allclose(state.offsets[0, i], before[0, i] + gain * share, atol=1e-12)
+        np.testing.assert_allclose(state.offsets[1, i], before[1, i] - gain * rest, atol=1e-12)
+        changed += trust > 0.0
+    assert 3 < changed < J
+
+
+def test_a_joint_begins_at_the_mean_by_information(scene: Scene) -> None:
+    state, seen = scene.state, scene.views
+    state.known[:] = False
+    interpreted(update.begin_joints)(scene.model, state, seen, np.zeros((3, 3)), np.zeros((3, 3)))
+    for i in range(J):
+        here = [v for v in range(2) if seen.states[v, i] > 0]
+        assert state.known[i] == bool(here)
+        if not here:
+            continue
+        W = [np.linalg.inv(seen.slow[v, i]) for v in here]
+        M = np.linalg.inv(sum(W))
+        mean = M @ sum(w @ seen.positions[v, i] for w, v in zip(W, here, strict=True))
+        np.testing.assert_allclose(state.positions[i], mean, rtol=1e-9)
+        np.testing.assert_allclose(state.shared_error[i], M, rtol=1e-7)
+
+
+def test_a_skeleton_that_is_too_large_is_brought_to_its_size(scene: Scene) -> None:
+    model, state, seen = scene.model, scene.state, scene.views
+    truth, root = standing(BODY), BODY.root
+    seen.states[:] = 2
+    for _ in range(15):
+        seen.positions[0] = truth[root] + 1.04 * (truth - truth[root])
+        seen.positions[1] = truth[root] + 0.97 * (truth - truth[root])
+        interpreted(views.rescale)(model, state, seen, DT)
+    # Kalman's gain leaves a share of about noise / (noise + variance) / 15 of a scale
+    np.testing.assert_allclose(state.scales, (0.04, -0.03), rtol=0.06)
+    np.testing.assert_allclose(seen.positions, [truth, truth], atol=0.003)
+
+
+def test_covariances_are_those_of_the_joints_that_keep_their_bones(scene: Scene) -> None:
+    solve = scene.solve
+    solve.positions[:] = standing(BODY)
+    for i in range(J):
+        solve.information[i] = np.linalg.inv(scene.state.shared_error[i])
+    solve.information[4] = 0.0  # no one has seen it
+    found, sigma = np.zeros((J, 3, 3)), np.zeros(J)
+    interpreted(uncertainty.spread)(scene.model, solve, found, sigma, np.zeros((3, 3)))
+    W, constraints = np.zeros((3 * J, 3 * J)), []
+    for i in range(J):
+        W[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = solve.information[i] + np.eye(3)  # within a metre
+        parent = BODY.parents[i]
+        if parent >= 0:
+            row = np.zeros(3 * J)
+            bone = solve.positions[i] - solve.positions[parent]
+            row[3 * i : 3 * i + 3], row[3 * parent : 3 * parent + 3] = bone, -bone
+            constraints.append(row)
+    Z = null_space(np.array(constraints))
+    dense = Z @ np.linalg.inv(Z.T @ W @ Z) @ Z.T
+    for i in range(J):
+        block = dense[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+        np.testing.assert_allclose(found[i], scene.model.constants.spread**2 * block, rtol=1e-6, atol=1e-12)
+        assert sigma[i] == pytest.approx(math.sqrt(np.trace(found[i])))
+
+
+def test_a_step_back_is_that_of_rauch_tung_and_striebel(scene: Scene) -> None:
+    random, model, i = scene.random, scene.model, BODY.joint("WristLeft")
+    trace = smoother.new_trace(2, J)
+    trace.seconds[1] = DT
+    kept = math.exp(-DT / model.constants.velocity_seconds)
+    F = np.array(((1.0, kept * DT), (0.0, kept)))
+    root = random.normal(0.0, (0.01, 0.2), (2, 2))
+    P = root @ root.T + np.diag((1e-5, 1e-3))
+    predicted = F @ P @ F.T + np.diag((1e-5, 1e-2))
+    later = predicted - 0.3 * np.outer(predicted[:, 0], predicted[:, 0]) / predicted[0, 0]
+    x, ahead, after = random.normal(0.0, 1.0, (3, 2, 3))
+    trace.filtered[0, i], trace.predicted[1, i], trace.filtered[1, i] = (
+        x.ravel(),
+        ahead.ravel(),
+        after.ravel(),
+    )
+    for row, of in ((trace.filtered_variances[0], P), (trace.predicted_variances[1], predicted)):
+        row[i] = of[0, 0], of[0, 1], of[1, 1]
+    trace.filtered_variances[1, i] = later[0, 0], later[0, 1], later[1, 1]
+    interpreted(smoother.step_back)(model, trace, 0, 1, i)
+    C = P @ F.T @ np.linalg.inv(predicted)
+    np.testing.assert_allclose(trace.filtered[0, i].reshape(2, 3), x + C @ (after - ahead), rtol=1e-9)
+    np.testing.assert_allclose(
+        covariance(trace.filtered_variances[0, i]), P + C @ (later - predicted) @ C.T, rtol=1e-8
+    )
+
+
+@pytest.mark.parametrize(("joint", "sign"), [("Knee", -1.0), ("Elbow", 1.0)])
+@pytest.mark.parametrize("tracked", [True, False])
+def test_a_hinge_that_no_one_sees_does_not_bend_backwards(
+    scene: Scene, joint: str, sign: float, tracked: bool
+) -> None:
+    state, seen = scene.state, scene.views
+    state.positions[:] = straight = standing(BODY)
+    i = BODY.joint(f"{joint}Left")
+    forward = np.array((-1.0, 0.0, -1.0)) / math.sqrt(2.0)  # the person is turned by 45°
+    state.positions[i] += sign * 0.1 * forward
+    seen.states[:, i], seen.trust[:, i] = (2, 1.0) if tracked else (0, 0.0)
+    bent = state.positions.copy()
+    interpreted(respect_hinges)(scene.model, state, seen)
+    if tracked:
+        np.testing.assert_allclose(state.positions, bent, atol=ROUNDING)
+    else:
+        np.testing.assert_allclose(state.positions, straight, atol=2e-3)  # toes and thumbs tilt the trunk
+    state.positions[i] = straight[i] - sign * 0.1 * forward
+    right = state.positions.copy()
+    interpreted(respect_hinges)(scene.model, state, seen)
+    np.testing.assert_allclose(state.positions, right, atol=ROUNDING)

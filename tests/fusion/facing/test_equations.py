@@ -1,0 +1,170 @@
+"""The facing filter against plain numpy references: one frame, smoothing, live and sequence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fusion.body import KINECT_V2
+from fusion.facing.constants import FacingConstants
+from fusion.facing.filter import update_facing
+from fusion.facing.model import HEADINGS, TAPS, FacingState, new_facing_model, new_facing_state
+from tests.helpers.labelled_views import Views, simulated_views
+
+Floats = NDArray[np.float64]
+UP = np.array((0.0, -1.0, 0.0))
+UNKNOWN = np.full(3, np.nan)
+FRAME = 1.0 / 30.0
+
+
+def step(
+    model, state: FacingState, views: Views, k: int, up: Floats = UP, stale: tuple = (False, False)
+) -> None:
+    given = views.a[k], views.states_a[k], views.b_in_a[k], views.states_b[k], views.sensor_b
+    update_facing(model, state, FRAME, *given, up, *stale)
+
+
+def table(values: tuple, cosine: Floats) -> Floats:
+    return np.interp(-cosine, (-1.0, -0.5, 0.0, 0.5, 1.0), values)
+
+
+def off_line(at: Floats, i: int, j: int, k: int) -> Floats:
+    line = at[k] - at[i]
+    offset = at[j] - at[i]
+    return offset - line * (offset @ line) / (line @ line)
+
+
+def reference_likelihood(c: FacingConstants, views: Views, k: int, state: FacingState) -> Floats:
+    """(N, 2, 2) the equations of ``whole_body.py``: −y is up, all is tracked; speeds are the state's."""
+    body = views.body
+    angles = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
+    front = np.stack((np.cos(angles), 0.0 * angles, np.sin(angles)), axis=1)
+    speed = np.linalg.norm(state.velocity)
+    common = c.motion_weight * min(speed, c.motion_cap) ** 2 * (front @ state.velocity) / speed
+    axis = []
+    trunk = [body.joint(n + side) for n in ("Shoulder", "Hip") for side in ("Left", "Right")]
+    root = 0.5 * (views.a[k] + views.b_in_a[k])[trunk].mean(axis=0)
+    for view, at, sensor in ((0, views.a[k], np.zeros(3)), (1, views.b_in_a[k], views.sensor_b)):
+        toward = (sensor - root) * (1.0, 0.0, 1.0)
+        cosine = front @ toward / np.linalg.norm(toward)
+        cues = []
+        for side in ("Left", "Right"):
+            hip, knee, ankle, shoulder, elbow, wrist = (
+                body.joint(n + side) for n in ("Hip", "Knee", "Ankle", "Shoulder", "Elbow", "Wrist")
+            )
+            cues.append((0.5, off_line(at, hip, knee, ankle), c.knee_mean, c.knee_sigma))
+            cues.append((0.5, -off_line(at, shoulder, elbow, wrist), c.elbow_mean, c.elbow_sigma))
+        cues.append((1.0, at[body.joint("Head")] - at[body.joint("Neck")], c.head_mean, c.head_sigma))
+        weight = c.cue_weight * max(c.still_weight, min(1.0, state.speed[view] / c.moving_speed))
+        for share, vector, mean, sigma in cues:
+            cost = 0.5 * ((front @ vector - table(mean, cosine)) / table(sigma, cosine)) ** 2
+            log_sigma = table(tuple(np.log(sigma)), cosine)
+            common = common - weight * share * (cost / (1.0 + cost / c.cue_floor) + log_sigma)
+        kappa = table(tuple(np.array(c.axis_sigma) ** -2.0), cosine)
+        both = []
+        for sign in (1.0, -1.0):
+            total = 0.0
+            for name in ("Shoulder", "Hip"):
+                left = at[body.joint(name + "Left")] - at[body.joint(name + "Right")]
+                flat = np.cross(left, UP)
+                width = np.linalg.norm(flat)
+                nominal = 2.0 * body.nominal_lengths[body.joint(name + "Left")]
+                trust = min(1.0, width / (0.7 * nominal)) ** 2
+                cost = kappa * (1.0 - sign * (front @ flat) / width)
+                total = total + trust * (0.5 * np.log(kappa) - cost / (1.0 + cost / c.axis_floor))
+            both.append(c.axis_weight * total)
+        axis.append(both)
+    (a_right, a_wrong), (b_right, b_wrong) = axis
+    return np.array(
+        [[common + a_right + b_right, common + a_right + b_wrong],
+         [common + a_wrong + b_right, common + a_wrong + b_wrong]]
+    ).transpose(2, 0, 1)  # fmt: skip
+
+
+def reference_prediction(before: Floats, state: FacingState) -> Floats:
+    """(N, 2, 2) by dense matrices: turning, then each view's chances of an exchange."""
+    n = np.arange(HEADINGS)
+    difference = (n[:, None] - n[None] + HEADINGS // 2) % HEADINGS - HEADINGS // 2
+    reach = int(state.reach[0])
+    turning = np.where(
+        np.abs(difference) <= reach, state.turning[np.clip(difference, -TAPS, TAPS) + TAPS], 0.0
+    )
+    turned = np.einsum("nm,mxy->nxy", turning, before)
+    matrices = []
+    for view in range(2):
+        to, fro = state.rates[view] * state.shares[view], state.rates[view] * (1.0 - state.shares[view])
+        odds = state.odds[view]
+        to, fro = (p * odds / (1.0 - p + p * odds) for p in (to, fro))
+        matrices.append(np.array([[1.0 - to, fro], [to, 1.0 - fro]]))  # (after, before, heading)
+    return np.einsum("xpn,yqn,npq->nxy", *matrices, turned)
+
+
+def test_a_frame_is_what_the_equations_say() -> None:
+    views = simulated_views("walk", tracker="perfect", seconds=8.0)
+    constants = FacingConstants.of(KINECT_V2)
+    model, state = new_facing_model(KINECT_V2, constants), new_facing_state(KINECT_V2)
+    for k in range(240):
+        before = state.belief.copy()
+        step(model, state, views, k)
+        if k < 110:
+            continue
+        predicted = reference_prediction(before, state)
+        np.testing.assert_allclose(state.predicted, predicted, atol=1e-14)
+        likelihood = reference_likelihood(constants, views, k, state)
+        np.testing.assert_allclose(state.likelihood, likelihood, atol=1e-9)
+        belief = predicted * np.exp(likelihood - likelihood.max())
+        belief /= belief.sum()
+        np.testing.assert_allclose(state.belief, np.maximum(belief, constants.leak), atol=1e-11)
+        assert state.predicted.sum() == pytest.approx(1.0, abs=1e-6)  # leaks: 144 · 1e-9
+
+
+def test_smoothing_is_the_forward_backward_algorithm() -> None:
+    views = simulated_views("turn", seconds=6.0)
+    model, state = new_facing_model(KINECT_V2), new_facing_state(KINECT_V2)
+    kept = []
+    count = 60
+    part = replace(views, **{name: getattr(views, name)[60 : 60 + count] for name in (
+        "time_ns", "a", "states_a", "b_in_a", "states_b", "truth")})  # fmt: skip
+    labels = part.relabel(up=UP)
+    seconds = np.diff(part.time_ns, prepend=part.time_ns[0]) * 1e-9
+    stale = [np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=(1, 2))] for x in (part.a, part.b_in_a)]
+    for k in range(count):
+        update_facing(model, state, seconds[k], part.a[k], part.states_a[k], part.b_in_a[k], part.states_b[k],
+                      part.sensor_b, UP, stale[0][k], stale[1][k])  # fmt: skip
+        kept.append((state.belief.copy(), state.likelihood.copy(), FacingState(*(x.copy() for x in state))))
+    beta = np.ones((HEADINGS, 2, 2))
+    for k in range(count - 1, -1, -1):
+        smoothed = kept[k][0] * beta
+        smoothed /= smoothed.sum()
+        expected = smoothed[:, 1, :].sum(), smoothed[:, :, 1].sum()
+        np.testing.assert_allclose(labels.mirrored[k], expected, atol=1e-4)  # float32 history over 60 frames
+        weighted = beta * np.exp(kept[k][1] - kept[k][1].max())
+        # The transpose of the prediction: what each state before makes of it.
+        beta = np.zeros_like(beta)
+        if k:
+            for n in range(HEADINGS):
+                for x in range(2):
+                    for y in range(2):
+                        one = np.zeros_like(beta)
+                        one[n, x, y] = 1.0
+                        beta[n, x, y] = np.sum(reference_prediction(one, kept[k][2]) * weighted)
+            beta /= beta.max()
+
+
+def test_live_and_sequence_agree_bit_for_bit_and_repeat() -> None:
+    views = simulated_views("walk", seconds=8.0)
+    one, other = views.relabel(up=UP, smooth=False), views.relabel(up=UP, smooth=False)
+    model, state = new_facing_model(KINECT_V2), new_facing_state(KINECT_V2)
+    for name in ("codes", "facing", "doubt", "probability", "mirrored"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    seconds = np.diff(views.time_ns, prepend=views.time_ns[0]) * 1e-9
+    stale = [np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=(1, 2))] for x in (views.a, views.b_in_a)]
+    for k in range(len(seconds)):
+        given = views.a[k], views.states_a[k], views.b_in_a[k], views.states_b[k], views.sensor_b
+        update_facing(model, state, seconds[k], *given, UP, stale[0][k], stale[1][k])
+        np.testing.assert_array_equal(state.codes, one.codes[k])
+        np.testing.assert_array_equal(state.facing, one.facing[k])
+        np.testing.assert_array_equal(state.probability, one.probability[k])

@@ -1,0 +1,115 @@
+"""The calibration that goes on learning: refinements, bones, and that it never makes things worse."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fusion.body import KINECT_V2
+from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.calibration.bone_statistics import robust_bone_lengths
+from fusion.calibration.calibration import Calibration
+from fusion.calibration.learner import CalibrationChange, CalibrationLearner
+from fusion.calibration.recording_learner import learn_from_recording
+from fusion.registration.keyframes import evidence_of
+from fusion.rigid import RigidTransform
+from fusion.skeleton import Skeleton, SkeletonPair
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
+
+OFF = (
+    RigidTransform.of(Rotation.from_euler("y", 5.0, degrees=True).as_matrix(), [0.06, 0.0, -0.04]) @ A_FROM_B
+)
+
+
+def walk(count: int = 450, noise: float = 0.01, mirrored: bool = False) -> list[SkeletonPair]:
+    rng = np.random.default_rng(6)
+    pairs = []
+    for k, truth in enumerate(moving(KINECT_V2, count)):
+        place = truth + [0.6 * np.sin(0.02 * k), 0.0, 0.5 * np.cos(0.03 * k)]
+        a, b = (
+            view + rng.normal(0.0, noise, view.shape) for view in (place, A_FROM_B.inverse().apply(place))
+        )
+        if mirrored and (k // 60) % 2:
+            b = b[KINECT_V2.mirror]
+        time_ns = k * FRAME_NS
+        pairs.append(
+            SkeletonPair(
+                Skeleton.of(KINECT_V2, a, None, time_ns), Skeleton.of(KINECT_V2, b, None, time_ns), time_ns
+            )
+        )
+    return pairs
+
+
+def learned(
+    pairs: list[SkeletonPair], start: RigidTransform
+) -> tuple[CalibrationLearner, list[CalibrationChange]]:
+    learner = CalibrationLearner(
+        KINECT_V2, Calibration(KINECT_V2, start, KINECT_V2.nominal_lengths * 1.1, "start")
+    )
+    return learner, [change for pair in pairs for change in learner.observe(pair)]
+
+
+def test_a_start_5_degrees_off_is_refined_and_says_how_certain_it_is() -> None:
+    learner, changes = learned(walk(), OFF)
+    error = learner.calibration.a_from_b.angle_to(A_FROM_B)
+    assert np.degrees(error) < 0.5
+    registration = learner.calibration.registration
+    assert registration is not None
+    assert error < 3.0 * registration.rotation_sd < np.radians(5.0)
+    refined = [change for change in changes if change.kind == "refined"]
+    assert 1 <= len(refined) <= 15  # at most one a second
+    assert refined[-1].calibration.a_from_b.angle_to(A_FROM_B) == error
+    assert "Registration refined" in refined[0].event
+
+
+def test_the_truth_is_not_refined_away() -> None:
+    learner, _ = learned(walk(), A_FROM_B)
+    assert np.degrees(learner.calibration.a_from_b.angle_to(A_FROM_B)) < 0.2
+
+
+def test_mirrored_spells_of_one_view_do_not_mislead() -> None:
+    learner, _ = learned(walk(mirrored=True), OFF)
+    assert np.degrees(learner.calibration.a_from_b.angle_to(A_FROM_B)) < 0.7
+
+
+def test_stale_and_one_sided_pairs_teach_nothing() -> None:
+    learner = CalibrationLearner(KINECT_V2, Calibration(KINECT_V2, OFF, KINECT_V2.nominal_lengths, "start"))
+    for pair in walk():
+        assert learner.observe(pair, stale=(False, True)) == []
+        assert learner.observe(SkeletonPair(pair.a, None, pair.time_ns)) == []
+    assert learner.calibration.a_from_b is OFF
+
+
+def test_bones_are_learned_and_the_change_is_told() -> None:
+    learner, changes = learned(walk(), A_FROM_B)
+    bones = [change for change in changes if change.kind == "bones"]
+    assert bones
+    assert "Bone lengths learned" in bones[0].event
+    true = bone_lengths_of(KINECT_V2, moving(KINECT_V2, 1)[0])
+    joints = KINECT_V2.bone_joints
+    error = np.abs(learner.calibration.bone_lengths - true)[joints]
+    assert error.mean() < 0.2 * (0.1 * true[joints]).mean()
+
+
+def test_one_sides_outliers_do_not_lengthen_a_bone_and_sides_agree() -> None:
+    pairs = walk(200, noise=0.003)
+    evidence = evidence_of(KINECT_V2, pairs)
+    evidence.a[::4, KINECT_V2.joint("WristLeft")] += [0.0, 0.5, 0.0]
+    lengths = robust_bone_lengths(KINECT_V2, evidence, A_FROM_B, KINECT_V2.nominal_lengths)
+    np.testing.assert_allclose(lengths, lengths[KINECT_V2.mirror])
+    forearm = KINECT_V2.joint("WristLeft")
+    true = bone_lengths_of(KINECT_V2, moving(KINECT_V2, 1)[0])[forearm]
+    assert abs(lengths[forearm] - true) < 0.003
+
+
+def test_a_recording_whose_start_is_half_a_turn_off_is_registered_from_the_walk() -> None:
+    wrong = RigidTransform.of(Rotation.from_euler("y", 150.0, degrees=True).as_matrix(), [0.0, 0.0, 4.0])
+    start = Calibration(KINECT_V2, wrong, KINECT_V2.nominal_lengths, "wrong")
+    found = learn_from_recording(KINECT_V2, walk(mirrored=True), start=start)
+    assert np.degrees(found.spans[0].calibration.a_from_b.angle_to(A_FROM_B)) < 0.7
+
+
+def test_learning_twice_gives_the_same_to_the_last_bit() -> None:
+    first, _ = learned(walk(200), OFF)
+    second, _ = learned(walk(200), OFF)
+    np.testing.assert_array_equal(first.calibration.a_from_b.rotation, second.calibration.a_from_b.rotation)

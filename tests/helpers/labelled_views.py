@@ -1,0 +1,232 @@
+"""Two simulated views as a body tracker labels them, in K_A's frame, with the truth beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from devices.pairing import pair_recordings
+from devices.simulated.kinect import PERSON, Movement, simulated_pair
+from devices.simulated.person.motion import Motion, keyframes
+from devices.simulated.person.movements import MOTIONS
+from devices.simulated.rig import Rig
+from devices.simulated.tracking.mirroring import Mirroring
+from devices.simulated.tracking.tracker_errors import TrackerErrors
+from devices.skeletons.recording import SkeletonRecording
+from fusion.body import BODIES, Body
+from fusion.facing.exchange import exchange
+from fusion.facing.model import new_facing_model
+from fusion.facing.sequence import Labels, relabel_sequence
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Both views of one recording: (T, J, 3) positions and (T, J) states; truth is (T, J, 3) or empty."""
+
+    body: Body
+    time_ns: NDArray[np.int64]
+    a: Floats
+    states_a: NDArray[np.uint8]
+    b_in_a: Floats
+    states_b: NDArray[np.uint8]
+    sensor_b: Floats
+    truth: Floats
+
+    def relabel(self, **options: object) -> Labels:
+        return relabel_sequence(
+            self.body, self.a, self.states_a, self.b_in_a, self.states_b, self.time_ns, self.sensor_b,
+            **options,  # type: ignore[arg-type]
+        )  # fmt: skip
+
+    def relabelled(self, labels: Labels) -> tuple[Floats, Floats]:
+        """Both views with their labels exchanged."""
+        model = new_facing_model(self.body)
+        found = []
+        for view, (at, states) in enumerate(((self.a, self.states_a), (self.b_in_a, self.states_b))):
+            out, out_states = np.empty_like(at), np.empty_like(states)
+            for k in range(len(at)):
+                exchange(model, at[k], states[k], labels.codes[k, view], out[k], out_states[k])
+            found.append(out)
+        return found[0], found[1]
+
+    def fused(self, labels: Labels) -> Floats:
+        """A stand-in for S*: the mean of both relabelled views, each with the weight (1 − doubt)²."""
+        weights = np.maximum(1.0 - labels.doubt, 0.02) ** 2
+        a, b = self.relabelled(labels)
+        w_a, w_b = (np.isfinite(at[..., :1]) * weights[:, view, None, None] for view, at in enumerate((a, b)))
+        with np.errstate(invalid="ignore"):
+            return np.asarray((w_a * np.nan_to_num(a) + w_b * np.nan_to_num(b)) / (w_a + w_b))
+
+
+def swapped(body: Body, at: Floats, truth: Floats, *joints: str) -> NDArray[np.bool_]:
+    """(T,) frames whose limbs (those with such names, or all) fit the truth better with sides exchanged."""
+    lateral = [
+        j
+        for j, name in enumerate(body.joints)
+        if body.mirror[j] != j and (not joints or any(part in name.lower() for part in joints))
+    ]
+    apart = [
+        np.nansum(np.linalg.norm(at[:, lateral] - truth[:, which], axis=2), axis=1)
+        for which in (lateral, body.mirror[lateral])
+    ]
+    return np.asarray(apart[1] < apart[0])
+
+
+def heading(body: Body, at: Floats) -> Floats:
+    """(T, 3) horizontal unit vector in which shoulders and hips say that the person faces (−y is up)."""
+    l1, l2, r1, r2 = (
+        at[:, body.joint(name)] for name in ("ShoulderLeft", "HipLeft", "ShoulderRight", "HipRight")
+    )
+    left = (l1 - r1) + (l2 - r2)
+    front = np.stack((left[:, 2], 0.0 * left[:, 0], -left[:, 0]), axis=1)
+    return np.asarray(front / np.linalg.norm(front, axis=1, keepdims=True))
+
+
+def flips(front: Floats) -> int:
+    """How often a heading turns by more than 90° within 0.1 s (3 frames)."""
+    turned = np.flatnonzero(np.sum(front[3:] * front[:-3], axis=1) < 0.0)
+    return int(np.sum(np.diff(turned, prepend=-99) > 10))
+
+
+@dataclass(frozen=True)
+class Backwards:
+    """A walk played in reverse: the person walks backwards."""
+
+    speed: float = 0.6
+    name: str = "backwards"
+
+    def landmarks(self, times: ArrayLike, height: float = 1.75) -> Floats:
+        return MOTIONS["walk"].landmarks(60.0 - self.speed * np.atleast_1d(np.asarray(times)), height)
+
+
+@dataclass(frozen=True)
+class Turned:
+    """A movement of a person who faces another way."""
+
+    movement: str
+    degrees: float
+
+    @property
+    def name(self) -> str:
+        return f"{self.movement} turned by {self.degrees:g}°"
+
+    def landmarks(self, times: ArrayLike, height: float = 1.75) -> Floats:
+        cosine, sine = np.cos(np.radians(self.degrees)), np.sin(np.radians(self.degrees))
+        turn = np.array(((cosine, 0.0, sine), (0.0, 1.0, 0.0), (-sine, 0.0, cosine)))
+        return np.asarray(movement(self.movement).landmarks(times, height) @ turn.T)
+
+
+def _bowed(angle: float) -> dict[str, ArrayLike]:
+    return {"pelvis": (angle, 0.0), "place": (0.0, 0.12 * angle)}
+
+
+BOW = Motion(
+    "bow",
+    8.0,
+    keyframes(8.0, (0.0, {}), (1.0, {}), (2.2, _bowed(1.35)), (4.2, _bowed(1.35)), (5.5, {}), (7.0, {})),
+)
+"""A bow until the trunk is nearly horizontal, every eight seconds."""
+
+
+def movement(name: str) -> Movement:
+    """A movement by name: of the library, ``bow``, ``backwards``, or ``NAME@DEGREES`` for one turned."""
+    if "@" in name:
+        base, degrees = name.split("@")
+        return Turned(base, float(degrees))
+    return {"bow": BOW, "backwards": Backwards()}.get(name) or MOTIONS[name]
+
+
+@cache
+def simulated_views(
+    motion: str,
+    body: str = "kinect_v2",
+    tracker: str = "mirroring",
+    angle_deg: float = 90.0,
+    seconds: float = 20.0,
+    seed: int = 4000,
+) -> Views:
+    """A simulated recording with the true registration.
+
+    Args:
+        motion: See :func:`movement`.
+        body: By name.
+        tracker: ``mirroring`` (the body's own errors), ``random`` (version 0.1's), ``right`` (no exchanges)
+            or ``perfect`` (no errors, and both sensors at the same time).
+        angle_deg: Between the sensors.
+        seconds: How long.
+        seed: Of every error.
+    """
+    which = BODIES[body]
+    errors = {
+        "mirroring": TrackerErrors.of(which),
+        "random": TrackerErrors.with_random_swaps(which),
+        "right": replace(TrackerErrors.of(which), mirroring=Mirroring()),
+        "perfect": TrackerErrors.none(),
+    }[tracker]
+    rig = Rig(angle_deg=angle_deg, skew_seconds=0.0) if tracker == "perfect" else Rig(angle_deg=angle_deg)
+    a, b, truth = simulated_pair(
+        motion=movement(motion), seed=seed, body=which, seconds=seconds, errors=errors, rig=rig
+    )
+    pairs = [p.skeletons for p in pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs]
+    transform = truth.a_from_b
+    times = np.array([pair.time_ns for pair in pairs])
+    joints = len(which)
+    nowhere, unseen = np.full((joints, 3), np.nan), np.zeros(joints, dtype=np.uint8)
+    b_at = np.array([nowhere if pair.b is None else pair.b.positions for pair in pairs], dtype=np.float64)
+    return Views(
+        body=which,
+        time_ns=times,
+        a=np.array([nowhere if pair.a is None else pair.a.positions for pair in pairs], dtype=np.float64),
+        states_a=np.array([unseen if pair.a is None else pair.a.states for pair in pairs]),
+        b_in_a=b_at @ transform.rotation.T + transform.translation,
+        states_b=np.array([unseen if pair.b is None else pair.b.states for pair in pairs]),
+        sensor_b=transform.translation,
+        truth=truth.positions_at(times),
+    )
+
+
+def real_views(folder: Path) -> Views:
+    """A real pair; R and t fitted robustly over the recording to points that no exchange of labels moves."""
+    with SkeletonRecording(folder / "a.csv") as a, SkeletonRecording(folder / "b.csv") as b:
+        body = a.body
+        pairs = [p.skeletons for p in pair_recordings(list(a.frames()), list(b.frames()), "0", "0").pairs]
+    both = [(p.a, p.b, p.time_ns) for p in pairs if p.a is not None and p.b is not None]
+    at_a, at_b = (np.array([pair[v].positions for pair in both], dtype=np.float64) for v in (0, 1))
+    R, t = _robust_fit(_unlabelled(body, at_a), _unlabelled(body, at_b))
+    return Views(
+        body=body,
+        time_ns=np.array([pair[2] for pair in both]),
+        a=at_a,
+        states_a=np.array([pair[0].states for pair in both]),
+        b_in_a=at_b @ R.T + t,
+        states_b=np.array([pair[1].states for pair in both]),
+        sensor_b=t,
+        truth=np.empty((0, len(body), 3)),
+    )
+
+
+def _unlabelled(body: Body, at: Floats) -> Floats:
+    """(N, 3) midpoints of left and right joints, and middle joints."""
+    once = np.flatnonzero(np.arange(len(body)) <= body.mirror)
+    return np.asarray(0.5 * (at + at[:, body.mirror])[:, once]).reshape(-1, 3)
+
+
+def _robust_fit(a: Floats, b: Floats) -> tuple[Floats, Floats]:
+    """R, t with a ≈ R b + t: Kabsch with the weights of Geman and McClure, ten rounds."""
+    known = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    a, b = a[known], b[known]
+    w = np.ones((len(a), 1))
+    for _ in range(10):
+        mean_a, mean_b = (w * a).sum(axis=0) / w.sum(), (w * b).sum(axis=0) / w.sum()
+        U, _, Vt = np.linalg.svd((w * (b - mean_b)).T @ (a - mean_a))
+        R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
+        t = mean_a - R @ mean_b
+        residual = np.linalg.norm(a - b @ R.T - t, axis=1)
+        w = ((1.0 + (residual / (1.4826 * np.median(residual))) ** 2) ** -2)[:, None]
+    return R, t
