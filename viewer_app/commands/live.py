@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.markup import escape
 
 from devices.azure.kinect import KinectSensor
-from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings
+from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings, check_modes
 from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects
 from devices.azure.sensor_roles import NeedsChoiceError, cable_notes, choose_two, sync_master
-from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.tracking.body_tracker import TrackerSettings, check_smoothing
 from devices.image_thinning import thinned_camera
 from devices.live.frame_decimation import FrameDecimation
 from devices.live.sensor_pair import TwoSensors
@@ -63,9 +63,11 @@ def check(options: LiveOptions) -> None:
     """Finds out before any sensor is opened what of the options cannot be.
 
     Raises:
-        UsageError: With one line for the person who asked.
+        DeviceError, UsageError: With one line for the person who asked.
     """
     _viewing(options)
+    check_modes(_settings(options, "", None))
+    check_smoothing(options.smoothing)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
     check_outputs((options.save, options.report, options.save_calibration), read, options.force)
     if options.seconds is not None and not 0.0 < options.seconds < float("inf"):
