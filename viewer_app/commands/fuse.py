@@ -35,6 +35,7 @@ from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import Situation
 from viewer_app.errors import UsageError
 from viewer_app.loop.fusing import warm_up
+from viewer_app.method_options import check_paper_options
 from viewer_app.options import FuseOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import FusionResult, print_summary, report, report_to_json, say_saved
@@ -63,6 +64,7 @@ def run(options: FuseOptions) -> None:
             raise UsageError(f"--smooth whole needs --method duplex; got --method {options.method}.")
         hindsight = "none"
     settings = FuserSettings(options.method, options.h, options.weights, options.smoothing, hindsight)
+    check_paper_options(settings)
     progress = _progress(console)
     tracker = TrackerSettings(processing=options.processing, library=options.k4abt)
     read = read_two(*_choices(options), tracker, progress)

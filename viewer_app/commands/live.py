@@ -36,6 +36,7 @@ from viewer_app.loop.interruption import CtrlC
 from viewer_app.loop.live_loop import Status, run_live
 from viewer_app.loop.live_summary import check_saved, print_saved, print_session, session_report
 from viewer_app.loop.status_line import LiveDisplay
+from viewer_app.method_options import check_paper_options
 from viewer_app.options import LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
 from viewer_app.report.figures import report_to_json
@@ -135,6 +136,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
     """Fuses what two sensors give, until they end, Ctrl-C, or the time is up; saves and sums up."""
     viewing = _viewing(options)
     settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
+    check_paper_options(settings)
     a, b = sensors.a.sensor, sensors.b.sensor
     calibration = _given_calibration(options, a)
     nominal = FusionSetup(calibration or nominal_calibration(a.body), settings)
