@@ -11,8 +11,8 @@ from devices.simulated.tracking.tracker import TrackerErrors
 from fusion.body import BODIES, KINECT_V2, Body
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
-from fusion.fuser import Fuser
-from fusion.setup import FusionSetup
+from fusion.fuser import FusedFrame, Fuser
+from fusion.setup import FuserSettings, FusionSetup, Method
 from fusion.skeleton import SkeletonPair
 
 TOLERANCE = 1e-5
@@ -20,7 +20,9 @@ TOLERANCE = 1e-5
 fitted to those, and the longest chain of bones is 8."""
 
 
-def fused_and_true(body: Body, motion: str, rig: Rig, depth: str = "none") -> tuple[np.ndarray, np.ndarray]:
+def frames_and_truth(
+    body: Body, motion: str, rig: Rig, depth: str = "none", method: Method = "paper"
+) -> tuple[list[FusedFrame], np.ndarray]:
     a, b, truth = simulated_pair(
         motion=motion,
         body=body,
@@ -34,11 +36,17 @@ def fused_and_true(body: Body, motion: str, rig: Rig, depth: str = "none") -> tu
     skeletons: list[SkeletonPair] = [pair.skeletons for pair in pairs]
     chosen, how = find_start_up_pose(body, skeletons)
     assert how.startswith("start-up pose")
-    frames = Fuser(FusionSetup(calibrate(body, chosen, how))).fuse_sequence(skeletons)
+    setup = FusionSetup(calibrate(body, chosen, how), FuserSettings(method=method))
     return (
-        np.array([frame.positions for frame in frames]),
+        Fuser(setup).fuse_sequence(skeletons),
         np.array([truth.positions_at(pair.time_ns) for pair in pairs]),
     )
+
+
+def fused_and_true(body: Body, motion: str, rig: Rig, depth: str = "none") -> tuple[np.ndarray, np.ndarray]:
+    """S* of the method that takes each frame by itself, and the truth."""
+    frames, truth = frames_and_truth(body, motion, rig, depth)
+    return np.array([frame.positions for frame in frames]), truth
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
@@ -46,6 +54,18 @@ def fused_and_true(body: Body, motion: str, rig: Rig, depth: str = "none") -> tu
 def test_without_errors_fusion_is_the_truth(body: Body, motion: str) -> None:
     fused, truth = fused_and_true(body, motion, Rig(skew_seconds=0.0))
     assert np.linalg.norm(fused - truth, axis=2).max() < TOLERANCE
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+@pytest.mark.parametrize("motion", ["badminton", "walk"])
+def test_without_errors_the_estimator_lags_by_less_than_it_reports(body: Body, motion: str) -> None:
+    """Only the estimator's smoothing is left: sigma allows for it, and for errors that are not there."""
+    frames, truth = frames_and_truth(body, motion, Rig(skew_seconds=0.0), method="duplex")
+    off = np.linalg.norm([frame.positions for frame in frames] - truth, axis=2)
+    assert (off < np.array([frame.sigma for frame in frames])).all()
+    # Lag is time: less than half a frame of the fastest joint.
+    fastest = np.linalg.norm(np.diff(truth, axis=0), axis=2).max()
+    assert off.max() < 0.5 * fastest
 
 
 @pytest.mark.parametrize("angle", [20.0, 135.0, 180.0])
