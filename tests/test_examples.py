@@ -7,12 +7,12 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pytest
 
 from fusion import KINECT_V2, FuserSettings
+from fusion.setup import Method
 from recordings import Session, fuse
 from tests.helpers.command_line import duplex
 from tests.helpers.skeleton_views import write_view
@@ -77,17 +77,17 @@ def test_a_session_is_read_in_a_notebook(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("weights", "noise_m", "says"),
+    ("method", "noise_m", "says"),
     [
-        ("paper", 0.01, "2 passed"),
-        ("equal", 0.01, "S* differs by more than 0.01 mm"),
-        ("paper", 0.02, "different captures"),
+        ("duplex", 0.01, "2 passed"),
+        ("paper", 0.01, "S* differs by more than 0.01 mm"),
+        ("duplex", 0.02, "different captures"),
     ],
 )
 def test_a_session_is_checked_in_a_test_of_ones_own(
-    weights: Literal["paper", "equal"], noise_m: float, says: str, tmp_path: Path
+    method: Method, noise_m: float, says: str, tmp_path: Path
 ) -> None:
-    expected = fuse(*write_recordings(tmp_path), settings=FuserSettings(weights=weights))
+    expected = fuse(*write_recordings(tmp_path), settings=FuserSettings(method=method))
     expected.save(tmp_path / "expected.rrd")
     write_recordings(tmp_path, noise_m)
     example = tmp_path / "test_fusion.py"
