@@ -1,8 +1,8 @@
-"""The numbers of the estimator, and where they come from.
+"""The constants of the estimator and their origin.
 
-Two kinds of numbers: how trackers err, by kind of joint (:class:`JointErrors`), and how a person moves and
-how the filter reacts (:class:`Constants`). The tables are medians over recordings, made by
-``python -m tests.campaigns.fit_estimator errors FOLDER…``. The constants are the end of a coordinate search
+Two kinds of constants: trackers' errors by kind of joint (:class:`JointErrors`), and the person's motion and
+the filter's behaviour (:class:`Constants`). The tables are medians over recordings, made by
+``python -m tests.campaigns.fit_estimator errors FOLDER…``. The constants are the result of a coordinate search
 by ``python -m tests.campaigns.fit_estimator constants FOLDER…`` over simulated recordings of both bodies
 (seeds 3000 and 3001), simulated ones with all errors × 1.5 (seed 3002), and real pairs (``real/``, and ``_2``
 and ``_14`` of ``real_more/``), rounded to two digits.
@@ -22,7 +22,7 @@ KINDS = (
 )  # fmt: skip
 """Kinds of joints, by how well a tracker finds them. The girdle is hips, shoulders and clavicles."""
 
-# The first that occurs in a joint's name decides.
+# The first key that occurs in a joint's name decides.
 _KIND_OF_NAME = {
     "handtip": "tip", "thumb": "thumb", "hand": "hand", "wrist": "wrist", "elbow": "elbow",
     "spineshoulder": "spine", "shouldercenter": "spine", "hipcenter": "spine", "shoulder": "girdle",
@@ -38,7 +38,7 @@ def kind_of(joint: str) -> str:
 
 
 class JointErrors(NamedTuple):
-    """How one body tracker errs, by kind of joint in the order of :data:`KINDS`; metres, along one axis.
+    """Errors of one body tracker, by kind of joint in the order of :data:`KINDS`; metres, along one axis.
 
     Attributes:
         slow: Standard deviation of the error that lasts: a bias that depends on the view and the pose.
@@ -76,14 +76,14 @@ _ACCELERATION = (
 
 
 class Constants(NamedTuple):
-    """How the filter reacts. SI units; standard deviations along one axis.
+    """Constants of the filter. SI units; standard deviations along one axis.
 
     Attributes:
         slow_scale: Of the slow errors of :class:`JointErrors`.
         along_ray: How much larger a slow error is along the view's ray than across it.
         inferred_slow: How many times larger the slow error of an inferred joint is.
-        inferred_fast: How many times larger its fast error counts. A guess errs to the same side for some
-            half a second, so that thirty frames of it say little more than one.
+        inferred_fast: How many times larger its fast error counts. An inferred position keeps the same error
+            for about half a second, so that its frames are not independent.
         fast_scale: Of the fast errors.
         fast_by_speed: Fast error added for each m/s that the joint moves, s.
         near: Distance across the ray, metres, at which a joint before this one doubles its slow variance.
@@ -99,12 +99,12 @@ class Constants(NamedTuple):
         inferred_outlier: The same of an inferred joint.
         outlier_lasts: Probability that an outlier is followed by one.
         outlier_side: Side of the cube that outliers are spread over, metres.
-        surprise: Probability that a joint moves as the prediction cannot tell.
+        surprise: Probability that a joint moves in a way that the prediction does not cover.
         sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
         scale_sd: Standard deviation of a view's scale about 1.
-        scale_seconds: How long a scale lasts.
+        scale_seconds: Correlation time of the scale.
         bone_sd: Standard deviation of one bone's relative length within a view.
-        spread: Factor of all reported standard deviations; found so that 68 % of true joints lie within one.
+        spread: Factor of all reported standard deviations; fitted so that 68 % of true joints lie within one.
     """
 
     slow_scale: float = 0.8
@@ -139,7 +139,7 @@ DEFAULT_SMOOTHING = 0.5
 
 
 def joint_errors(body: Body) -> JointErrors:
-    """How the body's own tracker errs."""
+    """The errors of the body's own tracker."""
     return AZURE_ERRORS if body is AZURE_KINECT else KINECT_ERRORS
 
 
@@ -149,15 +149,15 @@ def by_joint(body: Body, values: tuple[float, ...]) -> NDArray[np.float64]:
 
 
 def acceleration_shares(body: Body) -> NDArray[np.float64]:
-    """(J,) how much more than an elbow each joint accelerates."""
+    """(J,) acceleration of each joint relative to an elbow's."""
     return by_joint(body, _ACCELERATION)
 
 
 def calmness(smoothing: float) -> float:
-    """The factor of the acceleration's variance that a smoothing from 0 to 1 stands for.
+    """The factor on the acceleration's variance for a smoothing from 0 to 1.
 
-    ``((1 - s) / s)⁴``: 1 at the default of one half; so large at 0 that the prediction counts for nothing,
-    and each frame stands by itself; 10⁻⁸ or so at 1.
+    ``((1 - s) / s)⁴``: 1 at the default of 0.5; so large at 0 that the prediction has no weight and each
+    frame is estimated on its own; about 10⁻⁸ at 1.
     """
     s = min(max(smoothing, 1e-3), 1.0 - 1e-2)
     return float(((1.0 - s) / s) ** 4)
