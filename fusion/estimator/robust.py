@@ -20,8 +20,8 @@ def judge(model, state, views):  # type: ignore[no-untyped-def]
     with each other need not agree with the prediction. β sums the posterior over the hypotheses.
 
     A fifth hypothesis says that both are good and the prediction is wrong, because the person moved
-    unexpectedly. Then the two agree with each other and may be anywhere: N(y_A - y_B; 0, noise_A + noise_B) over
-    the cube. Its posterior is the surprise, which :func:`be_surprised` acts on.
+    unexpectedly. Then the two agree with each other and may be anywhere: N(y_A - y_B; 0, noise_A + noise_B)
+    over the cube. Its posterior is the surprise, which :func:`be_surprised` acts on.
 
     An outlier is followed by one with probability ``outlier_lasts``; β is 0 without a measurement.
     """
