@@ -33,6 +33,7 @@ _STORE, _PACKING, _SIZE, _PAYLOAD = 1, 2, 3, 5
 _RECORDING, _LZ4 = 1, 2
 END_OF_FILE = _MESSAGE.pack(_END, 0)
 """Ends a file that has no table of contents."""
+_ROW_ID = "row"  # bytes that increase with every row that is logged
 _LZ4_RATIO = 255  # the most that LZ4 can pack: a message that claims more would only fill the memory
 _ENTITY = b"rerun:entity_path"
 # EncodedDepthImage, as far as it is sure to stand unpacked: "depth" has been in the entity's path before
@@ -279,6 +280,9 @@ def _take(
         return
     if entity == layout.EVENTS:
         found.texts += _texts(batch)
+        found.texts.sort(
+            key=lambda text: text[2][_ROW_ID]
+        )  # chunks are not always in the order of their rows
         return
     if layout.FRAME not in names:
         return
@@ -310,6 +314,7 @@ def _texts(batch: pa.RecordBatch) -> list[tuple[int | None, int | None, dict[str
         return list(values.to_pylist())
 
     rows = {name: column(name) for name in batch.schema.names[1:]}
+    rows[_ROW_ID] = [row if isinstance(row, bytes) else b"" for row in batch.column(0).to_pylist()]
     return [
         (frame, time, {name: values[k] for name, values in rows.items()})
         for k, (frame, time) in enumerate(zip(column(layout.FRAME), column(layout.TIME), strict=True))

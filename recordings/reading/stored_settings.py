@@ -98,7 +98,7 @@ def events_of(found: Columns) -> tuple[Event, ...]:
     for frame, time, row in found.texts:
         names = "TextLog:text", "TextLog:level", "crc32", "topic", "phase"
         text, level, check, topic, phase = ((row.get(name) or [None])[0] for name in names)
-        spell = () if phase is None else (str(topic), str(phase))
+        spell = () if phase in (None, "moment") else (str(topic), str(phase))
         if (
             frame is not None
             and time is not None

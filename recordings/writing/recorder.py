@@ -193,9 +193,10 @@ class Recorder:
         """
         at = at or self._last or (self._frames, 0)
         self._set_time(*at)
-        spell: dict[str, Any] = {} if phase == "moment" else {"topic": topic, "phase": phase}
-        check = event_checksum(at, text, level, *spell.values())
-        self._stream.log(layout.EVENTS, rr.TextLog(text, level=level), rr.AnyValues(crc32=check, **spell))
+        check = event_checksum(at, text, level, *(() if phase == "moment" else (topic, phase)))
+        # all events have all components, so that they share chunks
+        values = rr.AnyValues(crc32=check, topic=topic, phase=phase)
+        self._stream.log(layout.EVENTS, rr.TextLog(text, level=level), values)
 
     def coach(self, page: CoachPage) -> None:
         """Logs what to do next, at the time of the last frame."""
