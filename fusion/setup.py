@@ -15,6 +15,7 @@ from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.paper_constants import PAPER_H
 
 Method = Literal["duplex", "paper", "published"]
+Hindsight = Literal["none", "labels", "whole"]
 
 
 @dataclass(frozen=True)
@@ -27,16 +28,22 @@ class FuserSettings:
         h: How much more a tracked joint counts than an inferred one, in (0.5, 1); sec. 3. Not of ``duplex``.
         weights: ``paper`` (eqs. (10), (11)) or ``equal``. Not of ``duplex``.
         smoothing: Smoothness of S*, from 0 (each frame on its own) to 1. Of ``duplex`` only.
+        hindsight: Use of later frames in a recording. ``none``: as live. ``labels``: for exchanged sides
+            (:func:`fusion.recording.plan_recording`). ``whole``: for everything, by a fixed-interval smoother.
+            Of ``duplex`` only.
     """
 
     method: Method = "duplex"
     h: float = PAPER_H
     weights: Literal["paper", "equal"] = "paper"
     smoothing: float = DEFAULT_SMOOTHING
+    hindsight: Hindsight = "none"
 
     def __post_init__(self) -> None:
         if self.method not in ("duplex", "paper", "published"):
             raise FusionError(f"The method is duplex, paper or published; got {self.method!r}.")
+        if self.hindsight not in ("none", "labels", "whole"):
+            raise FusionError(f"hindsight is none, labels or whole; got {self.hindsight!r}.")
         if not 0.5 < self.h < 1.0:
             raise FusionError(f"h must lie between 0.5 and 1 (sec. 3); got {self.h}.")
         if not 0.0 <= self.smoothing <= 1.0:

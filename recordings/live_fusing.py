@@ -10,8 +10,10 @@ from devices.pairing import FramePair
 from devices.sensor import Sensor
 from fusion.calibration.calibration import nominal_calibration
 from fusion.calibration.calibrator import Calibrator
+from fusion.calibration.learner import CalibrationChange, CalibrationLearner
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
+from recordings.exchanged_sides import ExchangedSides, Told
 from recordings.fusing import fuse_one
 from recordings.session_arrays import RecordedFrame
 
@@ -21,35 +23,71 @@ class LiveFusion:
 
     Args:
         setup: To begin with.
-        calibrated: Whether to keep its calibration; else one is found while pairs come in.
+        calibrated: Whether to keep its calibration; else one is found while pairs come in, and refined.
+        refine: Whether a calibration that is kept is refined as well.
     """
 
-    def __init__(self, setup: FusionSetup, calibrated: bool = False) -> None:
+    def __init__(self, setup: FusionSetup, calibrated: bool = False, refine: bool = False) -> None:
         self.setup = setup
         """What the last pair was fused with."""
-        self.calibrator = Calibrator(setup.body, setup.calibration if calibrated else None)
+        self.calibrator = Calibrator(setup.body, setup.calibration if calibrated or refine else None)
         self._fuser = Fuser(setup)
         self._people = PersonOfPair()
+        learns = setup.settings.method == "duplex" and (refine or not calibrated)
+        self._learner = CalibrationLearner(setup.body, setup.calibration) if learns else None
+        self._changes: list[CalibrationChange] = []
+        self._sides = ExchangedSides()
+        self._told: list[Told] = []
 
     def chosen(self, pair: FramePair) -> FramePair:
         """The pair with the person who is followed."""
         calibrator = self.calibrator
-        b_from_a = calibrator.calibration.a_from_b.inverse() if calibrator.settled else None
+        b_from_a = self.setup.calibration.a_from_b.inverse() if calibrator.settled else None
         return self._people.chosen(pair, b_from_a)
 
     def recalibrated(self, pair: FramePair) -> bool:
-        """Whether the pair, whose person is chosen, completes a new calibration, which is then used."""
+        """Whether a new calibration is used from this pair on, whose person is chosen.
+
+        The start-up pose gives one, or what was learned from the pairs before.
+        """
         found = self.calibrator.watch(pair.skeletons)
-        if found is None:
+        if found is not None:
+            if self._learner is not None:
+                self._learner.adopt(found)
+            self._changes.clear()
+        elif self._changes:
+            found = self._changes[-1].calibration
+            self._changes.clear()
+        if found is None or found is self.setup.calibration:
             return False
-        intrinsics = self.setup.intrinsics
-        self.setup = FusionSetup(found, self.setup.settings, *intrinsics)
-        self._fuser = Fuser(self.setup)
+        self.setup = FusionSetup(found, self.setup.settings, *self.setup.intrinsics)
+        if self.setup.settings.method == "duplex":
+            self._fuser.recalibrate(self.setup)
+        else:
+            self._fuser = Fuser(self.setup)
         return True
 
     def fuse(self, pair: FramePair) -> RecordedFrame:
-        """S* of the pair, whose person is chosen."""
-        return fuse_one(self._fuser, pair)
+        """S* of the pair, whose person is chosen; the pair then teaches the calibration."""
+        frame = fuse_one(self._fuser, pair)
+        self._told = self._sides.observe(frame.fused)
+        if self._learner is not None and self.calibrator.settled:
+            fused = frame.fused
+            codes = fused.exchanged_a & _LIMBS, fused.exchanged_b & _LIMBS
+            stale = fused.stale_a, fused.stale_b
+            changes = self._learner.observe(pair.skeletons, codes, stale, pair.skeletons.skew_ns)
+            self._changes += changes
+            for change in changes:
+                level = "WARN" if change.kind in ("knocked", "followed") else "INFO"
+                self._told.append((change.event, level, "", "moment"))
+        return frame
+
+    def told(self) -> list[Told]:
+        """What happened with the last pair: sides exchanged, a refined calibration, a sensor that moved."""
+        return self._told
+
+
+_LIMBS = 3  # arms and legs of an exchange code
 
 
 def fuse_live(a: Sensor, b: Sensor, setup: FusionSetup | None = None) -> Iterator[RecordedFrame]:

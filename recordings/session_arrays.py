@@ -166,6 +166,21 @@ class SessionArrays:
         optional=True,
     )
     """(T, J, 3) where the joints really are, in K_A's frame; simulations only."""
+    sigma: NDArray[np.float32] | None = per_frame(
+        *(np.float32, (JOINTS,), layout.FUSED_SKELETON, "sigma_mm", np.float16),
+        lambda f: f.fused.sigma,
+        absent=np.nan,
+        optional=True,
+        scale=1e3,
+    )
+    """(T, J) metres, one standard deviation of S*; sessions of the method ``duplex`` only."""
+    exchanged: NDArray[np.int8] | None = per_frame(
+        *(np.int8, (2,), layout.QUALITY, "exchanged", np.int8),
+        lambda f: None if f.fused.sigma is None else (f.fused.exchanged_a, f.fused.exchanged_b),
+        absent=0,
+        optional=True,
+    )
+    """(T, 2) which sides of A and of B were exchanged, see :mod:`fusion.facing.model`; ``duplex`` only."""
     witness_a: NDArray[np.float32] | None = per_frame(
         *(np.float32, (JOINTS, 4), layout.skeleton("a"), "depth_witness", np.float16),
         lambda f: _witness(f.pair.a, f.pair.skeletons.a, f.fused.positions),

@@ -112,6 +112,10 @@ class FuseOptions(TrackerOptions, MethodOptions, ViewerOptions, OutputOptions):
     """Recording of the secondary sensor K_B."""
     calibrate: str = "auto"
     """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
+    refine: bool = True
+    """Refine the calibration, unless it is from a file, over the whole recording; of the method duplex."""
+    smooth: Literal["off", "whole"] = "off"
+    """whole: each frame counts what comes after it as well; no lag, and calmer. Of the method duplex."""
     person_a: str | None = None
     """Id of the person in A; the one seen longest if not given."""
     person_b: str | None = None

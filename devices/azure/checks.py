@@ -180,6 +180,9 @@ def _usb_speed(root: Path) -> Check:
 
 
 def _kinects(choice: tuple[str | None, str | None, str | None], named_master: str | None) -> list[Check]:
+    if not _sdk().ok:
+        advice = "Install pyk4a and the Sensor SDK first, as said above."
+        return [Check("two Kinects", False, "cannot be looked for without pyk4a", advice)]
     try:
         there = connected_kinects()
     except DeviceError as fault:

@@ -35,12 +35,14 @@ def choose_two(
     Args:
         connected: What is there.
         a, b: Serial numbers asked for; one alone leaves the other to what is connected.
-        principal: Serial number of K_A, when ``a`` is not given.
+        principal: Serial number of K_A too.
 
     Raises:
         NeedsChoiceError: Exactly two are there, and none is named.
-        DeviceError: Not two, one of them cannot be opened, or a name is not among them.
+        DeviceError: Not two, one of them cannot be opened, a name is not among them, or A has two names.
     """
+    if a is not None and principal is not None and a != principal:
+        raise DeviceError(f"--kinect-a {a} and --principal {principal} both name K_A. Leave one of them out.")
     a = a or principal
     there = sorted(kinect.serial for kinect in connected if kinect.serial is not None)
     faults = [kinect.fault for kinect in connected if kinect.fault]
@@ -82,16 +84,24 @@ def sync_master(a: ConnectedKinect, b: ConnectedKinect, named: str | None = None
 
     Args:
         a, b: The two sensors.
-        named: The master, where the person says which one it is: the jacks are not asked then. Orbbec's
-            wrapper always says that they are empty.
+        named: The master, where the person says which one it is. Orbbec's jacks are not asked then: its
+            wrapper always says that they are empty. Microsoft's know better than the person.
 
     Raises:
-        DeviceError: A cable is there but joins no out to an in, or the master named is neither of the two.
+        DeviceError: A cable is there but joins no out to an in, or the master named is neither of the two or
+            not where a cable leads out.
     """
     if named is not None:
         if named not in (a.serial, b.serial):
             raise DeviceError(
                 f"--sync-master {named} is neither of the two Kinects chosen, {a.serial} and {b.serial}."
+            )
+        leads, follows = (a, b) if named == a.serial else (b, a)
+        seen = (leads.is_orbbec or leads.sync_out) and (follows.is_orbbec or follows.sync_in)
+        if not seen:
+            raise DeviceError(
+                f"--sync-master {named}: no cable leads from its sync out to the sync in of {follows.serial} "
+                f"({_jacks(a, b)}). Put the cable there, or leave --sync-master out."
             )
         return named
     for master, subordinate in ((a, b), (b, a)):
@@ -99,14 +109,17 @@ def sync_master(a: ConnectedKinect, b: ConnectedKinect, named: str | None = None
             return master.serial
     if not any((a.sync_in, a.sync_out, b.sync_in, b.sync_out)):
         return None
-    jacks = "; ".join(
+    raise DeviceError(
+        f"The sync cable joins no sync out to a sync in ({_jacks(a, b)}). Lead it from one sensor's sync out "
+        f"to the other's sync in, or unplug it to run without."
+    )
+
+
+def _jacks(*kinects: ConnectedKinect) -> str:
+    return "; ".join(
         f"{kinect.serial}: in {'connected' if kinect.sync_in else 'empty'}, "
         f"out {'connected' if kinect.sync_out else 'empty'}"
-        for kinect in (a, b)
-    )
-    raise DeviceError(
-        f"The sync cable joins no sync out to a sync in ({jacks}). Lead it from one sensor's sync out to the "
-        f"other's sync in, or unplug it to run without."
+        for kinect in kinects
     )
 
 

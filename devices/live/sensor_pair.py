@@ -98,6 +98,11 @@ class TwoSensors:
         return self._pairing.figures
 
     @property
+    def step(self) -> int:
+        """Every which frame both sensors go on with, for the slower body tracker; 1 is every one."""
+        return self._step
+
+    @property
     def stream_figures(self) -> StreamFigures:
         """What of it belongs on the timeline."""
         figures = self._pairing.figures
@@ -188,6 +193,8 @@ class TwoSensors:
             return
         self._step = decimation.step
         self._pairing.set_interval(decimation.interval_ns)
+        for _, thread in self._sides():
+            thread.set_interval(decimation.interval_ns * 1e-9)
         full, kept = 1e9 / decimation.period_ns, 1e9 / decimation.interval_ns
         message = (
             f"The body tracker of {decimation.slowest} takes {1000 * decimation.slowest_s:.0f} ms per frame: "

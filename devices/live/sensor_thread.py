@@ -46,7 +46,7 @@ class SensorThread:
         Args:
             sensor: What to run.
             keep: Most frames that wait for the reader.
-            stall_s: After how long without a frame the sensor counts as stalled.
+            stall_s: After how long without a frame the sensor counts as stalled; see :meth:`set_interval`.
             first_s: The same for the first one since opening: a body tracker's first result takes long.
             retry_s: How soon a lost sensor is tried again; later where it is there and does not open.
             arrival: Set at every frame and change of state; two sensors may share one, to wait for either.
@@ -56,7 +56,8 @@ class SensorThread:
         self.sensor = sensor
         self.arrival = arrival or threading.Event()
         self._keep, self._retries = keep, Retries(retry_s)
-        self._stall_s, self._first_s = stall_s, first_s
+        self._least_stall_s = self._stall_s = stall_s
+        self._first_s = first_s
         self._clock, self._wait = clock, wait
         self._lock = threading.Lock()
         self._frames: deque[tuple[int, SensorFrame]] = deque()  # and when each came
@@ -137,6 +138,10 @@ class SensorThread:
                 self._frames.clear()
             self._received, self._dropped = len(self._frames), 0
             self._missed_before = messages.missed_by(self.sensor)
+
+    def set_interval(self, interval_s: float) -> None:
+        """Changes the time between two frames; a sensor stalls after four of them at the earliest."""
+        self._stall_s = max(self._least_stall_s, 4 * interval_s)
 
     def end(self) -> None:
         """Makes the thread end, without waiting for that: frames to come are not wanted, nor counted."""

@@ -26,8 +26,6 @@ class PaperFusion:
     """The kernel that takes longest to compile."""
 
     def __init__(self, setup: FusionSetup) -> None:
-        self._unknown = np.full((len(setup.body), 3, 3), np.nan)
-        self._unknown.flags.writeable = False
         self._memory = paper.new_memory(len(setup.body), setup.calibration.a_from_b.translation)
         self.recalibrate(setup)
 
@@ -78,6 +76,4 @@ class PaperFusion:
             stale_a=bool(stale_a),
             stale_b=bool(stale_b),
             time_ns=time_ns,
-            sigma=self._unknown[:, 0, 0],
-            covariance=self._unknown,
         )

@@ -290,6 +290,7 @@ def test_one_name_leaves_the_other_to_what_is_connected(
         ([A, B], {"a": "000999"}, r"No Kinect with serial 000999\. Connected: 000123, 000456"),
         ([A, B], {"a": "000123", "b": "000123"}, "both 000123"),
         ([A, B, C], {}, "3 Kinects are connected"),
+        ([A, B], {"a": "000123", "principal": "000456"}, "--kinect-a 000123 and --principal 000456 both"),
     ],
 )
 def test_a_choice_that_cannot_be_made_is_explained(
@@ -316,6 +317,15 @@ def test_a_cable_that_joins_no_out_to_an_in_is_explained() -> None:
     wrong = _jacks("000123", True, False), _jacks("000456", True, False)
     with pytest.raises(DeviceError, match="000123: in connected, out empty; 000456: in connected"):
         sync_master(*wrong)
+
+
+def test_a_master_that_is_named_against_the_jacks_is_explained() -> None:
+    leads, follows = _jacks("000456", False, True), _jacks("000123", True, False)
+    assert sync_master(follows, leads, "000456") == "000456"
+    for pair in ((follows, leads), (A, B)):
+        with pytest.raises(DeviceError, match="--sync-master 000123: no cable leads from its sync out"):
+            sync_master(*pair, "000123")
+    assert sync_master(_jacks("CL1", False, False), _jacks("CL2", False, False), "CL2") == "CL2"
 
 
 def test_the_firmwares_version_is_read_from_libk4a(

@@ -135,6 +135,13 @@ def test_the_start_up_pose_is_counted_down() -> None:
     assert "pose" not in watched()
 
 
+def test_frames_left_out_for_a_slow_tracker_are_not_blamed_on_usb_or_light() -> None:
+    halved = Situation(KNOWN, settled=True, held=0.0, step=2)
+    assert wrong(watched(every=2, now=halved)) == set()
+    said = watched(every=3, now=halved)["rate A"]
+    assert said.text.startswith("Sensor A gives 10 frames a second; below 12 movements are missed.")
+
+
 def test_slow_late_and_dropping_sensors_are_named() -> None:
     assert wrong(watched(every=2)) == {"rate A", "rate B"}
     assert wrong(watched(skew_ns=-20_000_000)) == {"skew"}

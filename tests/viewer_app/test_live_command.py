@@ -313,13 +313,16 @@ def test_mistakes_are_one_line_before_any_sensor_opens(
         (["--no-viewer", "--save", taken], "exists already"),
         (["--no-viewer", "--seconds", -1], "--seconds must be"),
         (["--no-viewer", "--calibrate", tmp_path / "none.json"], "neither auto nor a file"),
+        (["--no-viewer", "--color", "3072P"], "Colour 3072P runs at 15 fps at most"),
+        (["--no-viewer", "--smoothing", 3], "Smoothing is 0 to 1, not 3.0"),
         (["--no-viewer", "--kinect-a", "000999"], "No Kinect with serial 000999"),
         (["--no-viewer", "--principal", "000123", "--h", 2], "h must lie"),
     ):
         assert duplex("live", *arguments) == 2
-        said = capsys.readouterr().err
-        assert words in said
-        assert said.count("\n") == 1
+        printed = capsys.readouterr()
+        assert words in printed.err
+        assert printed.err.count("\n") == 1
+        assert "Opening" not in printed.out
 
 
 def test_a_calibration_is_loaded_and_kept(kinects: Bus, standin: Standin, tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def test_the_first_frame_that_differs_is_named_also_where_float32_does_not_show_
 
 
 def test_verifying_other_settings_is_refused(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert duplex("replay", session, "--verify", "--h", "0.9") == 2
+    assert duplex("replay", session, "--verify", "--smoothing", "0.9") == 2
     assert "duplex compare" in one_line(capsys)
 
 
@@ -93,11 +93,11 @@ def test_a_replay_with_other_settings_is_compared_with_the_first(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other, compared = tmp_path / "equal.rrd", tmp_path / "compared.rrd"
-    assert duplex("replay", session, "--no-viewer", "--weights", "equal", "--save", other) == 0
+    assert duplex("replay", session, "--no-viewer", "--method", "paper", "--save", other) == 0
     capsys.readouterr()
     assert duplex("compare", session, other, "--no-viewer", "--save", compared, "--worst", "3") == 0
     said = capsys.readouterr().out
-    assert "weights: paper against equal" in said
+    assert "method: duplex against paper" in said
     assert "90 frames in common" in said
     assert said.count(" differs by ") == 3
     assert compared.stat().st_size > 10_000
@@ -110,7 +110,7 @@ def test_as_many_moments_are_listed_as_asked_for(
     count: int, session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = tmp_path / "equal.rrd"
-    assert duplex("replay", session, "--no-viewer", "--weights", "equal", "--save", other) == 0
+    assert duplex("replay", session, "--no-viewer", "--method", "paper", "--save", other) == 0
     capsys.readouterr()
     assert duplex("compare", session, other, "--no-viewer", "--worst", count) == 0
     said = capsys.readouterr().out

@@ -6,7 +6,7 @@ To add a method, add a row to :data:`METHODS`. A switch of our method is a row o
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -19,9 +19,13 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.evaluation import baselines
 from fusion.evaluation.fixed_registration import fit_recording
+from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
+from fusion.recording import plan_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
+from recordings.fusing import fuse_segments, setups_of
+from recordings.live_fusing import LiveFusion
 
 Array = NDArray[np.float64]
 Kind = Literal["view", "baseline", "bound", "method", "ablation"]
@@ -127,14 +131,44 @@ def fused(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
             before = time.perf_counter_ns()
             frames.append(fuser.update(skeletons))
             cost.append(time.perf_counter_ns() - before)
-        sd = np.array([frame.sigma for frame in frames])
-        return Found(
-            np.array([frame.positions for frame in frames]),
-            float(np.median(cost)) * 1e-3,
-            sd if np.isfinite(sd).any() else None,
-        )
+        return _found(frames, float(np.median(cost)) * 1e-3)
 
     return find
+
+
+def as_recorded(settings: FuserSettings, refine: bool = True) -> Callable[[RecordedPair], Found]:
+    """What ``duplex fuse`` makes of the recording: calibration and labels from the whole of it."""
+
+    def find(recording: RecordedPair) -> Found:
+        skeletons = [pair.skeletons for pair in recording.pairs]
+        plan = plan_recording(recording.body, skeletons, settings, refine=refine)
+        segments = setups_of(plan, settings, (None, None))
+        frames = list(fuse_segments(segments, recording.pairs, plan.codes))
+        return _found([f.fused for f in frames], float(np.median([f.fuse_ns for f in frames])) * 1e-3)
+
+    return find
+
+
+def as_live(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
+    """What ``duplex live`` makes of the recording: nothing looks ahead."""
+
+    def find(recording: RecordedPair) -> Found:
+        live = LiveFusion(FusionSetup(recording.calibration, settings), refine=True)
+        frames = [live.fuse(pair) for pair in recording.pairs]
+        return _found([f.fused for f in frames], float(np.median([f.fuse_ns for f in frames])) * 1e-3)
+
+    return find
+
+
+def _found(frames: Sequence[FusedFrame], each_us: float) -> Found:
+    sigma = [frame.sigma for frame in frames]
+    known = [one for one in sigma if one is not None]
+    return Found(
+        np.array([frame.positions for frame in frames]),
+        each_us,
+        # sigma is of the distance to the truth; each of its three coordinates has a third of the variance
+        np.array(known) / np.sqrt(3.0) if len(known) == len(sigma) else None,
+    )
 
 
 def _baseline(find: Callable[[RecordedPair], Array]) -> Callable[[RecordedPair], Found]:
@@ -177,7 +211,9 @@ METHODS: tuple[Method, ...] = (
     Method("oracle", "bound", _baseline(_oracle)),
     Method("published", "method", fused(replace(DEFAULT, method="published"))),
     Method("paper", "method", fused(replace(DEFAULT, method="paper"))),
-    Method("duplex", "method", fused(DEFAULT)),
+    Method("duplex", "method", as_recorded(replace(DEFAULT, hindsight="labels"))),
+    Method("duplex, live", "method", as_live(DEFAULT)),
+    Method("duplex, smoothed", "method", as_recorded(replace(DEFAULT, hindsight="whole"))),
 )
 """In the order of the tables.
 

@@ -13,15 +13,16 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from devices.pairing import FramePair
 from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import Body
 from fusion.errors import FusionError
 from fusion.evaluation.faults import FAULTS, Fault, share_of_fault, with_fault
 from fusion.evaluation.without_truth import FusedPair, figures_without_truth, judge_registration
-from fusion.fuser import Fuser
-from fusion.setup import FusionSetup
+from fusion.recording import plan_recording
+from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
-from recordings.fusing import calibration_of
+from recordings.fusing import fuse_segments, setups_of
 from viewer_app.bench.real_tables import real_tables
 from viewer_app.errors import UsageError
 from viewer_app.options import BenchRealOptions
@@ -125,8 +126,11 @@ def measure(body: Body, skeletons: Sequence[SkeletonPair], *, faults: bool) -> d
 
 def fuse_pair(body: Body, skeletons: Sequence[SkeletonPair]) -> FusedPair:
     """What the program makes of a recording with its default settings."""
-    calibration = calibration_of(body, skeletons)
-    frames = Fuser(FusionSetup(calibration)).fuse_sequence(skeletons)
+    settings = FuserSettings(hindsight="labels")
+    plan = plan_recording(body, skeletons, settings)
+    pairs = [FramePair(None, None, pair) for pair in skeletons]
+    segments = setups_of(plan, settings, (None, None))
+    frames = [frame.fused for frame in fuse_segments(segments, pairs, plan.codes)]
     nowhere = np.full((len(body), 3), np.nan)
 
     def positions(side: str) -> NDArray[np.float64]:

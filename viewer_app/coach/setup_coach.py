@@ -49,12 +49,14 @@ class Situation:
         settled: Whether it comes from a start-up pose or a file.
         held: Seconds for which the start-up pose has been held.
         dropped: Frames so far that the program was too slow for, of A and B.
+        step: Every which frame both sensors go on with, for the slower body tracker; 1 is every one.
     """
 
     calibration: Calibration
     settled: bool
     held: float
     dropped: tuple[int, int] = (0, 0)
+    step: int = 1
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,7 @@ class _View:
     came: bool
     seen: bool
     feet_gone: bool
+    step: int
 
 
 class Coach:
@@ -121,7 +124,7 @@ class Coach:
             if skeleton is not None:
                 self._seen_at[k] = time
             feet = skeleton is not None and self._feet_gone(skeleton, self.intrinsics[k])
-            self._views[k].append(_View(time, sensor_frame is not None, skeleton is not None, feet))
+            self._views[k].append(_View(time, sensor_frame is not None, skeleton is not None, feet, now.step))
             while time - self._views[k][0].time > _RATE_WINDOW:
                 self._views[k].popleft()
         if pair.a is not None and pair.b is not None:
@@ -152,15 +155,17 @@ class Coach:
             return
         for k, side in enumerate("AB"):
             came = sum(view.came for view in self._views[k]) / _RATE_WINDOW
-            if came < RATE * self._rate:
+            # What is left out for a slow body tracker is no fault of USB or light, and is told as it begins.
+            least = RATE * self._rate / max(view.step for view in self._views[k])
+            if came < least:
                 few = int(came)  # rounded it might be the limit itself
                 yield Advice(
                     f"rate {side}",
-                    f"Sensor {side} gives {few} frames a second; below {RATE * self._rate:.0f} "
+                    f"Sensor {side} gives {few} frames a second; below {least:.3g} "
                     "movements are missed. Give it a USB controller of its own, and light.",
                     "WARN",
                     came,
-                    RATE * self._rate,
+                    least,
                     side,
                     f"{few} frames a second",
                 )

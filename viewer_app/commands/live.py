@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.markup import escape
 
 from devices.azure.kinect import KinectSensor
-from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings
+from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings, check_modes
 from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects
 from devices.azure.sensor_roles import NeedsChoiceError, cable_notes, choose_two, sync_master
-from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.tracking.body_tracker import TrackerSettings, check_smoothing
 from devices.image_thinning import thinned_camera
 from devices.live.frame_decimation import FrameDecimation
 from devices.live.sensor_pair import TwoSensors
@@ -36,6 +36,7 @@ from viewer_app.loop.interruption import CtrlC
 from viewer_app.loop.live_loop import Status, run_live
 from viewer_app.loop.live_summary import check_saved, print_saved, print_session, session_report
 from viewer_app.loop.status_line import LiveDisplay
+from viewer_app.method_options import check_paper_options
 from viewer_app.options import LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
 from viewer_app.report.figures import report_to_json
@@ -63,9 +64,11 @@ def check(options: LiveOptions) -> None:
     """Finds out before any sensor is opened what of the options cannot be.
 
     Raises:
-        UsageError: With one line for the person who asked.
+        DeviceError, UsageError: With one line for the person who asked.
     """
     _viewing(options)
+    check_modes(_settings(options, "", None))
+    check_smoothing(options.smoothing)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
     check_outputs((options.save, options.report, options.save_calibration), read, options.force)
     if options.seconds is not None and not 0.0 < options.seconds < float("inf"):
@@ -133,6 +136,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
     """Fuses what two sensors give, until they end, Ctrl-C, or the time is up; saves and sums up."""
     viewing = _viewing(options)
     settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
+    check_paper_options(settings)
     a, b = sensors.a.sensor, sensors.b.sensor
     calibration = _given_calibration(options, a)
     nominal = FusionSetup(calibration or nominal_calibration(a.body), settings)

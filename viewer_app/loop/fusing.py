@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import numpy as np
 from rich.console import Console
 
-from devices.pairing import FramePair
 from fusion.fuser import Fuser
-from recordings.fusing import fuse_one
 from recordings.images.rvl import encode_depth
-from recordings.session_arrays import RecordedFrame
-from viewer_app.sinks.sink import Sink
 
 
 def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = lambda: None) -> None:
@@ -32,13 +28,3 @@ def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = la
         encode_depth(np.zeros((1, 1), dtype=np.uint16))
     finally:
         notice.cancel()
-
-
-def fuse_offline(pairs: Iterable[FramePair], fuser: Fuser, sink: Sink) -> list[RecordedFrame]:
-    """Fuses pairs as fast as it goes."""
-    frames = []
-    for pair in pairs:
-        frame = fuse_one(fuser, pair)
-        sink.write(frame)
-        frames.append(frame)
-    return frames

@@ -95,6 +95,8 @@ def run_live(
         sink.write(frame)
         if recalibrated:
             sink.event(f"calibrated: {fusion.setup.calibration.how}")
+        for told in fusion.told():
+            sink.event(*told)
         for event in events:
             sink.event(event, "WARN")
         kept.append(replace(frame, pair=without_images(pair)))

@@ -127,6 +127,7 @@ class LiveDisplay:
             calibrator.settled,
             calibrator.held,
             (sensors.a.dropped, sensors.b.dropped),
+            sensors.step,
         )
         advice = self._coach.watch(status.frame, situation)
         page = self._scene.page(advice, situation, status.frame.fused)
