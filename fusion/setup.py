@@ -29,8 +29,8 @@ class FuserSettings:
         weights: ``paper`` (eqs. (10), (11)) or ``equal``. Not of ``duplex``.
         smoothing: Smoothness of S*, from 0 (each frame on its own) to 1. Of ``duplex`` only.
         hindsight: Use of later frames in a recording. ``none``: as live. ``labels``: for exchanged sides
-            (:func:`fusion.recording.plan_recording`). ``whole``: for everything, by a fixed-interval smoother.
-            Of ``duplex`` only.
+            (:func:`fusion.recording.plan_recording`). ``whole``: for everything, by a fixed-interval
+            smoother. Of ``duplex`` only.
     """
 
     method: Method = "duplex"
