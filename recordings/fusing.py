@@ -1,4 +1,5 @@
-"""Two recordings in, one session in memory out: what ``duplex fuse`` does, without files and terminal."""
+"""Fuses two recordings into a session in memory, as ``duplex fuse`` does, without files or terminal
+output."""
 
 from __future__ import annotations
 
@@ -40,22 +41,22 @@ def fuse(
     >>> session.fused.shape
     (120, 20, 3)
 
-    Nothing is written; :meth:`recordings.session.Session.save` writes what ``duplex fuse --save`` would, but
-    for the advice of the set-up coach.
+    This function writes no file. :meth:`recordings.session.Session.save` writes what ``duplex fuse --save``
+    writes, except the advice of the set-up coach.
 
     Args:
         a, b: Recordings of the principal sensor K_A, in whose frame S* is, and of the secondary one K_B:
             ``.csv``, ``.json``, ``.skeleton``, or ``.mkv`` of an Azure Kinect.
-        calibration: One made before; found in the recordings, on the start-up pose if there is one, where
-            None.
-        settings: The method's choices.
-        person_a, person_b: Ids of the person; in each recording the one seen longest where None.
-        skeletons_a, skeletons_b: For an ``.mkv``: skeletons saved before, in place of the body tracker.
-        depth: For an ``.mkv``: how much of its depth images the session has.
+        calibration: An existing calibration. None: calibrate from the recordings, on the start-up pose if
+            there is one.
+        settings: Settings of the method.
+        person_a, person_b: Ids of the person in each recording. None: the person seen longest.
+        skeletons_a, skeletons_b: For an ``.mkv``: files of saved skeletons, used instead of the body tracker.
+        depth: For an ``.mkv``: which depth images the session has.
 
     Raises:
         DeviceError: A recording cannot be read or tracked, the bodies differ, or they never overlap in time.
-        FusionError: They cannot be calibrated.
+        FusionError: The views cannot be calibrated.
     """
     choices = (
         RecordingChoice(Path(a), _path(skeletons_a), person_a, "skeletons_a", "person_a"),
@@ -70,7 +71,7 @@ def fuse(
 
 
 def calibration_of(body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:
-    """A calibration on the start-up pose of a recording; on its calmest window where there is none.
+    """Calibrates on the start-up pose of a recording, or on its calmest window if there is no such pose.
 
     Raises:
         CalibrationError: No frame shows a person to both sensors, or the views cannot be registered.
@@ -80,7 +81,7 @@ def calibration_of(body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:
 
 
 def fuse_one(fuser: Fuser, pair: FramePair) -> RecordedFrame:
-    """Fuses a pair and takes the time."""
+    """Fuses a pair and measures the duration."""
     before = time.perf_counter_ns()
     fused = fuser.update(pair.skeletons)
     return RecordedFrame(pair, fused, time.perf_counter_ns() - before)
@@ -94,21 +95,21 @@ def fused_session(
     depth: Depth,
     progress: Progress = quietly,
 ) -> Session:
-    """The session of two recordings that were fused.
+    """Returns the session of two fused recordings.
 
     Args:
         read: The recordings.
-        setup: What they were fused with.
-        frames: What came of it.
-        sources: What the recordings are called.
-        depth: How much of the depth images it has; they are read from the recordings when asked for.
-        progress: Shows how far reading those is.
+        setup: The setup used for the fusion.
+        frames: The fused frames.
+        sources: Names of the recordings.
+        depth: Which depth images the session has. They are read from the recordings on demand.
+        progress: Shows the progress of reading the images.
     """
-    said = [(f"calibrated: {setup.calibration.how}", "INFO"), *((text, "WARN") for text in read.warnings)]
+    messages = [(f"calibrated: {setup.calibration.how}", "INFO"), *((text, "WARN") for text in read.warnings)]
     return Session.of(
         [(setup, frames)],
         sources,
-        events=[Event(0, 0, text, level) for text, level in said],
+        events=[Event(0, 0, text, level) for text, level in messages],
         images=RecordingImages(read, depth, progress),
     )
 

@@ -1,4 +1,4 @@
-"""Pairs fused as they come: the person followed, the calibration found on the way."""
+"""Fuses live pairs: follows one person and calibrates while pairs arrive."""
 
 from __future__ import annotations
 
@@ -17,28 +17,31 @@ from recordings.session_arrays import RecordedFrame
 
 
 class LiveFusion:
-    """Makes S* of one pair after the other.
+    """Fuses one pair after another to S*.
 
     Args:
-        setup: To begin with.
-        calibrated: Whether to keep its calibration; else one is found while pairs come in.
+        setup: The setup at the start.
+        calibrated: Whether to keep the calibration of `setup`. If not, one is computed while pairs arrive.
     """
 
     def __init__(self, setup: FusionSetup, calibrated: bool = False) -> None:
         self.setup = setup
-        """What the last pair was fused with."""
+        """The setup used for the last pair."""
         self.calibrator = Calibrator(setup.body, setup.calibration if calibrated else None)
         self._fuser = Fuser(setup)
         self._people = PersonOfPair()
 
     def chosen(self, pair: FramePair) -> FramePair:
-        """The pair with the person who is followed."""
+        """Returns the pair with the followed person chosen."""
         calibrator = self.calibrator
         b_from_a = calibrator.calibration.a_from_b.inverse() if calibrator.settled else None
         return self._people.chosen(pair, b_from_a)
 
     def recalibrated(self, pair: FramePair) -> bool:
-        """Whether the pair, whose person is chosen, completes a new calibration, which is then used."""
+        """Passes a pair with a chosen person to the calibrator; True if it completes a calibration.
+
+        The new calibration applies from this pair on.
+        """
         found = self.calibrator.watch(pair.skeletons)
         if found is None:
             return False
@@ -48,18 +51,18 @@ class LiveFusion:
         return True
 
     def fuse(self, pair: FramePair) -> RecordedFrame:
-        """S* of the pair, whose person is chosen."""
+        """Fuses a pair with a chosen person."""
         return fuse_one(self._fuser, pair)
 
 
 def fuse_live(a: Sensor, b: Sensor, setup: FusionSetup | None = None) -> Iterator[RecordedFrame]:
-    """Fuses what two sensors give, as they give it, until both have ended.
+    """Fuses the frames of two sensors as they arrive, until both sensors end.
 
-    The sensors run on threads of their own; a sensor that fails is waited for and comes back.
+    Each sensor runs on its own thread. A sensor that fails is reopened until it works again.
 
     Args:
-        a, b: The principal sensor K_A, in whose frame S* is, and the secondary one K_B; not yet open.
-        setup: With a calibration to keep; one is found while frames come in where None.
+        a, b: The principal sensor K_A and the secondary sensor K_B, both not yet open. S* is in K_A's frame.
+        setup: A setup whose calibration is kept. None: calibrate while frames arrive.
 
     Raises:
         DeviceError: A sensor cannot be opened.
