@@ -99,6 +99,8 @@ class Constants(NamedTuple):
         inferred_outlier: The same of an inferred joint.
         outlier_lasts: Probability that an outlier is followed by one.
         outlier_side: Side of the cube that outliers are spread over, metres.
+        surface_slow: How much larger the surface's errors count than :data:`fusion.witness.SURFACE_SD` says. An
+            image errs to the same side for as long as a pose lasts.
         surface_fast: Fast error that the surface of a depth image brings, metres.
         surprise: Probability that a joint moves as the prediction cannot tell.
         sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
@@ -127,7 +129,8 @@ class Constants(NamedTuple):
     inferred_outlier: float = 0.2
     outlier_lasts: float = 0.85
     outlier_side: float = 0.6
-    surface_fast: float = 0.004
+    surface_slow: float = 2.0
+    surface_fast: float = 0.008
     surprise: float = 0.05
     sides_doubted: float = 1.0
     scale_sd: float = 0.035
