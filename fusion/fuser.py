@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.compiling.parallel_compilation import tree_solver_compiled_meanwhile
 from fusion.errors import FusionError
+from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.fused_frame import FusedFrame as FusedFrame
 from fusion.methods.paper_fusion import PaperFusion
@@ -25,16 +26,17 @@ class Fuser:
 
     Args:
         setup: Calibration, settings and cameras.
+        constants: Of the method ``duplex``, for ablations and fits; the body's fitted ones where None.
     """
 
-    def __init__(self, setup: FusionSetup) -> None:
+    def __init__(self, setup: FusionSetup, constants: Constants | None = None) -> None:
         self.setup = setup
         self._nobody = Skeleton.of(setup.body, np.full((len(setup.body), 3), np.nan))
         self._no_image = np.full((len(setup.body), 4), np.nan, dtype=np.float32)
         self._unlabelled = np.full((1, 2), -1, dtype=np.int64)
         self._fusion: DuplexFusion | PaperFusion
         if setup.settings.method == "duplex":
-            self._fusion = DuplexFusion(setup)
+            self._fusion = DuplexFusion(setup, constants)
         else:
             self._fusion = PaperFusion(setup)
 

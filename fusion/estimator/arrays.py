@@ -168,7 +168,7 @@ def new_model(
         witness=new_witness_model(body),
         up=np.full(3, np.nan),
         calmness=calmness(smoothing),
-        constants=constants or Constants(),
+        constants=constants or Constants.of(body),
     )
 
 

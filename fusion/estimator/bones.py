@@ -37,6 +37,11 @@ def hold_bones(model, state, solve):  # type: ignore[no-untyped-def]
         model.parents, model.order, model.rest, solve.targets, solve.information, model.bone_lengths,
         state.before, solve.tree_work, solve.positions,
     )  # fmt: skip
+    if not model.constants.bones:
+        for i in range(len(model.parents)):
+            for c in range(3):
+                if state.known[i]:
+                    solve.positions[i, c] = solve.targets[i, c]
     return iterations
 
 

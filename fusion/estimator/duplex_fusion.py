@@ -23,7 +23,7 @@ class DuplexFusion:
 
     Args:
         setup: Calibration and settings.
-        constants: Of the filter; the fitted ones where None.
+        constants: Of the filter; the body's fitted ones where None.
     """
 
     kernel: Any = estimate_pairs

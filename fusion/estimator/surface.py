@@ -53,7 +53,7 @@ def ask_images(model, facing_model, views, a, states_a, witness_a, b, states_b, 
 def measure_surface(model, views, room):  # type: ignore[no-untyped-def]
     """The surface's measurement p, of information I, joined with the tracker's z, of slow covariance C.
 
-        W = C⁻¹ + I,    z ← W⁻¹ (C⁻¹ z + I p),    C ← W⁻¹
+        W = C⁻¹ + I',    z ← W⁻¹ (C⁻¹ z + I' p),    C ← W⁻¹,    I' = I / surface_slow²
 
     A surface jitters more than a tracker does: ``surface_fast`` is added to the fast error.
 
@@ -61,7 +61,8 @@ def measure_surface(model, views, room):  # type: ignore[no-untyped-def]
         model, views: Of the pair.
         room: (3, 3) scratch.
     """
-    noise = model.constants.surface_fast**2
+    k = model.constants
+    noise, share = k.surface_fast**2, 1.0 / k.surface_slow**2
     for v in range(2):
         for i in range(len(model.parents)):
             if not math.isfinite(views.places[v, i, 0]) or views.states[v, i] == 0:
@@ -71,12 +72,12 @@ def measure_surface(model, views, room):  # type: ignore[no-untyped-def]
             inverse(C, room)
             x = y = w = 0.0
             for c in range(3):
-                x += room[0, c] * z[c] + says[0, c] * p[c]
-                y += room[1, c] * z[c] + says[1, c] * p[c]
-                w += room[2, c] * z[c] + says[2, c] * p[c]
+                x += room[0, c] * z[c] + share * says[0, c] * p[c]
+                y += room[1, c] * z[c] + share * says[1, c] * p[c]
+                w += room[2, c] * z[c] + share * says[2, c] * p[c]
             for r in range(3):
                 for c in range(3):
-                    room[r, c] += says[r, c]
+                    room[r, c] += share * says[r, c]
             inverse(room, C)
             for r in range(3):
                 z[r] = C[r, 0] * x + C[r, 1] * y + C[r, 2] * w

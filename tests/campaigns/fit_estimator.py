@@ -132,7 +132,7 @@ def search(recordings: Sequence[Recording], seconds: float, seed: int) -> Consta
     best = Constants()
     lowest = cost(recordings, best)
     print(f"{lowest * 1e3:.3f} at first", flush=True)
-    steps = dict.fromkeys(set(Constants._fields) - {"spread", "before", "sides_doubted"}, 0.35)
+    steps = dict.fromkeys(set(Constants._fields) - {"spread", "before", "sides_doubted", "bones"}, 0.35)
     names = sorted(steps)
     end = time.monotonic() + seconds
     while time.monotonic() < end:

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.stats import chi
 
 from fusion.body import KINECT_V1
 from fusion.evaluation import baselines
@@ -146,9 +147,9 @@ def test_the_kalman_filter_settles_on_a_still_person_and_follows_a_steady_one() 
 def test_coverage_is_the_share_within_what_a_method_states(truth: np.ndarray) -> None:
     rng = np.random.default_rng(1)
     sd = rng.uniform(0.005, 0.05, TRACKED.shape)
-    found = truth + sd[..., None] * rng.normal(size=truth.shape)
+    found = truth + sd[..., None] / np.sqrt(3.0) * rng.normal(size=truth.shape)
     of = accuracy(KINECT_V1, found, truth, TRACKED, TRACKED, DT, sd)
     # 9,000 coordinates: a share of 0.68 is known to 0.005
-    assert of.within_1sd == pytest.approx(0.6827, abs=0.015)
-    assert of.within_2sd == pytest.approx(0.9545, abs=0.008)
+    assert of.within_1sd == pytest.approx(chi(3).cdf(np.sqrt(3.0)), abs=0.015)
+    assert of.within_2sd == pytest.approx(chi(3).cdf(2.0 * np.sqrt(3.0)), abs=0.008)
     assert np.isnan(measure(found, truth).within_1sd)

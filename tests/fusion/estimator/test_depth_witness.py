@@ -156,7 +156,7 @@ def test_the_surface_is_joined_with_the_tracker_by_information() -> None:
             np.testing.assert_array_equal(views.positions[0, i], z[i])
             assert views.fast[0, i] == 1e-5
             continue
-        information = views.place_information[0, i]
+        information = views.place_information[0, i] / model.constants.surface_slow**2
         W = np.linalg.inv(C[i]) + information
         expected = np.linalg.solve(W, np.linalg.solve(C[i], z[i]) + information @ views.places[0, i])
         np.testing.assert_allclose(views.positions[0, i], expected, rtol=1e-8)
