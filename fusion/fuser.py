@@ -30,6 +30,7 @@ class Fuser:
     def __init__(self, setup: FusionSetup) -> None:
         self.setup = setup
         self._nobody = Skeleton.of(setup.body, np.full((len(setup.body), 3), np.nan))
+        self._no_image = np.full((len(setup.body), 4), np.nan, dtype=np.float32)
         self._unlabelled = np.full((1, 2), -1, dtype=np.int64)
         self._fusion: DuplexFusion | PaperFusion
         if setup.settings.method == "duplex":
@@ -80,6 +81,7 @@ class Fuser:
             np.array([pair.time_ns], dtype=np.int64),
             np.array([pair.skew_ns], dtype=np.int64),
             self._unlabelled if codes is None else np.array([codes], dtype=np.int64),
+            (self._witness(a)[None], self._witness(b)[None]),
             a.positions[None],
             a.states[None],
             b.positions[None],
@@ -114,16 +116,26 @@ class Fuser:
             )
         return self._fusion.run(*self._rows(pairs, codes), smooth=True) if pairs else []
 
-    def _rows(self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None) -> tuple[NDArray[Any], ...]:
+    def _rows(self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None) -> tuple[Any, ...]:
         return (
             np.array([pair.time_ns for pair in pairs], dtype=np.int64),
             np.array([pair.skew_ns for pair in pairs], dtype=np.int64),
             np.full((len(pairs), 2), -1, dtype=np.int64)
             if codes is None
             else np.array(codes, dtype=np.int64),
+            tuple(
+                np.array([self._witness(skeleton or self._nobody) for skeleton in view])
+                for view in zip(*((pair.a, pair.b) for pair in pairs), strict=True)
+            ),
             *self._stacked([pair.a or self._nobody for pair in pairs]),
             *self._stacked([pair.b or self._nobody for pair in pairs]),
         )
+
+    def _witness(self, skeleton: Skeleton) -> NDArray[np.float32]:
+        """(J, 4) of its image; NaN without one."""
+        if skeleton.witness is None:
+            return self._no_image
+        return np.array(skeleton.witness, dtype=np.float32)  # of one type, whoever made it
 
     @staticmethod
     def _stacked(skeletons: Sequence[Skeleton]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

@@ -20,6 +20,7 @@ from fusion.estimator.constants import (
     joint_errors,
 )
 from fusion.solvers.tree_elimination import BLOCKS
+from fusion.witness import WitnessModel, new_witness_model
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,9 @@ class Model(NamedTuple):
     bone_lengths: Array  # (J,) metres
     rotation: Array  # (3, 3) R of a_from_b
     translation: Array  # (3,) t, which is where K_B stands
+    rotations: Array  # (2, 3, 3) from each sensor's frame to K_A's: I, and R
+    translations: Array  # (2, 3) likewise: 0, and t
+    witness: WitnessModel  # tables for the evidence of depth images
     up: Array  # (3,) against gravity in K_A's frame; NaN where it is learned from the person
     calmness: float
     constants: Constants
@@ -65,6 +69,15 @@ class State(NamedTuple):
     last_states: NDArray[np.uint8]  # (2, J)
 
 
+class Said(NamedTuple):
+    """Evidence of one depth image, with the joints as its sensor labelled them."""
+
+    evidence: Array  # (J,) log likelihood ratio that the joint is no outlier
+    places: Array  # (J, 3) position by the surface, metres, K_A's frame; NaN without one
+    information: Array  # (J, 3, 3) of that place, 1/m²
+    sources: NDArray[np.int64]  # (J,) the reported joint of each re-labelled joint
+
+
 class Views(NamedTuple):
     """Both views of one pair, as measurements."""
 
@@ -83,6 +96,10 @@ class Views(NamedTuple):
     fast: Array  # (2, J) variance of the fast error
     surprise: Array  # (J,) probability that both views are right and the prediction is wrong
     trust: Array  # (2, J) probability that the measurement is no outlier
+    evidence: Array  # (2, J) of the depth image, log likelihood ratio that the joint is no outlier; 0 without
+    places: Array  # (2, J, 3) position by the depth image, metres; NaN without one
+    place_information: Array  # (2, J, 3, 3) 1/m²
+    said: Said  # workspace for one image
 
 
 class Solve(NamedTuple):
@@ -146,6 +163,9 @@ def new_model(
         bone_lengths=np.array(bone_lengths, dtype=np.float64),
         rotation=np.array(rotation, dtype=np.float64),
         translation=np.array(translation, dtype=np.float64),
+        rotations=np.array((np.eye(3), rotation), dtype=np.float64),
+        translations=np.array((np.zeros(3), translation), dtype=np.float64),
+        witness=new_witness_model(body),
         up=np.full(3, np.nan),
         calmness=calmness(smoothing),
         constants=constants or Constants(),
@@ -190,6 +210,15 @@ def new_views(joints: int) -> Views:
         fast=np.zeros((2, joints)),
         surprise=np.zeros(joints),
         trust=np.zeros((2, joints)),
+        evidence=np.zeros((2, joints)),
+        places=np.full((2, joints, 3), np.nan),
+        place_information=np.zeros((2, joints, 3, 3)),
+        said=Said(
+            evidence=np.zeros(joints),
+            places=np.full((joints, 3), np.nan),
+            information=np.zeros((joints, 3, 3)),
+            sources=np.zeros(joints, dtype=np.int64),
+        ),
     )
 
 

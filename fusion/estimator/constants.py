@@ -101,6 +101,9 @@ class Constants(NamedTuple):
         inferred_outlier: The same of an inferred joint.
         outlier_lasts: Probability that an outlier is followed by one.
         outlier_side: Side of the cube that outliers are spread over, metres.
+        surface_slow: Factor on the errors of :data:`fusion.witness.SURFACE_SD`. An image errs to the same
+            side as long as a pose lasts.
+        surface_fast: Fast error of the surface in a depth image, metres.
         surprise: Probability that a joint moves in a way that the prediction does not cover.
         sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
         scale_sd: Standard deviation of a view's scale about 1.
@@ -128,6 +131,8 @@ class Constants(NamedTuple):
     inferred_outlier: float = 0.2
     outlier_lasts: float = 0.85
     outlier_side: float = 0.6
+    surface_slow: float = 2.0
+    surface_fast: float = 0.008
     surprise: float = 0.05
     sides_doubted: float = 1.0
     scale_sd: float = 0.035

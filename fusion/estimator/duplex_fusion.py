@@ -74,21 +74,24 @@ class DuplexFusion:
         time_ns: NDArray[np.int64],
         skew_ns: NDArray[np.int64],
         codes: NDArray[np.int64],
+        witnesses: tuple[NDArray[np.float32], NDArray[np.float32]],
         *views: NDArray[Any],
         smooth: bool = False,
     ) -> list[FusedFrame]:
         """Fuses the next pairs.
 
         Args:
-            time_ns, skew_ns, codes, views: As :func:`fusion.estimator.estimator.estimate_pairs` takes them.
+            time_ns, skew_ns, codes, witnesses, views: As
+                :func:`fusion.estimator.estimator.estimate_pairs` takes them.
             smooth: Whether these pairs are a whole recording, to be smoothed over all of it.
         """
-        joints = views[1].shape[1]
+        a, states_a, b, states_b = views
+        joints = states_a.shape[1]
         output = new_output(len(time_ns), joints)
         trace = new_trace(len(time_ns), joints) if smooth else self._no_trace
         estimate_pairs(
             self._model, self._facing_model, self._state, self._facing, self._views, self._solve, output,
-            trace, time_ns, skew_ns, codes, *views,
+            trace, time_ns, skew_ns, codes, a, states_a, witnesses[0], b, states_b, witnesses[1],
         )  # fmt: skip
         if smooth:
             smooth_pairs(self._model, self._solve, trace, output)

@@ -12,6 +12,7 @@ from fusion.estimator.motion import predict
 from fusion.estimator.offsets import fade_offsets, learn_offsets
 from fusion.estimator.robust import be_surprised, judge, remember_doubt
 from fusion.estimator.smoother import trace_prediction, trace_result
+from fusion.estimator.surface import ask_images, measure_surface
 from fusion.estimator.uncertainty import spread
 from fusion.estimator.update import begin_joints, share_error, take_in
 from fusion.estimator.views import relabel, rescale, take_views
@@ -36,8 +37,10 @@ def estimate_pairs(  # type: ignore[no-untyped-def]
     codes,
     a,
     states_a,
+    witness_a,
     b,
     states_b,
+    witness_b,
 ):
     """:func:`estimate_pair` over consecutive pairs.
 
@@ -51,12 +54,13 @@ def estimate_pairs(  # type: ignore[no-untyped-def]
         time_ns, skew_ns: (T,) the pairs' times, and capture time of B minus that of A.
         a, b: (T, J, 3) float32 positions, each in its sensor's frame; NaN where not tracked.
         states_a, states_b: (T, J) uint8 tracking states; all 0 where the sensor sees no one.
+        witness_a, witness_b: (T, J, 4) float32 of depth images (:mod:`fusion.witness`); NaN without.
     """
     for k in range(len(time_ns)):
         estimate_pair(
             model, facing_model, state, facing, views, solve, output, trace, k,
             time_ns[k], skew_ns[k], codes[k],
-            a[k], states_a[k], b[k], states_b[k],
+            a[k], states_a[k], witness_a[k], b[k], states_b[k], witness_b[k],
         )  # fmt: skip
 
 
@@ -76,8 +80,10 @@ def estimate_pair(  # type: ignore[no-untyped-def]
     codes,
     a,
     states_a,
+    witness_a,
     b,
     states_b,
+    witness_b,
 ):
     """Computes S* of one pair into row k of the output."""
     constants, room, sums = model.constants, solve.room, solve.sums
@@ -90,6 +96,8 @@ def estimate_pair(  # type: ignore[no-untyped-def]
         return
     # correct exchanged left and right
     relabel(model, facing_model, facing, views, dt, codes[0], codes[1])
+    # evidence of the depth images about each joint
+    ask_images(model, facing_model, views, a, states_a, witness_a, b, states_b, witness_b)
     # remove each view's own scale
     rescale(model, state, views, dt)
     # predict positions, velocities and variances
@@ -99,6 +107,8 @@ def estimate_pair(  # type: ignore[no-untyped-def]
     cast_rays(model, views)
     find_covers(model, views)
     set_covariances(model, state, views)
+    # the surface in the depth image as a measurement
+    measure_surface(model, views, room)
     # decay of each view's offsets
     fade_offsets(model, state, views, dt)
     # probability that a measurement is an outlier

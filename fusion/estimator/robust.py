@@ -108,12 +108,18 @@ def normal(square, variance):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
-    """Prior probability of an outlier: a Markov chain, or the doubt about the sides."""
+    """Prior probability of an outlier: a Markov chain, or the doubt about the sides.
+
+    The depth image's evidence, a log likelihood ratio, multiplies the odds.
+    """
     k = model.constants
     rare = k.outlier if views.states[v, i] == 2 else k.inferred_outlier
     prior = rare + max(k.outlier_lasts - rare, 0.0) * state.doubt[v, i]
     if model.lateral[i]:
         prior = max(prior, min(k.sides_doubted * views.side_doubt[v], _SURE))
+    if views.evidence[v, i] != 0.0:
+        odds = prior / (1.0 - prior) * math.exp(-views.evidence[v, i])
+        prior = odds / (1.0 + odds)
     return prior
 
 

@@ -53,10 +53,11 @@ class PaperFusion:
         time_ns: NDArray[np.int64],
         skew_ns: NDArray[np.int64],
         codes: NDArray[np.int64],
+        witnesses: tuple[NDArray[np.float32], NDArray[np.float32]],
         *views: NDArray[Any],
     ) -> list[FusedFrame]:
-        """Fuses the next pairs. The paper uses neither the skew between the sensors nor exchanged sides."""
-        del skew_ns, codes
+        """Fuses the next pairs. The paper uses neither skew, nor exchanged sides, nor images."""
+        del skew_ns, codes, witnesses
         result = paper.new_result(len(time_ns), views[1].shape[1])
         published = self._setup.settings.method == "published"
         fuse = paper.fuse_frames_as_published if published else paper.fuse_frames
