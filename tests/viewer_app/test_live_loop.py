@@ -29,7 +29,7 @@ from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing
 from viewer_app.cli import main
 from viewer_app.commands import demo
-from viewer_app.loop.live_loop import run_live, undisturbed
+from viewer_app.loop.live_loop import low_latency, run_live
 from viewer_app.sinks.sink import NullSink
 
 NOMINAL = FusionSetup(nominal_calibration(KINECT_V1))
@@ -312,9 +312,9 @@ def test_the_demo_refuses_what_it_does_not_know(capsys: pytest.CaptureFixture[st
         assert said.count("\n") == 1
 
 
-def test_the_loop_is_undisturbed_only_while_it_runs() -> None:
+def test_latency_settings_apply_only_while_the_loop_runs() -> None:
     before = sys.getswitchinterval()
-    with undisturbed():
+    with low_latency():
         assert sys.getswitchinterval() < 0.001  # what logging may hold up the loop by
         assert len(gc.get_objects()) < 1000  # what a search for garbage goes through
     assert sys.getswitchinterval() == before

@@ -174,7 +174,7 @@ def test_sessions_of_other_captures_are_not_compared(
     later = [pair for pair in frame_pairs(KINECT_V2, 200) if pair.time_ns > 4_000_000_000]
     other = fused_run(later, calibration_of(KINECT_V2)).path
     assert duplex("compare", session, other, "--no-viewer") == 2
-    assert "not one capture" in one_line(capsys)
+    assert "not the same capture" in one_line(capsys)
 
 
 def test_a_trimmed_session_is_a_session(

@@ -33,13 +33,13 @@ Kind = Literal["view", "baseline", "bound", "method", "ablation"]
 
 @dataclass(frozen=True, eq=False)
 class RecordedPair:
-    """What every method is given, and the truth that only bounds and figures use.
+    """The input of every method, and the truth, which only bounds and figures use.
 
     Attributes:
-        body: Which joints.
+        body: The body that defines the joints.
         pairs: T pairs, in time order.
-        calibration: From the start-up pose.
-        frame_seconds: Between two frames.
+        calibration: Calibration from the start-up pose.
+        frame_seconds: Seconds between two frames.
         truth: (T, J, 3) metres, in K_A's frame.
     """
 
@@ -91,10 +91,10 @@ class RecordedPair:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a method found.
+    """The result of a method.
 
     Attributes:
-        joints: (T, J, 3) metres, in K_A's frame; NaN where it has none.
+        joints: (T, J, 3) metres, in K_A's frame; NaN without an estimate.
         each_us: Microseconds per frame.
         sd: (T, J) metres, the standard deviation of a coordinate that it states; None without.
     """
@@ -120,7 +120,7 @@ class Method:
 
 
 def fused(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
-    """Our program with these settings, pair by pair."""
+    """The program itself with these settings, pair by pair."""
 
     def find(recording: RecordedPair) -> Found:
         fuser = Fuser(FusionSetup(recording.calibration, settings))
@@ -198,7 +198,7 @@ def _oracle(recording: RecordedPair) -> Array:
 
 
 DEFAULT = FuserSettings()
-"""The settings a person gets who chooses none."""
+"""The default settings."""
 
 METHODS: tuple[Method, ...] = (
     Method("A alone", "view", _baseline(lambda r: baselines.alone(r.a))),

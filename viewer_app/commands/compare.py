@@ -1,4 +1,4 @@
-"""``duplex compare``: two fusions of the same capture side by side."""
+"""``duplex compare``: compares two fusions of the same capture."""
 
 from __future__ import annotations
 
