@@ -18,7 +18,7 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
 from fusion.methods import paper
-from fusion.setup import FusionSetup
+from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
 from fusion.solvers.tree_solver import TreeSolver, solve_tree
 from fusion.solvers.tree_steps import copy
@@ -168,9 +168,9 @@ def _some_stages(stages, model, memory, result, a, states_a, b, states_b):  # ty
 
 
 def warm_frames(pairs: Sequence[SkeletonPair], calibration: Calibration) -> list[Problem]:
-    """Eq. (1) for every pair with both skeletons, each started from the previous solution."""
+    """Eq. (1) of ``paper`` for every pair that both sensors see, each started from the solution before."""
     body = calibration.body
-    fuser = Fuser(FusionSetup(calibration))
+    fuser = Fuser(FusionSetup(calibration, FuserSettings(method="paper")))
     solver = TreeSolver(body.parent_indices, body.order, body.rest)
     problems: list[Problem] = []
     before: NDArray[np.float64] | None = None

@@ -135,8 +135,9 @@ class Coach:
             self._calibration = now.calibration
             self._shifts.clear()
         if skeletons.a is not None and skeletons.b is not None:
-            shift = frame.fused.a_from_b.translation - now.calibration.a_from_b.translation
-            self._shifts.append((time, shift))
+            shift = self._torso_shift(skeletons.a, skeletons.b, now.calibration)
+            if shift is not None:
+                self._shifts.append((time, shift))
         for history, window in (
             (self._skews, _RATE_WINDOW),
             (self._drops, _RATE_WINDOW),
@@ -144,6 +145,19 @@ class Coach:
         ):
             while history and time - history[0][0] > window:
                 history.popleft()
+
+    def _torso_shift(self, a: Skeleton, b: Skeleton, calibration: Calibration) -> NDArray[np.float64] | None:
+        """(3,) metres from B's torso, carried to K_A's frame, to A's; None without a joint in common.
+
+        It is by how much t of sec. 4 leaves the calibration's, with any method. An exchange of left and right
+        does not change it.
+        """
+        common = [i for i in self.body.torso if a.states[i] and b.states[i]]
+        if not common:
+            return None
+        carried = calibration.a_from_b.apply(b.positions[common])
+        shift: NDArray[np.float64] = (a.positions[common] - carried).mean(axis=0)
+        return shift
 
     def _feet_gone(self, skeleton: Skeleton, camera: Intrinsics) -> bool:
         pixels = camera.project(skeleton.positions[self._feet])

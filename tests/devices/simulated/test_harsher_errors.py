@@ -38,6 +38,10 @@ def test_sizes_and_shares_grow_and_shapes_stay() -> None:
     assert larger.view_bias == pytest.approx(1.5 * FITTED.view_bias)
     assert larger.jitter.thumb == pytest.approx(1.5 * FITTED.jitter.thumb)
     assert larger.unsure.hand == pytest.approx(1.5 * FITTED.unsure.hand)
+    assert larger.mirroring.back == pytest.approx(1.5 * FITTED.mirroring.back)
+    assert replace(larger.mirroring, back=FITTED.mirroring.back) == FITTED.mirroring
+    often = TrackerErrors.of(KINECT_V2)
+    assert scaled(often, 1.5).mirroring == often.mirroring  # 97 % is more than LARGEST_SHARE: it stays
     assert larger.not_tracked == LARGEST_SHARE  # 1.5 times 65 % would be 98 %
     assert (larger.seen_share, larger.swap_seconds) == (FITTED.seen_share, FITTED.swap_seconds)
 

@@ -62,11 +62,8 @@ def recording(frames: int = 60) -> list[SkeletonPair]:
 
 def same_bits(one: list[FusedFrame], other: list[FusedFrame]) -> bool:
     names = ("positions", "sigma", "covariance", "weights_a", "weights_b", "predicted")
-    return all(
-        np.array_equal(getattr(p, name), getattr(q, name), equal_nan=True)
-        for p, q in zip(one, other, strict=True)
-        for name in names
-    )
+    arrays = [(getattr(p, n), getattr(q, n)) for p, q in zip(one, other, strict=True) for n in names]
+    return all(p is q if p is None else np.array_equal(p, q, equal_nan=True) for p, q in arrays)
 
 
 def asked(code: int, witness: NDArray[np.float32]) -> tuple[Model, Views, Skeleton]:
