@@ -44,7 +44,7 @@ class Model(NamedTuple):
     translation: Array  # (3,) t, which is where K_B stands
     rotations: Array  # (2, 3, 3) from each sensor's frame to K_A's: I, and R
     translations: Array  # (2, 3) likewise: 0, and t
-    witness: WitnessModel  # what depth images say about the joints
+    witness: WitnessModel  # tables for the evidence of depth images
     up: Array  # (3,) against gravity in K_A's frame; NaN where it is learned from the person
     calmness: float
     constants: Constants
@@ -70,12 +70,12 @@ class State(NamedTuple):
 
 
 class Said(NamedTuple):
-    """What one depth image says, by the names that its sensor gave the joints."""
+    """Evidence of one depth image, with the joints as its sensor labelled them."""
 
     evidence: Array  # (J,) log likelihood ratio that the joint is no outlier
-    places: Array  # (J, 3) where the surface puts it, metres, K_A's frame; NaN where it does not
+    places: Array  # (J, 3) position by the surface, metres, K_A's frame; NaN without one
     information: Array  # (J, 3, 3) of that place, 1/m²
-    sources: NDArray[np.int64]  # (J,) which of these joints each re-labelled joint is
+    sources: NDArray[np.int64]  # (J,) the reported joint of each re-labelled joint
 
 
 class Views(NamedTuple):
@@ -97,7 +97,7 @@ class Views(NamedTuple):
     surprise: Array  # (J,) probability that both views are right and the prediction is wrong
     trust: Array  # (2, J) probability that the measurement is no outlier
     evidence: Array  # (2, J) of the depth image, log likelihood ratio that the joint is no outlier; 0 without
-    places: Array  # (2, J, 3) where the depth image puts the joint, metres; NaN where it does not
+    places: Array  # (2, J, 3) position by the depth image, metres; NaN without one
     place_information: Array  # (2, J, 3, 3) 1/m²
     said: Said  # workspace for one image
 

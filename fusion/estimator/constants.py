@@ -101,10 +101,10 @@ class Constants(NamedTuple):
         inferred_outlier: The same of an inferred joint.
         outlier_lasts: Probability that an outlier is followed by one.
         outlier_side: Side of the cube that outliers are spread over, metres.
-        surface_slow: Factor on :data:`fusion.witness.SURFACE_SD`. An image errs to the same side for as long
-            as a pose lasts.
-        surface_fast: Fast error that the surface of a depth image brings, metres.
-        surprise: Probability that a joint moves as the prediction cannot tell.
+        surface_slow: Factor on the errors of :data:`fusion.witness.SURFACE_SD`. An image errs to the same
+            side as long as a pose lasts.
+        surface_fast: Fast error of the surface in a depth image, metres.
+        surprise: Probability that a joint moves in a way that the prediction does not cover.
         sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
         scale_sd: Standard deviation of a view's scale about 1; of the body's tracker, see :meth:`of`.
         scale_seconds: How long a scale lasts.

@@ -23,7 +23,7 @@ def exchange(model, positions, states, code, out_positions, out_states):  # type
         model: Of the body.
         positions, states: (J, 3), (J,) as reported.
         code: 0, or a sum of ARMS, LEGS and TRUNK (see :mod:`fusion.facing.model`).
-        out_positions, out_states: Room for the result; not the same arrays.
+        out_positions, out_states: Written; not the same arrays as the inputs.
     """
     opposed = _opposed(model, positions)
     trunk = _trunk_exchanged(code)
@@ -39,7 +39,7 @@ def exchange(model, positions, states, code, out_positions, out_states):  # type
 
 @inner_kernel
 def find_sources(model, positions, code, sources):  # type: ignore[no-untyped-def]
-    """Which reported joint becomes which: ``sources[j]`` is the one that :func:`exchange` calls j."""
+    """Writes the reported joint ``sources[j]`` that :func:`exchange` labels j."""
     opposed = _opposed(model, positions)
     for j in range(len(positions)):
         sources[j] = _source(model, code, opposed, j)

@@ -56,7 +56,7 @@ class PaperFusion:
         witnesses: tuple[NDArray[np.float32], NDArray[np.float32]],
         *views: NDArray[Any],
     ) -> list[FusedFrame]:
-        """Fuses the next pairs. The paper uses no clock skew, no exchanged sides and no images."""
+        """Fuses the next pairs. The paper uses neither skew, nor exchanged sides, nor images."""
         del skew_ns, codes, witnesses
         result = paper.new_result(len(time_ns), views[1].shape[1])
         published = self._setup.settings.method == "published"
