@@ -1,4 +1,4 @@
-"""The handles of libk4a inside pyk4a's objects, for what pyk4a itself does not offer."""
+"""Access to the libk4a handles inside pyk4a's objects, for functions that pyk4a does not offer."""
 
 from __future__ import annotations
 

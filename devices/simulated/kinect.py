@@ -1,4 +1,4 @@
-"""A simulated Kinect, a pair of them, and the truth they look at."""
+"""A simulated Kinect, a pair of simulated Kinects, and their ground truth."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _CHUNK = 32  # frames whose poses are computed together: one call costs little m
 
 
 class Movement(Protocol):
-    """Anything that knows where all landmarks are at any time: ours, or captured."""
+    """A source of landmark positions over time: synthetic or captured motion."""
 
     @property
     def name(self) -> str:
@@ -84,7 +84,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Truth:
-    """Where everything really is.
+    """The ground truth of a scene.
 
     Attributes:
         scene: Who moves, and how.
@@ -133,7 +133,7 @@ class TruthAhead:
 
 
 class SimulatedKinect:
-    """One of the two sensors of a rig. Its frames come as fast as they are asked for.
+    """One of the two sensors of a rig. It generates frames as fast as they are requested.
 
     Args:
         scene: Who moves in front of it.
@@ -178,16 +178,16 @@ class SimulatedKinect:
         return self._rig.clock(self._which, 0.0)
 
     def __enter__(self) -> SimulatedKinect:
-        """Nothing is to be opened."""
+        """Does nothing."""
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Nothing is to be closed."""
+        """Does nothing."""
 
     def frames(self) -> Iterator[SensorFrame]:
         """The frames in capture order; every call begins again, with the same frames."""
         scene, rig, which = self._scene, self._rig, self._which
-        # Streams of their own: dropping a frame or asking for depth changes no other error.
+        # Separate random streams: dropping a frame or requesting depth does not change other errors.
         tracking, dropping = (np.random.default_rng([scene.seed, which, k]) for k in range(2))
         sensor_from_world = rig.world_from_sensor(which).inverse()
         flesh = flesh_over(self.body) * (scene.height / anatomy.REFERENCE_HEIGHT)
