@@ -94,8 +94,8 @@ class PersonOfPair:
             pair: The next one, with or without a person.
             b_from_a: B's frame ← A's, once a calibration is settled.
         """
-        seen_a, at = _chosen(self._a, pair.a)
-        in_b = None if b_from_a is None or at is None else b_from_a.apply(at)
+        seen_a, position = _chosen(self._a, pair.a)
+        in_b = None if b_from_a is None or position is None else b_from_a.apply(position)
         seen_b, _ = _chosen(self._b, pair.b, in_b)
         return replace(pair, skeletons=replace(pair.skeletons, a=seen_a, b=seen_b))
 

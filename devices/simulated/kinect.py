@@ -107,8 +107,8 @@ class Truth:
         times = np.asarray(time_ns)
         marks = self.scene.motion.landmarks(np.atleast_1d(times) * 1e-9, self.scene.height)
         joints = marks[:, anatomy.landmarks_of(self.scene.body)]
-        at = self.rig.world_from_sensor(0).inverse().apply(joints)
-        return at if times.ndim else at[0]
+        positions = self.rig.world_from_sensor(0).inverse().apply(joints)
+        return positions if times.ndim else positions[0]
 
 
 class TruthAhead:
@@ -193,9 +193,9 @@ class SimulatedKinect:
         flesh = flesh_over(self.body) * (scene.height / anatomy.REFERENCE_HEIGHT)
         tracker = Tracker(self.body, self._errors, flesh, self._lens, rig.frame_seconds, tracking)
         for frame, marks in self._poses():
-            at = sensor_from_world.apply(marks)
-            shapes = capsules(at, scene.height)
-            joints = at[anatomy.landmarks_of(self.body)]
+            positions = sensor_from_world.apply(marks)
+            shapes = capsules(positions, scene.height)
+            joints = positions[anatomy.landmarks_of(self.body)]
             time_ns = rig.clock(which, rig.captured_at(which, frame))
             skeleton = tracker.report(joints, visibility(joints, shapes, flesh, self._lens), time_ns)
             dropped = dropping.random() < rig.dropped

@@ -88,8 +88,11 @@ def campaign(seconds: float, kills: int, path: Path, hub_too: bool = False) -> C
                 for victim in victims:
                     os.kill(victim.pid, signal.SIGKILL)
                 seen.kills += 1
-                at = time.perf_counter() - begun
-                print(f"{at:6.1f} s  kill {k + 1}  {seen.frames} frames  {resident_mb():.1f} MB", flush=True)
+                now = time.perf_counter() - begun
+                print(
+                    f"{now:6.1f} s  kill {k + 1}  {seen.frames} frames  {resident_mb():.1f} MB",
+                    flush=True,
+                )
             time.sleep(max(0.0, begun + seconds - time.perf_counter()))
             sensors.stop()
 
