@@ -55,7 +55,7 @@ def damaged(whole: bytes, seed: int) -> bytes:
             data[offset:end] = bytes(end - offset)
         case 4:
             del data[offset : offset + int(rng.integers(1, 2000))]
-        case 5:  # the beginning, where the settings are
+        case 5:  # the start of the file, which holds the settings
             data[int(rng.integers(min(40_000, len(data))))] = int(rng.integers(256))
     return bytes(data)
 

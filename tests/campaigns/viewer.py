@@ -132,7 +132,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         seen = campaign(given.seconds, given.kills, Path(folder) / "campaign.rrd", given.hub_too)
     first = given.seconds / (given.kills + 1)
-    # a minute of frames is kept for the summary, which fills up in the first one
+    # the summary keeps the frames of one minute; this memory fills up during the first minute
     growth = seen.growth_mb(min(SETTLED_S, given.seconds / 2.0))
     print(
         f"{seen.frames} frames, {len(seen.in_file)} in the file, complete: {seen.complete}; dropped "

@@ -84,7 +84,7 @@ def test_a_sensor_that_sees_no_one_is_named_after_a_second() -> None:
 
 def test_a_sensor_that_is_slightly_too_slow_is_below_the_limit_in_words_too() -> None:
     said = watched(seconds=12.0, frame_ns=42_700_000)["rate A"]  # 23.5 in two seconds
-    assert said.text.startswith("Sensor A gives 23 frames a second; below 24 movements are missed.")
+    assert said.text.startswith("Sensor A gives 23 frames per second; below 24 movements are missed.")
 
 
 @pytest.mark.parametrize("lost", ["states", "image"])

@@ -152,7 +152,7 @@ def test_names_with_brackets_are_printed_as_they_are(
     for name in ("[red]a.rrd", "[/bold]a.rrd", "c[bold].rrd"):
         path = Path(name)
         path.parent.mkdir(exist_ok=True)
-        path.write_bytes(session.read_bytes()[:-50])  # said to be cut off, under its name
+        path.write_bytes(session.read_bytes()[:-50])  # reported as cut off, with its name
         out = path.with_suffix("")
         for command in (
             ("info", path),

@@ -228,7 +228,7 @@ def _comparison_table(figures: Figures) -> Table:
         title_justify="left",
         caption_justify="left",
     )
-    for column in ("solver", "largest bone error", "iterations (median)", "at the limit", "ms a frame"):
+    for column in ("solver", "largest bone error", "iterations (median)", "at the limit", "ms per frame"):
         table.add_column(column, justify="left" if column == "solver" else "right")
     for name in ("paper", "exact"):
         solver = figures[name]
