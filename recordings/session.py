@@ -214,9 +214,14 @@ class Session:
     @property
     def quality(self) -> QualitySeries:
         """Quality figures per frame."""
-        of = self.rows
+        rows = self.rows
         return QualitySeries(
-            of.bone_error, of.disagreement, of.skew_ns, of.fuse_ms, of.iterations, of.predicted
+            rows.bone_error,
+            rows.disagreement,
+            rows.skew_ns,
+            rows.fuse_ms,
+            rows.iterations,
+            rows.predicted,
         )
 
     @property
@@ -250,8 +255,8 @@ class Session:
     def whereabouts(self) -> NDArray[np.float64]:
         """(3,) metres in K_A's frame, the median position of the person; a point in front of K_A without a
         person."""
-        at = self.rows.fused.reshape(-1, 3)
-        seen = at[np.isfinite(at).all(axis=1)]
+        points = self.rows.fused.reshape(-1, 3)
+        seen = points[np.isfinite(points).all(axis=1)]
         return np.asarray(np.median(seen, axis=0)) if len(seen) else np.array([0.0, 0.0, 2.5])
 
     @property

@@ -181,8 +181,8 @@ class StateLanes:
             whole = np.concatenate((before[None], states))
             for joint in np.flatnonzero((whole[1:] != whole[:-1]).any(axis=0)):
                 lane = whole[:, joint]
-                at = np.flatnonzero(lane[1:] != lane[:-1])
-                changes: list[tuple[int | None, int]] = [(int(t), int(states[t, joint])) for t in at]
+                indices = np.flatnonzero(lane[1:] != lane[:-1])
+                changes: list[tuple[int | None, int]] = [(int(t), int(states[t, joint])) for t in indices]
                 if (side, int(joint)) not in self._open:
                     self._open.add((side, int(joint)))
                     changes.insert(0, (None, int(lane[0])))

@@ -52,20 +52,20 @@ def write_bvh(session: Session, path: Path) -> str:
     first = _first_of_last_lengths(session)
     rows = session.rows[first:]
     even = even_frames(rows)
-    at = y_up(at_even_frames(rows.fused, even))  # (N, J, 3)
-    present = np.isfinite(at).all(axis=(1, 2))
+    positions = y_up(at_even_frames(rows.fused, even))  # (N, J, 3)
+    present = np.isfinite(positions).all(axis=(1, 2))
     if not present.any():
         since = f" from frame {first} on, where its bones got their last lengths" if first else ""
         raise RecordingError(f"{session} has no frame with an S*{since}; there is nothing to export.")
-    held = np.maximum.accumulate(np.where(present, np.arange(len(at)), -1))
+    held = np.maximum.accumulate(np.where(present, np.arange(len(positions)), -1))
     held[held < 0] = int(np.argmax(present))
-    at = at[held]
+    positions = positions[held]
     body = session.body
     rest = _rest(body, session.calibration.bone_lengths)
     nodes = list(_nodes(body, rest))
-    rotations = _rotations(body, nodes, at, rest)
-    motion = np.concatenate([at[:, body.root] * _CM, *(_degrees(r) for r in rotations)], axis=1)
-    lines = [*_hierarchy(nodes), "MOTION", f"Frames: {len(at)}", f"Frame Time: {1.0 / even.rate:.9f}"]
+    rotations = _rotations(body, nodes, positions, rest)
+    motion = np.concatenate([positions[:, body.root] * _CM, *(_degrees(r) for r in rotations)], axis=1)
+    lines = [*_hierarchy(nodes), "MOTION", f"Frames: {len(positions)}", f"Frame Time: {1.0 / even.rate:.9f}"]
     lines += [" ".join(f"{v:.6f}" for v in row) for row in motion]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     words = even.in_words(len(rows))

@@ -43,10 +43,10 @@ def write_c3d(session: Session, path: Path) -> str:
             f"{even.rate:.6g} Hz; {session} has {len(even.index)}. Export it in parts made with "
             "`duplex trim`, or as .trc."
         )
-    at = at_even_frames(session.rows.fused, even) * 1e3  # (N, J, 3)
-    N, J = at.shape[:2]
+    positions = at_even_frames(session.rows.fused, even) * 1e3  # (N, J, 3)
+    N, J = positions.shape[:2]
     points = np.full((4, J, N), np.nan)
-    points[:3] = (at[..., [0, 2, 1]] * [1.0, 1.0, -1.0]).transpose(2, 1, 0)
+    points[:3] = (positions[..., [0, 2, 1]] * [1.0, 1.0, -1.0]).transpose(2, 1, 0)
     gap = np.isnan(points[0])
     points[3] = 1.0
     file = ezc3d.c3d()

@@ -78,7 +78,7 @@ def long_table(session: Session) -> pa.Table:
     T, J = rows.predicted.shape
     parts = []
     for name, positions, states, weights in _skeletons(rows):
-        at = positions.reshape(-1, 3)
+        points = positions.reshape(-1, 3)
         parts.append(
             pa.table(
                 {
@@ -86,7 +86,7 @@ def long_table(session: Session) -> pa.Table:
                     "time_s": np.repeat(rows.time_ns * 1e-9, J),
                     "skeleton": pa.array([name]).take(pa.array(np.zeros(T * J, dtype=np.int64))),
                     "joint": np.tile(np.array(rows.body.joints), T),
-                    **{axis: pa.array(at[:, k], from_pandas=True) for k, axis in enumerate("xyz")},
+                    **{axis: pa.array(points[:, k], from_pandas=True) for k, axis in enumerate("xyz")},
                     "state": states.ravel(),
                     "weight": pa.array(weights.astype(np.float64).ravel(), from_pandas=True),
                 }

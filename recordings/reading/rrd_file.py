@@ -127,12 +127,12 @@ class RrdFile:
 
     def messages(self) -> Iterator[tuple[int, int, int]]:
         """Kind, start and end of each message's content, up to the end or the first incomplete message."""
-        at, size = _FILE_HEADER, len(self._data)
-        while at + _MESSAGE.size <= size:
-            kind, length = _MESSAGE.unpack_from(self._data, at)
-            begin, end = at + _MESSAGE.size, at + _MESSAGE.size + length
+        offset, size = _FILE_HEADER, len(self._data)
+        while offset + _MESSAGE.size <= size:
+            kind, length = _MESSAGE.unpack_from(self._data, offset)
+            begin, end = offset + _MESSAGE.size, offset + _MESSAGE.size + length
             if kind > _LAST_KIND:
-                self._wrong(f"byte {at} is damaged")
+                self._wrong(f"byte {offset} is damaged")
                 return
             if end > size:
                 self._wrong(f"it is cut off at byte {size}")
@@ -140,7 +140,7 @@ class RrdFile:
             yield kind, begin, end
             if kind == _END:
                 return
-            at = end
+            offset = end
         self._wrong("it was not ended")
 
     def chunks(self, images: bool) -> Iterator[tuple[str, pa.RecordBatch]]:
@@ -191,13 +191,13 @@ def without_footer(rrd: bytes, with_header: bool) -> memoryview:
 
     Rerun's binary stream returns a whole file with header and footer at each read.
     """
-    at = _FILE_HEADER
-    while at < len(rrd):
-        kind, length = _MESSAGE.unpack_from(rrd, at)
+    offset = _FILE_HEADER
+    while offset < len(rrd):
+        kind, length = _MESSAGE.unpack_from(rrd, offset)
         if kind == _END:
             break
-        at += _MESSAGE.size + length
-    return memoryview(rrd)[0 if with_header else _FILE_HEADER : at]
+        offset += _MESSAGE.size + length
+    return memoryview(rrd)[0 if with_header else _FILE_HEADER : offset]
 
 
 def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:
@@ -236,21 +236,21 @@ def _decode_names(of: pa.DataType) -> None:
 def _fields(message: bytes) -> dict[int, Any]:
     """The fields of a protobuf message by number; each value is an int or bytes."""
     fields: dict[int, Any] = {}
-    at = 0
-    while at < len(message):
-        tag, at = _varint(message, at)
+    offset = 0
+    while offset < len(message):
+        tag, offset = _varint(message, offset)
         wire = tag & 7
         if wire == 0:
-            fields[tag >> 3], at = _varint(message, at)
+            fields[tag >> 3], offset = _varint(message, offset)
             continue
         if wire == 2:
-            length, at = _varint(message, at)
+            length, offset = _varint(message, offset)
         else:
             length = {1: 8, 5: 4}[wire]
-        if at + length > len(message):
+        if offset + length > len(message):
             raise ValueError("a field is longer than its message")
-        fields[tag >> 3] = message[at : at + length]
-        at += length
+        fields[tag >> 3] = message[offset : offset + length]
+        offset += length
     return fields
 
 

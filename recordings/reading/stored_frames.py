@@ -40,11 +40,11 @@ def frames_of(
     figures: dict[str, Any] = {}
     with np.errstate(invalid="ignore"):  # damaged numbers are detected below
         for key, specs in groups.items():
-            at = 0
+            column = 0
             for name, spec in specs:
                 width = spec.width(body)
-                figures[name] = spec.from_file(body, columns[key][:n, at : at + width])
-                at += width
+                figures[name] = spec.from_file(body, columns[key][:n, column : column + width])
+                column += width
         rows = SessionArrays(body, _targets(calibrations, n), np.arange(n), columns[_TIME][:n, 0], **figures)
     if n:
         fits = frame_checksums(rows) == columns[_FRAME_CRC][:n, 0]

@@ -247,12 +247,14 @@ class Recorder:
                 self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
                 self._stream.log(lane, _STATE_CHANGES[changes[0][1]])
                 continue
-            at = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
+            places = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
             self._stream.send_columns(
                 lane,
                 [
-                    rr.TimeColumn(layout.FRAME, sequence=[frame for frame, _ in at]),
-                    rr.TimeColumn(layout.TIME, duration=np.array([ns for _, ns in at], "timedelta64[ns]")),
+                    rr.TimeColumn(layout.FRAME, sequence=[frame for frame, _ in places]),
+                    rr.TimeColumn(
+                        layout.TIME, duration=np.array([ns for _, ns in places], "timedelta64[ns]")
+                    ),
                 ],
                 rr.StateChange.columns(state=[layout.STATE_NAMES[state] for _, state in changes]),
             )

@@ -22,12 +22,12 @@ class StreamFiguresLog:
 
     def record(self, frame: int, time_ns: int, figures: StreamFigures) -> None:
         """Logs the figures known at a frame."""
-        of = {
+        by_name = {
             "drift_ppm": [figures.drift_ppm],
             "dropped": [float(count) for count in figures.dropped],
             "unpaired": [float(count) for count in figures.unpaired],
         }
-        for name, values in of.items():
+        for name, values in by_name.items():
             before = self._last.get(name)
             if before is None:
                 self._stream.log(layout.stream_figure(name), entity_styles.STREAM_LINES[name], static=True)

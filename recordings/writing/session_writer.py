@@ -80,8 +80,8 @@ def write_session(
             recorder.event(f"calibrated: {segments[0][0].calibration.how}", at=(0, 0))
         for event in session.events:
             if first <= event.frame < end:
-                at = event.frame - first, event.time_ns - start_ns
-                recorder.event(event.text, event.level, event.topic, event.phase, at)
+                moment = event.frame - first, event.time_ns - start_ns
+                recorder.event(event.text, event.level, event.topic, event.phase, moment)
         if page is not None:
             recorder.coach(page)
         recorder.finish()

@@ -43,7 +43,7 @@ def test_two_recordings_become_a_session_a_report_and_a_summary(
         "start-up pose",
         "axes are 85° apart",
         "Largest bone error",
-        "ms a frame",
+        "ms per frame",
     ):
         assert words in said.replace("\n", " ")
     figures = figures_of(report)

@@ -58,8 +58,8 @@ class RecordedPair:
 
         def stacked(side: str) -> tuple[Array, NDArray[np.uint8]]:
             view = [getattr(pair, side) for pair in skeletons]
-            at = np.array([nowhere if s is None else s.positions for s in view], dtype=np.float64)
-            return at, np.array([unseen if s is None else s.states for s in view])
+            positions = np.array([nowhere if s is None else s.positions for s in view], dtype=np.float64)
+            return positions, np.array([unseen if s is None else s.states for s in view])
 
         return stacked("a"), stacked("b")
 

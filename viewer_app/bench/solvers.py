@@ -228,12 +228,14 @@ def stiff_ceres() -> Solve | None:
 
     def solve(problem: Problem) -> tuple[NDArray[np.float64], int, int]:
         body = problem.body
-        at = [row.copy() for row in problem.targets]
+        points = [row.copy() for row in problem.targets]
         model = ceres.Problem()
         for joint in range(len(body)):
-            model.add_residual_block(Joint(problem.targets[joint], problem.weights[joint]), None, [at[joint]])
+            model.add_residual_block(
+                Joint(problem.targets[joint], problem.weights[joint]), None, [points[joint]]
+            )
         for joint in body.bone_joints:
-            ends = [at[joint], at[body.parents[joint]]]
+            ends = [points[joint], points[body.parents[joint]]]
             model.add_residual_block(Bone(problem.lengths[joint]), None, ends)
         options = ceres.SolverOptions()
         options.linear_solver_type = ceres.LinearSolverType.SPARSE_NORMAL_CHOLESKY
@@ -245,7 +247,7 @@ def stiff_ceres() -> Solve | None:
         summary = ceres.SolverSummary()
         ceres.solve(options, model, summary)
         steps = int(summary.num_successful_steps + summary.num_unsuccessful_steps)
-        return np.array(at), steps, steps
+        return np.array(points), steps, steps
 
     return solve
 

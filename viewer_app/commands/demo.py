@@ -99,9 +99,9 @@ def run(options: DemoOptions) -> None:
         print_session(console, setup, frames, sensors)
         left_out = a.images_left_out + b.images_left_out
         if left_out:
-            of = sensors.a.received + sensors.b.received
+            received = sensors.a.received + sensors.b.received
             console.print(
-                f"To keep pace, {left_out} of {of} depth images were left out; a smaller --depth takes less.",
+                f"To keep pace, {left_out} of {received} depth images were dropped; use a smaller --depth.",
                 highlight=False,
             )
         if frames:

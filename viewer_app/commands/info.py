@@ -60,5 +60,5 @@ def run(options: InfoOptions) -> None:
     console = Console()
     console.print(table, highlight=False)
     for event in session.events:
-        at = "" if event.time_ns is None else f"{event.time_ns * 1e-9:8.2f} s  "
-        console.print(f"  {at}{event.text}", highlight=False, markup=False)
+        moment = "" if event.time_ns is None else f"{event.time_ns * 1e-9:8.2f} s  "
+        console.print(f"  {moment}{event.text}", highlight=False, markup=False)

@@ -228,16 +228,16 @@ def _comparison_table(figures: Figures) -> Table:
         title_justify="left",
         caption_justify="left",
     )
-    for column in ("solver", "largest bone error", "iterations (median)", "at the limit", "ms a frame"):
+    for column in ("solver", "largest bone error", "iterations (median)", "at the limit", "ms per frame"):
         table.add_column(column, justify="left" if column == "solver" else "right")
     for name in ("paper", "exact"):
-        of = figures[name]
+        solver = figures[name]
         table.add_row(
             name,
-            in_mm(of["max_bone_error_mm"]),
-            f"{of['median_iterations']:.0f}",
-            f"{of['at_iteration_limit']} frames",
-            f"{of['fuse_ms_p50']:.3f}",
+            in_mm(solver["max_bone_error_mm"]),
+            f"{solver['median_iterations']:.0f}",
+            f"{solver['at_iteration_limit']} frames",
+            f"{solver['fuse_ms_p50']:.3f}",
         )
     return table
 

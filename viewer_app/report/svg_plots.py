@@ -163,11 +163,11 @@ def _thinned(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], ND
     if len(values) <= _MOST_POINTS:
         return time, values
     blocks = np.array_split(np.arange(len(values)), _MOST_POINTS // 2)
-    at = []
+    kept = []
     for block in blocks:
-        of = values[block]
-        if np.isnan(of).all():
-            at += [block[0], block[-1]]
+        part = values[block]
+        if np.isnan(part).all():
+            kept += [block[0], block[-1]]
         else:
-            at += sorted((block[np.nanargmin(of)], block[np.nanargmax(of)]))
-    return time[at], values[at]
+            kept += sorted((block[np.nanargmin(part)], block[np.nanargmax(part)]))
+    return time[kept], values[kept]
