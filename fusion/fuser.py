@@ -1,4 +1,4 @@
-"""The method, pair by pair or a whole recording at once: S_A and S_B in, S* out."""
+"""Fuses S_A and S_B to S*, pair by pair or a whole recording at once."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.compiling.parallel_compilation import tree_solver_compiled_meanwhile
 from fusion.errors import FusionError
+from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.fused_frame import FusedFrame as FusedFrame
 from fusion.methods.paper_fusion import PaperFusion
@@ -18,30 +19,32 @@ from fusion.skeleton import Skeleton, SkeletonPair
 
 
 class Fuser:
-    """Makes one skeleton of two, pair by pair.
+    """Fuses two skeletons to one, pair by pair.
 
     The steps of a frame are those of ``docs/method.md``, compiled in :mod:`fusion.estimator.estimator` and
     :mod:`fusion.methods.paper`.
 
     Args:
         setup: Calibration, settings and cameras.
+        constants: Of the method ``duplex``, for ablations and fits; the body's fitted ones where None.
     """
 
-    def __init__(self, setup: FusionSetup) -> None:
+    def __init__(self, setup: FusionSetup, constants: Constants | None = None) -> None:
         self.setup = setup
         self._nobody = Skeleton.of(setup.body, np.full((len(setup.body), 3), np.nan))
+        self._no_image = np.full((len(setup.body), 4), np.nan, dtype=np.float32)
         self._unlabelled = np.full((1, 2), -1, dtype=np.int64)
         self._fusion: DuplexFusion | PaperFusion
         if setup.settings.method == "duplex":
-            self._fusion = DuplexFusion(setup)
+            self._fusion = DuplexFusion(setup, constants)
         else:
             self._fusion = PaperFusion(setup)
 
     def warm_up(self, meanwhile: Callable[[], object] = lambda: None) -> None:
-        """Compiles everything that :meth:`update` runs, without touching what this fuser remembers.
+        """Compiles everything that :meth:`update` runs; the state of this fuser does not change.
 
         Args:
-            meanwhile: What else there is to compile: on a first run another process is at work too.
+            meanwhile: Called while another process compiles, on a first run; for further compilation.
         """
         other = Fuser(self.setup)
         if self.setup.settings.method == "published":
@@ -53,7 +56,7 @@ class Fuser:
         other.update(SkeletonPair(None, None, 0))
 
     def recalibrate(self, setup: FusionSetup) -> None:
-        """Goes on with another calibration; what is known of the person stays.
+        """Continues with another calibration and keeps the state of the person.
 
         Args:
             setup: With the body and the settings of this fuser.
@@ -80,6 +83,7 @@ class Fuser:
             np.array([pair.time_ns], dtype=np.int64),
             np.array([pair.skew_ns], dtype=np.int64),
             self._unlabelled if codes is None else np.array([codes], dtype=np.int64),
+            (self._witness(a)[None], self._witness(b)[None]),
             a.positions[None],
             a.states[None],
             b.positions[None],
@@ -100,13 +104,13 @@ class Fuser:
     def smooth_sequence(
         self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None
     ) -> list[FusedFrame]:
-        """Fuses a whole recording with what comes before and after each pair: no lag, and calmer.
+        """Fuses a whole recording, using the pairs before and after each pair: smoother, without lag.
 
         Args:
             pairs, codes: As in :meth:`fuse_sequence`.
 
         Raises:
-            FusionError: The method is one of the paper's, which know no time.
+            FusionError: The method is one of the paper's, which treat each frame on its own.
         """
         if not isinstance(self._fusion, DuplexFusion):
             raise FusionError(
@@ -114,16 +118,26 @@ class Fuser:
             )
         return self._fusion.run(*self._rows(pairs, codes), smooth=True) if pairs else []
 
-    def _rows(self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None) -> tuple[NDArray[Any], ...]:
+    def _rows(self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None) -> tuple[Any, ...]:
         return (
             np.array([pair.time_ns for pair in pairs], dtype=np.int64),
             np.array([pair.skew_ns for pair in pairs], dtype=np.int64),
             np.full((len(pairs), 2), -1, dtype=np.int64)
             if codes is None
             else np.array(codes, dtype=np.int64),
+            tuple(
+                np.array([self._witness(skeleton or self._nobody) for skeleton in view])
+                for view in zip(*((pair.a, pair.b) for pair in pairs), strict=True)
+            ),
             *self._stacked([pair.a or self._nobody for pair in pairs]),
             *self._stacked([pair.b or self._nobody for pair in pairs]),
         )
+
+    def _witness(self, skeleton: Skeleton) -> NDArray[np.float32]:
+        """(J, 4) of its image; NaN without one."""
+        if skeleton.witness is None:
+            return self._no_image
+        return np.array(skeleton.witness, dtype=np.float32)  # of one type, whoever made it
 
     @staticmethod
     def _stacked(skeletons: Sequence[Skeleton]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

@@ -1,8 +1,8 @@
-"""A whole recording before it is fused: its calibrations, and which sides each view has exchanged.
+"""Analysis of a whole recording before fusion: its calibrations and the exchanged sides of each view.
 
-Two passes: the start-up pose and the labels under it teach the registration and the bones of the whole
-recording; the labels are then found again under that registration. A live run has neither pass,
-since both look ahead.
+There are two passes. The first uses the start-up pose and the labels under its registration to learn
+registration and bones from the whole recording. The second finds the labels again under that registration. A
+live run has neither pass, because both use later frames.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from fusion.skeleton import Skeleton, SkeletonPair
 
 @dataclass(frozen=True, eq=False)
 class RecordingPlan:
-    """What a recording of T pairs is fused with.
+    """The calibrations and labels that a recording of T pairs is fused with.
 
     Attributes:
         segments: Each calibration, with the pairs that it holds for; in order, without gaps.
         codes: (T, 2) which sides of A and of B are exchanged, see :mod:`fusion.facing.model`; None where the
-            method, or the settings, do not look ahead.
-        changes: What the learner noticed: a sensor that was moved.
-        clock: How B's clock stands to A's, from the motion; None where that is not known.
+            method or the settings use no later frames.
+        changes: Events of the learner: a sensor that was moved.
+        clock: Offset of B's clock, from the motion; None where unknown.
     """
 
     segments: tuple[tuple[Calibration, slice], ...]
@@ -60,19 +60,19 @@ def plan_recording(
     calibration: Calibration | None = None,
     refine: bool = True,
 ) -> RecordingPlan:
-    """Finds what to fuse a recording with.
+    """Finds the calibrations and labels of a recording.
 
-    The methods of the paper keep the calibration of the start-up pose, and know no exchanged sides.
+    The paper's methods keep the calibration of the start-up pose and the sides as reported.
 
     Args:
         body: Of both views.
         pairs: In time order, at least one.
-        settings: The method; ``hindsight`` says whether labels are settled here.
-        calibration: One that was made before; on the start-up pose where None.
+        settings: The method; ``hindsight`` determines whether labels are found here.
+        calibration: An earlier calibration; that of the start-up pose where None.
         refine: Whether the method ``duplex`` refines it over the whole recording.
 
     Raises:
-        CalibrationError: No calibration can be found, or none is given and none can be found.
+        CalibrationError: None is given, and none can be found.
     """
     whole = slice(0, len(pairs))
     start = calibration or start_up_calibration(body, pairs)
@@ -91,7 +91,7 @@ def plan_recording(
                 skews_ns=[pair.skew_ns for pair in pairs],
             )
         except CalibrationError:
-            learned = None  # nothing to learn from: the start-up pose stays
+            learned = None  # nothing to learn from: the start-up pose's calibration remains
     if learned is not None:
         segments = _segments(learned, views.time_ns)
     return RecordingPlan(

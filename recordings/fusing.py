@@ -1,4 +1,5 @@
-"""Two recordings in, one session in memory out: what ``duplex fuse`` does, without files and terminal."""
+"""Fuses two recordings into a session in memory, as ``duplex fuse`` does, without files or terminal
+output."""
 
 from __future__ import annotations
 
@@ -46,8 +47,8 @@ def fuse(
     >>> session.fused.shape
     (120, 20, 3)
 
-    Nothing is written; :meth:`recordings.session.Session.save` writes what ``duplex fuse --save`` would, but
-    for the advice of the set-up coach.
+    This function writes no file. :meth:`recordings.session.Session.save` writes what ``duplex fuse --save``
+    writes, except the advice of the set-up coach.
 
     Args:
         a, b: Recordings of the principal sensor K_A, in whose frame S* is, and of the secondary one K_B:
@@ -64,7 +65,7 @@ def fuse(
 
     Raises:
         DeviceError: A recording cannot be read or tracked, the bodies differ, or they never overlap in time.
-        FusionError: They cannot be calibrated.
+        FusionError: The views cannot be calibrated.
     """
     choices = (
         RecordingChoice(Path(a), _path(skeletons_a), person_a, "skeletons_a", "person_a"),
@@ -138,7 +139,7 @@ def fused_session(
     depth: Depth,
     progress: Progress = quietly,
 ) -> Session:
-    """The session of two recordings that were fused.
+    """Returns the session of two fused recordings.
 
     Args:
         read: The recordings.

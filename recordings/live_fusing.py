@@ -1,4 +1,4 @@
-"""Pairs fused as they come: the person followed, the calibration found on the way."""
+"""Fuses live pairs: follows one person and calibrates while pairs arrive."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from recordings.session_arrays import RecordedFrame
 
 
 class LiveFusion:
-    """Makes S* of one pair after the other.
+    """Fuses one pair after another to S*.
 
     Args:
         setup: To begin with.
@@ -40,7 +40,7 @@ class LiveFusion:
         self._told: list[Told] = []
 
     def chosen(self, pair: FramePair) -> FramePair:
-        """The pair with the person who is followed."""
+        """Returns the pair with the followed person chosen."""
         calibrator = self.calibrator
         b_from_a = self.setup.calibration.a_from_b.inverse() if calibrator.settled else None
         return self._people.chosen(pair, b_from_a)
@@ -91,13 +91,13 @@ _LIMBS = 3  # arms and legs of an exchange code
 
 
 def fuse_live(a: Sensor, b: Sensor, setup: FusionSetup | None = None) -> Iterator[RecordedFrame]:
-    """Fuses what two sensors give, as they give it, until both have ended.
+    """Fuses the frames of two sensors as they arrive, until both sensors end.
 
-    The sensors run on threads of their own; a sensor that fails is waited for and comes back.
+    Each sensor runs on its own thread. A sensor that fails is reopened until it works again.
 
     Args:
-        a, b: The principal sensor K_A, in whose frame S* is, and the secondary one K_B; not yet open.
-        setup: With a calibration to keep; one is found while frames come in where None.
+        a, b: The principal sensor K_A and the secondary sensor K_B, both not yet open. S* is in K_A's frame.
+        setup: A setup whose calibration is kept. None: calibrate while frames arrive.
 
     Raises:
         DeviceError: A sensor cannot be opened.

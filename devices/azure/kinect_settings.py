@@ -1,4 +1,4 @@
-"""How a Kinect runs, and what libk4a is told of it."""
+"""Settings of a Kinect, and their translation for libk4a."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which of the connected Kinects is A, which is B, and which leads on the sync cable."""
+"""Chooses which connected Kinect is A, which is B, and which is the master on the sync cable."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from devices.sensor import DeviceError
 
 
 class NeedsChoiceError(DeviceError):
-    """Two Kinects are connected and nobody said which is the principal one: ask, or ``--principal``.
+    """Two Kinects are connected and the principal one is not named: ask the user, or use ``--principal``.
 
     Attributes:
         serials: The two, sorted.
@@ -124,7 +124,7 @@ def _jacks(*kinects: ConnectedKinect) -> str:
 
 
 def cable_unknown(a: ConnectedKinect, b: ConnectedKinect) -> str:
-    """What to say where no cable was found and that means nothing: Orbbec's wrapper cannot see one."""
+    """Advice if no cable was detected but one may exist: Orbbec's wrapper cannot detect cables."""
     orbbec = [str(kinect.serial) for kinect in (a, b) if kinect.is_orbbec]
     if not orbbec:
         return ""
@@ -135,7 +135,7 @@ def cable_unknown(a: ConnectedKinect, b: ConnectedKinect) -> str:
 
 
 def cable_notes(a: ConnectedKinect, b: ConnectedKinect, master: str | None) -> list[str]:
-    """What the person should know of the cable and of the firmware that it needs."""
+    """Notes for the user about the sync cable and the firmware it needs."""
     if master is None:
         return [cable_unknown(a, b) or _NO_CABLE]
     return [note for kinect in (a, b) if (note := firmware_advice(str(kinect.serial), kinect.firmware))]

@@ -1,4 +1,4 @@
-"""Any sensor on a thread of its own: newest frame wins, lost sensors come back, closing never hangs."""
+"""Runs a sensor on its own thread: keeps the newest frames, reopens lost sensors, closes in bounded time."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ _EVENTS_KEPT = 100
 class SensorThread:
     """Runs a sensor on a thread of its own and keeps its newest frames for a reader.
 
-    Bounded memory: at most ``keep`` frames wait; then the oldest goes, and is counted. A sensor that fails
-    after it ran is reopened every ``retry_s``; one that fails at its first opening is reported by ``open``.
-    All methods are for one reader's thread.
+    Memory is bounded: the queue holds at most ``keep`` frames, then the oldest is dropped and counted. A
+        sensor
+    that fails while running is reopened every ``retry_s``; a failure at the first opening is raised by
+    ``open``. All methods are for one reader's thread.
 
     Attributes:
         sensor: The sensor; its ``intrinsics`` and ``body`` may be read once ``open`` returned.
@@ -78,7 +79,7 @@ class SensorThread:
 
     @property
     def dropped(self) -> int:
-        """How many frames we were too slow for: this thread's reader, or the thread for the sensor itself."""
+        """Number of dropped frames: the reader was too slow for the thread, or the thread for the sensor."""
         return self._dropped + messages.missed_by(self.sensor) - self._missed_before
 
     @property
@@ -112,7 +113,7 @@ class SensorThread:
             raise DeviceError(messages.not_closed(self.sensor.name, messages.wait_of(self.sensor)))
         self._stopping, self._settled = threading.Event(), threading.Event()
         self._fault, self._state = None, SensorState.OPENING
-        # A daemon: a driver that hangs forever must not keep the program from ending.
+        # A daemon thread: a driver that hangs must not keep the program from ending.
         self._thread = threading.Thread(
             target=self._run,
             args=(self._stopping, self._settled),
@@ -132,7 +133,7 @@ class SensorThread:
         return self
 
     def count_from_now(self) -> None:
-        """Counts frames and drops anew. Frames that wait are kept, unless there were too many to keep."""
+        """Resets the counts of frames and drops. Queued frames are kept."""
         with self._lock:
             if self._dropped:
                 self._frames.clear()
@@ -144,7 +145,7 @@ class SensorThread:
         self._stall_s = max(self._least_stall_s, 4 * interval_s)
 
     def end(self) -> None:
-        """Makes the thread end, without waiting for that: frames to come are not wanted, nor counted."""
+        """Asks the thread to end, without waiting. Later frames are neither kept nor counted."""
         self._stopping.set()
         if self._thread is not None and isinstance(self.sensor, Interruptible):
             self.sensor.interrupt()
@@ -265,7 +266,7 @@ class SensorThread:
                     frame = with_witness(frame, self.sensor.intrinsics)
                 self._deliver(frame)
         finally:
-            # A generator may hold files or handles: let it go now, on this thread.
+            # The generator may hold files or handles: release it now, on this thread.
             if isinstance(frames, Generator):
                 frames.close()
 
@@ -296,7 +297,7 @@ class SensorThread:
     def _failed(self, message: str) -> None:
         with self._lock:
             self._state = SensorState.LOST
-        # Retries fail in the same words each time: once is enough.
+        # Retries repeat the same message: report it once.
         if message != self._told:
             self._told = message
             self._tell(f"{message} Going on without it; it is taken back when it returns.")

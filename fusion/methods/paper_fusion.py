@@ -1,4 +1,4 @@
-"""The paper's method as the fuser runs it: its model, its memory, and its rows as fused frames."""
+"""The paper's methods: owns their arrays and returns the results as fused frames."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class PaperFusion:
     """
 
     kernel: Any = solve_tree
-    """What takes longest to compile."""
+    """The kernel that takes longest to compile."""
 
     def __init__(self, setup: FusionSetup) -> None:
         self._memory = paper.new_memory(len(setup.body), setup.calibration.a_from_b.translation)
         self.recalibrate(setup)
 
     def recalibrate(self, setup: FusionSetup) -> None:
-        """Goes on with another calibration."""
+        """Continues with another calibration."""
         self._setup = setup
         self._model = paper.new_model(
             setup.body,
@@ -43,7 +43,7 @@ class PaperFusion:
         self._memory.translation[:] = setup.calibration.a_from_b.translation
 
     def compile(self, positions: NDArray[np.float32], states: NDArray[np.uint8]) -> None:
-        """Compiles all but the solver."""
+        """Compiles everything but the solver."""
         result = paper.new_result(1, len(states))
         given = self._model, self._memory, result, 0, 0, positions, states, positions, states
         paper.prepare.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
@@ -53,10 +53,11 @@ class PaperFusion:
         time_ns: NDArray[np.int64],
         skew_ns: NDArray[np.int64],
         codes: NDArray[np.int64],
+        witnesses: tuple[NDArray[np.float32], NDArray[np.float32]],
         *views: NDArray[Any],
     ) -> list[FusedFrame]:
-        """The next pairs. The paper knows neither the skew between the sensors nor exchanged sides."""
-        del skew_ns, codes
+        """Fuses the next pairs. The paper uses neither skew, nor exchanged sides, nor images."""
+        del skew_ns, codes, witnesses
         result = paper.new_result(len(time_ns), views[1].shape[1])
         published = self._setup.settings.method == "published"
         fuse = paper.fuse_frames_as_published if published else paper.fuse_frames

@@ -52,8 +52,8 @@ def simulated(body: Body, motion: str, angle: float, seed: int) -> Recording:
     a, b, truth = simulated_pair(motion=motion, seed=seed, body=body, angle_deg=angle, seconds=20.0)
     frames = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
     pairs = [frame.skeletons for frame in frames]
-    at = truth.positions_at([pair.time_ns for pair in pairs])
-    return _recording(f"{motion} {angle:g}° {seed}", body, pairs, at)
+    joints = truth.positions_at([pair.time_ns for pair in pairs])
+    return _recording(f"{motion} {angle:g}° {seed}", body, pairs, joints)
 
 
 def real(folder: Path) -> Recording:
@@ -132,7 +132,7 @@ def search(recordings: Sequence[Recording], seconds: float, seed: int) -> Consta
     best = Constants()
     lowest = cost(recordings, best)
     print(f"{lowest * 1e3:.3f} at first", flush=True)
-    steps = dict.fromkeys(set(Constants._fields) - {"spread", "before", "sides_doubted"}, 0.35)
+    steps = dict.fromkeys(set(Constants._fields) - {"spread", "before", "sides_doubted", "bones"}, 0.35)
     names = sorted(steps)
     end = time.monotonic() + seconds
     while time.monotonic() < end:

@@ -76,7 +76,7 @@ def test_both_count_the_same_moments_whatever_their_clocks_say(clock_ns: int) ->
     a, b = [], []
     for at_ns in times:
         a += _moments(decimation, "a", [at_ns], 0)
-        if at_ns != times[50]:  # one that B missed
+        if at_ns != times[50]:  # a frame that B missed
             b += _moments(decimation, "b", [at_ns + 160_000], 10**12 + clock_ns)
     del a[50]
     assert a == b

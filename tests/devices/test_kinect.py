@@ -336,7 +336,7 @@ def test_the_firmwares_version_is_read_from_libk4a(
     version[:] = (1, 6, 102)
     bus.devices = [Device("000123")]
     (kinect,) = connected_kinects()
-    version[:] = (1, 6, 110)  # it stays loaded for the tests that follow
+    version[:] = (1, 6, 110)  # the library stays loaded for later tests
     assert kinect.firmware == (1, 6, 102)
 
 
@@ -369,12 +369,11 @@ def test_the_newest_capture_is_taken_not_the_oldest(bus: Bus) -> None:
         sensor._clock = device.time.now_ns
         frames = sensor.frames()
         next(frames)
-        device.time.wait_until(
-            device.time.now_ns() + 500_000_000
-        )  # the reader was elsewhere for half a second
+        device.time.wait_until(device.time.now_ns() + 500_000_000)  # the reader was busy for half a second
         frame = next(frames)
         assert device.time.now_ns() - (frame.host_ns or 0) <= 33_333_000
-        # 15 were captured meanwhile: all but the newest are missed, also those that the queue had no room for
+        # 15 were captured in the meantime: all but the newest are missed, including those the full queue
+        # dropped
         assert sensor.missed == 14
 
 
@@ -414,5 +413,5 @@ def test_references_to_none_that_pyk4a_gives_away_are_put_back(bus: Bus) -> None
             pass
     assert bus.failed_opens >= 1000
     gc.collect()
-    # the stand-in gave 2000 away; other objects that come and go hold some
+    # the stand-in lost 2000 references; temporary objects hold some
     assert abs(sys.getrefcount(None) - before) < 1000

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.stats import chi
 
 from fusion.body import KINECT_V1
 from fusion.evaluation import baselines
@@ -23,7 +24,7 @@ def test_the_truth_itself_has_no_error(truth: np.ndarray) -> None:
     of = measure(truth, truth)
     assert (of.mpjpe, of.p95, of.acceleration, of.swapped) == (0.0, 0.0, 0.0, 0.0)
     assert of.bone_error < 1e-12
-    assert of.lag == pytest.approx(0.0, abs=0.01)  # what a parabola makes of an uneven peak
+    assert of.lag == pytest.approx(0.0, abs=0.01)  # error of a parabola through an asymmetric peak
     assert np.isnan(of.hidden_one)
 
 
@@ -37,7 +38,7 @@ def test_an_offset_is_the_error_and_nothing_else(truth: np.ndarray) -> None:
 def test_noise_while_still_is_jitter(truth: np.ndarray) -> None:
     rng = np.random.default_rng(0)
     of = measure(truth + rng.normal(0, 0.01, truth.shape), truth)
-    # white noise against its own mean over 5: variance (1 - 1/5) a coordinate, three coordinates
+    # white noise minus its mean over 5 frames: variance (1 - 1/5) per coordinate, three coordinates
     assert of.jitter == pytest.approx(0.01 * np.sqrt(3 * 0.8), rel=0.1)
 
 
@@ -88,7 +89,7 @@ def test_a_lag_is_not_read_out_of_noise(truth: np.ndarray) -> None:
 
 @pytest.mark.parametrize("frames", [10, 14])
 def test_a_lag_at_the_end_of_the_search_is_none(frames: int) -> None:
-    # a speed that rises once and falls once: it matches the better the nearer the delays are
+    # a speed that rises once and falls once: the nearer the delays, the larger the correlation
     t = np.arange(150.0)
     along = np.cumsum(np.exp(-(((t - 75.0) / 30.0) ** 2)) * 0.03)
     truth = moving(KINECT_V1, 1).repeat(150, axis=0) + along[:, None, None]
@@ -146,9 +147,9 @@ def test_the_kalman_filter_settles_on_a_still_person_and_follows_a_steady_one() 
 def test_coverage_is_the_share_within_what_a_method_states(truth: np.ndarray) -> None:
     rng = np.random.default_rng(1)
     sd = rng.uniform(0.005, 0.05, TRACKED.shape)
-    found = truth + sd[..., None] * rng.normal(size=truth.shape)
+    found = truth + sd[..., None] / np.sqrt(3.0) * rng.normal(size=truth.shape)
     of = accuracy(KINECT_V1, found, truth, TRACKED, TRACKED, DT, sd)
     # 9,000 coordinates: a share of 0.68 is known to 0.005
-    assert of.within_1sd == pytest.approx(0.6827, abs=0.015)
-    assert of.within_2sd == pytest.approx(0.9545, abs=0.008)
+    assert of.within_1sd == pytest.approx(chi(3).cdf(np.sqrt(3.0)), abs=0.015)
+    assert of.within_2sd == pytest.approx(chi(3).cdf(2.0 * np.sqrt(3.0)), abs=0.008)
     assert np.isnan(measure(found, truth).within_1sd)

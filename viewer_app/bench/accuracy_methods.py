@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from devices.pairing import FramePair
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
+from fusion.estimator.constants import Constants
 from fusion.evaluation import baselines
 from fusion.evaluation.fixed_registration import fit_recording
 from fusion.fused_frame import FusedFrame
@@ -33,13 +34,13 @@ Kind = Literal["view", "baseline", "bound", "method", "ablation"]
 
 @dataclass(frozen=True, eq=False)
 class RecordedPair:
-    """What every method is given, and the truth that only bounds and figures use.
+    """The input of every method, and the truth, which only bounds and figures use.
 
     Attributes:
-        body: Which joints.
+        body: The body that defines the joints.
         pairs: T pairs, in time order.
-        calibration: From the start-up pose.
-        frame_seconds: Between two frames.
+        calibration: Calibration from the start-up pose.
+        frame_seconds: Seconds between two frames.
         truth: (T, J, 3) metres, in K_A's frame.
     """
 
@@ -57,8 +58,8 @@ class RecordedPair:
 
         def stacked(side: str) -> tuple[Array, NDArray[np.uint8]]:
             view = [getattr(pair, side) for pair in skeletons]
-            at = np.array([nowhere if s is None else s.positions for s in view], dtype=np.float64)
-            return at, np.array([unseen if s is None else s.states for s in view])
+            positions = np.array([nowhere if s is None else s.positions for s in view], dtype=np.float64)
+            return positions, np.array([unseen if s is None else s.states for s in view])
 
         return stacked("a"), stacked("b")
 
@@ -91,12 +92,12 @@ class RecordedPair:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a method found.
+    """The result of a method.
 
     Attributes:
-        joints: (T, J, 3) metres, in K_A's frame; NaN where it has none.
+        joints: (T, J, 3) metres, in K_A's frame; NaN without an estimate.
         each_us: Microseconds per frame.
-        sd: (T, J) metres, the standard deviation of a coordinate that it states; None without.
+        sd: (T, J) metres, one standard deviation of a joint's distance to the truth; None without.
     """
 
     joints: Array
@@ -119,17 +120,27 @@ class Method:
     find: Callable[[RecordedPair], Found] = field(repr=False)
 
 
-def fused(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
-    """Our program with these settings, pair by pair."""
+def fused(
+    settings: FuserSettings, codes: tuple[int, int] | None = None, **constants: Any
+) -> Callable[[RecordedPair], Found]:
+    """Our program with these settings, pair by pair.
+
+    Args:
+        settings: The method's choices.
+        codes: Which sides are exchanged in every pair, whatever the facing filter would say.
+        constants: Of :class:`fusion.estimator.constants.Constants`, in place of the body's own.
+    """
 
     def find(recording: RecordedPair) -> Found:
-        fuser = Fuser(FusionSetup(recording.calibration, settings))
+        fuser = Fuser(
+            FusionSetup(recording.calibration, settings), Constants.of(recording.body)._replace(**constants)
+        )
         fuser.warm_up()
         frames, cost = [], []
         for pair in recording.pairs:
             skeletons = pair.skeletons
             before = time.perf_counter_ns()
-            frames.append(fuser.update(skeletons))
+            frames.append(fuser.update(skeletons, codes))
             cost.append(time.perf_counter_ns() - before)
         return _found(frames, float(np.median(cost)) * 1e-3)
 
@@ -166,8 +177,7 @@ def _found(frames: Sequence[FusedFrame], each_us: float) -> Found:
     return Found(
         np.array([frame.positions for frame in frames]),
         each_us,
-        # sigma is of the distance to the truth; each of its three coordinates has a third of the variance
-        np.array(known) / np.sqrt(3.0) if len(known) == len(sigma) else None,
+        np.array(known) if len(known) == len(sigma) else None,
     )
 
 
@@ -198,7 +208,7 @@ def _oracle(recording: RecordedPair) -> Array:
 
 
 DEFAULT = FuserSettings()
-"""The settings a person gets who chooses none."""
+"""The default settings."""
 
 METHODS: tuple[Method, ...] = (
     Method("A alone", "view", _baseline(lambda r: baselines.alone(r.a))),
@@ -225,5 +235,23 @@ time."""
 OURS = "duplex"
 """The method that the tables compare the others with: the default."""
 
-ABLATIONS: tuple[Method, ...] = (Method("without time", "ablation", fused(replace(DEFAULT, smoothing=0.0))),)
-"""The default with one part switched off, for ``--ablations``."""
+_NEVER = 1e-12  # a probability: what the filter takes the logarithm of
+
+ABLATIONS: tuple[Method, ...] = (
+    Method("start-up, causal", "ablation", fused(DEFAULT)),
+    Method("without refinement", "ablation", as_recorded(replace(DEFAULT, hindsight="labels"), refine=False)),
+    Method("without time", "ablation", fused(replace(DEFAULT, smoothing=0.0))),
+    Method(
+        "without robustness",
+        "ablation",
+        fused(DEFAULT, outlier=_NEVER, inferred_outlier=_NEVER, outlier_lasts=_NEVER, surprise=_NEVER),
+    ),
+    Method("without bones", "ablation", fused(DEFAULT, bones=False)),
+    Method("without anisotropy", "ablation", fused(DEFAULT, along_ray=1.0)),
+    Method("without facing", "ablation", fused(DEFAULT, (0, 0))),
+    Method("without scale", "ablation", fused(DEFAULT, scale_sd=0.0)),
+)
+"""One part switched off at a time, for ``--ablations``.
+
+``without refinement`` is ``duplex`` with the start-up pose's calibration. The others are ``start-up, causal``
+with one part switched off: the start-up pose's calibration, and nothing that looks ahead."""

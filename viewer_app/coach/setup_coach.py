@@ -1,7 +1,8 @@
-"""What to do next while two sensors are set up: each advice names its figure and its threshold.
+"""Advice while two sensors are set up. Each advice names its figure and its threshold.
 
-Pure: it sees what the loop sees, time is the pairs' own, nothing waits and nothing is printed. The module is
-long because every advice stands with its words.
+The coach is pure: its input is the loop's data, its clock is the pairs' time, and it neither waits nor
+    prints.
+The module is long because it contains the text of every advice.
 """
 
 from __future__ import annotations
@@ -23,15 +24,15 @@ from viewer_app.coach.advice import Advice, placement
 from viewer_app.coach.standing_spot import CAMERA_HEIGHT, FARTHEST, nearest, standing_spot
 
 UNSEEN = 1.0
-"""Seconds without a person, after which it is said."""
+"""Seconds without a person before the coach reports it."""
 CUT_OFF = 0.5
 """Share of the last second in which a foot is not tracked or outside the image."""
 HOLD = 3.0
-"""Seconds to hold the start-up pose: the paper's few seconds."""
+"""Seconds to hold the start-up pose; the paper asks for a few seconds."""
 RATE = 0.8
-"""Of the sensor's nominal frames a second."""
+"""Lowest accepted frame rate, as a share of the nominal rate."""
 SKEW = 0.5
-"""Of a frame's duration: beyond it another partner would be nearer."""
+"""Largest accepted skew, as a share of the frame interval; above it another frame would match better."""
 MOVED = 0.25
 """Metres that t drifts, eight seconds' median. People who walk about between two real Kinects shift the three
 seconds' median by up to 0.19; turning a sensor by 5° shifts it by 0.26 at 3 m."""
@@ -42,10 +43,10 @@ _SECOND, _RATE_WINDOW, _MOVED_WINDOW = 1.0, 2.0, 8.0  # seconds
 
 @dataclass(frozen=True)
 class Situation:
-    """What the loop knows beside the frame.
+    """The state of the loop, apart from the frame.
 
     Attributes:
-        calibration: In use now.
+        calibration: The current calibration.
         settled: Whether it comes from a start-up pose or a file.
         held: Seconds for which the start-up pose has been held.
         dropped: Frames so far that the program was too slow for, of A and B.
@@ -71,13 +72,13 @@ class _View:
 
 
 class Coach:
-    """Watches the loop and says what to do.
+    """Watches the loop and gives advice.
 
     Args:
-        body: What both sensors report.
-        intrinsics: Of A's and B's depth camera.
-        rate: Nominal frames a second.
-        warm_up: Seconds that the sensors must run before their distances stay the same.
+        body: The body that both sensors report.
+        intrinsics: Intrinsics of the depth cameras of A and B.
+        rate: Nominal frames per second.
+        warm_up: Seconds until the sensors' distances are stable.
     """
 
     def __init__(
@@ -100,10 +101,10 @@ class Coach:
         self._overlap_of: tuple[Calibration | None, float] = (None, math.inf)
 
     def watch(self, frame: RecordedFrame, now: Situation) -> list[Advice]:
-        """Takes the next frame.
+        """Processes the next frame.
 
         Returns:
-            All that is to be said at this moment, the most urgent first.
+            All current advice, the most urgent first.
         """
         time = frame.pair.time_ns * 1e-9
         self._began = time if self._began is None else self._began
@@ -181,7 +182,7 @@ class Coach:
                     came,
                     least,
                     side,
-                    f"{few} frames a second",
+                    f"{few} frames per second",
                 )
             dropped = self._drops[-1][1][k] - self._drops[0][1][k]
             if dropped > 0:

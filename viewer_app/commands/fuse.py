@@ -1,4 +1,4 @@
-"""``duplex fuse``: two recordings in, one session and one report out."""
+"""``duplex fuse``: fuses two recordings into a session and a report."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_v
 
 
 def run(options: FuseOptions) -> None:
-    """Carries out the command.
+    """Runs the command.
 
     Raises:
-        DeviceError, FusionError, RecordingError, UsageError: With one line for the person who asked.
+        DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
     """
     console = Console()
     viewing = choose_viewing(
@@ -129,7 +129,7 @@ def _progress(console: Console) -> Progress:
 
 
 def _verdict(setup: FusionSetup) -> CoachPage:
-    """What the setup says of a recording: how well its two views fit, and what would have been better."""
+    """The coach's verdict on a recording: how well the two views fit, and what to improve."""
     calibration = setup.calibration
     scene = CoachScene(setup.body, setup.intrinsics)
     advice = list(placement(calibration)) or [verdict(calibration)]
@@ -137,7 +137,7 @@ def _verdict(setup: FusionSetup) -> CoachPage:
 
 
 def _exact(frames: list[RecordedFrame], setup: FusionSetup) -> SessionArrays | None:
-    """The same frames with exact bones, where the published scheme was asked for."""
+    """The same frames solved with exact bone lengths, if the published scheme was selected; else None."""
     if setup.settings.method != "published":
         return None
     exact = replace(setup, settings=replace(setup.settings, method="paper"))
@@ -171,14 +171,14 @@ def _calibrate(wanted: str, body: Body, pairs: Sequence[SkeletonPair]) -> Calibr
         return calibrate(body, chosen, f"first {seconds:g} s, {len(chosen)} frames")
     if not Path(wanted).exists():
         raise UsageError(
-            f"--calibrate {wanted}: neither auto, nor seconds:N, nor a file that is there. Make one with "
+            f"--calibrate {wanted}: neither auto, nor seconds:N, nor an existing file. Make one with "
             "--save-calibration."
         )
     return read_calibration(Path(wanted), body)
 
 
 def _whereabouts(pairs: Sequence[SkeletonPair]) -> NDArray[np.float64]:
-    """(3,) metres in K_A's frame, the middle of where the person is over the recording."""
+    """(3,) metres in K_A's frame, the median position of the person over the recording."""
     seen = [pair.a.positions for pair in pairs if pair.a is not None]
     if not seen:
         raise CalibrationError("The principal sensor A never sees the person in a pair.")

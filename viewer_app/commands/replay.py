@@ -1,4 +1,4 @@
-"""``duplex replay``: a session's two skeletons fused again, through the same loop as any other source."""
+"""``duplex replay``: fuses the two skeletons of a session again, in the same loop as other sources."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ _SHARE_AGREEING = 0.99
 
 
 def run(options: ReplayOptions) -> None:
-    """Carries out the command; ends the process with code 1 where S* is not the recorded one.
+    """Runs the command; exits with code 1 if S* differs from the recorded S* under ``--verify``.
 
     Raises:
-        FusionError, RecordingError, UsageError: With one line for the person who asked.
+        FusionError, RecordingError, UsageError: With a one-line message for the user.
     """
     console = Console()
     changed: dict[str, Any] = {
@@ -110,13 +110,13 @@ def run(options: ReplayOptions) -> None:
 
 
 def _calibrated(setup: FusionSetup, session: Session, own: slice) -> Event:
-    """That a calibration takes effect, at the time of the last frame before."""
+    """The event that a calibration takes effect, at the time of the frame before it."""
     frame = max(own.start - 1, 0)
     return Event(frame, int(session.time_ns[frame]), f"calibrated: {setup.calibration.how}", "INFO")
 
 
 def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bool:
-    """Whether (T, J, 3) S* is the recorded one bit for bit; says so, or where it first is not."""
+    """Compares S* (T, J, 3) with the recorded S* bit for bit; prints the result or the first difference."""
     differing = np.flatnonzero(fused_checksums(fused) != session.fused_checksums)
     if len(differing) == 0:
         console.print(f"[bold]Verified[/]: S* of all {len(session)} frames is the recorded one, bit for bit.")
@@ -136,11 +136,11 @@ def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bo
     elif len(invisible):
         where += f", joint {session.body.joints[invisible[0]]}, by less than the file's float32 shows"
     worst = "only one has an S* in some frame" if one_missing else f"at most {np.nanmax(apart) * 1e3:.3g} mm"
-    # a joint without data follows the frame before, which a session trimmed at its beginning does not have
+    # A joint without data depends on the frame before, which a session trimmed at its beginning lacks.
     settled = int(np.argmin(session.rows.predicted.any(axis=1)))
     if session.first_frame and not one_missing and np.nanmax(apart[settled:]) < _CUT_WITHIN:
         console.print(
-            f"[bold]Verified[/]: trimmed at its beginning: the frame before is not known; "
+            f"[bold]Verified[/]: the session is trimmed at its beginning, so the frame before it is unknown; "
             f"from frame {settled} on, the first without predicted joints, S* is the recorded one within "
             f"{_CUT_WITHIN * 1e6:g} µm."
         )

@@ -1,4 +1,4 @@
-"""The loop: for each pair, fuse it, record it. The same for recorded, simulated and live pairs."""
+"""The offline loop: fuse each pair and pass it to the sink."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from recordings.images.rvl import encode_depth
 
 
 def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = lambda: None) -> None:
-    """Compiles the kernels before the first frame needs them, with a word where that takes its time.
+    """Compiles the kernels before the first frame; prints a notice if this takes more than a second.
 
     Args:
-        fuser: Whose kernels.
-        console: For the word.
-        meanwhile: Runs what else there is to compile.
+        fuser: The fuser whose kernels are compiled.
+        console: Receives the notice.
+        meanwhile: A callable that compiles further kernels.
     """
     notice = threading.Timer(1.0, console.print, ["Compiling the kernels; only the first run does this …"])
     notice.daemon = True

@@ -66,8 +66,11 @@ PUBLISHED = {
 def test_tails_are_as_heavy_as_measured() -> None:
     found = distances(KINECT_V2) * 1e3
     for joint, ranges in PUBLISHED.items():
-        at = np.percentile(found[:, KINECT_V2.joint(joint)], (50, 90, 99))
-        assert all(low <= value <= high for value, (low, high) in zip(at, ranges, strict=True)), (joint, at)
+        tails = np.percentile(found[:, KINECT_V2.joint(joint)], (50, 90, 99))
+        assert all(low <= value <= high for value, (low, high) in zip(tails, ranges, strict=True)), (
+            joint,
+            tails,
+        )
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=list(BODIES))

@@ -1,0 +1,213 @@
+"""Depth images in the estimator: evidence, surface measurements, and no effect without an image."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from devices.pairing import pair_recordings
+from devices.simulated.kinect import PERSON, simulated_pair
+from fusion.body import KINECT_V2
+from fusion.calibration.calibration import calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
+from fusion.estimator import robust, surface
+from fusion.estimator.arrays import Model, Views, new_model, new_state, new_views
+from fusion.facing.model import ARMS, WHOLE, new_facing_model
+from fusion.fused_frame import FusedFrame
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
+from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from fusion.witness import evidence, new_witness_model, surface_measurement
+from tests.helpers.interpreted import interpreted
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing
+
+BODY = KINECT_V2
+J = len(BODY)
+FLOAT32 = (
+    1e-6  # relative, or metres: an interpreted kernel computes with float32 what a compiled one does not
+)
+LEFT, RIGHT = BODY.joint("WristLeft"), BODY.joint("WristRight")
+
+
+def confirming() -> NDArray[np.float32]:
+    """The witness of a skeleton whose joints all agree with the image."""
+    found = np.zeros((J, 4), dtype=np.float32)
+    found[:, 0] = -new_witness_model(BODY).flesh
+    found[:, 1] = 0.05
+    return found
+
+
+def witnessed(
+    pair: SkeletonPair, a: NDArray[np.float32] | None, b: NDArray[np.float32] | None
+) -> SkeletonPair:
+    assert pair.a is not None
+    assert pair.b is not None
+    return replace(pair, a=pair.a.with_witness(a), b=pair.b.with_witness(b))
+
+
+def fused(pairs: list[SkeletonPair], method: str = "duplex") -> list[FusedFrame]:
+    setup = FusionSetup(calibration_of(BODY), FuserSettings(method=method))  # type: ignore[arg-type]
+    return Fuser(setup).fuse_sequence(pairs, np.zeros((len(pairs), 2)))
+
+
+def recording(frames: int = 60) -> list[SkeletonPair]:
+    random = np.random.default_rng(1)
+    return [
+        noisy(pair_of(BODY, at, k * FRAME_NS), random, 0.005) for k, at in enumerate(moving(BODY, frames))
+    ]
+
+
+def same_bits(one: list[FusedFrame], other: list[FusedFrame]) -> bool:
+    names = ("positions", "sigma", "covariance", "weights_a", "weights_b", "predicted")
+    arrays = [(getattr(p, n), getattr(q, n)) for p, q in zip(one, other, strict=True) for n in names]
+    return all(p is q if p is None else np.array_equal(p, q, equal_nan=True) for p, q in arrays)
+
+
+def asked(code: int, witness: NDArray[np.float32]) -> tuple[Model, Views, Skeleton]:
+    """Both views of one standing person with A's witness, after :func:`ask_images`."""
+    model = new_model(BODY, BODY.nominal_lengths, A_FROM_B.rotation, A_FROM_B.translation)
+    pair = pair_of(BODY, standing(BODY), 0)
+    assert pair.a is not None
+    assert pair.b is not None
+    views = new_views(J)
+    views.reported[0] = views.positions[0] = pair.a.positions
+    views.reported[1] = views.positions[1] = A_FROM_B.apply(pair.b.positions.astype(np.float64))
+    views.states[:] = TrackingState.TRACKED
+    views.codes[0] = code
+    nothing = np.full((J, 4), np.nan, dtype=np.float32)
+    interpreted(surface.ask_images)(
+        model, new_facing_model(BODY), views, pair.a.positions, pair.a.states, witness,
+        pair.b.positions, pair.b.states, nothing,
+    )  # fmt: skip
+    return model, views, pair.a
+
+
+def test_an_image_without_readings_changes_no_bit() -> None:
+    pairs = recording()
+    nothing = np.full((J, 4), np.nan, dtype=np.float32)
+    assert same_bits(fused(pairs), fused([witnessed(pair, nothing, nothing) for pair in pairs]))
+    assert not same_bits(fused(pairs), fused([witnessed(pair, confirming(), nothing) for pair in pairs]))
+
+
+def test_one_by_one_and_all_at_once_are_the_same_bits_with_images() -> None:
+    pairs = [
+        witnessed(pair, confirming(), None if k % 3 else confirming()) for k, pair in enumerate(recording())
+    ]
+    pairs[30] = replace(pairs[30], b=None)
+    fuser = Fuser(FusionSetup(calibration_of(BODY)))
+    one_by_one = [fuser.update(pair, (0, 0)) for pair in pairs]
+    assert same_bits(one_by_one, fused(pairs))
+
+
+def test_the_paper_knows_no_images() -> None:
+    pairs = recording(5)
+    seen = [witnessed(pair, confirming(), confirming()) for pair in pairs]
+    assert same_bits(fused(pairs, "paper"), fused(seen, "paper"))
+
+
+@pytest.mark.parametrize("code", [0, ARMS, WHOLE])
+def test_what_the_image_says_goes_with_the_joint(code: int) -> None:
+    witness = confirming()
+    witness[LEFT] = 0.5, -0.1, 0.0, 0.0  # seen past
+    _, views, skeleton = asked(code, witness)
+    told, (places, information) = evidence(witness, skeleton), surface_measurement(witness, skeleton)
+    named = RIGHT if code else LEFT
+    assert told[LEFT] < -2.0 < 0.0 < told[RIGHT]
+    assert views.evidence[0, named] == told[LEFT]
+    assert views.evidence[0, RIGHT if named == LEFT else LEFT] == told[RIGHT]
+    elbow, other = BODY.joint("ElbowLeft"), BODY.joint("ElbowRight")
+    named = other if code else elbow
+    np.testing.assert_allclose(views.places[0, named], places[elbow], atol=FLOAT32)
+    np.testing.assert_allclose(
+        views.place_information[0, named], information[elbow], atol=FLOAT32 * np.abs(information).max()
+    )
+    assert not views.evidence[1].any()
+    assert np.isnan(views.places[1]).all()
+
+
+def test_evidence_multiplies_the_odds_of_an_outlier() -> None:
+    model, views, _ = asked(0, confirming())
+    state = new_state(J)
+    views.evidence[:] = 0.0
+    prior = interpreted(robust.prior_outlier)
+    before = prior(model, state, views, 0, LEFT)
+    for said in (-2.0, 1.5):
+        views.evidence[0, LEFT] = said
+        after = prior(model, state, views, 0, LEFT)
+        assert after / (1.0 - after) == pytest.approx(before / (1.0 - before) * np.exp(-said))
+        assert prior(model, state, views, 1, LEFT) == before
+
+
+def test_the_surface_is_joined_with_the_tracker_by_information() -> None:
+    model, views, _ = asked(0, confirming())
+    random = np.random.default_rng(2)
+    for i in range(J):
+        root = random.normal(0.0, 0.02, (3, 3))
+        views.slow[0, i] = root @ root.T + 1e-5 * np.eye(3)
+    views.fast[:] = 1e-5
+    z, C = views.positions[0].copy(), views.slow[0].copy()
+    interpreted(surface.measure_surface)(model, views, np.zeros((3, 3)))
+    measured = 0
+    for i in range(J):
+        if np.isnan(views.places[0, i, 0]):
+            np.testing.assert_array_equal(views.positions[0, i], z[i])
+            assert views.fast[0, i] == 1e-5
+            continue
+        information = views.place_information[0, i] / model.constants.surface_slow**2
+        W = np.linalg.inv(C[i]) + information
+        expected = np.linalg.solve(W, np.linalg.solve(C[i], z[i]) + information @ views.places[0, i])
+        np.testing.assert_allclose(views.positions[0, i], expected, rtol=1e-8)
+        np.testing.assert_allclose(views.slow[0, i], np.linalg.inv(W), rtol=1e-6, atol=1e-12)
+        assert views.fast[0, i] == pytest.approx(1e-5 + model.constants.surface_fast**2)
+        measured += 1
+    assert measured > 10
+
+
+def test_a_hand_that_the_image_sees_past_counts_for_less() -> None:
+    """A reports the right arm at a wrong position, and A's image sees past that position."""
+    arm = [BODY.joint(f"{joint}Right") for joint in ("Wrist", "Hand", "HandTip", "Thumb")]
+    past = np.full((J, 4), np.nan, dtype=np.float32)
+    past[arm] = 0.5, -0.1, 0.0, 0.0
+    truth = np.tile(standing(BODY), (60, 1, 1))
+    errors = []
+    for witness in (None, past):
+        random = np.random.default_rng(3)
+        pairs = []
+        for k, at in enumerate(truth):
+            pair = noisy(pair_of(BODY, at, k * FRAME_NS), random, 0.003)
+            assert pair.a is not None
+            wrong = pair.a.positions.copy()
+            wrong[arm] += (0.15, 0.0, 0.0)
+            bad = Skeleton.of(BODY, wrong, pair.a.states, pair.a.time_ns).with_witness(witness)
+            pairs.append(replace(pair, a=bad if k >= 20 else pair.a))
+        found = np.array([frame.positions for frame in fused(pairs)])
+        errors.append(np.linalg.norm(found - truth, axis=2)[30:, arm].mean())
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_depth_images_bring_the_skeleton_nearer_to_the_truth() -> None:
+    a, b, truth = simulated_pair(
+        motion="arms", seconds=8.0, seed=3010, body=BODY, angle_deg=90.0, depth="half"
+    )
+    pairs = [p.skeletons for p in pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs]
+    assert any(pair.a is not None and pair.a.witness is not None for pair in pairs)
+    setup = FusionSetup(calibrate(BODY, *find_start_up_pose(BODY, pairs)))
+    at = truth.positions_at([pair.time_ns for pair in pairs])
+    without = [
+        replace(
+            pair,
+            a=None if pair.a is None else pair.a.with_witness(None),
+            b=None if pair.b is None else pair.b.with_witness(None),
+        )
+        for pair in pairs
+    ]
+    mean = [
+        np.nanmean(
+            np.linalg.norm(np.array([f.positions for f in Fuser(setup).fuse_sequence(p)]) - at, axis=2)
+        )
+        for p in (pairs, without)
+    ]
+    assert mean[0] < 0.97 * mean[1]
