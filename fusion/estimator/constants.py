@@ -99,16 +99,16 @@ class Constants(NamedTuple):
         inferred_outlier: The same of an inferred joint.
         outlier_lasts: Probability that an outlier is followed by one.
         outlier_side: Side of the cube that outliers are spread over, metres.
-        surface_slow: How much larger the surface's errors count than :data:`fusion.witness.SURFACE_SD` says. An
-            image errs to the same side for as long as a pose lasts.
+        surface_slow: How much larger the surface's errors count than ``fusion.witness.SURFACE_SD`` says:
+            an image errs to the same side for as long as a pose lasts.
         surface_fast: Fast error that the surface of a depth image brings, metres.
         surprise: Probability that a joint moves as the prediction cannot tell.
         sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
         scale_sd: Standard deviation of a view's scale about 1; of the body's tracker, see :meth:`of`.
         scale_seconds: How long a scale lasts.
         bone_sd: Standard deviation of one bone's relative length within a view.
-        spread: Factor of all reported standard deviations; found so that some 70 % of joints lie within one of
-            the truth; of the body's tracker.
+        spread: Factor of all reported standard deviations; found so that some 70 % of joints lie within one
+            of the truth; of the body's tracker.
         bones: Whether the bones are held. An ablation only: S* always has its bones.
     """
 

@@ -35,8 +35,9 @@ class Accuracy:
         swapped: Share of frames whose limbs fit the truth better with left and right exchanged.
         lag: Frames by which the joints' mean speed trails the true one: where they correlate most. NaN
             where that is less than 0.5, or at the end of the ±10 frames that are searched.
-        within_1sd, within_2sd: Share of joints within one and two standard deviations of the truth, as the method
-            states them: 0.608 and 0.993 for Gaussian errors, alike in all directions. NaN where it states none.
+        within_1sd, within_2sd: Share of joints within one and two standard deviations of the truth, as
+            the method states them: 0.608 and 0.993 for Gaussian errors, alike in all directions. NaN where
+            it states none.
     """
 
     mpjpe: float

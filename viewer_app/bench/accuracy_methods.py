@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +93,8 @@ class Found:
     Attributes:
         joints: (T, J, 3) metres, in K_A's frame; NaN where it has none.
         each_us: Microseconds per frame.
-        sd: (T, J) metres, one standard deviation of a joint's distance to the truth that it states; None without.
+        sd: (T, J) metres, one standard deviation of a joint's distance to the truth, as it states it; None
+            without.
     """
 
     joints: Array
@@ -117,7 +118,7 @@ class Method:
 
 
 def fused(
-    settings: FuserSettings, codes: tuple[int, int] | None = None, **constants: float
+    settings: FuserSettings, codes: tuple[int, int] | None = None, **constants: Any
 ) -> Callable[[RecordedPair], Found]:
     """Our program with these settings, pair by pair.
 
