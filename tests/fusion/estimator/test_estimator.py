@@ -230,7 +230,8 @@ def test_the_reported_deviation_holds_the_truth() -> None:
             replace(p, a=changed(p.a, lambda at: at + bias[0]), b=changed(p.b, lambda at: at + bias[1]))  # noqa: B023
             for p in recording(truth, 0.003, seed)
         ]
-        frames = fused(pairs)[40:]
+        found = Fuser(FusionSetup(calibration_of(body)), k._replace(spread=1.0))
+        frames = found.fuse_sequence(pairs, np.zeros((len(pairs), 2)))[40:]
         sigma = np.array([frame.sigma for frame in frames])
         inside.append([np.mean(apart(positions(frames), truth[40:]) < n * sigma) for n in (1, 2)])
     one, two = np.mean(inside, axis=0)

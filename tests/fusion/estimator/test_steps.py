@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.estimator import measurement, motion, offsets, robust, smoother, uncertainty, update, views
 from fusion.estimator.arrays import Model, Solve, State, Views, new_model, new_solve, new_state, new_views
-from fusion.estimator.constants import KINDS, kind_of
+from fusion.estimator.constants import KINDS, Constants, kind_of
 from fusion.estimator.limits import respect_hinges
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, standing
@@ -248,7 +248,8 @@ def test_a_joint_begins_at_the_mean_by_information(scene: Scene) -> None:
 
 
 def test_a_skeleton_that_is_too_large_is_brought_to_its_size(scene: Scene) -> None:
-    model, state, seen = scene.model, scene.state, scene.views
+    state, seen = scene.state, scene.views
+    model = scene.model._replace(constants=Constants.of(AZURE_KINECT))
     truth, root = standing(BODY), BODY.root
     seen.states[:] = 2
     for _ in range(15):
