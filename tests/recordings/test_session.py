@@ -170,7 +170,7 @@ def test_files_that_are_no_sessions_are_named_in_one_line(tmp_path: Path) -> Non
     for name, words in (
         ("missing.rrd", "No session"),
         ("text.rrd", "does not begin like an .rrd"),
-        ("empty.rrd", "no session"),
+        ("empty.rrd", "not a session"),
         ("other.rrd", "not a session of duplex-kinects"),
         (".", "is a folder"),
     ):
