@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from recordings.errors import RecordingError
     from recordings.events import Event
-    from recordings.fusing import fuse
-    from recordings.live_fusing import fuse_live
+    from recordings.fusing.live import fuse_live
+    from recordings.fusing.recorded import fuse
     from recordings.session import Session
     from recordings.session_arrays import RecordedFrame, SessionArrays
     from recordings.session_series import QualitySeries, SkeletonSeries
@@ -28,8 +28,8 @@ __all__ = [
 
 _HOMES = {
     "RecordingError": "recordings.errors",
-    "fuse": "recordings.fusing",
-    "fuse_live": "recordings.live_fusing",
+    "fuse": "recordings.fusing.recorded",
+    "fuse_live": "recordings.fusing.live",
     "Event": "recordings.events",
     "Session": "recordings.session",
     "RecordedFrame": "recordings.session_arrays",

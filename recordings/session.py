@@ -13,6 +13,8 @@ True
 
 All values are in SI units and in K_A's frame, except the data of a sensor, which is in the sensor's own
 frame.
+
+A little over 300 lines: the public face of a session.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""The frames of a session stacked into arrays, used for writing, reading and reporting."""
+"""The frames of a session stacked into arrays, used for writing, reading and reporting.
+
+A little over 300 lines: the table of all figures of a frame.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Runs a sensor on its own thread: keeps the newest frames, reopens lost sensors, closes in bounded time."""
+"""Runs a sensor on its own thread: keeps the newest frames, reopens lost sensors, closes in bounded time.
+
+A little over 300 lines: one state machine.
+"""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fusion.compiling.kernels import inner_kernel
-from fusion.estimator.robust import innovation
+from fusion.estimator.measuring.robust import innovation
 from fusion.estimator.three import add_inverse, inverse
 
 

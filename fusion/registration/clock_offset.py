@@ -4,6 +4,8 @@ If B captures τ later than A, a joint that moves with velocity v is v τ farthe
 p − (R q + t) = −v τ + bias. The bias of a joint is constant for about a second, so residual and velocity are
 taken relative to their means over that second. τ follows by robust regression over many seconds. The points
 used are those that an exchange of left and right does not move.
+
+A little over 300 lines: the regression serves recordings and live streams.
 """
 
 from __future__ import annotations

@@ -9,6 +9,8 @@ with an error that is the same in every frame of a view. Without β, ten thousan
 count as ten thousand observations and would outweigh a better pose that was held for two seconds.
 
 The fit is Gauss-Newton on (θ, dt) with iterated weights; β is eliminated joint by joint.
+
+A little over 300 lines: the normal equations and their weights are one derivation.
 """
 
 from __future__ import annotations

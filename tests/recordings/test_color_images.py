@@ -17,7 +17,7 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from recordings import layout
-from recordings.fusing import fuse_one
+from recordings.fusing.recorded import fuse_one
 from recordings.images.color_images import read_color
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs

@@ -25,8 +25,8 @@ from fusion.fuser import Fuser
 from fusion.recording import plan_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
-from recordings.fusing import fuse_segments, setups_of
-from recordings.live_fusing import LiveFusion
+from recordings.fusing.live import LiveFusion
+from recordings.fusing.recorded import fuse_segments, setups_of
 
 Array = NDArray[np.float64]
 Kind = Literal["view", "baseline", "bound", "method", "ablation"]

@@ -22,7 +22,7 @@ from fusion.evaluation.without_truth import FusedPair, figures_without_truth, ju
 from fusion.recording import plan_recording
 from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
-from recordings.fusing import fuse_segments, setups_of
+from recordings.fusing.recorded import fuse_segments, setups_of
 from viewer_app.bench.real_tables import real_tables
 from viewer_app.errors import UsageError
 from viewer_app.options import BenchRealOptions

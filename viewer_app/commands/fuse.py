@@ -27,7 +27,7 @@ from fusion.skeleton import SkeletonPair
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.calibration_file import calibration_to_json, read_calibration
-from recordings.fusing import fuse_one, fuse_segments, fused_session, setups_of
+from recordings.fusing.recorded import fuse_one, fuse_segments, fused_session, setups_of
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.session_writer import write_session
 from viewer_app.coach.advice import placement, verdict

@@ -14,8 +14,8 @@ from rich.progress import track
 from fusion.recording import plan_recording
 from fusion.setup import FusionSetup
 from recordings.events import Event
-from recordings.exchanged_sides import exchange_events
-from recordings.fusing import fuse_segments, setups_of
+from recordings.fusing.exchanged_sides import exchange_events
+from recordings.fusing.recorded import fuse_segments, setups_of
 from recordings.images.session_images import NO_IMAGES
 from recordings.session import Session
 from recordings.writing.checksums import fused_checksums, joint_digests

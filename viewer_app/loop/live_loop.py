@@ -16,7 +16,7 @@ from devices.image_thinning import Depth, with_depth, without_images
 from devices.live.sensor_pair import TwoSensors
 from fusion.calibration.calibrator import Calibrator
 from fusion.setup import FusionSetup
-from recordings.live_fusing import LiveFusion
+from recordings.fusing.live import LiveFusion
 from recordings.session_arrays import RecordedFrame
 from viewer_app.sinks.sink import Sink
 

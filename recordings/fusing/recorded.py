@@ -20,7 +20,7 @@ from fusion.intrinsics import Intrinsics
 from fusion.recording import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings, FusionSetup, Hindsight
 from recordings.events import Event
-from recordings.exchanged_sides import exchange_events
+from recordings.fusing.exchanged_sides import exchange_events
 from recordings.images.session_images import RecordingImages
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame

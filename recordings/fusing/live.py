@@ -13,8 +13,8 @@ from fusion.calibration.calibrator import Calibrator
 from fusion.calibration.learner import CalibrationChange, CalibrationLearner
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.exchanged_sides import ExchangedSides, Told
-from recordings.fusing import fuse_one
+from recordings.fusing.exchanged_sides import ExchangedSides, Told
+from recordings.fusing.recorded import fuse_one
 from recordings.session_arrays import RecordedFrame
 
 

@@ -1,0 +1,1 @@
+"""Fusion of recordings and of live sensors into frames that a session records."""
