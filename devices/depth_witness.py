@@ -1,7 +1,7 @@
-"""What a depth image says about each joint of its own sensor's skeleton: a few numbers in place of an image.
+"""Measures the depth image around each joint of the same sensor's skeleton: a few numbers per joint.
 
-A body tracker places joints by what it has learned; the image shows whether a surface is there. The numbers
-are recorded with a session, so that a replay needs no images. :mod:`fusion.witness` says what they mean.
+A body tracker places joints by a learned model; the depth image shows whether a surface is there. The numbers
+are recorded with the session, so that a replay needs no images. See :mod:`fusion.witness` for their meaning.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ def depth_witness(
     pinhole = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
     positions = np.ascontiguousarray(skeleton.positions, dtype=np.float32)
     _measure(np.ascontiguousarray(depth), pinhole, lens, positions, found)
-    return found.astype(np.float16).astype(np.float32)  # as a session keeps it: a replay has the same numbers
+    return found.astype(np.float16).astype(np.float32)  # precision of a session, for replays
 
 
 def with_witness(frame: SensorFrame, intrinsics: Intrinsics) -> SensorFrame:
-    """The frame with what its depth image says in each skeleton that does not have it yet.
+    """Returns the frame with depth evidence in each skeleton that lacks it.
 
     Args:
-        frame: Without an image of this camera it is given back as it is.
-        intrinsics: Of the depth camera.
+        frame: The frame; returned unchanged if it has no image of this camera.
+        intrinsics: Intrinsics of the depth camera.
     """
     depth = frame.depth
     if depth is None or depth.shape != (intrinsics.height, intrinsics.width) or not frame.people:

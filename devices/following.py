@@ -1,4 +1,4 @@
-"""Which of the people in view is the one that is fused."""
+"""Follows the person to fuse among the people in view."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 
 _REACH_M = 0.4  # how far a body's centre may be off from frame to frame: tracker noise and a step
-_SPEED_M_S = 4.0  # a person who runs
-_HOLD_S = 2.0  # how long a person who is out of sight is waited for
+_SPEED_M_S = 4.0  # speed of a running person
+_HOLD_S = 2.0  # how long to wait for a person who is out of sight
 
 
 class PersonChoice:
     """Follows one person of one sensor.
 
-    At the start, the one nearest to the centre of the view. Then the same one, by the tracker's id as long as
-    it stays with the body, and by where the body was when it does not: trackers give a person a new id after
+    The first choice is the person nearest to the centre of the view. The person is then followed by the
+    tracker's id, as long as the id stays with the body, else by the last position of the body: trackers
+    assign a new id
+        after
     an occlusion, and swap the ids of two people who pass each other. A person out of sight is waited for;
-    after two seconds the choice starts anew.
+    after two seconds a new person is chosen.
     """
 
     def __init__(self) -> None:
@@ -45,8 +47,9 @@ class PersonChoice:
         Args:
             people: Skeletons by the tracker's id, in one sensor's frame.
             time_ns: The frame's time, on the sensor's clock.
-            at: (3,) where the other sensor sees the person, metres in this one's frame, if that is known:
-                of several the nearest to it is then the one.
+            at: (3,) position of the person as seen by the other sensor, metres in this sensor's frame; None
+                if
+            unknown. The person nearest to it is chosen.
         """
         centres = {name: seen for name, person in people.items() if (seen := centre(person)) is not None}
         chosen: str | None
@@ -71,15 +74,15 @@ class PersonChoice:
             return None
         nearest = min(near, key=distance.__getitem__)
         own = self._identity
-        # The id decides while its body is where a person can have gone, unless another body stands where they
-        # stood and its own has jumped: then the ids were swapped.
+        # The id decides if its body is within reach of the last position. If its body has jumped and
+        # another body is at the last position, the ids were swapped.
         if own in near and (distance[own] <= _REACH_M or distance[nearest] > _REACH_M / 2):
             return own
         return nearest
 
 
 class PersonOfPair:
-    """Follows one person of two sensors: in both views the same, once it is known where the sensors stand."""
+    """Follows one person in two views; the same person in both, once the sensors' placement is known."""
 
     def __init__(self) -> None:
         self._a, self._b = PersonChoice(), PersonChoice()
@@ -91,8 +94,8 @@ class PersonOfPair:
             pair: The next one, with or without a person.
             b_from_a: B's frame ← A's, once a calibration is settled.
         """
-        seen_a, at = _chosen(self._a, pair.a)
-        in_b = None if b_from_a is None or at is None else b_from_a.apply(at)
+        seen_a, position = _chosen(self._a, pair.a)
+        in_b = None if b_from_a is None or position is None else b_from_a.apply(position)
         seen_b, _ = _chosen(self._b, pair.b, in_b)
         return replace(pair, skeletons=replace(pair.skeletons, a=seen_a, b=seen_b))
 

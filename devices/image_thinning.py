@@ -1,4 +1,4 @@
-"""The images of a pair: whether there are some, the pair without them, and how much of its depth is kept."""
+"""Removes or thins the images of a pair."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def has_images(pair: FramePair) -> bool:
 
 
 def without_images(pair: FramePair, of: str = "ab") -> FramePair:
-    """The pair with skeletons only, or with the images of one sensor only: the other than `of`."""
+    """The pair without images, or without the images of the sensors in `of`."""
 
     def bare(frame: SensorFrame | None, side: str) -> SensorFrame | None:
         return frame if frame is None or side not in of else replace(frame, depth=None, color=None)
@@ -31,7 +31,7 @@ def without_images(pair: FramePair, of: str = "ab") -> FramePair:
 
 
 def with_depth(pair: FramePair, depth: Depth) -> FramePair:
-    """The pair with so much of its depth images; they are views of the sensor's, not copies."""
+    """The pair with thinned depth images, which are views of the originals, not copies."""
 
     def of(frame: SensorFrame | None) -> SensorFrame | None:
         if frame is None or frame.depth is None:
@@ -42,14 +42,14 @@ def with_depth(pair: FramePair, depth: Depth) -> FramePair:
 
 
 def thinned(image: NDArray[np.uint16], depth: Depth) -> NDArray[np.uint16]:
-    """An image as it is kept. Pixels are left out, not averaged: a mean over an edge lies nowhere."""
+    """A thinned image. Pixels are dropped, not averaged: a mean across an edge lies on no surface."""
     return image[::2, ::2] if depth == "half" else image
 
 
 def thinned_camera(camera: Intrinsics, depth: Depth) -> Intrinsics:
     """The camera of :func:`thinned` images: its pixel (u, v) is (2u, 2v) of the whole image.
 
-    Trust compares distances within an image, so that S* is the same bit for bit with either.
+    Trust compares distances within an image, so S* is bit-identical with either image.
     """
     if depth != "half":
         return camera

@@ -1,4 +1,4 @@
-"""Two recorded streams made one stream of pairs, by capture time."""
+"""Pairs two recorded streams by capture time."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from devices.sensor import DeviceError, SensorFrame
 from fusion.skeleton import Skeleton, SkeletonPair
 
 _GAP = 1.5
-"""Frame intervals: a frame whose nearest in the other recording is farther has fallen into a gap of it."""
+"""Frame intervals: if the nearest frame of the other recording is farther away, the other recording has a
+gap."""
 
 
 @dataclass(frozen=True, eq=False)
 class FramePair:
-    """What both sensors captured at one moment, and the one person in it who is fused.
+    """The frames of both sensors at one moment, and the person to fuse.
 
     Attributes:
         a, b: The frames; None where a sensor has none for this moment.
@@ -54,7 +55,7 @@ class FramePair:
 
     @property
     def skew_ns(self) -> int:
-        """Capture time of B less that of A; 0 without both."""
+        """Capture time of B minus capture time of A; 0 unless both exist."""
         return self.skeletons.skew_ns
 
 

@@ -1,4 +1,4 @@
-"""Which person of a recording is meant."""
+"""Chooses the person of a recording."""
 
 from __future__ import annotations
 
@@ -36,9 +36,10 @@ def choose_person(frames: Sequence[SensorFrame], wanted: str | None, source: str
 
 
 def with_successors(frames: Sequence[SensorFrame], person: str) -> tuple[list[SensorFrame], tuple[str, ...]]:
-    """The frames with those who are seen only while the person is not under that person's id.
+    """Merges ids: people seen only while the followed person is absent get that person's id.
 
-    A tracker gives whoever comes back a new id; and after the first person has gone, the next one is meant.
+    A tracker assigns a new id to a person who returns. After the first person has left, the next one is
+    followed.
 
     Args:
         frames: All frames of a recording.

@@ -16,11 +16,11 @@ from fusion.skeleton import Skeleton
 
 
 class DeviceError(Exception):
-    """A source that cannot give frames: what happened, the value, the way out."""
+    """A source cannot give frames. The message states what happened, the value and the way out."""
 
 
 class AbsentError(DeviceError):
-    """The source is not connected. Asking again costs nothing, so it may be asked often."""
+    """The source is not connected. Checking again is cheap, so it may be done often."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class ColorImage:
 
 @dataclass(frozen=True, eq=False)
 class SensorFrame:
-    """Everything one sensor says about one moment.
+    """All data of one sensor at one moment.
 
     Attributes:
         time_ns: Capture time on the sensor's own clock.
@@ -65,8 +65,9 @@ class SensorFrame:
         depth: (height, width) uint16 millimetres, 0 where there is no reading; None without a depth image.
         color: The colour image; None without one.
         ir: (height, width) uint16 active infrared, of the depth camera; None without one.
-        host_ns: When the images reached this machine, on ``time.perf_counter_ns``, before any body
-            tracking: what relates two sensors' clocks. None for a recording.
+        host_ns: Arrival time of the images on this machine, on ``time.perf_counter_ns``, before body
+            tracking. It
+        relates the clocks of two sensors. None for a recording.
     """
 
     time_ns: int
@@ -82,22 +83,23 @@ class Sensor(Protocol):
 
     @property
     def name(self) -> str:
-        """What to call it in messages: a serial number, a file name."""
+        """Name for messages: a serial number or a file name."""
         ...
 
     @property
     def body(self) -> Body:
-        """The body its tracker reports; known once it is open."""
+        """The body that its tracker reports; available once the sensor is open."""
         ...
 
     @property
     def intrinsics(self) -> Intrinsics | None:
-        """Of its depth camera; None where the source does not say."""
+        """Intrinsics of its depth camera; None if unknown."""
         ...
 
     @property
     def warnings(self) -> Sequence[str]:
-        """What is wrong so far although frames came: cut off, damaged, not closed cleanly. A line each."""
+        """Problems so far that did not stop the frames, one line each: cut off, damaged, not closed
+        cleanly."""
         ...
 
     def __enter__(self) -> Sensor:
@@ -109,7 +111,7 @@ class Sensor(Protocol):
         ...
 
     def __exit__(self, *exc_info: object) -> None:
-        """Closes the source, on every path; closing twice is harmless."""
+        """Closes the source on every path. Closing twice has no effect."""
         ...
 
     def frames(self) -> Iterator[SensorFrame]:
@@ -123,28 +125,28 @@ class Sensor(Protocol):
 
 @runtime_checkable
 class CountsMissed(Protocol):
-    """A sensor that knows how many of its frames never reached us."""
+    """A sensor that counts its frames that never arrived."""
 
     @property
     def missed(self) -> int:
-        """How many it captured between frames that came, since the program began."""
+        """Number of captured frames that never arrived, since the program started."""
         ...
 
 
 @runtime_checkable
 class Interruptible(Protocol):
-    """A sensor that may wait long between frames, and can be asked to stop waiting."""
+    """A sensor that may block between frames and can be interrupted."""
 
     def interrupt(self) -> None:
-        """Makes ``frames`` end soon, within a second. Called from another thread; opening undoes it."""
+        """Makes ``frames`` end within a second. Called from another thread; opening resets it."""
         ...
 
 
 @runtime_checkable
 class NamesItsWait(Protocol):
-    """A sensor whose opening, first frame or closing may take minutes, and that can say why."""
+    """A sensor whose opening, first frame or closing may take minutes, and that reports the reason."""
 
     @property
     def waits_for(self) -> str:
-        """What it waits for now, as in "its body tracker, which loads its network"; empty for nothing."""
+        """What it is waiting for, such as "its body tracker, which loads its network"; else empty."""
         ...

@@ -1,4 +1,4 @@
-"""A recording's path → a sensor: by the file name's ending."""
+"""Creates the sensor for a recording's path, by the file's suffix."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FOLLOWED = "followed"
 def open_source(
     path: Path, skeletons: Path | None = None, tracker: TrackerSettings | None = None, option: str = ""
 ) -> Sensor:
-    """The sensor that a recording is; nothing is opened yet.
+    """Creates the sensor for a recording; opens nothing.
 
     An ``.mkv`` holds images, so its people come from the body tracker, or from skeletons saved before.
 
@@ -64,7 +64,8 @@ def without_images(source: Sensor) -> Iterator[SensorFrame]:
 
 
 def one_person(frames: Iterable[SensorFrame]) -> Iterator[SensorFrame]:
-    """The frames with only the person who is followed from the start, under one id whatever the tracker's."""
+    """The frames with only the person followed from the start, under one id regardless of the tracker's
+    ids."""
     choice = PersonChoice()
     for frame in frames:
         person = choice.choose(frame.people, frame.time_ns)
@@ -80,7 +81,7 @@ class _NeedsTracker(TrackedRecording):
 
     def __enter__(self) -> TrackedRecording:
         with self.recording:
-            pass  # what is wrong with the file itself is said first
+            pass  # report problems of the file itself first
         try:
             return super().__enter__()
         except DeviceError as fault:

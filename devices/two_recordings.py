@@ -1,4 +1,4 @@
-"""Two recordings read, their people chosen, their frames paired."""
+"""Reads two recordings, chooses the person in each, and pairs the frames."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fusion.body import Body
 from fusion.intrinsics import Intrinsics
 
 Progress = Callable[[Iterable[SensorFrame], str, int | None], Iterable[SensorFrame]]
-"""Shows how far reading is: takes frames, what is done with them, and how many there are if that is known."""
+"""Shows progress: takes frames, a description of the work, and the number of frames if known."""
 
 _CLOCKS_AGREE_NS = 1_000_000
 """Synchronised captures lie this near to their delay: the sensors' own timing is within 0.1 ms."""
@@ -35,7 +35,7 @@ def quietly(frames: Iterable[SensorFrame], what: str, total: int | None) -> Iter
 
 @dataclass(frozen=True, eq=False)
 class TwoRecordings:
-    """What two recordings hold, without their images.
+    """The content of two recordings without their images.
 
     Attributes:
         body: Of both.
@@ -142,13 +142,14 @@ def read_two(
 
 
 def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePair]) -> list[str]:
-    """What is doubtful about the two clocks; nothing for recordings that do not say how they were made.
+    """Warnings about the two clocks; none for recordings without information about their origin.
 
     On a sync cable the master's first pulse starts the subordinate's clock at the master's time, and device
     times (start offset + time in the file) are of one clock, on which B lags A by the delay set: pairs are
     then right as they are, and their skew is that delay. Firmware 1.6.107 and later may not restart the
-    clock: then it is a constant off, which shows in the skew, but not by how many whole frames. So that is
-    said, not mended. Without a cable each clock starts when its sensor does.
+    clock: it then has a constant offset. The skew shows that there is one, but not by how many whole frames,
+        so the
+    function warns and corrects nothing. Without a cable each clock starts with its sensor.
     """
     if a is None or b is None:
         return []

@@ -1,4 +1,4 @@
-"""The method: two skeletons in, one out. Numbers only; it knows neither files nor devices."""
+"""The method: two skeletons in, one out. It knows neither files nor devices."""
 
 from __future__ import annotations
 
@@ -66,16 +66,16 @@ _HOMES = {
     "SkeletonPair": "fusion.skeleton",
     "TrackingState": "fusion.skeleton",
 }
-"""By name, the module that has it. It is imported when the name is asked for: numba alone takes a second."""
+"""The module of each public name. It is imported on first use, because numba alone takes a second."""
 
 
 def __getattr__(name: str) -> Any:
-    """One of the names of ``__all__``."""
+    """Imports one of the names of ``__all__``."""
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    """What there is to find."""
+    """The public names."""
     return sorted([*globals(), *__all__])

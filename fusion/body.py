@@ -1,7 +1,7 @@
 """Which joints a body tracker reports, and the tree of bones between them.
 
-A bone is named after the limb it is and belongs to the joint at its far end, so every joint but the
-root has exactly one. Left and right are the person's own.
+A bone belongs to the joint at its far end, so that every joint but the root has exactly one. Left and right
+are the person's own.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ class Body:
     Attributes:
         name: The tracker's family: ``kinect_v1``, ``kinect_v2`` or ``azure_kinect``.
         joints: J joint names in the tracker's own order and spelling.
-        parents: (J,) index of each joint's parent; the root has -1. A parent may stand after its child.
+        parents: (J,) index of each joint's parent; the root has -1. A parent may follow its child.
         bones: (J,) name of the bone that ends in the joint; empty for the root.
         torso: Joints of the main body, whose centre carries t from frame to frame (sec. 4).
         rest: (J, 3) unit direction parent → joint at rest, facing the sensor; zero for the root.
-        nominal_lengths: (J,) metres, of an adult 1.75 m tall; zero for the root. For bones no one has seen.
+        nominal_lengths: (J,) metres, of an adult 1.75 m tall; zero for the root. For bones that were never
+            seen.
     """
 
     name: str
@@ -63,7 +64,7 @@ class Body:
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
-        """(J,) joints sorted so that every parent stands before its children."""
+        """(J,) joints sorted so that every parent precedes its children."""
         order = [self.root]
         for joint in order:
             order.extend(child for child, parent in enumerate(self.parents) if parent == joint)
@@ -271,13 +272,13 @@ BODIES = {body.name: body for body in (KINECT_V1, KINECT_V2, AZURE_KINECT)}
 
 
 def body_of(joint_names: set[str]) -> Body:
-    """The body whose joints these are.
+    """Finds the body that has these joints.
 
     Args:
-        joint_names: Names as a recording spells them; a recording may lack some joints of its body.
+        joint_names: Names as spelled in the recording; some joints of the body may be missing.
 
     Raises:
-        FusionError: No body has all of these joints; the message names the strangers.
+        FusionError: No body has all of these joints; the message lists the unknown names.
     """
     fitting = [b for b in BODIES.values() if all(b.find(name) is not None for name in joint_names)]
     if fitting:

@@ -2,7 +2,7 @@
 
 
 class FusionError(Exception):
-    """What the method cannot do, with the value that stopped it and the way out."""
+    """The method cannot process its input. The message states the value and a remedy."""
 
 
 class CalibrationError(FusionError):

@@ -1,4 +1,4 @@
-"""What the method makes of one pair: S*, and why it is so."""
+"""The result of one pair: S* with weights, states and uncertainty."""
 
 from __future__ import annotations
 
@@ -12,22 +12,21 @@ from fusion.rigid import RigidTransform
 
 @dataclass(frozen=True, eq=False)
 class FusedFrame:
-    """S* of one pair, and why it is so.
+    """S* of one pair, with the figures that explain it.
 
     Attributes:
         positions: (J, 3) metres, in K_A's frame; NaN throughout where neither sensor sees a person.
-        predicted: (J,) whether a joint has no data and hangs on its bones and the frames before.
+        predicted: (J,) whether a joint has no data and follows from its bones and earlier frames.
         weights_a, weights_b: (J,) each view's share in a joint; both 0 where predicted. With the paper's
-        method
-            these are w^A and w^B of eq. (11), else shares of the information.
+            methods these are w^A and w^B of eq. (11), else shares of the information.
         misleading: (J,) the mis-leading joint m of sec. 3; -1 where there is none.
-        a_from_b: R and t that S_B was carried with.
-        iterations: Steps the solver took.
+        a_from_b: R and t by which S_B was transformed.
+        iterations: Iterations of the solver.
         stale_a, stale_b: Whether the sensor's skeleton repeats its last one.
         time_ns: The pair's time.
         sigma: (J,) metres, one standard deviation of a joint's distance to the truth: the square root of the
-            covariance's trace. NaN with the paper's method, which knows none.
-        covariance: (J, 3, 3) m², of each joint; NaN likewise.
+            covariance's trace; None with the paper's methods, which know none.
+        covariance: (J, 3, 3) m², of each joint; None likewise.
         exchanged_a, exchanged_b: Which sides of the view were exchanged: bit 0 arms, bit 1 legs, 3 the whole
             body; bit 2 where the trunk does not go with them (:mod:`fusion.facing.model`).
     """
@@ -42,12 +41,12 @@ class FusedFrame:
     stale_a: bool
     stale_b: bool
     time_ns: int
-    sigma: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    sigma: NDArray[np.float64] | None = None
+    covariance: NDArray[np.float64] | None = None
     exchanged_a: int = 0
     exchanged_b: int = 0
 
     @property
     def has_person(self) -> bool:
-        """Whether there is an S* at all."""
+        """Whether there is an S*."""
         return bool(np.isfinite(self.positions[0, 0]))

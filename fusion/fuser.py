@@ -1,4 +1,4 @@
-"""The method, pair by pair or a whole recording at once: S_A and S_B in, S* out."""
+"""Fuses S_A and S_B to S*, pair by pair or a whole recording at once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fusion.skeleton import Skeleton, SkeletonPair
 
 
 class Fuser:
-    """Makes one skeleton of two, pair by pair.
+    """Fuses two skeletons to one, pair by pair.
 
     The steps of a frame are those of ``docs/method.md``, compiled in :mod:`fusion.estimator.estimator` and
     :mod:`fusion.methods.paper`.
@@ -41,10 +41,10 @@ class Fuser:
             self._fusion = PaperFusion(setup)
 
     def warm_up(self, meanwhile: Callable[[], object] = lambda: None) -> None:
-        """Compiles everything that :meth:`update` runs, without touching what this fuser remembers.
+        """Compiles everything that :meth:`update` runs; the state of this fuser does not change.
 
         Args:
-            meanwhile: What else there is to compile: on a first run another process is at work too.
+            meanwhile: Called while another process compiles, on a first run; for further compilation.
         """
         other = Fuser(self.setup)
         if self.setup.settings.method == "published":
@@ -56,7 +56,7 @@ class Fuser:
         other.update(SkeletonPair(None, None, 0))
 
     def recalibrate(self, setup: FusionSetup) -> None:
-        """Goes on with another calibration; what is known of the person stays.
+        """Continues with another calibration and keeps the state of the person.
 
         Args:
             setup: With the body and the settings of this fuser.
@@ -104,13 +104,13 @@ class Fuser:
     def smooth_sequence(
         self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None
     ) -> list[FusedFrame]:
-        """Fuses a whole recording with what comes before and after each pair: no lag, and calmer.
+        """Fuses a whole recording, using the pairs before and after each pair: smoother, without lag.
 
         Args:
             pairs, codes: As in :meth:`fuse_sequence`.
 
         Raises:
-            FusionError: The method is one of the paper's, which know no time.
+            FusionError: The method is one of the paper's, which treat each frame on its own.
         """
         if not isinstance(self._fusion, DuplexFusion):
             raise FusionError(

@@ -1,4 +1,4 @@
-"""A sensor's viewing plane: where a point of its frame falls in its image."""
+"""A sensor's viewing plane: projection of points to its image."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Intrinsics:
     distortion: tuple[float, ...] = ()
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
-        """(…, 2) pixels where (…, 3) points of the sensor's frame fall; NaN behind the sensor.
+        """Projects (…, 3) points of the sensor's frame to (…, 2) pixels; NaN behind the sensor.
 
-        The lens's distortion is left out: over a person it moves all joints nearly alike, and the
-        method needs only which joints lie near each other.
+        Lens distortion is ignored: it moves all joints of a person nearly alike, and the method needs only
+        the distances between joints.
         """
         at = np.asarray(points, dtype=np.float64)
         depth = np.where(at[..., 2] > 0.0, at[..., 2], np.nan)
@@ -45,6 +45,7 @@ NOMINAL_INTRINSICS = {
     "kinect_v2": Intrinsics(512, 424, 365.5, 365.5, 255.5, 211.5),
     "azure_kinect": Intrinsics(640, 576, 504.0, 504.0, 319.5, 287.5),
 }
-"""The depth camera of each sensor family, by body name, for recordings that carry no intrinsics: the
-focal length the makers' software takes (v1), the mean of published calibrations (v2), that of the
-NFOV_UNBINNED mode (Azure), with the principal point in the middle."""
+"""The depth camera of each sensor family, by body name, for recordings without intrinsics.
+
+Focal lengths: that of the maker's software (v1), the mean of published calibrations (v2), that of the
+NFOV_UNBINNED mode (Azure). The principal point is in the middle."""

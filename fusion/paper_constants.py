@@ -1,4 +1,4 @@
 """Numbers that the paper names."""
 
 PAPER_H = 0.786
-"""Sec. 3: how much more a tracked joint counts than an inferred one."""
+"""h of sec. 3: weight of a tracked joint relative to an inferred one."""

@@ -12,7 +12,7 @@ from fusion.errors import FusionError
 
 @dataclass(frozen=True, eq=False)
 class RigidTransform:
-    """Takes points from a source frame to a target frame: q' = R q + t.
+    """Transforms points from a source frame to a target frame: q' = R q + t.
 
     Name an instance ``target_from_source``; adjacent names cancel: ``a_from_b.apply(points_b)``.
 
@@ -44,11 +44,11 @@ class RigidTransform:
 
     @staticmethod
     def identity() -> RigidTransform:
-        """The transform that leaves every point where it is."""
+        """The identity transform."""
         return RigidTransform.of(np.eye(3), np.zeros(3))
 
     def apply(self, points: ArrayLike) -> NDArray[np.float64]:
-        """(…, 3) points of the source frame, in the target frame."""
+        """Transforms (…, 3) points of the source frame to the target frame."""
         return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
 
     def inverse(self) -> RigidTransform:

@@ -1,4 +1,4 @@
-"""What a fusion runs with: calibration, the method's settings, and the sensors' depth cameras."""
+"""The inputs of a fusion besides skeletons: calibration, settings and both depth cameras."""
 
 from __future__ import annotations
 
@@ -15,28 +15,35 @@ from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.paper_constants import PAPER_H
 
 Method = Literal["duplex", "paper", "published"]
+Hindsight = Literal["none", "labels", "whole"]
 
 
 @dataclass(frozen=True)
 class FuserSettings:
-    """The choices the method leaves open, with the paper's values where it names one.
+    """Settings of the method. Defaults are the paper's values where it names one.
 
     Attributes:
         method: ``duplex``: an estimator in time (:mod:`fusion.estimator`). ``paper``: eqs. (10)-(13), with
             t in every frame and exact bones. ``published``: eqs. (3)-(9) as well; bones are nearly right.
         h: How much more a tracked joint counts than an inferred one, in (0.5, 1); sec. 3. Not of ``duplex``.
         weights: ``paper`` (eqs. (10), (11)) or ``equal``. Not of ``duplex``.
-        smoothing: How calm S* is, from 0 (each frame by itself) to 1. Of ``duplex`` only.
+        smoothing: Smoothness of S*, from 0 (each frame on its own) to 1. Of ``duplex`` only.
+        hindsight: Use of later frames in a recording. ``none``: as live. ``labels``: for exchanged sides
+            (:func:`fusion.recording.plan_recording`). ``whole``: for everything, by a fixed-interval
+            smoother. Of ``duplex`` only.
     """
 
     method: Method = "duplex"
     h: float = PAPER_H
     weights: Literal["paper", "equal"] = "paper"
     smoothing: float = DEFAULT_SMOOTHING
+    hindsight: Hindsight = "none"
 
     def __post_init__(self) -> None:
         if self.method not in ("duplex", "paper", "published"):
             raise FusionError(f"The method is duplex, paper or published; got {self.method!r}.")
+        if self.hindsight not in ("none", "labels", "whole"):
+            raise FusionError(f"hindsight is none, labels or whole; got {self.hindsight!r}.")
         if not 0.5 < self.h < 1.0:
             raise FusionError(f"h must lie between 0.5 and 1 (sec. 3); got {self.h}.")
         if not 0.0 <= self.smoothing <= 1.0:
@@ -45,11 +52,11 @@ class FuserSettings:
 
 @dataclass(frozen=True, eq=False, init=False)
 class FusionSetup:
-    """What a :class:`fusion.fuser.Fuser` is made from, and what a session, a viewer and a report need of it.
+    """Configures a :class:`fusion.fuser.Fuser`; sessions, viewers and reports share it.
 
     Attributes:
         calibration: R, t and the bone lengths.
-        settings: The method's choices.
+        settings: The method and its parameters.
         intrinsics_a, intrinsics_b: The sensors' depth cameras.
     """
 
@@ -65,11 +72,11 @@ class FusionSetup:
         intrinsics_a: Intrinsics | None = None,
         intrinsics_b: Intrinsics | None = None,
     ) -> None:
-        """Fills in what is not given.
+        """Fills in defaults.
 
         Args:
             calibration: R, t and the bone lengths.
-            settings: The method's choices; the defaults where None.
+            settings: The method and its parameters; the defaults where None.
             intrinsics_a, intrinsics_b: The depth cameras; the sensor family's nominal ones where None.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Where the joints of one person are, how surely, and when."""
+"""One person's joints from one sensor: positions, tracking states and capture time."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from fusion.errors import FusionError
 
 
 class TrackingState(IntEnum):
-    """How a body tracker came to a joint's position."""
+    """Whether a body tracker sees a joint."""
 
     NOT_TRACKED = 0
     """No position."""
     INFERRED = 1
-    """The joint is hidden; its position is the tracker's guess."""
+    """The joint is hidden; the tracker infers its position."""
     TRACKED = 2
-    """The joint is seen. It can be in the wrong place all the same (sec. 3)."""
+    """The joint is seen. Its position can still be wrong (sec. 3)."""
 
 
 FARTHEST = 20.0
-"""Metres: no sensor of this kind sees farther; a coordinate beyond is no position."""
+"""Metres: a larger coordinate is beyond the range of these sensors and counts as not tracked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Skeleton:
         positions: (J, 3) float32, metres, in the sensor's frame; NaN where not tracked.
         states: (J,) uint8, a :class:`TrackingState` a joint.
         time_ns: When it was captured, on the sensor's clock.
-        witness: (J, 4) float32, what the depth image says about each joint, see :mod:`fusion.witness`; None
+        witness: (J, 4) float32, evidence of the depth image on each joint, see :mod:`fusion.witness`; None
             without an image.
     """
 
@@ -48,11 +48,11 @@ class Skeleton:
 
     @staticmethod
     def of(body: Body, positions: ArrayLike, states: ArrayLike | None = None, time_ns: int = 0) -> Skeleton:
-        """A skeleton from what a tracker reported, checked once: here.
+        """Makes a skeleton from a tracker's report and checks it.
 
         A joint with a coordinate that is NaN, infinite or farther than any sensor sees, or that lies behind
-        the sensor (z ≤ 0), is not tracked, whatever its state says; a joint that is not tracked has no
-        position, whatever its coordinates say.
+        the sensor (z ≤ 0), counts as not tracked, whatever its state. A joint that is not tracked has no
+        position, whatever its coordinates.
 
         Args:
             body: Which joints these are.
@@ -63,7 +63,7 @@ class Skeleton:
         Raises:
             FusionError: A shape does not fit the body, or a state is none of 0, 1, 2.
         """
-        with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, and is no position
+        with np.errstate(over="ignore"):  # values beyond float32 become infinite and count as not tracked
             at = np.array(positions, dtype=np.float32)
         if at.shape != (len(body), 3):
             raise FusionError(f"{body.name} has {len(body)} joints; positions have shape {at.shape}.")
@@ -71,7 +71,7 @@ class Skeleton:
             state = np.full(len(body), TrackingState.TRACKED, dtype=np.uint8)
         else:
             given = np.asarray(states)
-            # not np.isin, which takes longer than all the rest here
+            # np.isin would take longer than the rest of this function
             if given.shape != (len(body),) or not ((given == 0) | (given == 1) | (given == 2)).all():
                 raise FusionError(
                     f"Tracking states must be {len(body)} values of 0, 1 or 2; got shape {given.shape}."
@@ -83,7 +83,7 @@ class Skeleton:
         return Skeleton(body, at, state, int(time_ns))
 
     def with_witness(self, witness: NDArray[np.float32] | None) -> Skeleton:
-        """The same skeleton with what a depth image says about it.
+        """The same skeleton with the evidence of a depth image.
 
         Raises:
             FusionError: The witness is not (J, 4).
@@ -115,13 +115,13 @@ class Skeleton:
 
 @dataclass(frozen=True)
 class SkeletonPair:
-    """What the two sensors saw of one person at one time; a sensor that saw no one has None.
+    """Both sensors' skeletons of one person at one time; None for a sensor that sees no person.
 
     Attributes:
         a: S_A, in the principal sensor's frame.
         b: S_B, in the secondary sensor's frame.
         time_ns: The pair's own time, on the principal sensor's clock.
-        skew_ns: Capture time of B less that of A, both on the principal sensor's clock; 0 without both.
+        skew_ns: Capture time of B minus that of A, both on the principal sensor's clock; 0 without both.
     """
 
     a: Skeleton | None

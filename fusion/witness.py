@@ -1,25 +1,26 @@
-"""What a depth image says about a skeleton of its own sensor: which joints are not there, and where they are.
+"""Evidence of a depth image on a skeleton of its own sensor.
 
 A witness is (J, 4) float32, metres, in the sensor's frame:
 
 =========  ==========================================================================================
-gap        surface less joint, along the joint's ray; at a joint that is seen: minus its flesh
+gap        surface minus joint, along the joint's ray; at a joint that is seen: minus its flesh
 edge       distance to the silhouette across the ray: positive inside, negative outside, at most REACH
 offset_x   centre of the surface about the joint less the joint, across the ray
 offset_y   likewise, down
 =========  ==========================================================================================
 
-NaN where the image has no reading. Two things follow:
+NaN where the image has no reading. Two results follow:
 
-**Evidence.** Where the image sees past a joint, the free space about it, min(gap, -edge), is a lower bound
-of the joint's error. Where a surface lies well before a joint that is said to be tracked, the joint is hidden
-and its place is a guess. Both are likelihood ratios, not vetoes: thin limbs lie near their silhouette.
+**Evidence.** Where the image sees past a joint, the free space around it, min(gap, -edge), is a lower bound
+of the joint's error. Where a surface lies well in front of a joint that the tracker reports as tracked, the
+joint is hidden and its position inferred. Both are likelihood ratios, not vetoes: thin limbs lie near their
+silhouette.
 
 **A surface measurement.** A limb lies in the middle of its silhouette, and as deep below its surface as the
 flesh is thick. That measures a joint across its bone and along its ray, independently of the tracker.
 
 The tables are fitted on simulated sensors by ``python -m tests.campaigns.fit_witness``. No recording of
-real people with depth images and truth was at hand; so the evidence is limited to LARGEST.
+real people with depth images and truth was available, so the evidence is limited to LARGEST.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ COLUMNS = ("gap", "edge", "offset_x", "offset_y")
 SEEN_PAST = 0.030
 """Metres: a reading that lies farther behind the joint is not of its limb."""
 REACH = 0.120
-"""Metres: as far as the silhouette is searched for."""
+"""Metres: search radius for the silhouette."""
 LARGEST = 3.0
 """Of a log likelihood ratio: a factor of 20."""
 
@@ -79,7 +80,7 @@ EVIDENCE = {
 
 
 class WitnessModel(NamedTuple):
-    """What the tables say about the joints of one body."""
+    """The tables' values for the joints of one body."""
 
     neighbours: NDArray[np.int64]  # (J,) the joint at the other end of the bone that a silhouette shows
     flesh: Array  # (J,) metres, how deep the joint lies below its surface
@@ -107,8 +108,8 @@ def weigh_witness(  # type: ignore[no-untyped-def]
 ):
     """Evidence and surface measurement of every joint of one view.
 
-    Only tracked joints are judged: that an inferred joint is hidden is no news, and its guess is no place to
-    look for a limb.
+    Only tracked joints are judged: an inferred joint is known to be hidden, and its position is too uncertain
+    to look for a limb there.
 
     Args:
         model: Of the body.
@@ -117,7 +118,7 @@ def weigh_witness(  # type: ignore[no-untyped-def]
         states: (J,) tracking states.
         witness: (J, 4) of the sensor's image; NaN where there is none.
         evidence: (J,) written: log likelihood ratio that the joint is no outlier; 0 where nothing is known.
-        places: (J, 3) written: where the surface puts the joint, metres, target frame; NaN where it does not.
+        places: (J, 3) written: position of the joint by its surface, metres, target frame; NaN without one.
         information: (J, 3, 3) written: of that place, 1/m², target frame; 0 where there is none.
     """
     for j in range(len(states)):
@@ -205,7 +206,7 @@ def evidence(witness: NDArray[np.float32], skeleton: Skeleton) -> Array:
 
 
 def surface_measurement(witness: NDArray[np.float32], skeleton: Skeleton) -> tuple[Array, Array]:
-    """Where the surface puts the joints, and how well it knows: (J, 3) metres and (J, 3, 3) 1/m².
+    """Positions by the surface and their information: (J, 3) metres and (J, 3, 3) 1/m².
 
     Both in the sensor's frame; NaN and 0 for joints that the surface does not measure.
     """

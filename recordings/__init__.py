@@ -37,16 +37,17 @@ _HOMES = {
     "QualitySeries": "recordings.session_series",
     "SkeletonSeries": "recordings.session_series",
 }
-"""By name, the module that has it. It is imported when the name is asked for: numba alone takes a second."""
+"""Module of each public name. Modules are imported on first access, because importing numba takes a
+second."""
 
 
 def __getattr__(name: str) -> Any:
-    """One of the names of ``__all__``."""
+    """Imports and returns a name of ``__all__``."""
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    """What there is to find."""
+    """Lists the public names."""
     return sorted([*globals(), *__all__])

@@ -1,4 +1,4 @@
-"""A calibration kept in a file, to be used again while the sensors stay where they are."""
+"""Calibration files, to be reused as long as the sensors do not move."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fusion.errors import FusionError
 from fusion.rigid import RigidTransform
 from recordings.errors import RecordingError
 
-_LONGEST = 1.5  # metres; no one has a longer bone
+_LONGEST = 1.5  # metres; longer than any human bone
 
 
 def calibration_to_json(calibration: Calibration) -> str:
@@ -37,7 +37,7 @@ def read_calibration(path: Path, body: Body) -> Calibration:
     """Reads a calibration for the given body.
 
     Raises:
-        RecordingError: The file is missing, not such a file, or of another body.
+        RecordingError: The file is missing, is not a calibration, or belongs to another body.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -63,5 +63,5 @@ def read_calibration(path: Path, body: Body) -> Calibration:
     except (FusionError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise RecordingError(
-            f"{path} is no calibration ({what}). Make one with --save-calibration."
+            f"{path} is not a calibration ({what}). Make one with --save-calibration."
         ) from None

@@ -2,4 +2,5 @@
 
 
 class RecordingError(Exception):
-    """A session or report that cannot be written or read: what happened, the value, the way out."""
+    """A session or report cannot be written or read. The message names the problem, the value and the
+    remedy."""

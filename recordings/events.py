@@ -1,4 +1,4 @@
-"""What happened in a session, at a moment or over a spell."""
+"""Events of a session: single events, and spells with a start and an end."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 Phase = Literal["moment", "start", "end"]
-"""Of an event: it is over at once, or a spell begins or ends with it."""
+"""Phase of an event: a single event, or the start or end of a spell."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """What happened.
+    """One event.
 
     Attributes:
-        frame: The frame it happened at; the first where it happened before that.
-        time_ns: Since the first pair.
-        text: What.
+        frame: The frame of the event; the first frame for an earlier event.
+        time_ns: Time since the first pair.
+        text: What happened.
         level: INFO, WARN or ERROR.
-        topic: What a spell is about: start and end of one have the same.
-        phase: Whether a spell begins or ends here.
+        topic: The subject of a spell, the same for its start and end.
+        phase: Whether a spell starts or ends here.
     """
 
     frame: int
@@ -33,11 +33,11 @@ class Event:
 
 @dataclass(frozen=True)
 class Spell:
-    """Something that lasted.
+    """A condition that lasted for some time.
 
     Attributes:
-        start: Its first event.
-        end: Its last; None where the session ended before it.
+        start: The event that starts the spell.
+        end: The event that ends it; None if the session ended first.
     """
 
     start: Event
@@ -45,7 +45,8 @@ class Spell:
 
 
 def spells_of(events: Iterable[Event]) -> list[Spell]:
-    """The spells among events in time order, by their start. One that begins anew while it lasts is one."""
+    """The spells of events given in time order, sorted by start. A repeated start does not open a second
+    spell."""
     spells: list[Spell] = []
     lasting: dict[str, int] = {}
     for event in events:

@@ -1,4 +1,4 @@
-"""How a per-frame figure is kept: as an array in memory, as a component in a session's file, in a checksum.
+"""Storage of per-frame figures: array in memory, component in a session's file, part of a checksum.
 
 The figures themselves are the attributes of :class:`recordings.session_arrays.SessionArrays`, one declaration
 each. The writer, the reader and the checksums iterate over these declarations.
@@ -18,32 +18,33 @@ from fusion.body import Body
 from recordings import layout
 
 JOINTS = -1
-"""In a shape: as many as the body has joints."""
+"""Placeholder in a shape for the number of joints."""
 
 Names = Callable[[Body], tuple[str, ...]]
 
 
 @dataclass(frozen=True, eq=False)
 class FrameField:
-    """One figure of a frame.
+    """One per-frame figure.
 
     In memory it is an array of shape (T, *shape). In the file it is a component of an entity, or a field of
     a component that is a struct (``figures.fuse_ms``), or an argument of one of Rerun's archetypes
     (``Points3D:positions``). Figures that name the same component are stored one after the other in it.
 
     Attributes:
-        dtype: In memory.
-        shape: Of one frame; :data:`JOINTS` for the number of joints.
-        entity, component: Where the file has it.
-        stored: Its type in the file.
-        value: Takes it from a :class:`recordings.session_arrays.RecordedFrame`; None where there is none.
-        absent: What stands in memory for a frame without a value.
-        optional: Whether a session may be without it, as all are that were written before it was added.
-            An attribute is then None, and its component is not shared with other figures.
+        dtype: Type in memory.
+        shape: Shape for one frame; :data:`JOINTS` stands for the number of joints.
+        entity, component: Place in the file.
+        stored: Type in the file.
+        value: Returns the value of a :class:`recordings.session_arrays.RecordedFrame`; None if there is none.
+        absent: Value in memory for a frame without a value.
+        optional: Whether a session may lack the figure, as sessions written before it was added do. The
+            attribute is then None. An optional figure does not share its component with other figures.
         step: Values are rounded to multiples of this, which makes a file smaller.
         scale: The stored value is the value in memory times this: 1e3 stores metres as millimetres.
-        names: Names that the values are indices of; the file stores them as a dictionary. -1 stands for the
-            last name where `dtype` is signed.
+        names: Names indexed by the values; the file stores them as a dictionary. If `dtype` is signed, -1
+            means
+        the last name.
     """
 
     dtype: type[np.generic]
@@ -59,19 +60,19 @@ class FrameField:
     names: Names | None = None
 
     def shape_for(self, body: Body) -> tuple[int, ...]:
-        """The shape of one frame of a body."""
+        """The shape for one frame of a body."""
         return tuple(len(body) if size == JOINTS else size for size in self.shape)
 
     def width(self, body: Body) -> int:
-        """How many numbers a frame of a body has."""
+        """The number of values per frame of a body."""
         return int(np.prod(self.shape_for(body), dtype=np.int64))
 
     def nothing(self, body: Body, frames: int) -> NDArray[Any]:
-        """(T, …) where no frame has a value."""
+        """(T, …) of absent values."""
         return np.broadcast_to(np.array(self.absent, self.dtype), (frames, *self.shape_for(body)))
 
     def stacked(self, body: Body, frames: Sequence[Any]) -> NDArray[Any] | None:
-        """(T, …) of the frames' values; None where no frame has one and it is optional."""
+        """(T, …) values of the frames; None if the figure is optional and no frame has a value."""
         values = [self.value(frame) for frame in frames]
         missing = [k for k, value in enumerate(values) if value is None]
         if missing:
@@ -86,7 +87,7 @@ class FrameField:
         return array.astype(self.dtype, copy=False)
 
     def to_file(self, body: Body, values: NDArray[Any]) -> NDArray[Any]:
-        """(T, …) as the file has it."""
+        """(T, …) in the representation of the file."""
         if self.names is not None and np.issubdtype(self.dtype, np.signedinteger):
             values = np.where(values < 0, len(self.names(body)) - 1, values)
         if self.scale is not None:
@@ -94,7 +95,7 @@ class FrameField:
         return values.astype(self.stored, copy=False)
 
     def from_file(self, body: Body, stored: NDArray[Any]) -> NDArray[Any]:
-        """(T, …) in memory, of what a file has; numbers that a damaged file claims may be any."""
+        """(T, …) in memory, converted from the file. The values of a damaged file are arbitrary."""
         values = stored.reshape(len(stored), *self.shape_for(body))
         if self.names is not None and np.issubdtype(self.dtype, np.signedinteger):
             values = np.where(values == len(self.names(body)) - 1, -1, values)
@@ -105,14 +106,14 @@ class FrameField:
         return values.astype(self.dtype, copy=False)
 
     def in_arrow(self, body: Body, values: NDArray[Any]) -> pa.Array:
-        """The numbers of :meth:`to_file`, one after the other, as Arrow has them."""
+        """The values of :meth:`to_file` as a flat Arrow array."""
         flat = pa.array(np.ascontiguousarray(values).ravel())
         if self.names is None:
             return flat
         return pa.DictionaryArray.from_arrays(flat, _dictionary(self.names(body)))
 
     def checked(self, body: Body, values: NDArray[Any]) -> NDArray[Any]:
-        """(T, …) as a checksum covers it: real numbers as stored, whole ones as in memory."""
+        """(T, …) as covered by a checksum: real numbers as stored, integers as in memory."""
         if np.issubdtype(self.dtype, np.floating):
             return self.to_file(body, values)
         return values.astype(np.uint8) if self.dtype is np.bool_ else values
@@ -127,19 +128,19 @@ def per_frame(
     value: Callable[[Any], Any],
     **more: Any,
 ) -> Any:
-    """Declares an attribute of a dataclass as a :class:`FrameField`, whose arguments it takes."""
+    """Declares an attribute of a dataclass as a :class:`FrameField`; same arguments."""
     spec = FrameField(dtype, shape, entity, component, stored, value, **more)
     metadata = {"frame_field": spec}
     return field(default=None, metadata=metadata) if spec.optional else field(kw_only=True, metadata=metadata)
 
 
 def frame_fields(table: Iterable[Any]) -> dict[str, FrameField]:
-    """The figures among the fields of a dataclass by name, in the order of their declaration."""
+    """The figures among the fields of a dataclass, by name, in declaration order."""
     return {f.name: f.metadata["frame_field"] for f in table if "frame_field" in f.metadata}
 
 
 def no_joint_or_joint(body: Body) -> tuple[str, ...]:
-    """Names of a joint's index, where -1 means none."""
+    """Names for joint indices, with a last name for -1 (none)."""
     return (*body.joints, "none")
 
 

@@ -1,21 +1,26 @@
-"""Two recordings in, one session in memory out: what ``duplex fuse`` does, without files and terminal."""
+"""Fuses two recordings into a session in memory, as ``duplex fuse`` does, without files or terminal
+output."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from devices.image_thinning import Depth
 from devices.pairing import FramePair
 from devices.two_recordings import Progress, RecordingChoice, TwoRecordings, quietly, read_two
-from fusion.body import Body
-from fusion.calibration.calibration import Calibration, calibrate
-from fusion.calibration.start_up_pose import find_start_up_pose
+from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
-from fusion.setup import FuserSettings, FusionSetup
-from fusion.skeleton import SkeletonPair
+from fusion.intrinsics import Intrinsics
+from fusion.recording import RecordingPlan, plan_recording
+from fusion.setup import FuserSettings, FusionSetup, Hindsight
 from recordings.events import Event
+from recordings.exchanged_sides import exchange_events
 from recordings.images.session_images import RecordingImages
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
@@ -32,6 +37,8 @@ def fuse(
     skeletons_a: str | Path | None = None,
     skeletons_b: str | Path | None = None,
     depth: Depth = "full",
+    hindsight: Hindsight = "labels",
+    refine: bool = True,
 ) -> Session:
     """Fuses two recordings of one capture.
 
@@ -40,77 +47,138 @@ def fuse(
     >>> session.fused.shape
     (120, 20, 3)
 
-    Nothing is written; :meth:`recordings.session.Session.save` writes what ``duplex fuse --save`` would, but
-    for the advice of the set-up coach.
+    This function writes no file. :meth:`recordings.session.Session.save` writes what ``duplex fuse --save``
+    writes, except the advice of the set-up coach.
 
     Args:
         a, b: Recordings of the principal sensor K_A, in whose frame S* is, and of the secondary one K_B:
             ``.csv``, ``.json``, ``.skeleton``, or ``.mkv`` of an Azure Kinect.
         calibration: One made before; found in the recordings, on the start-up pose if there is one, where
             None.
-        settings: The method's choices.
+        settings: The method's choices, but for ``hindsight``.
         person_a, person_b: Ids of the person; in each recording the one seen longest where None.
         skeletons_a, skeletons_b: For an ``.mkv``: skeletons saved before, in place of the body tracker.
         depth: For an ``.mkv``: how much of its depth images the session has.
+        hindsight: What of the recording counts for the frames before it; see
+            :class:`fusion.setup.FuserSettings`.
+        refine: Whether the calibration, where it is found here, is refined over the whole recording.
 
     Raises:
         DeviceError: A recording cannot be read or tracked, the bodies differ, or they never overlap in time.
-        FusionError: They cannot be calibrated.
+        FusionError: The views cannot be calibrated.
     """
     choices = (
         RecordingChoice(Path(a), _path(skeletons_a), person_a, "skeletons_a", "person_a"),
         RecordingChoice(Path(b), _path(skeletons_b), person_b, "skeletons_b", "person_b"),
     )
     read = read_two(*choices)
+    settings = replace(settings or FuserSettings(), hindsight=hindsight)
     pairs = read.pairing.pairs
-    found = calibration or calibration_of(read.body, [pair.skeletons for pair in pairs])
-    setup = FusionSetup(found, settings, *read.cameras(depth))
-    fuser = Fuser(setup)
-    return fused_session(read, setup, [fuse_one(fuser, pair) for pair in pairs], (str(a), str(b)), depth)
+    plan = plan_recording(
+        read.body, [pair.skeletons for pair in pairs], settings, calibration, refine and calibration is None
+    )
+    segments = setups_of(plan, settings, read.cameras(depth))
+    frames = list(fuse_segments(segments, pairs, plan.codes))
+    return fused_session(read, plan, segments, frames, (str(a), str(b)), depth)
 
 
-def calibration_of(body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:
-    """A calibration on the start-up pose of a recording; on its calmest window where there is none.
+Segments = Sequence[tuple[FusionSetup, slice]]
+"""What successive stretches of a recording are fused with."""
 
-    Raises:
-        CalibrationError: No frame shows a person to both sensors, or the views cannot be registered.
+
+def setups_of(
+    plan: RecordingPlan, settings: FuserSettings, cameras: tuple[Intrinsics | None, Intrinsics | None]
+) -> Segments:
+    """The plan's segments with the settings and the cameras."""
+    return [(FusionSetup(calibration, settings, *cameras), own) for calibration, own in plan.segments]
+
+
+def fuse_segments(
+    segments: Segments, pairs: Sequence[FramePair], codes: NDArray[np.int64] | None = None
+) -> Iterator[RecordedFrame]:
+    """Fuses a recording with the calibration of each segment.
+
+    The method ``duplex`` remembers what came before a segment; the paper's methods begin each anew.
+
+    Args:
+        segments: In order, without gaps.
+        pairs: Of all segments.
+        codes: (T, 2) which sides are exchanged; found pair by pair where None.
     """
-    chosen, how = find_start_up_pose(body, pairs)
-    return calibrate(body, chosen, how)
+    fuser: Fuser | None = None
+    for setup, own in segments:
+        if fuser is None or setup.settings.method != "duplex":
+            fuser = Fuser(setup)
+        else:
+            fuser.recalibrate(setup)
+        known = None if codes is None else codes[own]
+        if setup.settings.method == "duplex" and setup.settings.hindsight == "whole":
+            before = time.perf_counter_ns()
+            smoothed = fuser.smooth_sequence([pair.skeletons for pair in pairs[own]], known)
+            each = (time.perf_counter_ns() - before) // max(len(smoothed), 1)
+            for pair, fused in zip(pairs[own], smoothed, strict=True):
+                yield RecordedFrame(pair, fused, each)
+            continue
+        for k, pair in enumerate(pairs[own]):
+            yield fuse_one(fuser, pair, None if known is None else (int(known[k, 0]), int(known[k, 1])))
 
 
-def fuse_one(fuser: Fuser, pair: FramePair) -> RecordedFrame:
-    """Fuses a pair and takes the time."""
+def fuse_one(fuser: Fuser, pair: FramePair, codes: tuple[int, int] | None = None) -> RecordedFrame:
+    """Fuses a pair and takes the time; ``codes`` as in :meth:`fusion.fuser.Fuser.update`."""
     before = time.perf_counter_ns()
-    fused = fuser.update(pair.skeletons)
+    fused = fuser.update(pair.skeletons, codes)
     return RecordedFrame(pair, fused, time.perf_counter_ns() - before)
 
 
 def fused_session(
     read: TwoRecordings,
-    setup: FusionSetup,
+    plan: RecordingPlan,
+    segments: Segments,
     frames: Sequence[RecordedFrame],
     sources: tuple[str, str],
     depth: Depth,
     progress: Progress = quietly,
 ) -> Session:
-    """The session of two recordings that were fused.
+    """Returns the session of two fused recordings.
 
     Args:
         read: The recordings.
-        setup: What they were fused with.
+        plan: What was found out about them.
+        segments: What they were fused with.
         frames: What came of it.
         sources: What the recordings are called.
         depth: How much of the depth images it has; they are read from the recordings when asked for.
         progress: Shows how far reading those is.
     """
-    said = [(f"calibrated: {setup.calibration.how}", "INFO"), *((text, "WARN") for text in read.warnings)]
+    first_ns = read.pairing.pairs[0].time_ns
     return Session.of(
-        [(setup, frames)],
+        [(setup, frames[own]) for setup, own in segments],
         sources,
-        events=[Event(0, 0, text, level) for text, level in said],
+        events=[
+            *_events_of(read, plan, segments, first_ns),
+            *exchange_events((f.fused for f in frames), first_ns),
+        ],
         images=RecordingImages(read, depth, progress),
     )
+
+
+def _events_of(read: TwoRecordings, plan: RecordingPlan, segments: Segments, first_ns: int) -> list[Event]:
+    """Calibrations, warnings, and what the learner noticed, in time order."""
+    pairs = read.pairing.pairs
+    times = np.array([pair.time_ns for pair in pairs], dtype=np.int64)
+    said = []
+    for setup, own in segments:
+        frame = max(own.start - 1, 0)
+        said.append(
+            Event(frame, pairs[frame].time_ns - first_ns, f"calibrated: {setup.calibration.how}", "INFO")
+        )
+    said += [Event(0, 0, text, "WARN") for text in read.warnings]
+    if plan.clock is not None:
+        said.append(Event(0, 0, plan.clock.event, "INFO"))
+    for change in plan.changes:
+        frame = min(int(np.searchsorted(times, change.time_ns)), len(pairs) - 1)
+        said.append(Event(frame, pairs[frame].time_ns - first_ns, change.event, "WARN"))
+    return sorted(said, key=lambda event: event.frame)
 
 
 def _path(given: str | Path | None) -> Path | None:

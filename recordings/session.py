@@ -1,4 +1,4 @@
-"""A session read back as arrays, in a notebook as in a test.
+"""A session as arrays, for notebooks, tests and programs.
 
 >>> from recordings import Session
 >>> session = Session.open("walk.rrd")
@@ -6,12 +6,13 @@
 <Session walk.rrd: 120 frames, 4.0 s, kinect_v1>
 >>> session.fused.shape, session.skeleton_a.positions.shape, session.rotation.shape
 ((120, 20, 3), (120, 20, 3), (120, 3, 3))
->>> float(session.quality.bone_error.max()) < 1e-6  # metres: S* is kept in float32
+>>> float(session.quality.bone_error.max()) < 1e-6  # metres: S* is stored in float32
 True
->>> [frame for frame, image in session.depth("a")]  # read only now
+>>> [frame for frame, image in session.depth("a")]  # reads the images now
 [0, 60]
 
-Everything is in SI units and in K_A's frame, but for what a sensor gave, which is in its own.
+All values are in SI units and in K_A's frame, except the data of a sensor, which is in the sensor's own
+frame.
 """
 
 from __future__ import annotations
@@ -43,22 +44,23 @@ from recordings.writing.properties import as_lists, session_properties
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Session:
-    """A recorded capture: what the sensors saw, what was made of it, and with which settings.
+    """A recorded capture: the sensor data, the fused skeletons and the settings of the fusion.
 
     Attributes:
-        path: The file; None for a session that is in memory only.
-        rows: Everything that has a value a frame, as arrays.
-        settings: What the fusion ran with.
-        calibrations: From which frame on it was fused with which, each by a new fuser; the first from 0.
-        intrinsics_a, intrinsics_b: Of the depth cameras.
-        sources: What the sensors were called, K_A first.
-        about: All properties as they were written, by group and name.
-        events: In the order they were written.
-        fused_checksums: (T,) of S* in float64; the file keeps float32.
-        joint_digests: (T, J) a byte for each joint, likewise.
-        frames_lost: How many frames are known to have been written and cannot be read.
-        damage: What is wrong with the file, in words; None where it is whole.
-        images: Where its images are read from.
+        path: The file; None for a session in memory.
+        rows: All per-frame figures as arrays.
+        settings: The settings of the fusion.
+        calibrations: (first frame, calibration) pairs; the first starts at frame 0. A new fuser starts at
+            each.
+        intrinsics_a, intrinsics_b: Intrinsics of the depth cameras.
+        sources: Names of the sensors, K_A first.
+        about: All properties as written, by group and name.
+        events: Events in the order of writing.
+        fused_checksums: (T,) checksums of S* in float64; the file stores float32.
+        joint_digests: (T, J) one digest byte for each joint of S* in float64.
+        frames_lost: Number of frames that were written but cannot be read.
+        damage: Description of the damage of the file; None if it is whole.
+        images: Source of the images.
     """
 
     path: Path | None
@@ -85,14 +87,14 @@ class Session:
         images: SessionImages = NO_IMAGES,
         about: Mapping[str, str | int] | None = None,
     ) -> Session:
-        """A session in memory, of frames that were fused just now.
+        """Builds a session in memory from fused frames.
 
         Args:
-            fused: Frames in time order, by what they were fused with; at least one in all.
-            sources: What the sensors are called, K_A first.
-            events: What happened.
-            images: The frames' images.
-            about: More to say of the session's origin.
+            fused: (setup, frames) pairs in time order; at least one frame in total.
+            sources: Names of the sensors, K_A first.
+            events: Events of the session.
+            images: The images of the frames.
+            about: Additional properties about the session's origin.
 
         Raises:
             RecordingError: There is no frame.
@@ -126,14 +128,14 @@ class Session:
         )
 
     def save(self, path: str | Path, blueprint: Any = None) -> None:
-        """Writes the session into an ``.rrd`` file, its images included.
+        """Writes the session with its images to an ``.rrd`` file.
 
         Args:
             path: The file; overwritten.
-            blueprint: What a viewer shows; its own choice where None.
+            blueprint: The layout of the viewer; None: the viewer's default.
 
         Raises:
-            OSError: The file is not whole afterwards.
+            OSError: The file could not be written completely.
         """
         from recordings.writing.session_writer import write_session
 
@@ -143,12 +145,12 @@ class Session:
     def open(path: str | Path) -> Session:
         """Reads a session without its depth images.
 
-        A file that was cut off or damaged gives the frames before the damage; ``damage`` and
-        ``frames_lost`` say so. Every frame is checked against its checksum.
+        From a damaged or cut-off file it reads the frames before the damage; see ``damage`` and
+        ``frames_lost``. Every frame is verified against its checksum.
 
         Raises:
-            RecordingError: The file is missing, no session, of another layout, or damaged before its first
-                frame.
+            RecordingError: The file is missing, is not a session, has another layout version, or is damaged
+                before its first frame.
         """
         from recordings.reading.session_reader import read_session
 
@@ -159,12 +161,12 @@ class Session:
         return len(self.rows)
 
     def __repr__(self) -> str:
-        """In a line: its arrays are too many to be shown."""
+        """A one-line summary without the arrays."""
         seconds = (self.time_ns[-1] - self.time_ns[0]) * 1e-9
         return f"<Session {self.name}: {len(self)} frames, {seconds:.1f} s, {self.body.name}>"
 
     def __str__(self) -> str:
-        """For messages: its file."""
+        """The file of the session, for messages."""
         return "the session in memory" if self.path is None else str(self.path)
 
     @property
@@ -179,91 +181,96 @@ class Session:
 
     @property
     def skeleton_a(self) -> SkeletonSeries:
-        """S_A, of the principal sensor; its frame is the world's."""
-        of = self.rows
-        return SkeletonSeries(of.positions_a, of.states_a, of.weights_a, of.clock_a, of.stale_a)
+        """S_A of the principal sensor, in K_A's frame, which is the world frame."""
+        rows = self.rows
+        return SkeletonSeries(rows.positions_a, rows.states_a, rows.weights_a, rows.clock_a, rows.stale_a)
 
     @property
     def skeleton_b(self) -> SkeletonSeries:
-        """S_B, of the secondary sensor, in that one's frame: :attr:`rotation` and :attr:`translation` lay it
-        into K_A's."""
-        of = self.rows
-        return SkeletonSeries(of.positions_b, of.states_b, of.weights_b, of.clock_b, of.stale_b)
+        """S_B of the secondary sensor, in K_B's frame; see :attr:`rotation` and :attr:`translation`."""
+        rows = self.rows
+        return SkeletonSeries(rows.positions_b, rows.states_b, rows.weights_b, rows.clock_b, rows.stale_b)
 
     @property
     def fused(self) -> NDArray[np.float64]:
-        """(T, J, 3) metres, S* in K_A's frame, to float32; NaN where there is none."""
+        """(T, J, 3) S* in K_A's frame, metres, in float32 precision; NaN where S* is missing."""
         return self.rows.fused
 
     @property
     def bone_lengths(self) -> NDArray[np.float64]:
-        """(T, J) metres, the lengths bones of S* were held to, by the joint at the far end; 0 at the root."""
+        """(T, J) target lengths of the bones of S*, metres, indexed by the child joint; 0 at the root."""
         return self.rows.bone_lengths
 
     @property
     def rotation(self) -> NDArray[np.float64]:
-        """(T, 3, 3) R: turns K_B's axes into K_A's."""
+        """(T, 3, 3) R, K_A ← K_B."""
         return self.rows.rotation
 
     @property
     def translation(self) -> NDArray[np.float64]:
-        """(T, 3) metres, t: where K_B stands in K_A's frame; renewed every frame."""
+        """(T, 3) t, K_A ← K_B, metres: the position of K_B in K_A's frame, updated every frame."""
         return self.rows.translation
 
     @property
     def quality(self) -> QualitySeries:
-        """How good each frame is."""
-        of = self.rows
+        """Quality figures per frame."""
+        rows = self.rows
         return QualitySeries(
-            of.bone_error, of.disagreement, of.skew_ns, of.fuse_ms, of.iterations, of.predicted
+            rows.bone_error,
+            rows.disagreement,
+            rows.skew_ns,
+            rows.fuse_ms,
+            rows.iterations,
+            rows.predicted,
         )
 
     @property
     def body(self) -> Body:
-        """Which joints these are."""
+        """The body that defines the joints."""
         return self.rows.body
 
     @property
     def calibration(self) -> Calibration:
-        """R, t, the bone lengths and how well the views agreed; the last where there were several."""
+        """R, t, the bone lengths and the agreement of the views; the last calibration of the session."""
         return self.calibrations[-1][1]
 
     @property
     def first_frame(self) -> int:
-        """The number, in the capture, of the first frame; more than 0 after a trim."""
+        """The number of the first frame in the original capture; greater than 0 after a trim."""
         return int(self.about["session"].get("first_frame", [0])[0])
 
     @property
     def frame_rate(self) -> float:
-        """Frames a second: 1 over the median interval; 30 where there is but one frame."""
+        """Frames per second: 1 / median interval; 30 for a session of one frame."""
         if len(self) < 2:
             return 30.0
         return float(1e9 / np.median(np.diff(self.rows.time_ns)))
 
     @property
     def spells(self) -> list[Spell]:
-        """What lasted: from the event that began it to the one that ended it."""
+        """Conditions that lasted, each from its start event to its end event."""
         return spells_of(self.events)
 
     @property
     def whereabouts(self) -> NDArray[np.float64]:
-        """(3,) metres in K_A's frame, the middle of where the person is; before K_A where no one is."""
-        at = self.rows.fused.reshape(-1, 3)
-        seen = at[np.isfinite(at).all(axis=1)]
+        """(3,) metres in K_A's frame, the median position of the person; a point in front of K_A without a
+        person."""
+        points = self.rows.fused.reshape(-1, 3)
+        seen = points[np.isfinite(points).all(axis=1)]
         return np.asarray(np.median(seen, axis=0)) if len(seen) else np.array([0.0, 0.0, 2.5])
 
     @property
     def pairing(self) -> Pairing:
-        """The pairs, and how many frames each sensor gave; what was dropped before recording is not known."""
+        """The pairs, and the number of frames per sensor; frames dropped before recording are not counted."""
         clocks = self.rows.clock_a, self.rows.clock_b
         seen_a, seen_b = (int((clock != layout.NO_FRAME).sum()) for clock in clocks)
         return Pairing(list(self.pairs()), seen_a, seen_b, 0, 0)
 
     def setups(self, settings: FuserSettings | None = None) -> Iterator[tuple[FusionSetup, slice]]:
-        """What each calibration's frames were fused with, by a new fuser each, and which frames those are.
+        """The setup and the frames of each calibration; a new fuser starts at each.
 
         Args:
-            settings: To fuse with; the session's own where None.
+            settings: Settings to use; None: the session's own.
         """
         firsts = [number for number, _ in self.calibrations]
         for (first, calibration), end in zip(self.calibrations, [*firsts[1:], len(self)], strict=True):
@@ -271,28 +278,28 @@ class Session:
             yield FusionSetup(calibration, settings or self.settings, *cameras), slice(first, end)
 
     def pairs(self, depth: bool = False) -> Iterator[FramePair]:
-        """The pairs as the sensors gave them: a session is a source like any other.
+        """The pairs as given by the sensors, so that a session can serve as a source.
 
         Args:
-            depth: With the depth images the session has.
+            depth: Whether to include the session's depth images.
         """
         images = {side: self.depth(side) if depth else () for side in layout.SIDES}
         return recorded_pairs(self.rows, images)
 
     def depth(self, side: str, first: int = 0, end: int | None = None) -> Images[NDArray[np.uint16]]:
-        """Depth images of a sensor, read as they are asked for; damaged ones are left out and counted.
+        """Depth images of a sensor, read on demand; damaged images are skipped and counted.
 
         Args:
             side: ``a`` or ``b``.
-            first, end: Of frames `first` up to, without, `end`; to the last where None.
+            first, end: The frames from `first` to `end`, exclusive; None: to the last frame.
 
         Returns:
-            To be iterated over: the frame's number and its (height, width) millimetres, 0 without a reading.
+            An iterable of frame number and (height, width) millimetres, 0 without a reading.
         """
         return self.images.depth(side, self._frames(first, end))
 
     def color(self, side: str, first: int = 0, end: int | None = None) -> Images[ColorImage]:
-        """Colour images of a sensor, as :meth:`depth` gives depth images."""
+        """Colour images of a sensor; same arguments and iteration as :meth:`depth`."""
         return self.images.color(side, self._frames(first, end))
 
     def _frames(self, first: int, end: int | None) -> range:

@@ -1,4 +1,4 @@
-"""The frames of a session stacked into arrays: what is written, read back, and reported on."""
+"""The frames of a session stacked into arrays, used for writing, reading and reporting."""
 
 from __future__ import annotations
 
@@ -30,37 +30,37 @@ from recordings.frame_fields import (
 
 @dataclass(frozen=True)
 class RecordedFrame:
-    """One turn of the loop: a pair, what came of it, and how long the fusion took."""
+    """A pair, its fused frame, and how long the fusion took."""
 
     pair: FramePair
     fused: FusedFrame
     fuse_ns: int
     truth: NDArray[np.float64] | None = None
-    """(J, 3) where the joints really are, in K_A's frame; simulations only."""
+    """(J, 3) true joint positions in K_A's frame, metres; simulations only."""
     streams: StreamFigures | None = None
-    """How the two streams go; live sensors only."""
+    """Figures of the two streams; live sensors only."""
 
 
 POINTS = "Points3D:positions"
 _CLOCKS = layout.QUALITY, "sensors.captured_ns", np.int64
 _STALE = layout.QUALITY, "sensors.stale"
 _PLACEMENT = layout.kinect("b"), "rotation_translation"
-_WEIGHT_STEP = 1.0 / 128.0  # an eye cannot tell more apart
+_WEIGHT_STEP = 1.0 / 128.0  # finer steps are not visible
 
 
 @dataclass(frozen=True, eq=False)
 class SessionArrays:
-    """T frames of J joints; metres, nanoseconds; NaN where there is nothing.
+    """T frames of J joints; metres, nanoseconds; NaN where data is missing.
 
-    Each attribute declared with ``per_frame`` is one figure of a frame. The declaration says where the file
-    has it; arrays, writer, reader and checksums follow from it. Checksums cover the figures in the order of
+    Each attribute declared with ``per_frame`` is one per-frame figure. The declaration states its place in
+    the file. Arrays, writer, reader and checksums derive from it. Checksums cover the figures in the order of
     their declaration: add new ones at the end, with ``optional=True``.
 
     Attributes:
-        body: Which joints these are.
+        body: The body that defines the joints.
         bone_lengths: (T, J) the target lengths each frame was fused with; 0 at the root.
         frame: (T,) number of the pair.
-        time_ns: (T,) since the first pair.
+        time_ns: (T,) time since the first pair.
     """
 
     body: Body
@@ -70,7 +70,7 @@ class SessionArrays:
     skew_ns: NDArray[np.int64] = per_frame(
         np.int64, (), layout.QUALITY, "figures.skew_ms", np.float64, lambda f: f.pair.skew_ns, scale=1e-6
     )
-    """(T,) capture time of B less that of A."""
+    """(T,) capture time of B minus capture time of A."""
     clock_a: NDArray[np.int64] = per_frame(
         np.int64,
         (),
@@ -78,7 +78,7 @@ class SessionArrays:
         lambda f: None if f.pair.a is None else f.pair.a.time_ns,
         absent=layout.NO_FRAME,
     )
-    """(T,) A's own time, ns; layout.NO_FRAME where it gave no frame."""
+    """(T,) time on A's own clock, ns; layout.NO_FRAME where A gave no frame."""
     clock_b: NDArray[np.int64] = per_frame(
         np.int64,
         (),
@@ -86,7 +86,7 @@ class SessionArrays:
         lambda f: None if f.pair.b is None else f.pair.b.time_ns,
         absent=layout.NO_FRAME,
     )
-    """(T,) B's own time, likewise."""
+    """(T,) time on B's own clock, ns; layout.NO_FRAME where B gave no frame."""
     positions_a: NDArray[np.float32] = per_frame(
         *(np.float32, (JOINTS, 3), layout.skeleton("a"), POINTS, np.float32),
         lambda f: None if f.pair.skeletons.a is None else f.pair.skeletons.a.positions,
@@ -118,19 +118,19 @@ class SessionArrays:
         lambda f: f.fused.weights_a,
         step=_WEIGHT_STEP,
     )
-    """(T, J) w^A of eq. (11), to 1/128."""
+    """(T, J) w^A of eq. (11), rounded to 1/128."""
     weights_b: NDArray[np.float32] = per_frame(
         *(np.float32, (JOINTS,), layout.FUSED_SKELETON, layout.weight("b"), np.float16),
         lambda f: f.fused.weights_b,
         step=_WEIGHT_STEP,
     )
-    """(T, J) w^B of eq. (11), to 1/128."""
+    """(T, J) w^B of eq. (11), rounded to 1/128."""
     misleading: NDArray[np.int32] = per_frame(
         *(np.int32, (JOINTS,), layout.FUSED_SKELETON, "misleading_joint", np.int8),
         lambda f: f.fused.misleading,
         names=no_joint_or_joint,
     )
-    """(T, J) the mis-leading joint of sec. 3, or -1."""
+    """(T, J) index of the mis-leading joint of sec. 3, or -1."""
     rotation: NDArray[np.float64] = per_frame(
         np.float64, (3, 3), *_PLACEMENT, np.float64, lambda f: f.fused.a_from_b.rotation
     )
@@ -150,7 +150,7 @@ class SessionArrays:
     iterations: NDArray[np.int64] = per_frame(
         np.int64, (), layout.QUALITY, "figures.iterations", np.uint16, lambda f: f.fused.iterations
     )
-    """(T,) of the solver."""
+    """(T,) iterations of the solver."""
     stale_a: NDArray[np.bool_] = per_frame(np.bool_, (), *_STALE, np.bool_, lambda f: f.fused.stale_a)
     """(T,) whether A repeated its last skeleton."""
     stale_b: NDArray[np.bool_] = per_frame(np.bool_, (), *_STALE, np.bool_, lambda f: f.fused.stale_b)
@@ -158,7 +158,7 @@ class SessionArrays:
     fuse_ms: NDArray[np.float64] = per_frame(
         np.float64, (), layout.QUALITY, "figures.fuse_ms", np.float32, lambda f: f.fuse_ns * 1e-6
     )
-    """(T,) milliseconds that the fusion took."""
+    """(T,) duration of the fusion, milliseconds."""
     truth: NDArray[np.float64] | None = per_frame(
         *(np.float64, (JOINTS, 3), layout.TRUTH_SKELETON, POINTS, np.float32),
         lambda f: f.truth,
@@ -166,13 +166,28 @@ class SessionArrays:
         optional=True,
     )
     """(T, J, 3) where the joints really are, in K_A's frame; simulations only."""
+    sigma: NDArray[np.float32] | None = per_frame(
+        *(np.float32, (JOINTS,), layout.FUSED_SKELETON, "sigma_mm", np.float16),
+        lambda f: f.fused.sigma,
+        absent=np.nan,
+        optional=True,
+        scale=1e3,
+    )
+    """(T, J) metres, one standard deviation of S*; sessions of the method ``duplex`` only."""
+    exchanged: NDArray[np.int8] | None = per_frame(
+        *(np.int8, (2,), layout.QUALITY, "exchanged", np.int8),
+        lambda f: None if f.fused.sigma is None else (f.fused.exchanged_a, f.fused.exchanged_b),
+        absent=0,
+        optional=True,
+    )
+    """(T, 2) which sides of A and of B were exchanged, see :mod:`fusion.facing.model`; ``duplex`` only."""
     witness_a: NDArray[np.float32] | None = per_frame(
         *(np.float32, (JOINTS, 4), layout.skeleton("a"), "depth_witness", np.float16),
         lambda f: _witness(f.pair.a, f.pair.skeletons.a, f.fused.positions),
         absent=np.nan,
         optional=True,
     )
-    """(T, J, 4) what A's depth image says about each joint of S_A: ``fusion.witness.COLUMNS``; metres."""
+    """(T, J, 4) depth evidence for each joint of S_A, metres; columns: ``fusion.witness.COLUMNS``."""
     witness_b: NDArray[np.float32] | None = per_frame(
         *(np.float32, (JOINTS, 4), layout.skeleton("b"), "depth_witness", np.float16),
         lambda f: _witness(f.pair.b, f.pair.skeletons.b, f.fused.positions),
@@ -233,14 +248,14 @@ class SessionArrays:
         return len(self.frame)
 
     def __getitem__(self, frames: slice | NDArray[np.int64]) -> SessionArrays:
-        """Some of the frames, with their numbers and times as they are."""
+        """Selects frames; their numbers and times stay unchanged."""
         kept = {f.name: getattr(self, f.name) for f in fields(self)}
         per_frame = {n: v[frames] for n, v in kept.items() if n != "body" and v is not None}
         return replace(self, **per_frame)
 
     @property
     def b_in_a(self) -> NDArray[np.float64]:
-        """(T, J, 3) S_B laid into K_A's frame."""
+        """(T, J, 3) S_B transformed to K_A's frame."""
         return np.asarray(
             np.einsum("tij,tkj->tki", self.rotation, self.positions_b.astype(np.float64))
             + self.translation[:, None]
@@ -248,15 +263,15 @@ class SessionArrays:
 
     @property
     def bone_length_of_each(self) -> NDArray[np.float64]:
-        """(3, T, J) length of every bone of S_A, S_B and S*, by the joint at its far end."""
+        """(3, T, J) length of each bone of S_A, S_B and S*, indexed by the child joint."""
         each = (self.positions_a, self.positions_b, self.fused)
         return np.array([bone_lengths_of(self.body, positions) for positions in each])
 
     @property
     def bone_error(self) -> NDArray[np.float64]:
-        """(T,) metres, the largest difference of a bone of S* from its length; NaN without S*."""
+        """(T,) metres, the largest absolute error of a bone length of S*; NaN without S*."""
         error = np.abs(bone_lengths_of(self.body, self.fused) - self.bone_lengths)
-        error[:, self.body.root] = 0.0  # has no bone
+        error[:, self.body.root] = 0.0  # the root has no bone
         return np.asarray(error.max(axis=1))
 
     @property
@@ -266,7 +281,7 @@ class SessionArrays:
 
     @property
     def disagreement(self) -> NDArray[np.float64]:
-        """(T,) metres between p and R q + t, the median over joints both see; NaN where there are none."""
+        """(T,) metres between p and R q + t, median over the joints that both see; NaN without any."""
         nearest = np.sort(self.view_difference, axis=1)  # NaN comes last
         seen = np.count_nonzero(~np.isnan(nearest), axis=1)
         frame = np.arange(len(nearest))
@@ -276,7 +291,10 @@ class SessionArrays:
 def _witness(
     frame: SensorFrame | None, skeleton: Skeleton | None, joints: NDArray[np.float64]
 ) -> NDArray[np.float32] | None:
-    """Of an image in which no one is seen all NaN: a session has what its first frame has."""
+    """The depth evidence of a skeleton; all NaN for an image without a person.
+
+    An optional figure must exist in every frame of a session, including frames without a person.
+    """
     if skeleton is not None:
         return skeleton.witness
     if frame is None or frame.depth is None:

@@ -1,4 +1,4 @@
-"""Two fusions of one capture, frame by frame: how far apart, how steady, how true to the bones."""
+"""Compares two fusions of one capture per frame: distance, noise and bone errors."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ SECOND_SKELETON = "/second/skeleton"
 DIFFERENCE = "/difference/joints"
 LARGEST = "/difference/largest"
 _SECOND_COLOR = (64, 168, 96)
-_APART = 1.0  # seconds between two moments listed as the worst
+_APART = 1.0  # minimum seconds between two listed worst moments
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The frames that both sessions have.
+    """The common frames of two sessions.
 
     Attributes:
-        body: Of both.
-        first, second: Their frames, T of each, at the same capture times.
+        body: The body of both sessions.
+        first, second: T frames of each session, at the same capture times.
     """
 
     body: Body
@@ -38,23 +38,25 @@ class Comparison:
 
     @staticmethod
     def of(first: Session, second: Session) -> Comparison:
-        """Finds the frames of the same capture time, on the principal sensor's own clock.
+        """Finds the frames with equal capture times on the principal sensor's own clock.
 
         Raises:
-            RecordingError: Another body, no frame in common, or other skeletons S_A, S_B in one of them.
+            RecordingError: The bodies differ, there is no common frame, or the skeletons S_A, S_B differ.
         """
         if first.body is not second.body:
             raise RecordingError(
-                f"{first} is of {first.body.name}, {second} of {second.body.name}: not one capture."
+                f"{first} has body {first.body.name}, {second} has {second.body.name}: not the same capture."
             )
         _, i, j = np.intersect1d(_moments(first), _moments(second), return_indices=True)
         if len(i) == 0:
-            raise RecordingError(f"{first} and {second} have no frame of the same time: not one capture.")
+            raise RecordingError(
+                f"{first} and {second} have no frame of the same time: not the same capture."
+            )
         one, two = first.rows[np.sort(i).astype(np.int64)], second.rows[np.sort(j).astype(np.int64)]
         for t in np.flatnonzero(~_same_inputs(one, two))[:1]:
             raise RecordingError(
                 f"{first} and {second} have {len(i)} frames of the same time, but S_A or S_B of "
-                f"frame {one.frame[t]} is another than that of frame {two.frame[t]}: not one capture."
+                f"frame {one.frame[t]} differs from frame {two.frame[t]}: not the same capture."
             )
         return Comparison(first.body, one, two)
 
@@ -64,17 +66,17 @@ class Comparison:
 
     @property
     def target(self) -> NDArray[np.float64]:
-        """(2, J) metres, the bone lengths each was fused with at the end."""
+        """(2, J) bone lengths of the last calibration of each session, metres."""
         return np.stack([self.first.bone_lengths[-1], self.second.bone_lengths[-1]])
 
     @cached_property
     def apart(self) -> NDArray[np.float64]:
-        """(T, J) metres between the two S*; NaN where one has none."""
+        """(T, J) distance between the two S*, metres; NaN if one is missing."""
         return np.asarray(np.linalg.norm(self.first.fused - self.second.fused, axis=2))
 
     @property
     def one_missing(self) -> int:
-        """In how many frames only one of the two has an S*."""
+        """Number of frames in which only one session has an S*."""
         present = [np.isfinite(of.fused).all(axis=(1, 2)) for of in (self.first, self.second)]
         return int(np.count_nonzero(present[0] != present[1]))
 
@@ -85,13 +87,13 @@ class Comparison:
 
     @cached_property
     def bone_deviation(self) -> NDArray[np.float64]:
-        """(2, J) metres, the largest difference of each bone from its length, by the joint at its far end."""
+        """(2, J) largest error of each bone length, metres, indexed by the child joint."""
         off = [bone_lengths_of(self.body, of.fused) - of.bone_lengths for of in (self.first, self.second)]
         return largest(np.abs(off), axis=1)
 
     @cached_property
     def swapped(self) -> NDArray[np.bool_]:
-        """(T, J) whether a joint and its mirror image fit the other fusion better when exchanged."""
+        """(T, J) whether a joint and its mirrored joint match the other fusion better when swapped."""
         mirror = self.body.mirror
         one, two = self.first.fused, self.second.fused
         crossed = np.linalg.norm(one - two[:, mirror], axis=2)
@@ -100,7 +102,8 @@ class Comparison:
             return np.asarray((crossed + crossed[:, mirror] < straight) & (mirror != np.arange(len(mirror))))
 
     def worst(self, count: int) -> list[tuple[int, int]]:
-        """(frame of these frames, joint) where the two differ most, at least a second apart, worst first."""
+        """(index of the common frame, joint) with the largest differences, at least a second apart, worst
+        first."""
         largest_of = np.where(np.isnan(self.apart), -1.0, self.apart)
         found: list[tuple[int, int]] = []
         time = self.first.time_ns * 1e-9
@@ -113,13 +116,13 @@ class Comparison:
 
 
 def frame_noise_of(positions: NDArray[np.float64], frame: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(J,) metres of (T, J, 3): the median length of the second difference over √6.
+    """(J,) noise per frame, metres: the median length of the second difference divided by √6.
 
-    White noise of that size on each frame gives such a second difference; slow movement gives nearly none.
+    White noise with this standard deviation gives such second differences; slow movement adds almost nothing.
 
     Args:
-        positions: The joints.
-        frame: (T,) the frames' numbers: only where three follow on each other is there a difference.
+        positions: (T, J, 3) joint positions, metres.
+        frame: (T,) frame numbers; a second difference needs three consecutive frames.
     """
     following = frame[2:] - frame[:-2] == 2
     if not following.any():
@@ -131,7 +134,7 @@ def frame_noise_of(positions: NDArray[np.float64], frame: NDArray[np.int64]) -> 
 
 
 def largest(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    """The largest finite value along an axis; NaN where there is none."""
+    """The largest finite value along an axis; NaN if there is none."""
     found = np.where(np.isnan(values), -np.inf, values).max(axis=axis)
     return np.where(np.isinf(found), np.nan, found)
 
@@ -139,7 +142,7 @@ def largest(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
 def record_comparison(
     stream: rr.RecordingStream, comparison: Comparison, worst: list[tuple[int, int]]
 ) -> None:
-    """Logs both S* into one scene, the distance of each joint, and the worst moments as events."""
+    """Logs both S* to one scene, the distance of each joint, and the worst moments as events."""
     body = comparison.body
     joints = [rr.AnnotationInfo(id=j, label=name) for j, name in enumerate(body.joints)]
     bones = [(int(body.parents[joint]), int(joint)) for joint in body.bone_joints]
@@ -183,7 +186,7 @@ def record_comparison(
 
 
 def _same_inputs(one: SessionArrays, two: SessionArrays) -> NDArray[np.bool_]:
-    """(T,) whether the sensors gave the same, bit for bit, which a replay and a trim keep."""
+    """(T,) whether S_A and S_B are bit-identical; replay and trim preserve them."""
     same = np.ones(len(one), dtype=np.bool_)
     for name in ("clock_b", "positions_a", "positions_b", "states_a", "states_b"):
         a, b = (getattr(of, name).reshape(len(one), -1) for of in (one, two))
@@ -192,6 +195,6 @@ def _same_inputs(one: SessionArrays, two: SessionArrays) -> NDArray[np.bool_]:
 
 
 def _moments(session: Session) -> NDArray[np.int64]:
-    """(T,) the frames' own times, by A's clock; those without A by the session's, below 0."""
+    """(T,) frame times on A's clock; for frames without A negative values derived from the session time."""
     rows = session.rows
     return np.where(rows.clock_a == layout.NO_FRAME, -1 - rows.time_ns, rows.clock_a)

@@ -1,4 +1,4 @@
-"""What a session gives over time, under the names of the method."""
+"""Time series of a session, named as in the method."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class SkeletonSeries:
-    """S_A or S_B over T frames of J joints, as the sensor gave it.
+    """S_A or S_B over T frames of J joints, as given by the sensor.
 
     Attributes:
-        positions: (T, J, 3) float32 metres in the sensor's own frame; NaN where there is no skeleton.
+        positions: (T, J, 3) float32 metres in the sensor's own frame; NaN without a skeleton.
         states: (T, J) uint8, 0 not tracked, 1 inferred, 2 tracked.
         weights: (T, J) float32, w of eq. (11).
-        captured_ns: (T,) the sensor's own time; :data:`recordings.layout.NO_FRAME` where it gave no frame.
+        captured_ns: (T,) time on the sensor's clock; :data:`recordings.layout.NO_FRAME` if it gave no frame.
         stale: (T,) whether the sensor repeated its last skeleton.
     """
 
@@ -29,14 +29,14 @@ class SkeletonSeries:
 
 @dataclass(frozen=True, eq=False)
 class QualitySeries:
-    """How good each of T frames is.
+    """Quality figures of T frames.
 
     Attributes:
-        bone_error: (T,) metres, the largest difference of a bone of S* from its length; NaN without S*.
-        disagreement: (T,) metres between p and R q + t, the median joint; NaN where none is in both.
-        skew_ns: (T,) capture time of B less that of A.
-        fuse_ms: (T,) what the fusion took.
-        iterations: (T,) of the solver.
+        bone_error: (T,) largest absolute error of a bone length of S*, metres; NaN without S*.
+        disagreement: (T,) median distance between p and R q + t, metres; NaN if no joint is in both views.
+        skew_ns: (T,) capture time of B minus capture time of A.
+        fuse_ms: (T,) duration of the fusion, milliseconds.
+        iterations: (T,) iterations of the solver.
         predicted: (T, J) whether a joint of S* has no data.
     """
 

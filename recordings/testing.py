@@ -1,4 +1,4 @@
-"""For tests, a user's own among them: fuse pairs into a session without any viewer, and compare sessions.
+"""Helpers for tests, also for users' own: fuse pairs to a session without a viewer, and compare sessions.
 
 ::
 
@@ -38,15 +38,15 @@ def record_fused(
     depth_every: int = 0,
     block: int = 256,
 ) -> Session:
-    """Fuses pairs, records them into a file, and reads it back.
+    """Fuses pairs, records them to a file, and reads the file back.
 
     Args:
         path: The file; overwritten.
         pairs: At least one.
         calibration: R, t and the bone lengths.
-        settings: The method's choices.
-        depth_every: Keep the depth images of every so many pairs; 0 for none.
-        block: Frames written at a time.
+        settings: Settings of the method.
+        depth_every: Keep the depth images of every n-th pair; 0 for none.
+        block: Number of frames per write.
     """
     setup = FusionSetup(calibration, settings)
     fuser = Fuser(setup)
@@ -62,7 +62,7 @@ def record_fused(
 
 @pytest.fixture
 def fused_run(tmp_path: Path) -> FusedRun:
-    """A function like :func:`record_fused` without the path; each call records a session of its own."""
+    """A function like :func:`record_fused` without the path; each call records a new session."""
     return lambda *pairs_and_calibration, **more: record_fused(
         tmp_path / f"{uuid4()}.rrd", *pairs_and_calibration, **more
     )
@@ -78,27 +78,27 @@ _CAPTURED = {
     "states_a": "a tracking state of S_A",
     "states_b": "a tracking state of S_B",
 }
-"""What two fusions of one capture share, by its name in :class:`recordings.session_arrays.SessionArrays`."""
+"""Data shared by two fusions of one capture, by name in :class:`recordings.session_arrays.SessionArrays`."""
 
 
 def assert_sessions_match(
     actual: Session | str | Path, expected: Session | str | Path, *, position_mm: float
 ) -> None:
-    """Fails where two sessions are not of one capture, or S* differs, and says at which frame and joint.
+    """Fails if two sessions are of different captures or S* differs; names the frame and the joint.
 
-    Of one capture are sessions whose frames have the same times and, to the bit, the same S_A and S_B.
+    Two sessions are of the same capture if their frames have equal times and bit-identical S_A and S_B.
 
     Args:
         actual, expected: Sessions or their files.
-        position_mm: How far a joint of S* may be from the expected one; 0 asks for the same bits.
+        position_mm: Tolerance for the distance of a joint of S*; 0 requires bit-identical values.
 
-    Raises:
-        AssertionError: Another body, another number of frames, other times, S_A or S_B, S* missing in one of
-            them, or too far apart.
-        ValueError: `position_mm` is negative or no number.
+        Raises:
+            AssertionError: The body, the number of frames, the times, S_A or S_B differ; S* is missing in one
+                session; or a joint exceeds the tolerance.
+            ValueError: `position_mm` is negative or not a number.
     """
     if not 0.0 <= position_mm < np.inf:
-        raise ValueError(f"position_mm is {position_mm}: how far apart joints may be, 0 or more millimetres")
+        raise ValueError(f"position_mm is {position_mm}; it must be 0 or more millimetres")
     one, two = (s if isinstance(s, Session) else Session.open(s) for s in (actual, expected))
     assert one.body is two.body, f"{one} is of {one.body.name}, {two} of {two.body.name}"
     assert len(one) == len(two), f"{one} has {len(one)} frames, {two} has {len(two)}"

@@ -1,4 +1,4 @@
-"""The program ``duplex``: one command a task; a mistake is one line and exit code 2."""
+"""The program ``duplex``: one command per task. A usage error prints one line and exits with code 2."""
 
 from __future__ import annotations
 
@@ -41,33 +41,33 @@ _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "bench real": (BenchRealOptions, "viewer_app.bench.real"),
     "bench speed": (BenchSpeedOptions, "viewer_app.bench.speed"),
 }
-"""By name, ``group command`` or ``command``: the options, and the module whose ``run`` carries it out."""
+"""Options and module of each command, by ``command`` or ``group command``; the module has a ``run``."""
 
 _GROUPS = {"bench": "Measure the method on this machine."}
 
 
 def script() -> None:
-    """The console script: :func:`main`, whose end no further Ctrl-C disturbs."""
+    """The console script: runs :func:`main`, then ignores Ctrl-C during shutdown."""
     try:
         main()
     except KeyboardInterrupt:
         sys.exit(130)
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # while Python shuts down it would be a traceback
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # during shutdown it would print a traceback
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Carries out a command line.
+    """Runs a command line.
 
     Args:
-        arguments: What follows the program's name; those of the process where None.
+        arguments: The arguments after the program's name. None: the arguments of the process.
     """
     os.environ.setdefault("RERUN_ANALYTICS", "0")
-    # all matrices are small: more threads wait on each other
+    # all matrices are small: more threads would only wait for each other
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal that lacks a sign shows another
+            stream.reconfigure(errors="replace")  # a terminal without a character shows a replacement
     try:
         _run(arguments)
         sys.stdout.flush()
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print("duplex: stopped", file=sys.stderr)
         sys.exit(130)
     except BrokenPipeError:
-        # whoever read the output has gone: nothing is left to say, not even at exit
+        # the reader of the output is gone: write nothing more, not even at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except Exception as error:
@@ -100,10 +100,10 @@ def _run(arguments: Sequence[str] | None) -> None:
 
 
 def _command_line() -> Any:
-    """The table as a union of subcommands, a group being a union within it."""
+    """The command table as a union of subcommands; a group is a nested union."""
     import tyro
 
-    nothing = Annotated[None, tyro.conf.Suppress]  # no one can choose it; a union needs two
+    nothing = Annotated[None, tyro.conf.Suppress]  # cannot be selected; a union needs two members
     commands: Any = nothing
     groups: dict[str, Any] = dict.fromkeys(_GROUPS, nothing)
     for name, (options, _) in _COMMANDS.items():

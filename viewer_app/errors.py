@@ -1,5 +1,5 @@
-"""What a person did that the program cannot follow."""
+"""Usage errors of the command line."""
 
 
 class UsageError(Exception):
-    """A command that cannot be carried out: what happened, the value, the way out."""
+    """A command cannot run. The message states what happened, the value and the way out."""

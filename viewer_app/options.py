@@ -1,7 +1,7 @@
-"""The command line as values: a command is a frozen dataclass, its field docstrings are the help text.
+"""The command line as values: a command is a frozen dataclass; its field docstrings are the help text.
 
-Nothing heavy is imported here, so that ``duplex --help`` answers at once. The module is long
-because all commands are in it, which share options.
+The module imports nothing slow, so that ``duplex --help`` answers at once. It is long because it contains all
+commands, which share options.
 """
 
 from __future__ import annotations
@@ -34,21 +34,22 @@ class OutputOptions:
 
 @dataclass(frozen=True)
 class ViewerOptions:
-    """How a session is looked at while it is made."""
+    """How a running session is shown."""
 
     no_viewer: bool = False
     """Do not open the viewer."""
     web: bool = False
     """Show the session in a browser instead of a window."""
     listen: str | None = None
-    """With --web: an address of this machine to be reached at, by others too. Else only from here."""
+    """With --web: the address of this machine to listen on, also for other machines. Default: this machine
+    only."""
     layout: Literal["setup", "inspect", "report"] = "inspect"
     """Which of the viewer's tabs is open at first."""
 
 
 @dataclass(frozen=True)
 class TerminalOptions:
-    """What a running loop says."""
+    """Terminal output of a running loop."""
 
     quiet: bool = False
     """No status line and no advice, only warnings."""
@@ -58,12 +59,12 @@ class TerminalOptions:
 
 @dataclass(frozen=True)
 class MethodOptions:
-    """What the method is told."""
+    """Settings of the method."""
 
     calibrate: str = "auto"
-    """auto: on the start-up pose, once it is held. Or a file of --save-calibration."""
+    """auto: calibrate on the start-up pose, once it is held. Or a file of --save-calibration."""
     save_calibration: Path | None = None
-    """Keep the sensors' placement and the bone lengths in a file."""
+    """Save the sensors' placement and the bone lengths to a file."""
     h: float = PAPER_H
     """How much more a tracked joint counts than an inferred one, between 0.5 and 1."""
     method: Literal["duplex", "paper", "published"] = "duplex"
@@ -76,26 +77,26 @@ class MethodOptions:
 
 @dataclass(frozen=True)
 class TrackerOptions:
-    """The body tracker, where one runs."""
+    """Options of the body tracker."""
 
     k4abt: Path | None = None
-    """Microsoft's body tracker, libk4abt; where the system finds it if not given."""
+    """Library of Microsoft's body tracker, libk4abt; if not given, the system's."""
     processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
-    """Where the body tracker runs; a CPU tracks about one frame a second."""
+    """Where the body tracker runs; a CPU tracks about one frame per second."""
 
 
 @dataclass(frozen=True)
 class SensorOptions:
-    """Which two of the connected sensors."""
+    """Choice of the two sensors."""
 
     kinect_a: str | None = None
     """Serial number of the principal sensor K_A; S* is in its frame."""
     kinect_b: str | None = None
     """Serial number of the secondary sensor K_B."""
     principal: str | None = None
-    """Of two connected, the one that is K_A; without it the first question that duplex live asks."""
+    """Serial number of the sensor that is K_A, if two are connected; if not given, duplex live asks."""
     sync_master: str | None = None
-    """Serial number of the sensor that the sync cable leads out of. Orbbec's wrapper cannot tell."""
+    """Serial number of the master on the sync cable; needed with Orbbec's wrapper, which cannot detect it."""
 
 
 @dataclass(frozen=True)
@@ -112,21 +113,25 @@ class FuseOptions(TrackerOptions, MethodOptions, ViewerOptions, OutputOptions):
     """Recording of the secondary sensor K_B."""
     calibrate: str = "auto"
     """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
+    refine: bool = True
+    """Refine the calibration, unless it is from a file, over the whole recording; of the method duplex."""
+    smooth: Literal["off", "whole"] = "off"
+    """whole: each frame counts what comes after it as well; no lag, and calmer. Of the method duplex."""
     person_a: str | None = None
     """Id of the person in A; the one seen longest if not given."""
     person_b: str | None = None
     """Id of the person in B; the one seen longest if not given."""
     skeletons_a: Path | None = None
-    """For an .mkv: skeletons of A saved before, in place of the body tracker."""
+    """For an .mkv: a file of saved skeletons of A, instead of the body tracker."""
     skeletons_b: Path | None = None
-    """For an .mkv: skeletons of B saved before, in place of the body tracker."""
+    """For an .mkv: a file of saved skeletons of B, instead of the body tracker."""
     depth: Literal["none", "half", "full"] = "full"
     """For an .mkv: its depth images in the session: none, every second pixel in both directions, or all."""
 
 
 @dataclass(frozen=True)
 class DemoOptions(TerminalOptions, ViewerOptions):
-    """See the whole program at work without a sensor: two simulated Kinects watch one person.
+    """Run the whole program without a sensor: two simulated Kinects watch one person.
 
     The person's true joints are logged too, as a fourth skeleton (hidden at first).
     """
@@ -136,14 +141,14 @@ class DemoOptions(TerminalOptions, ViewerOptions):
     seconds: float = 30.0
     """How long."""
     seed: int = 0
-    """Of the simulated sensors' errors; the same seed makes the same skeletons."""
+    """Seed of the simulated sensors' errors; the same seed gives the same skeletons."""
     angle: float = 90.0
     """Degrees between the two sensors."""
     body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
     """Whose body tracker is simulated."""
     depth: Literal["none", "half", "full"] = "half"
-    """Depth images: none, at half the sensor's resolution, or all of it. Where the machine is too slow, as
-    most are for full, images are left out, skeletons never."""
+    """Depth images: none, half the sensor's resolution, or full. If the machine is too slow, as most are for
+    full, images are dropped, skeletons never."""
     save: Path | None = None
     """Keep the session as an .rrd file; without a display demo.rrd if not given."""
     force: bool = False
@@ -154,30 +159,30 @@ class DemoOptions(TerminalOptions, ViewerOptions):
 class LiveOptions(
     TrackerOptions, MethodOptions, TerminalOptions, ViewerOptions, OutputOptions, SensorOptions
 ):
-    """Fuse what two Azure Kinects (or Orbbec Femto Bolt / Mega) see, as they see it.
+    """Fuse two Azure Kinects (or Orbbec Femto Bolt / Mega) live.
 
-    Ctrl-C ends it and saves everything. duplex doctor says what this machine lacks.
+    Ctrl-C ends the command and saves everything. duplex doctor shows what this machine lacks.
     """
 
     layout: Literal["setup", "inspect", "report"] = "setup"
     """Which of the viewer's tabs is open at first."""
     seconds: float | None = None
-    """End after so many seconds; with Ctrl-C if not given."""
+    """End after this many seconds; if not given, end with Ctrl-C."""
     depth: Literal["none", "half", "full"] = "half"
     """Depth images shown and saved: none, every second pixel in both directions, or all."""
     depth_mode: Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"] = "NFOV_UNBINNED"
     """Narrow and far, or wide and near."""
     fps: Literal[5, 15, 30] = 30
-    """Frames a second."""
+    """Frames per second."""
     color: Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"] = "off"
     """Colour images, and at which resolution."""
     tracker_smoothing: float = 0.0
-    """Temporal smoothing of the body tracker, 0 to 1; fusion wants 0."""
+    """Temporal smoothing of the body tracker, 0 to 1; fusion needs 0."""
 
 
 @dataclass(frozen=True)
 class DoctorOptions(TrackerOptions, SensorOptions):
-    """Say what of live capture works on this machine, and what to do where it does not.
+    """Check live capture on this machine, and show how to fix what does not work.
 
     The exit code is 0 if duplex live could start, 1 if not.
     """
@@ -185,7 +190,8 @@ class DoctorOptions(TrackerOptions, SensorOptions):
 
 @dataclass(frozen=True)
 class BenchAccuracyOptions:
-    """Say in millimetres what S* is worth: methods side by side on simulated sensors, truth known."""
+    """Measure the accuracy of S* in millimetres: methods side by side on simulated sensors with known
+    truth."""
 
     set: Literal["simulated", "real"] = "simulated"
     """simulated: the methods against the truth. real: the simulator against figures of real sensors."""
@@ -198,19 +204,19 @@ class BenchAccuracyOptions:
     first_seed: int = 0
     """The first seed; the others follow it."""
     seconds: float = 20.0
-    """How long each recording is."""
+    """Duration of each recording."""
     body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
     """Whose body tracker is simulated."""
     errors: float = 1.0
-    """All errors of the tracker, times this."""
+    """Factor for all errors of the tracker."""
     tracker_errors: Literal["fitted", "heavy-tailed"] = "fitted"
-    """fitted: to real recordings. heavy-tailed: another tracker's, to which nothing is fitted."""
+    """fitted: fitted to real recordings. heavy-tailed: another error model, to which nothing is fitted."""
     methods: tuple[str, ...] = ()
     """Only these methods, by their names in the tables; all but the ablations if not given."""
     ablations: bool = False
     """Add our method with one part switched off at a time."""
     processes: int = 0
-    """How many recordings are worked on at the same time; 0: as many as processors."""
+    """Number of recordings processed in parallel; 0: one per processor."""
     recordings: Path | None = None
     """With --set real: a folder of real pairs NAME/a.csv, NAME/b.csv to compare with, too."""
     json: Path | None = None
@@ -225,7 +231,7 @@ class BenchAccuracyOptions:
 class ReplayOptions(OutputOptions):
     """Fuse a session's two skeletons again, with its own settings or with others.
 
-    With the session's own settings S* comes out bit for bit; --verify checks that.
+    With the session's own settings S* is identical bit for bit; --verify checks this.
     """
 
     session: Positional[Path] = field(kw_only=True)
@@ -240,7 +246,7 @@ class ReplayOptions(OutputOptions):
     weights: Literal["paper", "equal"] | None = None
     """paper: trust a joint, eqs. (10), (11). equal: both views alike. As recorded if not given."""
     verify: bool = False
-    """Compare S* with the recorded one; exit code 1 and the first difference where a bit differs."""
+    """Compare S* with the recorded S*; if a bit differs, print the first difference and exit with code 1."""
     no_viewer: bool = False
     """Do not open the viewer."""
     save: Path | None = None
@@ -249,15 +255,16 @@ class ReplayOptions(OutputOptions):
 
 @dataclass(frozen=True)
 class InfoOptions:
-    """What a session holds: body, frames, length, settings, calibration, size, and whether it is whole."""
+    """Show the contents of a session: body, frames, length, settings, calibration, size, and whether it is
+    whole."""
 
     session: Positional[Path]
-    """The .rrd to look into."""
+    """The .rrd to read."""
 
 
 @dataclass(frozen=True)
 class TrimOptions:
-    """Cut a stretch out of a session. Frames stay as they are; nothing is fused again."""
+    """Save a time range of a session as a new session. Frames are copied; nothing is fused again."""
 
     session: Positional[Path]
     """The .rrd to cut."""
@@ -273,7 +280,7 @@ class TrimOptions:
 
 @dataclass(frozen=True)
 class CompareOptions:
-    """Two fusions of the same capture side by side, joint by joint and bone by bone."""
+    """Compare two fusions of the same capture, joint by joint and bone by bone."""
 
     first: Positional[Path]
     """A session."""
@@ -291,12 +298,12 @@ class CompareOptions:
 
 @dataclass(frozen=True)
 class ReviewOptions:
-    """Look at a session again: the viewer, the summary, and a page to send on."""
+    """Show a saved session: the viewer, the summary, and an HTML page."""
 
     session: Positional[Path]
-    """The .rrd to look at."""
+    """The .rrd to show."""
     html: Path | None = None
-    """Write a page that stands alone: bone lengths, jitter, trust, disagreement, calibration, timing."""
+    """Write a self-contained page: bone lengths, jitter, trust, disagreement, calibration, timing."""
     no_viewer: bool = False
     """Do not open the viewer."""
     force: bool = False
@@ -312,17 +319,18 @@ class ExportOptions:
     to: Path
     """The file to write."""
     table: Literal["long", "wide"] = "long"
-    """Of a .csv: a row a joint and skeleton, or a row a frame with S* alone."""
+    """Layout of a .csv: one row per joint and skeleton, or one row per frame with S* only."""
     force: bool = False
     """Overwrite a file that exists."""
 
 
 @dataclass(frozen=True)
 class BenchRealOptions:
-    """Judge S* on recordings of real sensors, without truth: calm, jumps, facing, registration, faults."""
+    """Judge S* on recordings of real sensors without ground truth: calm, jumps, facing, registration,
+    faults."""
 
     paths: Positional[tuple[Path, ...]]
-    """Folders with a.csv and b.csv each, or two recordings."""
+    """Folders, each with a.csv and b.csv, or two recordings."""
     no_faults: bool = False
     """Leave out the artificial faults, which take most of the time."""
     json: Path | None = None
@@ -333,11 +341,11 @@ class BenchRealOptions:
 
 @dataclass(frozen=True)
 class BenchSpeedOptions:
-    """What a frame costs on this machine: solvers side by side, the update by stages, batch and writing."""
+    """Measure the time per frame on this machine: solvers, update by stages, batch and writing."""
 
     json: Path | None = None
     """Write all figures as JSON."""
     recording: tuple[Path, Path] | None = None
-    """Recordings A and B to measure warm starts and the update on; simulated sensors where not given."""
+    """Recordings A and B for measuring warm starts and the update; if not given, simulated sensors."""
     force: bool = False
     """Overwrite files that exist."""

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there."""
+"""Output files that are either complete or absent."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rich.markup import escape
 from recordings.writing.growing_file import partial_beside
 from viewer_app.errors import UsageError
 
-_LITTLE_FREE = 500_000_000  # bytes; with depth images a session takes some 300 MB a minute
+_LITTLE_FREE = 500_000_000  # bytes; a session with depth images takes about 300 MB per minute
 
 
 def check_writable(path: Path, force: bool) -> None:
-    """Finds out before the work, not after it, that a file could not be written.
+    """Checks before the work that a file can be written.
 
     Raises:
         UsageError: The file exists and `force` is not set, or its folder is missing or read-only.
@@ -27,11 +27,11 @@ def check_writable(path: Path, force: bool) -> None:
     try:
         there = path.exists()
     except OSError as error:
-        raise UsageError(f"{path} is no name for a file: {error.strerror or error}.") from None
+        raise UsageError(f"{path} is not a valid file name: {error.strerror or error}.") from None
     if path.is_dir():
         raise UsageError(f"{path} is a folder; name a file.")
     if there and not path.is_file():
-        raise UsageError(f"{path} is no plain file; name another.")
+        raise UsageError(f"{path} is not a regular file; name another.")
     if there and not force:
         raise UsageError(f"{path} exists already. Choose another name, or overwrite it with --force.")
     if not path.parent.is_dir():
@@ -41,7 +41,7 @@ def check_writable(path: Path, force: bool) -> None:
 
 
 def warn_of_little_room(path: Path, console: Console) -> None:
-    """Says so where a session of unknown length may fill the disk; how much is enough, no one knows."""
+    """Warns if a session of unknown length may fill the disk."""
     free = shutil.disk_usage(path.parent).free
     if free < _LITTLE_FREE:
         console.print(
@@ -66,17 +66,17 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path], force:
 
 
 def _real(path: Path) -> Path:
-    """Where the path leads; a loop of links leads to itself, where ``Path.resolve`` raises."""
+    """The resolved path; for a loop of links, where ``Path.resolve`` raises, the path itself."""
     return Path(os.path.realpath(path))
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Gives a temporary name beside `path`, renamed to it when all went well and removed when not.
+    """Yields a temporary path beside `path`; renames it to `path` on success and removes it on failure.
 
     Raises:
-        UsageError: It could not be written; or another program has made a file of that name meanwhile: that
-            one is left alone, and the name of ours is said.
+        UsageError: The file could not be written, or another program created a file of that name in the
+            meantime. That file is not replaced, and the message names ours.
     """
     path = _real(path)
     partial = partial_beside(path)
@@ -95,6 +95,6 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def free_name(path: Path) -> Path:
-    """The path, or where that exists the first of ``name-2``, ``name-3`` … that does not."""
+    """The path, or if it exists, the first free one of ``name-2``, ``name-3`` …"""
     names = (path.with_stem(f"{path.stem}-{k}") for k in count(2))
     return next(name for name in chain([path], names) if not os.path.lexists(name))

@@ -1,4 +1,4 @@
-"""The handles of libk4a inside pyk4a's objects, for what pyk4a itself does not offer."""
+"""Access to the libk4a handles inside pyk4a's objects, for functions that pyk4a does not offer."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from devices.sensor import DeviceError
 
 def capture_pointer(capture: Any) -> int:
     """The ``k4a_capture_t`` in a capture: its capsule holds the address of the handle."""
-    at = capsule_pointer(capture._capture_handle, b"pyk4a capture handle")
-    return ctypes.c_void_p.from_address(at).value or 0
+    address = capsule_pointer(capture._capture_handle, b"pyk4a capture handle")
+    return ctypes.c_void_p.from_address(address).value or 0
 
 
 def capsule_pointer(capsule: object, name: bytes) -> int:
@@ -29,5 +29,5 @@ def capsule_pointer(capsule: object, name: bytes) -> int:
 
 def device_handle(device: Any) -> int:
     """The ``k4a_device_t`` in an opened ``pyk4a.PyK4A``: its capsule holds the address of the handle."""
-    at = capsule_pointer(device._device_handle, b"pyk4a device handle")
-    return ctypes.c_void_p.from_address(at).value or 0
+    address = capsule_pointer(device._device_handle, b"pyk4a device handle")
+    return ctypes.c_void_p.from_address(address).value or 0

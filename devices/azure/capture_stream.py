@@ -28,14 +28,14 @@ class _Seen:
 
 
 class CaptureStream:
-    """Takes captures off the SDK's queue and keeps the newest of the moments that are wanted.
+    """Takes captures from the SDK's queue and keeps the newest of the wanted moments.
 
-    The queue holds seven captures. Whoever takes the oldest while a tracker is slower than the camera gets
-    frames that are a quarter of a second old.
+    The queue holds seven captures. If the tracker is slower than the camera, the oldest capture in the queue
+    is a quarter of a second old.
 
     Attributes:
-        missed: Wanted captures that were not handed on: the SDK had no room for them, or a newer one was
-            there when the tracker was ready.
+        missed: Wanted captures that were dropped: the SDK's queue was full, or a newer capture was available
+            when the tracker was ready.
     """
 
     def __init__(
@@ -48,16 +48,16 @@ class CaptureStream:
         decimation: FrameDecimation,
         clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
-        """Takes nothing yet.
+        """Prepares; takes no capture yet.
 
         Args:
-            device: The ``pyk4a.PyK4A`` that runs.
+            device: The running ``pyk4a.PyK4A``.
             sdk: The module pyk4a.
-            serial: Its serial number.
-            settings: How it runs.
-            color: The colour camera whose images are asked for.
-            decimation: Which moments are wanted.
-            clock: Nanoseconds, of ``host_ns``; tests put their own.
+            serial: Serial number of the device.
+            settings: Settings of the device.
+            color: The colour camera, if colour images are wanted.
+            decimation: Selects the wanted moments.
+            clock: The clock of ``host_ns``, nanoseconds; tests inject their own.
         """
         self._device, self._sdk, self._serial = device, sdk, serial
         self._settings, self._color, self._decimation, self._clock = settings, color, decimation, clock
@@ -89,7 +89,7 @@ class CaptureStream:
                 break
             except self._sdk.K4AException as fault:
                 raise self._lost(fault) from fault
-            timeout_ms = 0  # whatever else has come by now, but wait no more
+            timeout_ms = 0  # take what is in the queue, without waiting again
             seen = self._look(capture)
             if seen is None:
                 self._stay_silent(1 / self._settings.fps)
@@ -105,13 +105,13 @@ class CaptureStream:
         return None if newest is None else (self._frame(newest), newest.capture)
 
     def _waited_for_color(self, seen: _Seen) -> bool:
-        """Whether capture sync held a depth image back in vain: it comes together with the next one."""
+        """Whether capture sync delayed a depth image for nothing: it arrives together with the next one."""
         if self._settings.camera_color is None or self._delayed:
             return False
         return image_of(seen.capture, "color") is None
 
     def _look(self, capture: Any) -> _Seen | None:
-        """When a capture was made; None without depth: a colour image alone."""
+        """The capture with its times; None for a capture without depth."""
         if image_of(capture, "depth") is None or image_of(capture, "ir") is None:
             return None
         now_ns, host_ns = self._clock(), int(capture.depth_system_timestamp_nsec)
@@ -125,7 +125,7 @@ class CaptureStream:
     def _is_wanted(self, seen: _Seen) -> bool:
         self._silent_s, self._patience_s = 0.0, self._settings.stall_s
         moment = self._decimation.moment(self._serial, seen.time_ns, seen.host_ns)
-        if self._last_ns is not None:  # a clock that is reset goes back: nothing is known of that gap
+        if self._last_ns is not None:  # after a clock reset the gap is unknown
             gap = max(0, round((seen.time_ns - self._last_ns) * self._settings.fps / 1e9) - 1)
             self.missed += self._decimation.kept_before(moment, gap)
         self._last_ns = seen.time_ns
@@ -149,7 +149,7 @@ class CaptureStream:
             return
         if not is_connected(
             self._sdk, self._serial
-        ):  # Orbbec's wrapper tells of unplugging by time-outs only
+        ):  # Orbbec's wrapper reports unplugging only through time-outs
             raise self._unplugged()
         cause = (
             "A subordinate gives frames only while its master runs: check the master and the sync cable."

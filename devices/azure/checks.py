@@ -1,4 +1,4 @@
-"""What of live capture works on this machine, as data."""
+"""Checks of live capture on this machine, as data."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _CABLE_ADVICE = (
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at.
+    """Result of one check.
 
     Attributes:
-        name: What it is.
+        name: What was checked.
         ok: Whether it works.
         detail: What was found.
-        advice: What to do where it fails; empty where it works.
-        needed: Whether live capture cannot start without it.
+        advice: What to do if it fails; empty if it works.
+        needed: Whether live capture requires it.
     """
 
     name: str
@@ -53,13 +53,13 @@ def device_checks(
     choice: tuple[str | None, str | None, str | None] = (None, None, None),
     named_master: str | None = None,
 ) -> list[Check]:
-    """All that live capture needs of devices and their libraries, in the order to put it right.
+    """Checks the devices and libraries that live capture needs, in the order of repair.
 
     Args:
-        tracker: How the tracker would run: its library and network are looked for.
-        root: Where the file system starts; tests put their own there.
-        choice: Serial numbers that live would be given: A, B, principal, as ``choose_two`` takes them.
-        named_master: Serial number of the master on the sync cable, where live would be told.
+        tracker: Settings of the tracker, whose library and network are checked.
+        root: Root of the file system; tests inject their own.
+        choice: Serial numbers A, B and principal, as for ``choose_two``.
+        named_master: Serial number of the master on the sync cable, if named by the user.
         x_answers: Whether the X display answers, where DISPLAY names one.
     """
     tracker = tracker or TrackerSettings()
@@ -91,7 +91,7 @@ def _sdk() -> Check:
 
 
 def _depth_engine(root: Path, x_answers: bool) -> Check:
-    """What makes depth of the sensor's raw images, on this machine: a closed library that uses OpenGL."""
+    """Checks the depth engine, a closed library that computes depth from raw images with OpenGL."""
     name = "depth engine"
     if not sys.platform.startswith("linux"):
         return Check(name, True, f"comes with the Sensor SDK on {sys.platform}")
@@ -117,7 +117,7 @@ def _depth_engine(root: Path, x_answers: bool) -> Check:
         False,
         f"{_DEPTH_ENGINE} is not where the SDK puts it",
         "It comes with the SDK's package libk4a1.4; with Orbbec's wrapper, beside its libk4a.",
-        needed=False,  # the SDK may have a path of its own to it
+        needed=False,  # the SDK may find it in a path of its own
     )
 
 
@@ -180,6 +180,9 @@ def _usb_speed(root: Path) -> Check:
 
 
 def _kinects(choice: tuple[str | None, str | None, str | None], named_master: str | None) -> list[Check]:
+    if not _sdk().ok:
+        advice = "Install pyk4a and the Sensor SDK first, as said above."
+        return [Check("two Kinects", False, "cannot be looked for without pyk4a", advice)]
     try:
         there = connected_kinects()
     except DeviceError as fault:
@@ -191,7 +194,7 @@ def _kinects(choice: tuple[str | None, str | None, str | None], named_master: st
         return [Check("two Kinects", False, counted, advice), *each]
     try:
         chosen = choose_two(there, *choice)
-    except NeedsChoiceError as question:  # which live asks
+    except NeedsChoiceError as question:  # duplex live asks the user
         chosen = question.serials
     except DeviceError as fault:
         return [Check("two Kinects", False, counted, str(fault)), *each]
@@ -199,7 +202,7 @@ def _kinects(choice: tuple[str | None, str | None, str | None], named_master: st
 
 
 def _sync_cable(there: list[ConnectedKinect], chosen: tuple[str, str], named_master: str | None) -> Check:
-    """How the two are joined."""
+    """Checks the sync cable between the two sensors."""
     a, b = (next(kinect for kinect in there if kinect.serial == serial) for serial in chosen)
     try:
         master = sync_master(a, b, named_master)
@@ -260,6 +263,6 @@ def _gpu(tracker: TrackerSettings, root: Path) -> Check:
 
 
 def _failed(name: str, fault: DeviceError) -> Check:
-    """A check from an error: what happened, up to the end of its first sentence; the rest is the way out."""
+    """A failed check from an error: its first sentence is the detail, the rest is the advice."""
     what, _, advice = str(fault).partition(". ")
     return Check(name, False, what, advice)

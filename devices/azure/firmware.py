@@ -1,4 +1,4 @@
-"""The version of a Kinect's firmware, which libk4a tells and pyk4a does not."""
+"""The firmware version of a Kinect, read through libk4a because pyk4a does not offer it."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def loaded_libk4a() -> ctypes.CDLL | None:
 
 
 def firmware_advice(serial: str, version: Version | None) -> str:
-    """What to say of a firmware that is too old for a sync cable; empty where it is not, or is unknown."""
+    """Advice for a firmware that is too old for a sync cable; empty if it is new enough or unknown."""
     if version is None or version >= RESTARTS_WITHOUT_COLOR or not serial.isdigit():
         return ""
     old, needed = (".".join(map(str, numbers)) for numbers in (version, RESTARTS_WITHOUT_COLOR))

@@ -1,6 +1,6 @@
 """Azure Kinect live, with its body tracker.
 
-Orbbec's Femto Bolt and Mega come the same way with Orbbec's K4A wrapper in place of libk4a.
+Orbbec's Femto Bolt and Mega work the same way with Orbbec's K4A wrapper instead of libk4a.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ class KinectSensor:
 
     Attributes:
         name: Its serial number.
-        body: The body tracker's.
-        intrinsics: Of the depth camera in the mode chosen; None before opening.
-        warnings: What went wrong without stopping it.
-        missed: Frames captured that never came, for this program or its tracker was too slow. Moments that
-            were left out on purpose, for all trackers alike, are not counted.
-        waits_for: What it waits for now, where that may take minutes; empty for nothing.
+        body: The body of the body tracker.
+        intrinsics: Intrinsics of the depth camera in the chosen mode; None before opening.
+        warnings: Problems that did not stop the sensor.
+        missed: Captured frames that were dropped because this program or its tracker was too slow. Moments
+            skipped on purpose by the decimation are not counted.
+        waits_for: What the sensor is waiting for, if that may take minutes; else empty.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class KinectSensor:
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Stops the tracker and the sensor, also when it is no longer there."""
+        """Stops the tracker and the sensor, even if the sensor is no longer connected."""
         if self._tracker is not None:
             self._tracker.close()
         self.waits_for = ""
@@ -125,11 +125,11 @@ class KinectSensor:
                 self.warnings.append(f"Kinect {self.name} did not close cleanly ({fault}).")
 
     def interrupt(self) -> None:
-        """Makes ``frames`` end after its present wait; for closing from another thread."""
+        """Makes ``frames`` end after its current wait; for closing from another thread."""
         self._interrupted.set()
 
     def frames(self) -> Iterator[SensorFrame]:
-        """Frames as they come, until interrupted.
+        """Frames as they arrive, until interrupted.
 
         Raises:
             DeviceError: Unplugged, stalled, or the tracker failed.
@@ -145,7 +145,7 @@ class KinectSensor:
                 if (taken := self._take(captures, wait=True)) is not None:
                     yield taken[0]
             return
-        # Waiting three quarters of a frame for its people leaves time to fetch the next one.
+        # Waiting at most three quarters of a frame for the tracker leaves time to fetch the next capture.
         queue = TrackerQueue(self._tracker, 0.75 / self.settings.fps, self._took, self._clock)
         self.waits_for = "its body tracker's first result"
         while not self._interrupted.is_set():
@@ -166,7 +166,7 @@ class KinectSensor:
         self._decimation.tracked(self.name, time_ns)
 
     def _check_jack(self) -> None:
-        """Finds out whether the sync cable is there, and whether a device that opens lazily is busy."""
+        """Checks that the sync cable is connected, and that a device that opens lazily is not busy."""
         try:
             sync_in, sync_out = self._device.sync_jack_status
         except self._sdk.K4AException as fault:

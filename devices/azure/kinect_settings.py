@@ -1,4 +1,4 @@
-"""How a Kinect runs, and what libk4a is told of it."""
+"""Settings of a Kinect, and their translation for libk4a."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ class KinectSettings:
         return SYNC_COLOR if self.color is None and self.sync != "standalone" else self.color
 
 
-def sdk_configuration(sdk: Any, settings: KinectSettings) -> Any:
-    """The ``pyk4a.Config`` for these settings.
+def check_modes(settings: KinectSettings) -> None:
+    """Finds out without a sensor whether it can run so.
 
     Raises:
         DeviceError: A mode that the sensor does not have, or not at this rate.
@@ -67,6 +67,16 @@ def sdk_configuration(sdk: Any, settings: KinectSettings) -> Any:
     if settings.fps == 30 and (settings.depth_mode == "WFOV_UNBINNED" or color == "3072P"):
         mode = "WFOV_UNBINNED" if settings.depth_mode == "WFOV_UNBINNED" else "Colour 3072P"
         raise DeviceError(f"{mode} runs at 15 fps at most, not 30. Choose 15 fps or another mode.")
+
+
+def sdk_configuration(sdk: Any, settings: KinectSettings) -> Any:
+    """The ``pyk4a.Config`` for these settings.
+
+    Raises:
+        DeviceError: A mode that the sensor does not have, or not at this rate.
+    """
+    check_modes(settings)
+    color = settings.camera_color
     return sdk.Config(
         color_resolution=sdk.ColorResolution[f"RES_{color}" if color else "OFF"],
         color_format=sdk.ImageFormat.COLOR_MJPG,

@@ -1,6 +1,6 @@
-"""The Kinects connected, through pyk4a: the only file that imports it, and only when a sensor is asked for.
+"""Access to connected Kinects through pyk4a. Only this file imports pyk4a, and only on demand.
 
-Errors of the SDK come without words, so this file finds out why a device does not open.
+The SDK's errors have no description, so this file determines why a device does not open.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class ConnectedKinect:
 
 
 def connected_kinects() -> list[ConnectedKinect]:
-    """Every Kinect connected, each opened for a moment; one that another program uses has a fault.
+    """All connected Kinects. Each is opened briefly; one in use by another program has a fault.
 
     Raises:
         DeviceError: pyk4a or the SDK is not installed.
@@ -88,7 +88,7 @@ def load_sdk() -> ModuleType:
 
 
 def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
-    """Opens the Kinect with a serial number, by asking every one for its own: indices are not stable.
+    """Opens the Kinect with a serial number. It queries all devices, because their indices are not stable.
 
     Returns:
         The opened ``pyk4a.PyK4A``, without cameras running.
@@ -133,14 +133,14 @@ def _open(device: Any, sdk: Any) -> None:
 
 
 def close_kinect(sdk: Any, serial: str, device: Any) -> str:
-    """Closes what ``open_kinect`` opened, also when it is no longer there; what failed, or nothing."""
+    """Closes a device opened by ``open_kinect``, even if disconnected; returns the failure, or None."""
     with _opening:
         _open_here.discard(serial)
         return let_go(device, sdk)
 
 
 def is_connected(sdk: Any, serial: str) -> bool:
-    """Whether a Kinect that this process has open is still there. Ask only when its frames stay away.
+    """Whether a Kinect opened by this process is still connected. Call it only when frames stop arriving.
 
     Where the system has listed it by its serial number (Linux), that list decides. Elsewhere (Windows) the
     SDK counts what is connected: fewer than this process has open means that the one that fails is gone.
@@ -153,7 +153,8 @@ def is_connected(sdk: Any, serial: str) -> bool:
 
 
 def _on_bus(serial: str) -> bool | None:
-    """Whether the system's list of USB devices has it; None where the list is empty or never had it."""
+    """Whether the system's list of USB devices contains it; None if the list is empty or never contained
+    it."""
     listed = _serials_on_bus()
     return serial in listed if listed and serial in _seen_on_bus else None
 
@@ -175,7 +176,7 @@ def _not_found(serial: str, others: list[str], faults: list[str]) -> str:
 
 
 def why_not_open(fault: Exception, bus: list[UsbKinect] | None = None) -> str:
-    """Why a device that is there does not open; the SDK itself does not say."""
+    """Why a connected device does not open; the SDK gives no reason."""
     said = f" ({fault})" if str(fault) else ""
     forbidden = [device for device in (usb_kinects() if bus is None else bus) if not device.allowed]
     if forbidden:
@@ -186,7 +187,7 @@ def why_not_open(fault: Exception, bus: list[UsbKinect] | None = None) -> str:
 
 
 def let_go(device: Any, sdk: Any) -> str:
-    """Stops and closes a device whatever state it is in; what failed, or nothing."""
+    """Stops and closes a device in any state; returns the failure, or None."""
     faults = []
     for running, action in ((True, "stop"), (False, "close")):
         # stop() closes too, unless stopping failed on the way: then close() must still be tried.

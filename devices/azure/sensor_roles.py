@@ -1,4 +1,4 @@
-"""Which of the connected Kinects is A, which is B, and which leads on the sync cable."""
+"""Chooses which connected Kinect is A, which is B, and which is the master on the sync cable."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from devices.sensor import DeviceError
 
 
 class NeedsChoiceError(DeviceError):
-    """Two Kinects are connected and nobody said which is the principal one: ask, or ``--principal``.
+    """Two Kinects are connected and the principal one is not named: ask the user, or use ``--principal``.
 
     Attributes:
         serials: The two, sorted.
@@ -35,12 +35,14 @@ def choose_two(
     Args:
         connected: What is there.
         a, b: Serial numbers asked for; one alone leaves the other to what is connected.
-        principal: Serial number of K_A, when ``a`` is not given.
+        principal: Serial number of K_A too.
 
     Raises:
         NeedsChoiceError: Exactly two are there, and none is named.
-        DeviceError: Not two, one of them cannot be opened, or a name is not among them.
+        DeviceError: Not two, one of them cannot be opened, a name is not among them, or A has two names.
     """
+    if a is not None and principal is not None and a != principal:
+        raise DeviceError(f"--kinect-a {a} and --principal {principal} both name K_A. Leave one of them out.")
     a = a or principal
     there = sorted(kinect.serial for kinect in connected if kinect.serial is not None)
     faults = [kinect.fault for kinect in connected if kinect.fault]
@@ -82,16 +84,24 @@ def sync_master(a: ConnectedKinect, b: ConnectedKinect, named: str | None = None
 
     Args:
         a, b: The two sensors.
-        named: The master, where the person says which one it is: the jacks are not asked then. Orbbec's
-            wrapper always says that they are empty.
+        named: The master, where the person says which one it is. Orbbec's jacks are not asked then: its
+            wrapper always says that they are empty. Microsoft's know better than the person.
 
     Raises:
-        DeviceError: A cable is there but joins no out to an in, or the master named is neither of the two.
+        DeviceError: A cable is there but joins no out to an in, or the master named is neither of the two or
+            not where a cable leads out.
     """
     if named is not None:
         if named not in (a.serial, b.serial):
             raise DeviceError(
                 f"--sync-master {named} is neither of the two Kinects chosen, {a.serial} and {b.serial}."
+            )
+        leads, follows = (a, b) if named == a.serial else (b, a)
+        seen = (leads.is_orbbec or leads.sync_out) and (follows.is_orbbec or follows.sync_in)
+        if not seen:
+            raise DeviceError(
+                f"--sync-master {named}: no cable leads from its sync out to the sync in of {follows.serial} "
+                f"({_jacks(a, b)}). Put the cable there, or leave --sync-master out."
             )
         return named
     for master, subordinate in ((a, b), (b, a)):
@@ -99,19 +109,22 @@ def sync_master(a: ConnectedKinect, b: ConnectedKinect, named: str | None = None
             return master.serial
     if not any((a.sync_in, a.sync_out, b.sync_in, b.sync_out)):
         return None
-    jacks = "; ".join(
+    raise DeviceError(
+        f"The sync cable joins no sync out to a sync in ({_jacks(a, b)}). Lead it from one sensor's sync out "
+        f"to the other's sync in, or unplug it to run without."
+    )
+
+
+def _jacks(*kinects: ConnectedKinect) -> str:
+    return "; ".join(
         f"{kinect.serial}: in {'connected' if kinect.sync_in else 'empty'}, "
         f"out {'connected' if kinect.sync_out else 'empty'}"
-        for kinect in (a, b)
-    )
-    raise DeviceError(
-        f"The sync cable joins no sync out to a sync in ({jacks}). Lead it from one sensor's sync out to the "
-        f"other's sync in, or unplug it to run without."
+        for kinect in kinects
     )
 
 
 def cable_unknown(a: ConnectedKinect, b: ConnectedKinect) -> str:
-    """What to say where no cable was found and that means nothing: Orbbec's wrapper cannot see one."""
+    """Advice if no cable was detected but one may exist: Orbbec's wrapper cannot detect cables."""
     orbbec = [str(kinect.serial) for kinect in (a, b) if kinect.is_orbbec]
     if not orbbec:
         return ""
@@ -122,7 +135,7 @@ def cable_unknown(a: ConnectedKinect, b: ConnectedKinect) -> str:
 
 
 def cable_notes(a: ConnectedKinect, b: ConnectedKinect, master: str | None) -> list[str]:
-    """What the person should know of the cable and of the firmware that it needs."""
+    """Notes for the user about the sync cable and the firmware it needs."""
     if master is None:
         return [cable_unknown(a, b) or _NO_CABLE]
     return [note for kinect in (a, b) if (note := firmware_advice(str(kinect.serial), kinect.firmware))]

@@ -1,6 +1,7 @@
-"""Kinects on the USB bus, as the system sees them: whether this user may open them.
+"""Kinects on the USB bus, and whether this user may open them.
 
-The SDK does not say why a device cannot be opened, so this asks Linux. Elsewhere nothing is known.
+The SDK does not report why a device cannot be opened, so this module asks Linux. Other systems give no
+information.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Which moments two sensors hand to their body trackers when a tracker is slower than the cameras.
+"""Frame decimation: selects the moments for the body trackers if a tracker is slower than the cameras.
 
-Each sensor would otherwise keep whichever frame comes when its own tracker is free: the two keep different
-moments, and hardly a pair forms. Here both count the moments of one common grid, and both keep every n-th.
+Without it each sensor keeps the frame that arrives when its own tracker is free. The two sensors then keep
+different moments, and few pairs form. Here both count moments on a common grid and keep every n-th.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class FrameDecimation:
         return self._slowest_s if self._step > 1 else 0.0
 
     def restart(self, sensor: str) -> None:
-        """Forgets a sensor: it is opened anew, its clock and its tracker too."""
+        """Forgets a sensor that was reopened, because its clock and its tracker restart."""
         with self._lock:
             self._sensors[sensor] = _Sensor()
 
@@ -113,7 +113,7 @@ class FrameDecimation:
         return (moment - 1) // self._step - (moment - count - 1) // self._step
 
     def tracked(self, sensor: str, time_ns: int) -> None:
-        """Takes note of how long a sensor's tracker worked on one frame."""
+        """Records how long a sensor's tracker worked on one frame."""
         with self._lock:
             mine = self._sensors.setdefault(sensor, _Sensor())
             mine.results += 1

@@ -1,4 +1,4 @@
-"""How a sensor's clock stands to this machine's, from when its frames arrive."""
+"""Estimates the offset between a sensor's clock and the host clock from arrival times."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SAME_CLOCK_NS = 250_000_000
 
 
 class Arrival(Enum):
-    """What a frame's times say."""
+    """Classification of a frame's times."""
 
     IN_TIME = "in time"
     LATE = "late"
@@ -45,7 +45,7 @@ class HostClock:
         return self._offset_ns
 
     def observe(self, sensor_ns: int, host_ns: int) -> Arrival:
-        """Takes note of a frame: captured at ``sensor_ns``, arrived at ``host_ns``."""
+        """Adds a frame captured at ``sensor_ns`` that arrived at ``host_ns``."""
         offset_ns = host_ns - sensor_ns
         if self._offset_ns is None:
             self._note(offset_ns, host_ns)

@@ -1,4 +1,4 @@
-"""What a sensor on its own thread tells of itself, where it can, and what is said of one in trouble."""
+"""Queries the state of a sensor on its own thread, and builds the messages for a sensor in trouble."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from devices.sensor import CountsMissed, DeviceError, NamesItsWait, Sensor
 
 
 def wait_of(sensor: Sensor) -> str:
-    """What a sensor waits for now, where it can say; else empty."""
+    """What a sensor is waiting for, if it reports this; else empty."""
     return sensor.waits_for if isinstance(sensor, NamesItsWait) else ""
 
 
 def missed_by(sensor: Sensor) -> int:
-    """How many frames a sensor captured that never came, where it counts them; else 0."""
+    """Number of captured frames that never arrived, if the sensor counts them; else 0."""
     return sensor.missed if isinstance(sensor, CountsMissed) else 0
 
 
@@ -31,7 +31,7 @@ def not_opened(sensor: str, within_s: float, waits_for: str) -> DeviceError:
 
 
 def not_closed(sensor: str, waits_for: str) -> str:
-    """What to say of a sensor that does not close in time; arguments as for :func:`not_opened`."""
+    """Message for a sensor that does not close in time; arguments as for :func:`not_opened`."""
     if waits_for:
         return (
             f"{sensor} does not close yet: it waits for {waits_for}. It closes by itself after that; leave "
@@ -41,7 +41,7 @@ def not_closed(sensor: str, waits_for: str) -> str:
 
 
 def failed_within(sensor: str, fault: Exception) -> DeviceError:
-    """The error for a fault of the program or of a driver, which no opening anew mends."""
+    """The error for a fault of the program or a driver, which reopening does not fix."""
     what = f"{type(fault).__name__}: {fault}".rstrip(": ")
     return DeviceError(
         f"{sensor} failed within its driver or this program ({what}). What was saved stays readable. Start "

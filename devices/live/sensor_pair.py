@@ -1,4 +1,4 @@
-"""Two live sensors as one stream of pairs, whatever happens to either of them."""
+"""Two live sensors as one stream of pairs, robust against failures of either sensor."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from devices.live.stream_pairing import LivePairing, PairingFigures, Side
 from devices.pairing import FramePair
 from devices.sensor import Sensor, SensorFrame
 
-_POLL_S = 0.01  # pairs that wait for nobody any more come out this much late at most
+_POLL_S = 0.01  # latest delay of a pair that no longer waits for a partner
 _CLOSE_S = 3.0  # for both together
-_KEEP = 8  # frames a sensor: a quarter of a second in which the reader's machine did something else
+_KEEP = 8  # frames per sensor: a pause of a quarter of a second
 
 
 @dataclass(frozen=True)
 class StreamFigures:
-    """How two running sensors go, at one moment.
+    """Figures of two running streams at one moment.
 
     Attributes:
         drift_ppm: By how many millionths B's clock runs faster than A's.
-        dropped: Frames of A and of B for which we were too slow, since the start.
-        unpaired: Frames of A and of B that found no partner, since the start.
+        dropped: Frames of A and of B dropped since the start because the program was too slow.
+        unpaired: Frames of A and of B without a partner since the start.
     """
 
     drift_ppm: float
@@ -94,12 +94,17 @@ class TwoSensors:
 
     @property
     def figures(self) -> PairingFigures:
-        """How pairing goes so far."""
+        """Counts of the pairing so far."""
         return self._pairing.figures
 
     @property
+    def step(self) -> int:
+        """Every which frame both sensors go on with, for the slower body tracker; 1 is every one."""
+        return self._step
+
+    @property
     def stream_figures(self) -> StreamFigures:
-        """What of it belongs on the timeline."""
+        """The figures to log on the timeline."""
         figures = self._pairing.figures
         unpaired = figures.alone_a, figures.alone_b + figures.unmatched_b
         return StreamFigures(figures.drift_ppm, (self.a.dropped, self.b.dropped), unpaired)
@@ -114,7 +119,7 @@ class TwoSensors:
         try:
             for thread in (self.b, self.a) if self._first == "b" else (self.a, self.b):
                 thread.open(self._open_s)
-            # What one of them gave while the other's tracker still loaded is no one's drop.
+            # Frames of one sensor that arrived while the other's tracker was loading do not count as dropped.
             for _, thread in self._sides():
                 thread.count_from_now()
         except BaseException:
@@ -123,7 +128,7 @@ class TwoSensors:
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Closes both, in bounded time and on every path, and tells what happened meanwhile."""
+        """Closes both sensors in bounded time on every path, and reports their events."""
         self._end()
         until_s = time.monotonic() + _CLOSE_S
         try:
@@ -134,7 +139,7 @@ class TwoSensors:
             self._take_events(thread)
 
     def pairs(self) -> Iterator[FramePair]:
-        """Pairs as they come, until both sources have ended or :meth:`stop`; waits while both are gone.
+        """Pairs as they arrive, until both sources end or :meth:`stop` is called; waits while both are gone.
 
         Raises:
             DeviceError: A fault of the program or of a driver inside a sensor.
@@ -145,11 +150,11 @@ class TwoSensors:
             if ended:
                 yield from self._pairing.poll(_ns(self._clock()) + 10**12)
                 return
-        self._end()  # what comes while the session is being closed is nobody's drop
+        self._end()  # frames that arrive during closing do not count as dropped
 
     def stop(self) -> None:
         """Makes ``pairs`` end; for signal handlers and other threads."""
-        self._stopped = True  # an Event's lock may be held by the very thread that the signal interrupts
+        self._stopped = True  # a plain flag: the interrupted thread may hold the lock of an Event
 
     def poll(self, wait_s: float = _POLL_S) -> list[FramePair]:
         """The pairs that are complete now, after waiting for a frame at most ``wait_s``.
@@ -169,7 +174,7 @@ class TwoSensors:
                 pairs += self._pairing.restart(side)
             came += [(at_ns, side, frame) for at_ns, frame in frames]
             self._take_events(thread)
-        # As they came, whenever they are asked for: else a pause here would look like a sensor's.
+        # Use the arrival times, so that a pause of this thread does not look like a pause of a sensor.
         for at_ns, side, frame in sorted(came, key=lambda frame: frame[0]):
             pairs += self._pairing.add(side, frame, at_ns)
         for side, thread in self._sides():
@@ -188,6 +193,8 @@ class TwoSensors:
             return
         self._step = decimation.step
         self._pairing.set_interval(decimation.interval_ns)
+        for _, thread in self._sides():
+            thread.set_interval(decimation.interval_ns * 1e-9)
         full, kept = 1e9 / decimation.period_ns, 1e9 / decimation.interval_ns
         message = (
             f"The body tracker of {decimation.slowest} takes {1000 * decimation.slowest_s:.0f} ms per frame: "

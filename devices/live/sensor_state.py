@@ -1,4 +1,4 @@
-"""What a sensor on its own thread is doing, and what is told of it."""
+"""State and events of a sensor on its own thread."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ class SensorState(Enum):
     STALLED = "stalled"
     """Open, but without a frame for too long."""
     LOST = "lost"
-    """Failed; it is opened again and again until it comes back."""
+    """Failed; it is reopened until it works again."""
     ENDED = "ended"
-    """A source that ends, at its end."""
+    """The source has reached its end."""
 
 
 @dataclass(frozen=True)
 class SensorEvent:
-    """Something to tell the person at the screen.
+    """An event to report to the user.
 
     Attributes:
         sensor: The sensor's name.

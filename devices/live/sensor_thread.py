@@ -1,4 +1,4 @@
-"""Any sensor on a thread of its own: newest frame wins, lost sensors come back, closing never hangs."""
+"""Runs a sensor on its own thread: keeps the newest frames, reopens lost sensors, closes in bounded time."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ _EVENTS_KEPT = 100
 class SensorThread:
     """Runs a sensor on a thread of its own and keeps its newest frames for a reader.
 
-    Bounded memory: at most ``keep`` frames wait; then the oldest goes, and is counted. A sensor that fails
-    after it ran is reopened every ``retry_s``; one that fails at its first opening is reported by ``open``.
-    All methods are for one reader's thread.
+    Memory is bounded: the queue holds at most ``keep`` frames, then the oldest is dropped and counted. A
+        sensor
+    that fails while running is reopened every ``retry_s``; a failure at the first opening is raised by
+    ``open``. All methods are for one reader's thread.
 
     Attributes:
         sensor: The sensor; its ``intrinsics`` and ``body`` may be read once ``open`` returned.
@@ -46,7 +47,7 @@ class SensorThread:
         Args:
             sensor: What to run.
             keep: Most frames that wait for the reader.
-            stall_s: After how long without a frame the sensor counts as stalled.
+            stall_s: After how long without a frame the sensor counts as stalled; see :meth:`set_interval`.
             first_s: The same for the first one since opening: a body tracker's first result takes long.
             retry_s: How soon a lost sensor is tried again; later where it is there and does not open.
             arrival: Set at every frame and change of state; two sensors may share one, to wait for either.
@@ -56,7 +57,8 @@ class SensorThread:
         self.sensor = sensor
         self.arrival = arrival or threading.Event()
         self._keep, self._retries = keep, Retries(retry_s)
-        self._stall_s, self._first_s = stall_s, first_s
+        self._least_stall_s = self._stall_s = stall_s
+        self._first_s = first_s
         self._clock, self._wait = clock, wait
         self._lock = threading.Lock()
         self._frames: deque[tuple[int, SensorFrame]] = deque()  # and when each came
@@ -77,7 +79,7 @@ class SensorThread:
 
     @property
     def dropped(self) -> int:
-        """How many frames we were too slow for: this thread's reader, or the thread for the sensor itself."""
+        """Number of dropped frames: the reader was too slow for the thread, or the thread for the sensor."""
         return self._dropped + messages.missed_by(self.sensor) - self._missed_before
 
     @property
@@ -111,7 +113,7 @@ class SensorThread:
             raise DeviceError(messages.not_closed(self.sensor.name, messages.wait_of(self.sensor)))
         self._stopping, self._settled = threading.Event(), threading.Event()
         self._fault, self._state = None, SensorState.OPENING
-        # A daemon: a driver that hangs forever must not keep the program from ending.
+        # A daemon thread: a driver that hangs must not keep the program from ending.
         self._thread = threading.Thread(
             target=self._run,
             args=(self._stopping, self._settled),
@@ -131,15 +133,19 @@ class SensorThread:
         return self
 
     def count_from_now(self) -> None:
-        """Counts frames and drops anew. Frames that wait are kept, unless there were too many to keep."""
+        """Resets the counts of frames and drops. Queued frames are kept."""
         with self._lock:
             if self._dropped:
                 self._frames.clear()
             self._received, self._dropped = len(self._frames), 0
             self._missed_before = messages.missed_by(self.sensor)
 
+    def set_interval(self, interval_s: float) -> None:
+        """Changes the time between two frames; a sensor stalls after four of them at the earliest."""
+        self._stall_s = max(self._least_stall_s, 4 * interval_s)
+
     def end(self) -> None:
-        """Makes the thread end, without waiting for that: frames to come are not wanted, nor counted."""
+        """Asks the thread to end, without waiting. Later frames are neither kept nor counted."""
         self._stopping.set()
         if self._thread is not None and isinstance(self.sensor, Interruptible):
             self.sensor.interrupt()
@@ -260,7 +266,7 @@ class SensorThread:
                     frame = with_witness(frame, self.sensor.intrinsics)
                 self._deliver(frame)
         finally:
-            # A generator may hold files or handles: let it go now, on this thread.
+            # The generator may hold files or handles: release it now, on this thread.
             if isinstance(frames, Generator):
                 frames.close()
 
@@ -291,7 +297,7 @@ class SensorThread:
     def _failed(self, message: str) -> None:
         with self._lock:
             self._state = SensorState.LOST
-        # Retries fail in the same words each time: once is enough.
+        # Retries repeat the same message: report it once.
         if message != self._told:
             self._told = message
             self._tell(f"{message} Going on without it; it is taken back when it returns.")

@@ -157,11 +157,11 @@ class LivePairing:
         return pairs
 
     def set_gone(self, side: Side, gone: bool) -> None:
-        """Says that a sensor is lost, so that nobody waits for it; its next frame takes it back."""
+        """Marks a sensor as lost, so that no frame waits for it; its next frame ends this state."""
         (self._a if side == "a" else self._b).gone = gone
 
     def restart(self, side: Side) -> list[FramePair]:
-        """Says that a sensor was opened anew, so that its clock may have started anew.
+        """Reports that a sensor was reopened, so that its clock may have restarted.
 
         Returns:
             What still waited.
@@ -170,7 +170,7 @@ class LivePairing:
         return self._let_out(side)
 
     def _step(self, now_ns: int) -> list[FramePair] | None:
-        """One decision on the oldest frames: what it gives, or None when there is nothing to decide yet."""
+        """Decides on the oldest frames: returns the resulting pairs, or None if it must wait."""
         a, b = self._a.waiting, self._b.waiting
         if a and b:
             frame, _ = a[0]
@@ -256,7 +256,7 @@ class LivePairing:
         self._time_from_host = self._time_from_a - offset_ns
 
     def _let_out(self, side: Side) -> list[FramePair]:
-        """One clock starts anew: what waits goes out, and what followed from the old one is forgotten."""
+        """Handles a clock reset: emits the waiting frames and forgets all estimates from the old clock."""
         pairs = []
         while self._a.waiting:
             pairs.append(self._alone_a())

@@ -1,4 +1,4 @@
-"""A simulated Kinect, a pair of them, and the truth they look at."""
+"""A simulated Kinect, a pair of simulated Kinects, and their ground truth."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ _CHUNK = 32  # frames whose poses are computed together: one call costs little m
 
 
 class Movement(Protocol):
-    """Anything that knows where all landmarks are at any time: ours, or captured."""
+    """A source of landmark positions over time: synthetic or captured motion."""
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the movement."""
         ...
 
     def landmarks(self, times: ArrayLike, height: float = ...) -> Array:
@@ -62,11 +62,11 @@ class Scene:
     """One person who moves in front of the sensors.
 
     Attributes:
-        motion: How.
-        body: What the sensors' trackers report.
+        motion: The movement.
+        body: The body that the sensors' trackers report.
         height: The person's stature, metres.
-        seconds: How long; None for ever.
-        seed: Of every error; the same seed makes the same frames.
+        seconds: Duration; None: endless.
+        seed: Seed of all errors; the same seed gives the same frames.
     """
 
     motion: Movement
@@ -84,11 +84,11 @@ class Scene:
 
 @dataclass(frozen=True)
 class Truth:
-    """Where everything really is.
+    """The ground truth of a scene.
 
     Attributes:
-        scene: Who moves, and how.
-        rig: Where the sensors stand.
+        scene: The person and the movement.
+        rig: The placement of the sensors.
     """
 
     scene: Scene
@@ -96,7 +96,7 @@ class Truth:
 
     @property
     def a_from_b(self) -> RigidTransform:
-        """Where K_B stands in K_A's frame."""
+        """Transform K_A ← K_B."""
         return self.rig.a_from_b
 
     def positions_at(self, time_ns: ArrayLike) -> NDArray[np.float64]:
@@ -107,15 +107,15 @@ class Truth:
         times = np.asarray(time_ns)
         marks = self.scene.motion.landmarks(np.atleast_1d(times) * 1e-9, self.scene.height)
         joints = marks[:, anatomy.landmarks_of(self.scene.body)]
-        at = self.rig.world_from_sensor(0).inverse().apply(joints)
-        return at if times.ndim else at[0]
+        positions = self.rig.world_from_sensor(0).inverse().apply(joints)
+        return positions if times.ndim else positions[0]
 
 
 class TruthAhead:
-    """The truth at one pair's time after the other: a second of A's frames is computed at once.
+    """The truth at the times of consecutive pairs, computed for a second of A's frames at once.
 
     Args:
-        truth: Of which.
+        truth: The ground truth.
     """
 
     def __init__(self, truth: Truth) -> None:
@@ -133,19 +133,19 @@ class TruthAhead:
 
 
 class SimulatedKinect:
-    """One of the two sensors of a rig. Its frames come as fast as they are asked for.
+    """One of the two sensors of a rig. It generates frames as fast as they are requested.
 
     Args:
-        scene: Who moves in front of it.
-        rig: Where it stands.
+        scene: The scene in front of the sensor.
+        rig: The placement of the sensors.
         which: 0 for sensor A, 1 for B.
-        errors: Of its body tracker; the real ones of the body where None.
-        depth: Whether frames carry a depth image, and how large.
-        depth_errors: Of that image.
+        errors: Errors of its body tracker; None: the errors fitted for the body.
+        depth: Whether frames have a depth image, and its size.
+        depth_errors: Errors of the depth image.
 
-    Attributes:
-        hurried: While set, frames come without the image, which takes most of a frame's time.
-        images_left_out: How many so far.
+        Attributes:
+            hurried: While True, frames have no depth image, which takes most of a frame's time.
+            images_left_out: Number of images dropped so far.
     """
 
     def __init__(
@@ -174,28 +174,28 @@ class SimulatedKinect:
 
     @property
     def clock_at_start_ns(self) -> int:
-        """What its clock shows when the scene begins, ns."""
+        """Time of its clock at the start of the scene, ns."""
         return self._rig.clock(self._which, 0.0)
 
     def __enter__(self) -> SimulatedKinect:
-        """Nothing is to be opened."""
+        """Does nothing."""
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Nothing is to be closed."""
+        """Does nothing."""
 
     def frames(self) -> Iterator[SensorFrame]:
-        """The frames in capture order; every call begins again, with the same frames."""
+        """The frames in capture order; each call starts again with the same frames."""
         scene, rig, which = self._scene, self._rig, self._which
-        # Streams of their own: dropping a frame or asking for depth changes no other error.
+        # Separate random streams: dropping a frame or requesting depth does not change other errors.
         tracking, dropping = (np.random.default_rng([scene.seed, which, k]) for k in range(2))
         sensor_from_world = rig.world_from_sensor(which).inverse()
         flesh = flesh_over(self.body) * (scene.height / anatomy.REFERENCE_HEIGHT)
         tracker = Tracker(self.body, self._errors, flesh, self._lens, rig.frame_seconds, tracking)
         for frame, marks in self._poses():
-            at = sensor_from_world.apply(marks)
-            shapes = capsules(at, scene.height)
-            joints = at[anatomy.landmarks_of(self.body)]
+            positions = sensor_from_world.apply(marks)
+            shapes = capsules(positions, scene.height)
+            joints = positions[anatomy.landmarks_of(self.body)]
             time_ns = rig.clock(which, rig.captured_at(which, frame))
             skeleton = tracker.report(joints, visibility(joints, shapes, flesh, self._lens), time_ns)
             dropped = dropping.random() < rig.dropped

@@ -1,4 +1,4 @@
-"""How long each bone is: measured on the averaged skeleton of the start-up pose, eq. (13)."""
+"""Bone lengths of the averaged skeleton of the start-up pose, eq. (13)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
 SHORTEST = 0.01
-"""Metres: a bone measured shorter is two joints in one place, and counts as unseen."""
+"""Metres: a shorter measured bone is a tracker's error and counts as unseen."""
 
 
 def measure_bone_lengths(
@@ -21,8 +21,8 @@ def measure_bone_lengths(
 ) -> NDArray[np.float64]:
     """The mean length of each bone of the averaged skeleton p* = ½(p + R q + t), eq. (13).
 
-    A bone neither of whose joints is ever tracked in both views at once takes the next best: what one view
-    shows of it, then its mirror image, then an adult's proportions scaled to the bones that were measured.
+    A bone whose joints are never tracked in both views at once takes its length in one view, then that of its
+    mirror image, then an adult's proportions scaled to the measured bones.
 
     Args:
         body: The body of all pairs.

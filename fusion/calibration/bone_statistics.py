@@ -1,4 +1,4 @@
-"""Bone lengths by robust statistics over what was seen while the person moved."""
+"""Bone lengths by robust statistics over the keyframes of a moving person."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 _FEWEST = 8  # keyframes in which a bone must be seen
 _ASYMMETRIC = 4.0  # standard errors by which left and right must differ to be told apart
 _SPREAD_FACTOR = 1.253  # standard error of a median over that of a mean, normal errors
-_WANDER_FRAMES = 6.0  # neighbouring keyframes share the tracker's scale: so many count as one
+_WANDER_FRAMES = 6.0  # neighbouring keyframes share the tracker's scale: this many count as one
 
 
 def robust_bone_lengths(body: Body, evidence: Evidence, a_from_b: RigidTransform, fallback: Array) -> Array:
@@ -30,7 +30,7 @@ def robust_bone_lengths(body: Body, evidence: Evidence, a_from_b: RigidTransform
         body: Of both views.
         evidence: With sides matched.
         a_from_b: R and t; joints at which the views disagree by far are left out.
-        fallback: (J,) metres, for bones that were not seen; scaled to those that were.
+        fallback: (J,) metres, for bones that were not seen; scaled to the measured bones.
 
     Returns:
         (J,) metres, by the joint at the bone's far end; 0 at the root.
@@ -72,12 +72,12 @@ def _medians(body: Body, evidence: Evidence, a_from_b: RigidTransform) -> tuple[
 
 
 def _symmetric(body: Body, length: Array, error: Array) -> tuple[Array, Array]:
-    """The mean of both sides, or the side that was seen, unless the data object."""
+    """The mean of both sides, or the side that was seen, unless the sides differ significantly."""
     other, other_error = length[body.mirror], error[body.mirror]
     both = np.isfinite(length) & np.isfinite(other)
     differs = np.abs(length - other)
     objects = both & (differs > _ASYMMETRIC * np.hypot(error, other_error)) & (differs > 0.05 * length)
-    # The side that is seen better counts more, as information adds up.
+    # Weights are inverse variances.
     weight, other_weight = (1.0 / np.maximum(sd, 1e-4) ** 2 for sd in (error, other_error))
     mean = (weight * length + other_weight * other) / (weight + other_weight)
     shared = np.where(both & ~objects, mean, length)

@@ -1,4 +1,4 @@
-"""What a capture is calibrated with: K_B's place in K_A's frame, and the bone lengths."""
+"""A calibration: K_B's pose in K_A's frame, and the bone lengths."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from fusion.skeleton import SkeletonPair
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What the start-up pose gave: K_B's place and the bone lengths.
+    """R, t and the bone lengths.
 
     Attributes:
         body: The body both sensors report.
         a_from_b: R and t at the time of calibration; t is renewed every frame.
         bone_lengths: (J,) metres, by the joint at the bone's far end; 0 at the root.
-        how: In plain words, what it was measured on.
+        how: A short description of the data that it was measured on.
         registration: How well the two views agreed; None where the calibration was loaded without it.
     """
 
@@ -40,7 +40,7 @@ class Calibration:
 
 
 def nominal_calibration(body: Body) -> Calibration:
-    """What to begin with before anything was seen: K_B where K_A is, an adult's proportions."""
+    """A provisional calibration without data: K_B at K_A, an adult's proportions."""
     return Calibration(
         body, RigidTransform.identity(), body.nominal_lengths, "none yet: an adult's proportions"
     )

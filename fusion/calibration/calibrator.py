@@ -1,4 +1,4 @@
-"""A calibration found while pairs come in."""
+"""Calibration while pairs come in."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _PROVISIONAL_PAIRS = 30
 
 
 class Calibrator:
-    """Finds a calibration while pairs come in: a provisional one at once, the real one on the start-up pose.
+    """Finds a calibration while pairs come in: a provisional one at once, the final one on the start-up pose.
 
     Args:
         body: The sensors' body.
-        calibration: One from before, which is then kept.
+        calibration: An earlier calibration, which is then kept.
     """
 
     def __init__(self, body: Body, calibration: Calibration | None = None) -> None:
@@ -28,7 +28,7 @@ class Calibrator:
 
     @property
     def settled(self) -> bool:
-        """Whether the calibration is the real one."""
+        """Whether the calibration is final."""
         return self._settled
 
     @property

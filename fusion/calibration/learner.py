@@ -1,4 +1,4 @@
-"""A calibration that goes on learning while pairs come in: R, t, bone lengths, and what happened to them."""
+"""Refinement of a calibration while pairs come in: R, t and bone lengths, with events."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ Kind = Literal["refined", "knocked", "followed", "bones", "clock"]
 
 _BONES_AT_NS = (10_000_000_000, 30_000_000_000, 60_000_000_000)
 """When bone lengths are learned, counted from the first pair; after the last they are fixed."""
-_BONE_CHANGE = 0.002  # metres; a smaller change of the longest-changed bone is not worth an event
+_BONE_CHANGE = 0.002  # metres; if no bone changes by more, the lengths are kept
 _FEWEST_BONE_KEYFRAMES = 24
 _RECENT = 60  # pairs kept for registering anew after a knock
 _UNKNOWN_TURN, _LEAST_TURN, _UNKNOWN_SHIFT = 0.035, 0.01, 0.05  # radians, radians, metres at the person
-_KNOCK_TURN, _KNOCK_SHIFT = np.radians(8.0), 0.4  # what a knock does at most, roughly; metres at the person
+_KNOCK_TURN, _KNOCK_SHIFT = np.radians(8.0), 0.4  # standard deviations of a knock; metres at the person
 
 
 @dataclass(frozen=True)
 class LearnerSettings:
-    """What is learned, and how.
+    """Which quantities are learned, and how.
 
     Attributes:
         refine: Whether R and t are refined.
@@ -55,17 +55,17 @@ class LearnerSettings:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationChange:
-    """Something was learned, or happened.
+    """A change of the calibration, or an event that concerns it.
 
     Attributes:
         kind: ``refined``: R and t improved. ``knocked``: a sensor seems to have moved; the calibration is the
             old one. ``followed``: registered anew after that. ``bones``: new bone lengths. ``clock``: the
             clocks' offset is known; the calibration is unchanged.
-        event: What happened, in plain English.
-        time_ns: Of the pair that brought it.
+        event: A sentence for the event log.
+        time_ns: Time of the pair that caused it.
         calibration: In force from the next pair on.
-        since_ns: When it began: of ``knocked`` and ``followed``, when the views parted.
-        clock: Of ``clock``.
+        since_ns: For ``knocked`` and ``followed``, when the views moved apart.
+        clock: For ``clock``, the offset.
     """
 
     kind: Kind
@@ -81,8 +81,8 @@ class CalibrationLearner:
 
     Args:
         body: Of both views.
-        calibration: In force at the start; roughly right.
-        settings: What is learned.
+        calibration: In force at the start; approximately right.
+        settings: Which quantities are learned.
 
     Attributes:
         calibration: In force.
@@ -102,7 +102,7 @@ class CalibrationLearner:
         self._bones_learned = 0
 
     def adopt(self, calibration: Calibration) -> None:
-        """Puts a calibration in force that was found elsewhere; keeps the evidence."""
+        """Puts another calibration in force and keeps the evidence."""
         self.calibration = calibration
         self._refinement.adopt(calibration.a_from_b, prior_of(calibration))
         self._knock.adopt(calibration.a_from_b)
@@ -119,12 +119,12 @@ class CalibrationLearner:
 
         Args:
             pair: As the sensors reported it.
-            codes: What of A and of B is mirrored: bit 0 the arms, bit 1 the legs.
-            stale: Whether A's and B's skeleton is the one before, delivered again.
-            skew_ns: By how much B captured later than A, as far as the clocks tell.
+            codes: Exchange codes of A and of B: bit 0 the arms, bit 1 the legs.
+            stale: Whether A and B repeat their last skeletons.
+            skew_ns: Capture time of B minus that of A by the time stamps.
 
         Returns:
-            What changed, in order; mostly nothing.
+            The changes, in order; usually none.
         """
         if pair.a is None or pair.b is None or any(stale):
             return []
@@ -176,7 +176,7 @@ class CalibrationLearner:
         return CalibrationChange("knocked", event, now_ns, self.calibration, self._knock.since_ns)
 
     def _follow(self, now_ns: int) -> list[CalibrationChange]:
-        """Registers anew on the pairs since the sensor is still, if that brings the views together."""
+        """Registers again on the pairs since the sensor is still, if the views then agree better."""
         since_ns, old = self._knock.since_ns, self.calibration.a_from_b
         if since_ns is None:
             return []
@@ -233,7 +233,7 @@ class CalibrationLearner:
 
 
 def prior_of(calibration: Calibration) -> Prior:
-    """What is known about R and t beforehand: what the calibration states, never too certain."""
+    """The prior of R and t from a calibration, with a lower limit of its standard deviation."""
     registration = calibration.registration
     rotation_sd = _UNKNOWN_TURN if registration is None else registration.rotation_sd
     return Prior(calibration.a_from_b, max(rotation_sd, _LEAST_TURN), _UNKNOWN_SHIFT)
@@ -258,7 +258,7 @@ def register_anew(
 
 
 def registration_of(body: Body, evidence: Evidence, fit: RobustFit) -> Registration:
-    """The fit with its residuals, as the rest of the program knows a registration."""
+    """Converts a fit, with its residuals, to a ``Registration``."""
     sure = evidence.weights > 0.5
     distance = np.where(sure, np.linalg.norm(evidence.a - fit.a_from_b.apply(evidence.b), axis=2), np.nan)
     joints = np.full(len(body), np.nan)

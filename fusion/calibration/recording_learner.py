@@ -1,4 +1,4 @@
-"""The calibration of a whole recording, in two passes: what happened, then R, t and bones of each stretch."""
+"""The calibration of a whole recording in two passes: knocks first, then R, t and bones between them."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from fusion.registration.robust_fit import RobustFit, disagreement, fit_robust
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
-_KEYFRAMES = 128  # of a stretch; the tempering of the fit was chosen for so many
+_KEYFRAMES = 128  # per span; the tempering of the fit was chosen for this number
 _FEWEST = 12
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationSpan:
-    """A calibration and from when on it holds.
+    """A calibration and the time from which it holds.
 
     Attributes:
         first_ns: Time of the first pair that it holds for; it holds until the next span.
@@ -50,12 +50,12 @@ class CalibrationSpan:
 
 @dataclass(frozen=True, eq=False)
 class LearnedCalibration:
-    """What a whole recording tells.
+    """The calibration of a whole recording, with events.
 
     Attributes:
-        spans: One, or one more for each time a sensor was moved; in order of time.
+        spans: One, and one more for each time that a sensor was moved; in order of time.
         clock: Offset and skew of B's clock; None where there is too little motion.
-        events: What happened, as the learner tells it live; knocks with their times.
+        events: Events of the learner, as live; knocks with their times.
     """
 
     spans: tuple[CalibrationSpan, ...]
@@ -76,18 +76,18 @@ def learn_from_recording(
     settings: LearnerSettings | None = None,
     skews_ns: Sequence[int] | None = None,
 ) -> LearnedCalibration:
-    """Learns one calibration from a recording, or one for each stretch between knocks.
+    """Learns one calibration from a recording, or one for each span between knocks.
 
-    The first pass goes through the recording as the live learner does and finds when a sensor was moved. The
-    second fits R and t to all keyframes of each stretch, and the bone lengths to all keyframes.
+    The first pass runs the live learner over the recording and finds when a sensor was moved. The second fits
+    R and t to all keyframes of each span, and the bone lengths to those of the longest span.
 
     Args:
         body: Of both views.
         pairs: In order of time.
-        codes: For each pair, what of A and of B is mirrored: bit 0 arms, bit 1 legs; nothing where None.
-        start: A calibration to begin with; the recording's start-up pose where None.
-        settings: What is learned.
-        skews_ns: How much later B captured than A by the time stamps; 0 where None.
+        codes: (T, 2) exchange codes of A and B: bit 0 arms, bit 1 legs; 0 where None.
+        start: The initial calibration; that of the recording's start-up pose where None.
+        settings: Which quantities are learned.
+        skews_ns: Capture time of B minus that of A by the time stamps; 0 where None.
 
     Raises:
         CalibrationError: No frame shows a person to both sensors, or too few joints.
@@ -134,9 +134,10 @@ def learn_from_recording(
 
 
 def label_free_fit(body: Body, evidence: Evidence) -> RigidTransform | None:
-    """R and t from the midline and from midpoints of left and right, robustly; None where they leave it open.
+    """A robust fit of R and t to the midline and to midpoints of left and right; None if undetermined.
 
-    These points are the same whether or not a view is mirrored. They pin R only if the person walks about.
+    These points are the same whether or not a view is mirrored. They determine R only if the person walks
+    about.
     """
     own = np.array([j for j in range(len(body)) if j <= body.mirror[j]])
     other = body.mirror[own]
@@ -155,7 +156,7 @@ def label_free_fit(body: Body, evidence: Evidence) -> RigidTransform | None:
 
 
 def _fresh(pairs: Sequence[SkeletonPair]) -> list[int]:
-    """The pairs with two views, neither of which repeats the one before."""
+    """Indices of the pairs with two views, neither of which is stale."""
     fresh = []
     before: SkeletonPair | None = None
     for k, pair in enumerate(pairs):
@@ -186,7 +187,7 @@ def _best_start(
     start: Calibration,
     settings: LearnerSettings,
 ) -> Calibration:
-    """The given start, or the label-free fit of the first half minute where that explains it far better."""
+    """The given start, or the label-free fit of the first half minute if that fits it far better."""
     until_ns = pairs[0].time_ns + 30_000_000_000 if pairs else 0
     frames = KeyframeSet(body, _KEYFRAMES)
     for pair, code in zip(pairs, codes, strict=True):
@@ -209,7 +210,7 @@ def _best_start(
 
 
 def _refit(body: Body, evidence: Evidence, start: Calibration, settings: LearnerSettings) -> Calibration:
-    """R and t from all keyframes of a stretch, if held-out ones agree."""
+    """R and t from all keyframes of a span, if they explain held-out ones better."""
     fit_settings = settings.refinement.fit
     if len(evidence.a) < _FEWEST:
         return start
@@ -235,7 +236,7 @@ def _refit(body: Body, evidence: Evidence, start: Calibration, settings: Learner
 def _with_bones(
     body: Body, spans: list[CalibrationSpan], seen: list[tuple[Evidence, Calibration]]
 ) -> list[CalibrationSpan]:
-    """The spans with one set of bone lengths: a person's bones outlast a knock."""
+    """The spans with one set of bone lengths, because a knock does not change the person."""
     evidence, calibration = max(seen, key=lambda item: len(item[0].a))
     if len(evidence.a) < _FEWEST:
         return spans

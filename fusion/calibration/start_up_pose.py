@@ -1,7 +1,7 @@
-"""From the first seconds of a person to everything the fusion needs to know: K_B's place and the bones.
+"""Detection of the start-up pose, from which R, t and the bone lengths are measured.
 
 Sec. 4 asks for a start-up pose: at 45° to both sensors, arms and legs apart, every joint tracked, held for a
-few seconds. Here that pose is recognised rather than announced.
+few seconds. The program recognises that pose.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _MAIN_JOINTS = (
 
 
 class StartUpPose:
-    """Watches the pairs go by and says when the start-up pose has been held long enough."""
+    """Detects when the start-up pose has been held long enough."""
 
     def __init__(self, body: Body) -> None:
         self._main = main_joints(body)
@@ -64,7 +64,7 @@ class StartUpPose:
         return self._finish()
 
     def end(self) -> list[SkeletonPair] | None:
-        """Says that no more pairs will come.
+        """Ends the sequence of pairs.
 
         Returns:
             The pairs of the pose where it was held long enough to the end; else None.
@@ -77,7 +77,7 @@ class StartUpPose:
         if long_enough or not but_last:
             self._held.clear()
         else:
-            while len(self._held) > 1 and not self._still():  # forget what came before the movement
+            while len(self._held) > 1 and not self._still():  # drop the pairs before the movement
                 self._held.popleft()
         return pose if long_enough else None
 
@@ -96,7 +96,7 @@ class StartUpPose:
 
 
 def find_start_up_pose(body: Body, pairs: Sequence[SkeletonPair]) -> tuple[list[SkeletonPair], str]:
-    """The pairs of a recording to calibrate on, and what they are in plain words.
+    """Chooses the pairs of a recording to calibrate on, and describes them.
 
     The first start-up pose held for a second or more; in a recording without one, the calmest two seconds
     in which most main joints are tracked in both views.
@@ -119,10 +119,10 @@ def find_start_up_pose(body: Body, pairs: Sequence[SkeletonPair]) -> tuple[list[
 def _worth_watching(body: Body, pairs: Sequence[SkeletonPair]) -> Iterator[SkeletonPair | None]:
     """The pairs in runs long enough to be a start-up pose, each run ended by None.
 
-    An hour of frames goes through here at once, so that only the few candidates are looked at singly.
+    This is vectorised, so that only the candidates of a long recording are examined one by one.
     """
     seen = [(k, pair.a, pair.b) for k, pair in enumerate(pairs) if pair.a is not None and pair.b is not None]
-    holds = np.zeros(len(pairs) + 1, dtype=bool)  # ends with one that does not
+    holds = np.zeros(len(pairs) + 1, dtype=bool)  # the last one does not hold
     if seen:
         main = main_joints(body)
         tracked = [np.array([s.states for s in side]) == TrackingState.TRACKED for side in _sides(seen)]

@@ -1,8 +1,7 @@
-"""Compiled kernels on disk, and when they no longer fit their sources.
+"""Compiled kernels on disk, and removal of stale ones.
 
-numba keeps a compiled kernel until the file that the kernel itself stands in changes. But a kernel holds the
-code of the kernels that it calls, and the values of the constants it imports: an edit of *those* files would
-go unnoticed.
+numba keeps a compiled kernel until the kernel's own file changes. A kernel also contains the code of the
+kernels that it calls and the values of imported constants; numba does not notice a change of *their* files.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from pathlib import Path
 def drop_stale_kernels(package: Path) -> None:
     """Deletes the compiled kernels of a package and its subpackages that are older than its newest source.
 
-    Only an edit in place can leave a stale kernel behind, and it makes a newest source. A read-only folder
-    cannot be edited, so it holds no stale kernels.
+    Only an edit in place can leave a stale kernel, and it updates a source's time. A read-only folder cannot
+    be edited, so it contains no stale kernels.
 
     Args:
         package: The folder of the sources.
@@ -32,10 +31,10 @@ def drop_stale_kernels(package: Path) -> None:
 
 
 def ensure_cache_folder() -> None:
-    """Where numba finds no folder to keep kernels in, gives it one for as long as this process runs.
+    """Gives numba a temporary cache folder if it finds none.
 
-    That is so in a read-only installation of someone without a writable home, where ``njit(cache=True)``
-    would fail. Processes that this one starts use the folder too.
+    In a read-only installation without a writable home directory, ``njit(cache=True)`` would fail. Child
+    processes use the same folder.
     """
     from numba import config, njit
 
@@ -48,4 +47,4 @@ def ensure_cache_folder() -> None:
 
 
 def _probe() -> None:
-    """What a folder is looked for."""
+    """A function for which numba looks for a cache folder."""

@@ -1,11 +1,11 @@
-"""How kernels are compiled: once a machine, kept on disk.
+"""Compilation of kernels: once per machine, cached on disk.
 
-Compiling is what a first run waits for, so that every kernel is compiled for one set of types, and only what
-Python calls gets a way in from Python. Whole arrays are not assigned in kernels: numba would compile the
-wording of the error for shapes that differ, which takes longer than a kernel.
+A first run waits for compilation, so that every kernel is compiled for one set of types, and only kernels
+that Python calls get a Python wrapper. Kernels do not assign whole arrays: numba would compile the error
+message for mismatched shapes, which takes longer than a kernel.
 
-Importing a module with kernels touches no file and no environment variable: the folder with compiled kernels
-is looked for, and stale ones in it are deleted, when the first kernel is compiled.
+Importing a module with kernels touches no file and no environment variable: the cache folder is
+looked for, and stale kernels are deleted, when the first kernel is compiled.
 """
 
 from __future__ import annotations
@@ -36,23 +36,23 @@ def inner_kernel(function: _Kernel) -> _Kernel:
 
 
 def njit(*, nogil: bool = False) -> Callable[[_Kernel], _Kernel]:
-    """Compiles a function with numba's own options, as outside of the method.
+    """Compiles a function with numba's own options, for code outside the method.
 
     Args:
-        nogil: Whether it runs beside Python's other threads.
+        nogil: Whether it releases the GIL.
     """
     return lambda function: _kept_on_disk(function, {"nogil": nogil})
 
 
 def find_on_disk(function: _Kernel) -> None:
-    """Lets a kernel look for what is compiled of it already, as its first call does."""
+    """Loads a kernel from the cache, as its first call does."""
     ready: Callable[[], None] | None = getattr(function, "ready", None)
     if ready is not None:
         ready()
 
 
 def _kept_on_disk(function: _Kernel, options: dict[str, Any]) -> _Kernel:
-    """The compiled function. numba's ``cache=True`` would look for a folder at once, hence this detour."""
+    """The compiled function. numba's ``cache=True`` would look for a folder at import."""
     compiled: Any = numba.njit(**options)(function)
     compile_now = compiled.compile
 
@@ -73,7 +73,7 @@ def _kept_on_disk(function: _Kernel, options: dict[str, Any]) -> _Kernel:
 
 @cache
 def _prepare_disk(package: str) -> None:
-    """Once for each package with kernels."""
+    """Prepares the cache once per package with kernels."""
     ensure_cache_folder()
     file = getattr(sys.modules.get(package), "__file__", None)
     if file is not None:

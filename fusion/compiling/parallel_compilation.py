@@ -1,6 +1,6 @@
-"""The first run on a machine, which compiles: two processes at once, since numba uses one core.
+"""Compilation on a first run with two processes, because numba uses one core.
 
-What one compiles, the other finds on disk.
+Each process finds the other's kernels on disk.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fusion.solvers.tree_solver import TreeSolver, solve_tree
 
 
 def compile_tree_solver(matrices: bool = False) -> None:
-    """Compiles the solver, by solving something: with 3×3 weights or with numbers."""
+    """Compiles the solver by solving a problem with 3×3 or with scalar weights."""
     body = KINECT_V1
     solver = TreeSolver(body.parent_indices, body.order, body.rest)
     weights = np.tile(np.eye(3), (len(body), 1, 1)) if matrices else np.ones(len(body))
@@ -33,9 +33,8 @@ def tree_solver_compiled_meanwhile(needed_by: Any = None, matrices: bool = False
     """Lets another process compile the solver, if it is not on disk; waits for it at the end.
 
     Args:
-        needed_by: The kernel that is to be called, if not the solver: where it is on disk, nothing is to be
-            compiled.
-        matrices: Whether the solver is to take 3×3 weights.
+        needed_by: The kernel that will be called, if not the solver. If it is on disk, nothing is compiled.
+        matrices: Whether the solver takes 3×3 weights.
     """
     process = None if _is_on_disk(needed_by) else _start(matrices)
     try:
@@ -57,7 +56,7 @@ def _is_on_disk(kernel: Any = None) -> bool:
 
 
 def _start(matrices: bool) -> subprocess.Popen[bytes] | None:
-    """None where no process can be started; then it is compiled here, later."""
+    """None where no process can be started; this process then compiles the solver later."""
     packages = str(Path(__file__).parents[2])
     path = os.pathsep.join(filter(None, (packages, os.environ.get("PYTHONPATH"))))
     try:

@@ -1,4 +1,4 @@
-"""What the estimator works on: named arrays, owned by the fuser, so that a frame allocates nothing.
+"""The estimator's named arrays. The fuser owns them, so that no frame allocates memory.
 
 J is the number of joints. Arrays of both views have the view first: 0 is A, 1 is B.
 """
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 class Model(NamedTuple):
-    """What stays the same from frame to frame."""
+    """Everything that is constant from frame to frame."""
 
     parents: NDArray[np.int64]  # (J,)
     order: NDArray[np.int64]  # (J,) parents before children
@@ -44,38 +44,38 @@ class Model(NamedTuple):
     translation: Array  # (3,) t, which is where K_B stands
     rotations: Array  # (2, 3, 3) from each sensor's frame to K_A's: I, and R
     translations: Array  # (2, 3) likewise: 0, and t
-    witness: WitnessModel  # what depth images say about the joints
-    up: Array  # (3,) against gravity in K_A's frame; NaN where it is learnt from the person
+    witness: WitnessModel  # tables for the evidence of depth images
+    up: Array  # (3,) against gravity in K_A's frame; NaN where it is learned from the person
     calmness: float
     constants: Constants
 
 
 class State(NamedTuple):
-    """What one frame leaves to the next."""
+    """The filter's state between two frames."""
 
     positions: Array  # (J, 3) S*, metres, K_A's frame
     velocities: Array  # (J, 3) m/s
     variances: Array  # (J, 3) of position, of position with velocity, of velocity; along any axis
     known: NDArray[np.bool_]  # (J,)
-    offsets: Array  # (2, J, 3) what each view reports, less S*: the difference between the views, shared
+    offsets: Array  # (2, J, 3) lasting error of each view relative to S*, metres
     offset_variances: Array  # (2, J)
-    shared_error: Array  # (J, 3, 3) covariance of the slow error that S* has
+    shared_error: Array  # (J, 3, 3) covariance of the slow error of S*, m²
     doubt: Array  # (2, J) probability that the view's last measurement was an outlier
-    scales: Array  # (2,) of each view's skeleton, less 1
+    scales: Array  # (2,) scale of each view's skeleton, minus 1
     scale_variances: Array  # (2,)
-    before: Array  # (J, 3) S* of the last frame, where the solver starts
-    clock: NDArray[np.int64]  # (2,) time of the last frame with a person, ns, and whether there is one
+    before: Array  # (J, 3) S* of the last frame, the solver's start
+    clock: NDArray[np.int64]  # (2,) time of the last frame with a person, ns; 1 if there was such a frame
     last_positions: NDArray[np.float32]  # (2, J, 3) as the sensors gave them
     last_states: NDArray[np.uint8]  # (2, J)
 
 
 class Said(NamedTuple):
-    """What one depth image says, by the names that its sensor gave the joints."""
+    """Evidence of one depth image, with the joints as its sensor labelled them."""
 
     evidence: Array  # (J,) log likelihood ratio that the joint is no outlier
-    places: Array  # (J, 3) where the surface puts it, metres, K_A's frame; NaN where it does not
+    places: Array  # (J, 3) position by the surface, metres, K_A's frame; NaN without one
     information: Array  # (J, 3, 3) of that place, 1/m²
-    sources: NDArray[np.int64]  # (J,) which of these joints each re-labelled joint is
+    sources: NDArray[np.int64]  # (J,) the reported joint of each re-labelled joint
 
 
 class Views(NamedTuple):
@@ -84,31 +84,31 @@ class Views(NamedTuple):
     reported: Array  # (2, J, 3) as the sensors gave them, in K_A's frame, metres
     reported_states: NDArray[np.uint8]  # (2, J)
     stale: NDArray[np.bool_]  # (2,) whether a view repeats its last skeleton
-    positions: Array  # (2, J, 3) re-labelled, less the view's scale
+    positions: Array  # (2, J, 3) re-labelled, with the view's scale removed
     states: NDArray[np.uint8]  # (2, J) re-labelled; 0 where the view gives no measurement
-    delays: Array  # (2,) s, capture time less the pair's
-    codes: NDArray[np.int64]  # (2,) what was exchanged; see :mod:`fusion.facing.model`
-    side_doubt: Array  # (2,) probability that a view's sides are wrong all the same
+    delays: Array  # (2,) s, capture time minus the pair's
+    codes: NDArray[np.int64]  # (2,) exchange codes; see :mod:`fusion.facing.model`
+    side_doubt: Array  # (2,) probability that a view's sides are still wrong
     rays: Array  # (2, J, 3) unit vectors from the sensor to the joint
-    covers: NDArray[np.int64]  # (2, J) nearest joint before this one in the viewing plane, or -1
-    cover_distances: Array  # (2, J) how far across the ray, metres
+    covers: NDArray[np.int64]  # (2, J) covering joint nearest in the viewing plane, or -1
+    cover_distances: Array  # (2, J) its distance across the ray, metres
     slow: Array  # (2, J, 3, 3) covariance of the slow error
     fast: Array  # (2, J) variance of the fast error
     surprise: Array  # (J,) probability that both views are right and the prediction is wrong
-    trust: Array  # (2, J) probability that the measurement is none of the outliers
+    trust: Array  # (2, J) probability that the measurement is no outlier
     evidence: Array  # (2, J) of the depth image, log likelihood ratio that the joint is no outlier; 0 without
-    places: Array  # (2, J, 3) where the depth image puts the joint, metres; NaN where it does not
+    places: Array  # (2, J, 3) position by the depth image, metres; NaN without one
     place_information: Array  # (2, J, 3, 3) 1/m²
-    said: Said  # room for one image
+    said: Said  # workspace for one image
 
 
 class Solve(NamedTuple):
-    """Room for the tree solver."""
+    """Workspace of the tree solver."""
 
     targets: Array  # (J, 3)
     information: Array  # (J, 3, 3)
     positions: Array  # (J, 3)
-    upward: Array  # (J, 4) what a joint's subtree says about its parent: direction, and information along it
+    upward: Array  # (J, 4) message of a joint's subtree to its parent: direction, information along it
     covariance: Array  # (J, 3, 3)
     sums: Array  # (3, 3)
     room: Array  # (3, 3)
@@ -116,7 +116,7 @@ class Solve(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What T pairs come to; see :class:`fusion.fuser.FusedFrame`."""
+    """Results of T pairs; see :class:`fusion.fused_frame.FusedFrame`."""
 
     positions: Array  # (T, J, 3)
     predicted: NDArray[np.bool_]  # (T, J)
@@ -193,7 +193,7 @@ def new_state(joints: int) -> State:
 
 
 def new_views(joints: int) -> Views:
-    """Room for one pair."""
+    """Workspace for one pair."""
     return Views(
         reported=np.zeros((2, joints, 3)),
         reported_states=np.zeros((2, joints), dtype=np.uint8),
@@ -223,7 +223,7 @@ def new_views(joints: int) -> Views:
 
 
 def new_solve(joints: int) -> Solve:
-    """Room for one solution."""
+    """Workspace for one solution."""
     return Solve(
         targets=np.zeros((joints, 3)),
         information=np.zeros((joints, 3, 3)),
@@ -237,7 +237,7 @@ def new_solve(joints: int) -> Solve:
 
 
 def new_output(frames: int, joints: int) -> Output:
-    """Room for the results of so many pairs."""
+    """Arrays for the results of ``frames`` pairs."""
     return Output(
         positions=np.empty((frames, joints, 3)),
         predicted=np.empty((frames, joints), dtype=np.bool_),

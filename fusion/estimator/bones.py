@@ -1,4 +1,4 @@
-"""The skeleton with exactly these bones that fits the filtered joints best, and how the filter follows it."""
+"""The best skeleton with exact bone lengths, and the filter's correction towards it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fusion.solvers.tree_steps import copy
 
 @inner_kernel
 def aim(model, state, solve):  # type: ignore[no-untyped-def]
-    """Targets x and information (M + P I)⁻¹ of each known joint; no information of the others."""
+    """Sets targets x and information (M + P I)⁻¹ of each known joint, and 0 for the others."""
     for i in range(len(model.parents)):
         W = solve.information[i]
         for c in range(3):
@@ -26,10 +26,10 @@ def aim(model, state, solve):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def hold_bones(model, state, solve):  # type: ignore[no-untyped-def]
-    """S*: min Σ (x_i - m_i)ᵀ W_i (x_i - m_i) with |x_i - x_parent| = l_i, from the frame before.
+    """S*: min Σ (x_i - m_i)ᵀ W_i (x_i - m_i) with |x_i - x_parent| = l_i, starting at the previous frame.
 
     Returns:
-        The solver's iterations.
+        The number of iterations.
     """
     if state.clock[1] == 0:
         _first_guess(model, solve, state.before)
@@ -47,7 +47,7 @@ def hold_bones(model, state, solve):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _first_guess(model, solve, before):  # type: ignore[no-untyped-def]
-    """The targets as if they were the frame before; joints without one hang on their parents as at rest."""
+    """Uses the targets as previous frame; a joint without target is placed as in the rest pose."""
     root = model.order[0]
     for n in range(len(model.order)):
         i = model.order[n]
@@ -66,7 +66,7 @@ def _first_guess(model, solve, before):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def follow_bones(model, state, solve):  # type: ignore[no-untyped-def]
-    """The state goes on from S*: x ← S*, and v ← v + (P_xv / P_xx) (S* - x), as if S* had been measured."""
+    """Sets x ← S* and v ← v + (P_xv / P_xx) (S* - x), as if S* had been measured."""
     x, v, P = state.positions, state.velocities, state.variances
     for i in range(len(model.parents)):
         if not state.known[i]:

@@ -1,4 +1,4 @@
-"""The estimator as the fuser runs it: its arrays, and its rows as fused frames."""
+"""The method ``duplex``: owns the estimator's arrays and returns its results as fused frames."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class DuplexFusion:
     """
 
     kernel: Any = estimate_pairs
-    """What takes longest to compile."""
+    """The kernel that takes longest to compile."""
 
     def __init__(self, setup: FusionSetup, constants: Constants | None = None) -> None:
         body = setup.body
@@ -39,16 +39,16 @@ class DuplexFusion:
         self._calibrate(setup)
 
     def compile(self, positions: NDArray[np.float32], states: NDArray[np.uint8]) -> None:
-        """Compiles a good part of what needs no solver."""
+        """Compiles a large part of the code that does not call the solver."""
         del positions, states
         given = self._model, self._facing_model, self._facing, self._views, 0.0, 0, 0
         relabel.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
 
     def recalibrate(self, setup: FusionSetup) -> None:
-        """Goes on with another calibration; S* does not jump.
+        """Continues with another calibration without a jump of S*.
 
-        Where R and t change, S_B moves. Its offsets take that up, from where B last saw each joint, and fade
-        as offsets do.
+        A change of R and t moves S_B. B's offsets absorb the change at the last position of each joint in B,
+        and decay as usual afterwards.
         """
         before = self._setup.calibration.a_from_b
         last = self._state.last_positions[1].astype(np.float64)
@@ -78,12 +78,12 @@ class DuplexFusion:
         *views: NDArray[Any],
         smooth: bool = False,
     ) -> list[FusedFrame]:
-        """The next pairs.
+        """Fuses the next pairs.
 
         Args:
             time_ns, skew_ns, codes, witnesses, views: As
                 :func:`fusion.estimator.estimator.estimate_pairs` takes them.
-            smooth: Whether these pairs are the whole recording, and all of them count for each.
+            smooth: Whether these pairs are a whole recording, to be smoothed over all of it.
         """
         a, states_a, b, states_b = views
         joints = states_a.shape[1]

@@ -1,4 +1,4 @@
-"""The estimator: one pair of skeletons in, S* out. Each step is a line, and a module of its own."""
+"""The estimator: one pair of skeletons in, S* out. Each step is one line, computed by its own module."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from fusion.estimator.update import begin_joints, share_error, take_in
 from fusion.estimator.views import relabel, rescale, take_views
 
 FORGET_NS = 1_000_000_000
-"""After so long without a person the next one starts afresh."""
-_SHORTEST_STEP = 1e-3  # s: two pairs at one time are no infinite speed
+"""After this time without a person the filter starts again."""
+_SHORTEST_STEP = 1e-3  # s: two pairs with the same time must not give an infinite speed
 
 
 @kernel
@@ -46,12 +46,12 @@ def estimate_pairs(  # type: ignore[no-untyped-def]
 
     Args:
         model, facing_model: Of the body and the calibration.
-        state, facing: Carried on.
-        views, solve: Room.
-        output: Room for T pairs.
-        trace: Room for what a smoother needs (:mod:`fusion.estimator.smoother`), or for no pair.
+        state, facing: Updated.
+        views, solve: Workspaces.
+        output: Written, T pairs.
+        trace: Written, input of the smoother (:mod:`fusion.estimator.smoother`); of length 0 without one.
         codes: (T, 2) exchange codes of A and B where they are known, -1 where the facing filter finds them.
-        time_ns, skew_ns: (T,) the pairs' times, and capture time of B less that of A.
+        time_ns, skew_ns: (T,) the pairs' times, and capture time of B minus that of A.
         a, b: (T, J, 3) float32 positions, each in its sensor's frame; NaN where not tracked.
         states_a, states_b: (T, J) uint8 tracking states; all 0 where the sensor sees no one.
         witness_a, witness_b: (T, J, 4) float32 of depth images (:mod:`fusion.witness`); NaN without.
@@ -85,61 +85,61 @@ def estimate_pair(  # type: ignore[no-untyped-def]
     states_b,
     witness_b,
 ):
-    """S* of one pair into row k of the output."""
+    """Computes S* of one pair into row k of the output."""
     constants, room, sums = model.constants, solve.room, solve.sums
     dt = elapsed(state, time_ns)
-    # the views, carried to K_A's frame
+    # transform both views to K_A's frame
     take_views(model, state, views, skew_ns, a, states_a, b, states_b)
     output.counts[k, 0], output.counts[k, 1], output.counts[k, 2] = 0, views.stale[0], views.stale[1]
     if not anyone(states_a, states_b):
         no_one(output, k)
         return
-    # left and right as they are on the person
+    # correct exchanged left and right
     relabel(model, facing_model, facing, views, dt, codes[0], codes[1])
-    # what the depth images say about each joint
+    # evidence of the depth images about each joint
     ask_images(model, facing_model, views, a, states_a, witness_a, b, states_b, witness_b)
-    # each view's own scale taken out
+    # remove each view's own scale
     rescale(model, state, views, dt)
-    # where the joints should be by now
+    # predict positions, velocities and variances
     predict(model, state, dt)
     trace_prediction(model, state, trace, k, dt)
-    # how far each measurement can be trusted beforehand
+    # covariance of each measurement
     cast_rays(model, views)
     find_covers(model, views)
     set_covariances(model, state, views)
-    # the surface in the depth image is a measurement, too
+    # the surface in the depth image as a measurement
     measure_surface(model, views, room)
-    # by how much each view is off
+    # decay of each view's offsets
     fade_offsets(model, state, views, dt)
-    # which measurements are outliers
+    # probability that a measurement is an outlier
     judge(model, state, views)
     be_surprised(model, state, views, dt)
-    # information adds up
+    # Kalman update with both views
     take_in(model, state, views)
-    # what the views still differ by is shared out
+    # divide the remaining difference of the views between their offsets
     learn_offsets(model, state, views, room)
     together, alone = math.exp(-dt / constants.agreement_seconds), math.exp(-dt / constants.alone_seconds)
     share_error(model, state, views, together, alone, sums, room)
-    # joints seen for the first time
+    # start joints that are seen for the first time
     begin_joints(model, state, views, sums, room)
     remember_doubt(model, state, views)
-    # hinges bend one way only
+    # knees and elbows bend in one direction only
     respect_hinges(model, state, views)
-    # the skeleton with exactly these bones
+    # the best skeleton with exact bone lengths
     aim(model, state, solve)
     output.counts[k, 0] = hold_bones(model, state, solve)
-    # the filter goes on from there
+    # set the filter's state to it
     follow_bones(model, state, solve)
     trace_result(model, state, trace, k)
     state.clock[0], state.clock[1] = time_ns, 1
-    # how sure all that is
+    # covariance of S*
     spread(model, solve, output.covariance[k], output.sigma[k], room)
     report(state, views, solve, output, k)
 
 
 @inner_kernel
 def elapsed(state, time_ns):  # type: ignore[no-untyped-def]
-    """Seconds since the last pair with a person; after too long a time, what was known is forgotten."""
+    """Seconds since the last pair with a person; after too long a time, the state is reset."""
     if state.clock[1] == 1 and time_ns - state.clock[0] > FORGET_NS:
         state.clock[1] = 0
         for i in range(len(state.known)):
@@ -160,7 +160,7 @@ def anyone(states_a, states_b):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def no_one(output, k):  # type: ignore[no-untyped-def]
-    """Row k of the output where neither sensor sees a person."""
+    """Writes row k of the output for a pair in which neither sensor sees a person."""
     for i in range(output.positions.shape[1]):
         output.predicted[k, i] = True
         output.weights_a[k, i] = output.weights_b[k, i] = 0.0
@@ -174,7 +174,7 @@ def no_one(output, k):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def report(state, views, solve, output, k):  # type: ignore[no-untyped-def]
-    """Row k of the output: S*, and each view's share of the information about each joint."""
+    """Writes row k of the output: S*, and each view's share of the information on each joint."""
     output.codes[k, 0], output.codes[k, 1] = views.codes[0], views.codes[1]
     for i in range(output.positions.shape[1]):
         says_a = _information(views, 0, i)
@@ -192,11 +192,11 @@ def report(state, views, solve, output, k):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _information(views, v, i):  # type: ignore[no-untyped-def]
-    """What a view says about a joint: its trust over the mean variance of its measurement, 1/m²."""
+    """Information of a view on a joint: its trust over the mean variance of its measurement, 1/m²."""
     if views.states[v, i] == 0 or views.trust[v, i] < _HARDLY:
         return 0.0
     C = views.slow[v, i]
     return views.trust[v, i] / ((C[0, 0] + C[1, 1] + C[2, 2]) / 3.0 + views.fast[v, i])
 
 
-_HARDLY = 0.01  # trust: with less, a joint counts as predicted
+_HARDLY = 0.01  # a joint with less trust counts as predicted

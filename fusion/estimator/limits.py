@@ -1,4 +1,4 @@
-"""Knees and elbows do not bend backwards where the data do not say how they bend."""
+"""Knees and elbows that no view tracks do not bend backwards."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def respect_hinges(model, state, views):  # type: ignore[no-untyped-def]
     """Moves a hinge that neither view tracks onto the straight line, where it bends to the wrong side.
 
     A knee lies before the line from hip to ankle, an elbow behind the line from shoulder to wrist of an arm
-    that hangs down; before is where the trunk faces: (left - right) × (shoulders - hips). The hinge is moved
+    that hangs down. The trunk faces forwards: (left - right) × (shoulders - hips). The hinge is moved
     along the part of that direction that is normal to its line.
     """
     x = state.positions

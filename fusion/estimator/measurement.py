@@ -1,4 +1,4 @@
-"""How far each measurement can be trusted beforehand: its covariance, from ray, joint, state and covers.
+"""The covariance of each measurement, from its ray, joint, tracking state and covering joint.
 
 Two errors add up. The slow one is a bias that depends on the view and the pose and lasts for a second or
 more; it is larger along the ray than across it, larger for an inferred joint, and larger where another joint
@@ -15,7 +15,7 @@ from fusion.compiling.kernels import inner_kernel
 
 @inner_kernel
 def cast_rays(model, views):  # type: ignore[no-untyped-def]
-    """The unit vector from each sensor to each joint that it gives."""
+    """Computes the unit vector from each sensor to each joint that it reports."""
     for v in range(2):
         for i in range(len(model.parents)):
             if views.states[v, i] == 0:
@@ -29,7 +29,7 @@ def cast_rays(model, views):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def find_covers(model, views):  # type: ignore[no-untyped-def]
-    """The nearest joint before each joint in its sensor's viewing plane, and how far it lies across the ray.
+    """Finds the nearest covering joint of each joint in its sensor's viewing plane, and its distance.
 
     As in sec. 3, a joint that shares a bone cannot mislead. The distance is the one of eq. (10), in metres at
     the joint's depth rather than in pixels, so that it does not depend on how far away the person is.
@@ -66,7 +66,7 @@ def find_covers(model, views):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def set_covariances(model, state, views):  # type: ignore[no-untyped-def]
-    """Slow covariance C = σ² m (I + (κ² - 1) r rᵀ) and fast variance of each measurement.
+    """Computes the slow covariance C = σ² m (I + (κ² - 1) r rᵀ) and fast variance of each measurement.
 
     σ is the joint's slow error, r the ray, κ ``along_ray``. m = 1 + (near / d)^power with d the distance of
     the covering joint, eq. (10) read as information: a measurement's information falls to a half where d is
@@ -103,4 +103,4 @@ def set_covariances(model, state, views):  # type: ignore[no-untyped-def]
 
 
 _NEAREST = 0.05  # metres along the ray: no joint is that near to a sensor
-_TOUCHING = 1e-3  # metres, so that a cover on the very ray gives a finite factor
+_TOUCHING = 1e-3  # metres, so that a cover on the ray itself gives a finite factor

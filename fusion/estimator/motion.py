@@ -1,4 +1,4 @@
-"""How a joint moves from one pair to the next: the prediction."""
+"""The prediction: motion of the joints from one pair to the next."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from fusion.compiling.kernels import inner_kernel
 def predict(model, state, dt):  # type: ignore[no-untyped-def]
     """Positions, velocities and variances after dt seconds, parents first.
 
-    A joint moves on with its velocity; what its velocity differs from its parent's by fades in
-    ``velocity_seconds``, so that a joint no one sees is carried along. White acceleration, larger the faster
-    the joint moves, makes the uncertainty grow:
+    A joint moves with its velocity. The difference between its velocity and its parent's decays in
+    ``velocity_seconds``, so that an unseen joint moves with the trunk. White acceleration makes the
+    uncertainty grow, and is larger for a fast joint:
 
         σ_a = share (acceleration + acceleration_by_speed |v|) √calmness
         P ← F P Fᵀ + σ_a² [dt⁴/4, dt³/2; dt³/2, dt²],    F = [1, dt; 0, 1]
 
-    One 2×2 P a joint serves all three axes.
+    One 2×2 matrix P per joint holds for all three axes.
     """
     k = model.constants
     kept = math.exp(-dt / k.velocity_seconds)
@@ -48,5 +48,5 @@ def predict(model, state, dt):  # type: ignore[no-untyped-def]
             P[i, 2] *= shrink
 
 
-_FARTHEST = 0.3  # m, standard deviation of what acceleration alone can do in one step
-_LARGEST = 0.25  # m²: a joint is never farther than this from where its bones allow
+_FARTHEST = 0.3  # m, largest standard deviation that acceleration adds in one step
+_LARGEST = 0.25  # m²: its bones keep a joint within this variance

@@ -1,8 +1,8 @@
-"""By how much each view's joints are off from S*, lastingly: what the two views disagree about, shared out.
+"""Lasting offsets of each view's joints from S*: the views' difference, divided between them.
 
-Two trackers place a joint centimetres apart, for as long as the pose lasts. Only the difference shows; each
-view takes its share of it, by its covariance. With the offsets taken out the views agree, and S* does not
-move when one view loses the joint or finds it again.
+Two trackers place a joint centimetres apart for as long as the pose lasts. Only the difference is observable;
+each view takes a share of it according to its covariance. With the offsets removed the views agree, and S*
+does not jump when one view loses the joint or finds it again.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from fusion.estimator.three import inverse
 
 @inner_kernel
 def fade_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
-    """Offsets decay as an Ornstein–Uhlenbeck process does: b ← φ b, Var b ← φ² Var b + (1 - φ²) C.
+    """Offsets decay like an Ornstein–Uhlenbeck process does: b ← φ b, Var b ← φ² Var b + (1 - φ²) C.
 
     C is the mean slow variance of the measurement. They last for ``agreement_seconds`` while both views are
     trusted, for ``alone_seconds`` while only one is. The variance of an offset does not grow for a view that
-    is trusted alone: then it is the one S* follows.
+    is trusted alone, because S* then follows that view.
     """
     k = model.constants
     together, alone = math.exp(-dt / k.agreement_seconds), math.exp(-dt / k.alone_seconds)
@@ -43,14 +43,14 @@ def fade_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def learn_offsets(model, state, views, room):  # type: ignore[no-untyped-def]
-    """Gives each view its share of what the two still differ by: d = y_A - y_B.
+    """Gives each view its share of the remaining difference d = y_A - y_B.
 
     With V_v the covariance of view v's offset, the slow covariance of its measurement in the size of the
     offset's variance:
 
         b_A ← b_A + g V_A (V_A + V_B)⁻¹ d,    b_B ← b_B - g V_B (V_A + V_B)⁻¹ d
 
-    where g = β_A β_B (Var b_A + Var b_B) / (Var b_A + Var b_B + fast_A + fast_B). So a view that comes back
+    where g = β_A β_B (Var b_A + Var b_B) / (Var b_A + Var b_B + fast_A + fast_B). So a view that returns
     takes nearly all of the difference.
 
     Args:
@@ -101,4 +101,4 @@ def learn_offsets(model, state, views, room):  # type: ignore[no-untyped-def]
         state.offset_variances[1, i] *= 1.0 - gain
 
 
-_UNSEEN = 2.0  # a joint that the view does not give is probably covered
+_UNSEEN = 2.0  # a joint that the view does not report is probably covered

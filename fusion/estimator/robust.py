@@ -1,4 +1,4 @@
-"""Which measurements are outliers: the probability of each, from the prediction and the other view."""
+"""The probability that each measurement is an outlier, from the prediction and the other view."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def judge(model, state, views):  # type: ignore[no-untyped-def]
     N(y_A; x, S_A) N(y_B; x', S'), where x' and S' are predicted with y_A taken in: so two views that agree
     with each other need not agree with the prediction. β sums the posterior over the hypotheses.
 
-    A fifth hypothesis says that both are good and the prediction is wrong: the person has done what no one
-    expects. Then the two agree with each other and stand anywhere: N(y_A - y_B; 0, noise_A + noise_B) over
-    the cube. Its posterior is the surprise, which :func:`be_surprised` acts on.
+    A fifth hypothesis says that both are good and the prediction is wrong, because the person moved
+    unexpectedly. Then the two agree with each other and may be anywhere: N(y_A - y_B; 0, noise_A + noise_B)
+    over the cube. Its posterior is the surprise, which :func:`be_surprised` acts on.
 
     An outlier is followed by one with probability ``outlier_lasts``; β is 0 without a measurement.
     """
@@ -74,11 +74,11 @@ def judge(model, state, views):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def be_surprised(model, state, views, dt):  # type: ignore[no-untyped-def]
-    """Where both views say together that the prediction is wrong, its variance grows to let them through.
+    """Enlarges the variance of the prediction where both views agree that it is wrong.
 
         P ← P + surprise (|e|²/3) g gᵀ,    g = [1, 1/(2 dt)]
 
-    with e the views' mean innovation: the joint has moved by e, half of it for good.
+    with e the views' mean innovation. The velocity changes by e / (2 dt).
     """
     for i in range(len(model.parents)):
         if not state.known[i] or views.surprise[i] < _UNLIKELY:
@@ -95,7 +95,7 @@ def be_surprised(model, state, views, dt):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def innovation(state, views, v, i, c):  # type: ignore[no-untyped-def]
-    """Measured less predicted along axis c, with the view's offset taken out, at the view's own time."""
+    """Measurement minus prediction along axis c, without the view's offset, at the view's own time."""
     at_capture = state.positions[i, c] + state.velocities[i, c] * views.delays[v]
     return views.positions[v, i, c] - state.offsets[v, i, c] - at_capture
 
@@ -108,7 +108,7 @@ def normal(square, variance):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
-    """Probability of an outlier before it is measured: a Markov chain, or the doubt about the sides.
+    """Prior probability of an outlier: a Markov chain, or the doubt about the sides.
 
     The depth image's evidence, a log likelihood ratio, multiplies the odds.
     """
@@ -125,7 +125,7 @@ def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def remember_doubt(model, state, views):  # type: ignore[no-untyped-def]
-    """1 - β for the next pair; without a measurement, doubt fades towards its mean."""
+    """Stores 1 - β for the next pair; without a measurement, doubt decays towards its mean."""
     rare = model.constants.outlier
     for v in range(2):
         for i in range(len(model.parents)):
@@ -136,5 +136,5 @@ def remember_doubt(model, state, views):  # type: ignore[no-untyped-def]
 
 
 _FADES = 0.9  # per pair
-_UNLIKELY = 1e-3  # less surprise changes nothing that shows
+_UNLIKELY = 1e-3  # a smaller surprise has no visible effect
 _SURE = 0.99  # no measurement is an outlier for certain

@@ -1,6 +1,6 @@
-"""S* of a whole recording at once: what comes after a pair counts for it, too, so that nothing lags.
+"""S* of a whole recording: later pairs count as well, so that S* has no lag.
 
-The fixed-interval smoother of Rauch, Tung and Striebel goes back over what the filter left, joint by joint:
+The fixed-interval smoother of Rauch, Tung and Striebel runs backwards over the filter's results, per joint:
 
     x_k|T = x_k + C (x_k+1|T - x_k+1|k),    P_k|T = P_k + C (P_k+1|T - P_k+1|k) Cᵀ,    C = P_k Fᵀ (P_k+1|k)⁻¹
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class Trace(NamedTuple):
-    """What the filter leaves of each of T pairs; of none where there is nothing to smooth."""
+    """The filter's results of T pairs; T is 0 where nothing is smoothed."""
 
     seconds: Array  # (T,) since the pair before with a person; 0 where there is none
     predicted: Array  # (T, J, 6) position and velocity before the measurements
@@ -35,7 +35,7 @@ class Trace(NamedTuple):
 
 
 def new_trace(frames: int, joints: int) -> Trace:
-    """Room for so many pairs."""
+    """Arrays for ``frames`` pairs."""
     return Trace(
         seconds=np.zeros(frames),
         predicted=np.zeros((frames, joints, 6)),
@@ -48,7 +48,7 @@ def new_trace(frames: int, joints: int) -> Trace:
 
 @inner_kernel
 def trace_prediction(model, state, trace, k, dt):  # type: ignore[no-untyped-def]
-    """Remembers the prediction of pair k."""
+    """Stores the prediction of pair k."""
     if len(trace.seconds) == 0:
         return
     trace.seconds[k] = dt if state.clock[1] == 1 else 0.0
@@ -61,7 +61,7 @@ def trace_prediction(model, state, trace, k, dt):  # type: ignore[no-untyped-def
 
 @inner_kernel
 def trace_result(model, state, trace, k):  # type: ignore[no-untyped-def]
-    """Remembers where pair k left the state."""
+    """Stores the state after pair k."""
     if len(trace.seconds) == 0:
         return
     for i in range(len(model.parents)):
@@ -79,7 +79,7 @@ def smooth_pairs(model, solve, trace, output):  # type: ignore[no-untyped-def]
 
     Args:
         model, solve: Of the filter.
-        trace: What it left; its filtered states become the smoothed ones.
+        trace: The filter's results; filtered states are replaced by smoothed ones.
         output: Of the filter; pairs without a person stay as they are.
     """
     later = -1  # the next pair with a person
@@ -125,7 +125,7 @@ def step_back(model, trace, k, later, i):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _hold_bones(model, solve, trace, output, k, later):  # type: ignore[no-untyped-def]
-    """The skeleton with exact bones nearest to the smoothed joints of pair k, into the output."""
+    """Writes the best skeleton with exact bone lengths for the smoothed joints of pair k."""
     for i in range(len(model.parents)):
         known = trace.filtered_variances[k, i, 0] > 0.0
         W = solve.information[i]

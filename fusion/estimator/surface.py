@@ -1,7 +1,7 @@
-"""What each sensor's depth image says about its joints, as evidence and as one more measurement.
+"""Evidence and measurements of the joints from each sensor's depth image.
 
-:mod:`fusion.witness` turns the numbers about each joint into both. Here they follow the labels of the view,
-and take part in the frame.
+:mod:`fusion.witness` computes both from the numbers of each joint. This module assigns them to the
+re-labelled joints and uses them in the frame.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fusion.witness import weigh_witness
 
 @inner_kernel
 def ask_images(model, facing_model, views, a, states_a, witness_a, b, states_b, witness_b):  # type: ignore[no-untyped-def]
-    """Evidence and surface measurement of each joint of both views, under the joint's exchanged name.
+    """Evidence and surface measurement of each joint of both views, for the re-labelled joints.
 
     Args:
         model, facing_model: Of the body and the calibration.
@@ -39,7 +39,7 @@ def ask_images(model, facing_model, views, a, states_a, witness_a, b, states_b, 
             )  # fmt: skip
         find_sources(facing_model, views.reported[v], views.codes[v], said.sources)
         for i in range(len(model.parents)):
-            # where the exchange made an inferred joint of a tracked one, its place is no place to look
+            # a joint that the exchange made inferred has no usable position
             source = said.sources[i]
             usable = views.states[v, i] == _TRACKED
             views.evidence[v, i] = said.evidence[source] if usable else 0.0
@@ -51,7 +51,7 @@ def ask_images(model, facing_model, views, a, states_a, witness_a, b, states_b, 
 
 @inner_kernel
 def measure_surface(model, views, room):  # type: ignore[no-untyped-def]
-    """The surface's measurement p, of information I, joined with the tracker's z, of slow covariance C.
+    """Combines the surface's measurement p of information I with the tracker's z of slow covariance C.
 
         W = C⁻¹ + I',    z ← W⁻¹ (C⁻¹ z + I' p),    C ← W⁻¹,    I' = I / surface_slow²
 

@@ -1,4 +1,4 @@
-"""How sure S* is: the covariance of each joint, with what the bones say about it."""
+"""The uncertainty of S*: the covariance of each joint, with the information that bones transmit."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from fusion.estimator.three import inverse
 
 @inner_kernel
 def spread(model, solve, covariance, sigma, room):  # type: ignore[no-untyped-def]
-    """The covariance of each joint of S* given all joints' information and the bones' lengths.
+    """Computes the covariance of each joint of S* given all joints' information and the bone lengths.
 
-    A hard bone lets a joint say about its neighbour only how far it lies along the bone, n: with A the
-    neighbour's own information and all that comes from beyond it, that is n nᵀ / (nᵀ A⁻¹ n). Sums of these go
-    up the tree, then down: belief propagation, exact on a tree for bones whose directions are given.
+    A hard bone transmits information only along its direction n. With A the information of the joint at one
+    end, including everything beyond it, the other end receives n nᵀ / (nᵀ A⁻¹ n). These messages go up the
+    tree, then down: belief propagation, exact on a tree for given bone directions.
 
     Args:
         model, solve: After the bones; the information in ``solve`` is that of the targets.
@@ -41,7 +41,7 @@ def spread(model, solve, covariance, sigma, room):  # type: ignore[no-untyped-de
         i = order[n]
         p = parents[i]
         nx, ny, nz, said = solve.upward[i, 0], solve.upward[i, 1], solve.upward[i, 2], solve.upward[i, 3]
-        _add_along(A[p], nx, ny, nz, -said)  # what the parent knows without this joint
+        _add_along(A[p], nx, ny, nz, -said)  # the parent's information without this joint
         says = _along(A[p], nx, ny, nz, room)
         _add_along(A[p], nx, ny, nz, said)
         _add_along(A[i], nx, ny, nz, says)
@@ -86,4 +86,4 @@ def _add_along(A, x, y, z, information):  # type: ignore[no-untyped-def]
     A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
 
 
-_ANYWHERE = 1.0  # 1/m²: even a joint that was never seen is within a metre
+_ANYWHERE = 1.0  # 1/m²: a joint that was never seen has a standard deviation of one metre

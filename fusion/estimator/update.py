@@ -1,4 +1,4 @@
-"""The measurements taken in: Kalman updates of positions and velocities."""
+"""Kalman updates of positions and velocities with the measurements of both views."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from fusion.estimator.three import add_inverse, inverse
 
 @inner_kernel
 def take_in(model, state, views):  # type: ignore[no-untyped-def]
-    """Information adds up: each view's measurement, A then B, with its noise divided by its trust.
+    """Updates with each view's measurement, A then B, with its noise divided by its trust.
 
         S = P + (fast + offset variance) / β,    x ← x + (P/S) e,    v ← v + (P_xv/S) e
 
-    e is the innovation, along each axis alike.
+    e is the innovation; all axes have the same gain.
     """
     x, v, P = state.positions, state.velocities, state.variances
     for i in range(len(model.parents)):
@@ -36,7 +36,7 @@ def take_in(model, state, views):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def begin_joints(model, state, views, sum_, room):  # type: ignore[no-untyped-def]
-    """Joints seen for the first time: the views' mean by information, at rest, with the offsets it implies.
+    """Starts joints seen for the first time: the information-weighted mean of the views, at rest.
 
     Args:
         model, state, views: Of the pair.
@@ -81,10 +81,10 @@ def begin_joints(model, state, views, sum_, room):  # type: ignore[no-untyped-de
 
 @inner_kernel
 def share_error(model, state, views, kept_together, kept_alone, sum_, room):  # type: ignore[no-untyped-def]
-    """The slow error of S*: M ← M + (1 - φ) ((Σ_v β_v C_v⁻¹)⁻¹ - M), at the pace of the offsets.
+    """Updates the slow error of S*: M ← M + (1 - φ) ((Σ_v β_v C_v⁻¹)⁻¹ - M), at the pace of the offsets.
 
-    No filter can see it, since no view does: it is what the views share after their difference is known.
-    Without a measurement it stays, and only the prediction's uncertainty grows.
+    No measurement shows this error: it is common to the views once their difference is known. Without a
+    measurement it is kept, and only the uncertainty of the prediction grows.
     """
     for i in range(len(model.parents)):
         total = views.trust[0, i] + views.trust[1, i]
@@ -104,6 +104,6 @@ def share_error(model, state, views, kept_together, kept_alone, sum_, room):  # 
                 state.shared_error[i, r, c] += pace * (room[r, c] - state.shared_error[i, r, c])
 
 
-_NOTHING = 1e-3  # trust: a measurement with less changes nothing that shows
+_NOTHING = 1e-3  # a measurement with less trust has no visible effect
 _LITTLE = 0.05  # trust of both together
 _FIRST_SPEED = 1.0  # m/s, standard deviation along an axis

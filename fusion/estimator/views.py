@@ -1,4 +1,4 @@
-"""Both skeletons as measurements in K_A's frame: new ones only, re-labelled, with each view's own time."""
+"""Both skeletons as measurements in K_A's frame: no stale ones, re-labelled, at each view's own time."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from fusion.facing.filter import update_facing
 
 @inner_kernel
 def take_views(model, state, views, skew_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
-    """Carries both views to K_A's frame: p, and q' = R q + t.
+    """Transforms both views to K_A's frame: p, and q' = R q + t.
 
     Args:
-        model, state: Of the fuser; the state remembers what the sensors gave.
+        model, state: Of the fuser; the state stores the sensors' last skeletons.
         views: Written: what the sensors reported, whether it is stale, and its delay.
-        skew_ns: Capture time of B less that of A, which is the pair's time.
+        skew_ns: Capture time of B minus that of A, which is the pair's time.
         a, b: (J, 3) float32 metres, each in its sensor's frame; NaN where not tracked.
         states_a, states_b: (J,) tracking states.
     """
@@ -34,7 +34,7 @@ def take_views(model, state, views, skew_ns, a, states_a, b, states_b):  # type:
 
 @inner_kernel
 def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-def]
-    """Whether a sensor's skeleton is its last one again; remembers it. No skeleton repeats nothing."""
+    """Whether a sensor repeats its last skeleton; stores the new one. An empty skeleton is no repetition."""
     same, anyone = True, False
     for i in range(len(states)):
         anyone = anyone or states[i] != 0
@@ -49,14 +49,14 @@ def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-d
 
 @inner_kernel
 def relabel(model, facing_model, facing, views, dt, code_a, code_b):  # type: ignore[no-untyped-def]
-    """Gives the joints the sides that they have on the person; a stale skeleton is no measurement after that.
+    """Corrects exchanged sides, and removes the measurements of a stale skeleton.
 
     Args:
         model, facing_model: Of the body.
-        facing: State of the facing filter (:mod:`fusion.facing.filter`), carried on unless codes are given.
+        facing: State of the facing filter (:mod:`fusion.facing.filter`); updated unless codes are given.
         views: Positions and states are written.
-        dt: Seconds since the pair before.
-        code_a, code_b: Exchange codes that are known, as from a pass over a whole recording; -1 where not.
+        dt: Seconds since the previous pair.
+        code_a, code_b: Known exchange codes, as from a pass over a whole recording; -1 where unknown.
     """
     if code_a < 0 or code_b < 0:
         update_facing(
@@ -80,11 +80,11 @@ def relabel(model, facing_model, facing, views, dt, code_a, code_b):  # type: ig
 
 @inner_kernel
 def rescale(model, state, views, dt):  # type: ignore[no-untyped-def]
-    """Estimates by how much each view's skeleton is too large, and takes it out about its root.
+    """Estimates the scale error of each view's skeleton and removes it about the root.
 
     A tracker's whole skeleton grows and shrinks by some per cent within a second. The scale 1 + s is
-    filtered: s is an Ornstein–Uhlenbeck process of standard deviation ``scale_sd`` that forgets in
-    ``scale_seconds``. A pair measures it by Σ w² r / Σ w² over the relative errors r of the bones, with
+    filtered: s is an Ornstein–Uhlenbeck process with standard deviation ``scale_sd`` and correlation
+    time ``scale_seconds``. A pair measures it by Σ w² r / Σ w² over the relative errors r of the bones, with
     w = l / (1 + (r - s)² / 0.15²): a bone that is far off hardly counts.
     """
     k = model.constants
@@ -122,7 +122,7 @@ def rescale(model, state, views, dt):  # type: ignore[no-untyped-def]
                     at[i, c] = at[root, c] + (at[i, c] - at[root, c]) * shrink
 
 
-_SHORTEST = 0.12  # metres: shorter bones say little about the scale
+_SHORTEST = 0.12  # metres: shorter bones carry little information on the scale
 _USUAL = 0.15  # a relative error at which a bone's weight is a quarter
 _FEWEST = 4  # bones
-_SHARED = 2.0  # bones share joints, and so errors
+_SHARED = 2.0  # neighbouring bones share joints, so their errors are correlated

@@ -1,4 +1,4 @@
-"""How far a skeleton is from the truth, in the figures the field uses."""
+"""Error figures of a skeleton against ground truth."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 _STILL_SPEED = 0.02  # m/s: slower is standing still
 _SMOOTH = 5  # frames of the moving mean that jitter is measured against
 _LONGEST_LAG = 10  # frames
-_EVEN_STEPS = 1e-4  # metres a frame: a speed that deviates less has no shape to match
-_WEAK_MATCH = 0.5  # correlation: below it the highest peak is one of noise
+_EVEN_STEPS = 1e-4  # metres per frame: a speed that varies less has no shape to match
+_WEAK_MATCH = 0.5  # correlation: a lower peak is noise
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,12 @@ class Accuracy:
         bone_error: Largest difference of a bone from its true length.
         bone_deviation: Standard deviation of a bone's length over time; mean over bones.
         jitter: RMS distance of a joint from its moving mean over 5 frames while it truly stands still.
-        acceleration: Mean distance of a joint's second difference from the true one, metres a frame².
+        acceleration: Mean distance of a joint's second difference from the true one, metres per frame².
         swapped: Share of frames whose limbs fit the truth better with left and right exchanged.
         lag: Frames by which the joints' mean speed trails the true one: where they correlate most. NaN
             where that is less than 0.5, or at the end of the ±10 frames that are searched.
-        within_1sd, within_2sd: Share of joints within one and two standard deviations of the truth, as
-            the method states them: 0.608 and 0.993 for Gaussian errors, alike in all directions. NaN where
-            it states none.
+        within_1sd, within_2sd: Share of joints within one and two standard deviations of the truth, as the
+            method states them: 0.608 and 0.993 for isotropic Gaussian errors. NaN where it states none.
     """
 
     mpjpe: float
@@ -67,9 +66,9 @@ def accuracy(
 
     Args:
         body: The joints.
-        found: (T, J, 3) what the method says; NaN where it says nothing.
+        found: (T, J, 3) the method's joints; NaN where it has none.
         truth: (T, J, 3) in the same frame.
-        states_a, states_b: (T, J) tracking states of the two views it had.
+        states_a, states_b: (T, J) tracking states of its two views.
         frame_seconds: Between two frames.
         sd: (T, J) metres, one standard deviation of a joint's distance to the truth that the method states.
     """

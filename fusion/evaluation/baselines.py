@@ -1,7 +1,7 @@
-"""What people do instead: simpler ways to one skeleton from two, on the same input, to compare with.
+"""Baselines: simpler ways to fuse two skeletons, on the same input.
 
-Each takes both views of T frames in K_A's frame and gives (T, J, 3). None knows bone lengths. Where a method
-has no position for a joint, the joint keeps its last one, as in an application. How S_B is registered is the
+Each takes both views of T frames in K_A's frame and gives (T, J, 3). None uses bone lengths. A joint
+without a position keeps its last one, as in an application. How S_B is registered is the
 caller's choice; see :mod:`fusion.evaluation.fixed_registration`.
 """
 
@@ -17,7 +17,7 @@ States = NDArray[np.uint8]
 
 
 def alone(positions: Array) -> Array:
-    """One sensor by itself: its joints as reported, held where it reports none.
+    """One sensor alone: its joints as reported; a missing joint keeps its last position.
 
     Args:
         positions: (T, J, 3) metres; NaN where not tracked.
@@ -38,7 +38,7 @@ def mean(a: Array, b: Array) -> Array:
 
 
 def tracked_wins(a: Array, b: Array, states_a: States, states_b: States) -> Array:
-    """The view that tracks the joint where the other only infers it; the mean where both say the same."""
+    """The view that tracks a joint that the other only infers; the mean if both states are equal."""
     better_a = (states_a > states_b)[..., None]
     better_b = (states_b > states_a)[..., None]
     return alone(np.where(better_a, a, np.where(better_b, b, mean(a, b))))
@@ -55,10 +55,10 @@ def kalman(
     inferred_sd: float = 0.08,
     acceleration_sd: float = 8.0,
 ) -> Array:
-    """A constant-velocity Kalman filter a joint, each view a measurement, its state the noise.
+    """One constant-velocity Kalman filter per joint; the tracking state sets the measurement noise.
 
     The usual choice for several Kinects (OpenPTrack and others). The axes are independent and share their
-    variances, so one 2 × 2 covariance a joint serves all three.
+    variances, so one 2 × 2 covariance per joint holds for all three.
 
     Args:
         a, b: (T, J, 3) metres, K_A's frame; NaN where not tracked.
@@ -88,9 +88,9 @@ def kalman(
 
 
 def oracle(a: Array, b: Array, truth: Array) -> Array:
-    """The better view of every joint in every frame, chosen with the truth: no method, but a bound.
+    """The better view of every joint in every frame, chosen with the truth: a bound, not a method.
 
-    It bounds what any choice between the two views can reach; fusing them can do better.
+    No choice between the two views can be better; a fusion of them can.
 
     Args:
         a, b: (T, J, 3) metres, K_A's frame; NaN where not tracked.

@@ -1,4 +1,4 @@
-"""Artificial faults of one view, and how much of one reaches S*."""
+"""Artificial faults of one view, and the share of a fault that reaches S*."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Array = NDArray[np.float64]
 Fault = Literal["snap", "swap", "freeze", "shift"]
 
 FAULTS: tuple[Fault, ...] = get_args(Fault)
-"""snap: the right arm sticks to the trunk. swap: left and right are exchanged. freeze: the skeleton stands
-still. shift: the whole skeleton stands 250 mm to the right."""
+"""snap: the right arm sticks to the trunk. swap: left and right are exchanged. freeze: the skeleton
+stops. shift: the whole skeleton is moved 250 mm to the right."""
 CONCERNED = 0.080
-"""Metres: joints and frames that a fault moves by more are the ones it concerns."""
+"""Metres: a fault concerns the joints and frames that it moves by more."""
 
 _SHIFT = np.array([0.25, 0.0, 0.0])
 _SNAPPED = np.array([0.12, 0.0, 0.0])  # from the trunk's joint to the elbow
@@ -57,10 +57,10 @@ def with_fault(body: Body, positions: Array, fault: Fault, frames: range) -> Arr
 
 
 def share_of_fault(view: Array, faulty_view: Array, fused: Array, faulty_fused: Array) -> float:
-    """How much of a fault reaches S*: 0 none of it, 1 all.
+    """The share of a fault that reaches S*, from 0 to 1.
 
-    The sum of S*'s displacements by the sum of the view's, over the joints and frames that the fault moves by
-    more than CONCERNED.
+    The sum of S*'s displacements over the sum of the view's, over the joints and frames that the fault moves
+    by more than CONCERNED.
 
     Args:
         view, faulty_view: (T, J, 3) the view without and with the fault.

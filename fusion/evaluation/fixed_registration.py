@@ -1,7 +1,7 @@
-"""One registration for a whole recording, from the person's movement: what simple baselines deserve.
+"""One registration for a whole recording, from the person's movement, for the baselines.
 
-It uses the recording's future and is therefore no method for live sensors. Comparisons with a baseline whose
-registration is poor would flatter every other method.
+It uses later frames and is therefore not a live method. A comparison with baselines under a poor registration
+would favour every other method.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from fusion.errors import CalibrationError
 from fusion.rigid import RigidTransform
 
 _STEPS = 12
-_TUNING = 1.4826  # times the median distance: a residual beyond it counts less than a quarter
+_TUNING = 1.4826  # times the median distance: a larger residual counts less than a quarter
 
 
 def fit_recording(p: NDArray[np.float64], q: NDArray[np.float64]) -> RigidTransform:
-    """``a_from_b`` that lays one view's joints on the other's, robust against outliers.
+    """The robust rigid fit ``a_from_b`` of one view's joints to the other's.
 
     Iteratively re-weighted least squares (Geman–McClure weights 1 / (1 + (r / s)²)² with s from the median
-    residual) over all joints of all frames alike.
+    residual) over all joints of all frames with equal weight.
 
     Args:
         p, q: (…, 3) the same joints in K_A's and in K_B's frame, metres; NaN where unknown.
@@ -45,7 +45,7 @@ def fit_recording(p: NDArray[np.float64], q: NDArray[np.float64]) -> RigidTransf
 def _weighted_fit(
     target: NDArray[np.float64], source: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> RigidTransform:
-    """Kabsch's fit with a weight a point."""
+    """Kabsch's fit with one weight per point."""
     share = weights / weights.sum()
     centre_t, centre_s = share @ target, share @ source
     U, _, Vt = np.linalg.svd((target - centre_t).T @ ((source - centre_s) * share[:, None]))

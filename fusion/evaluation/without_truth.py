@@ -1,7 +1,7 @@
-"""What a recording of two sensors says about S* where nobody knows the truth.
+"""Figures of S* on recordings without ground truth.
 
-Good figures do not prove that S* is right; bad ones prove that it is wrong. All of them compare S* with what
-people can do (they do not jump, and do not run backwards) and with the two views it was made from.
+Good figures do not prove that S* is right; bad ones prove that it is wrong. They compare S* with the limits
+of human motion (people do not jump between frames, and do not run backwards) and with its two views.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from fusion.rigid import RigidTransform
 Array = NDArray[np.float64]
 
 JUMP = 0.150
-"""Metres from one frame to the next: no joint moves 4.5 m/s among people who walk about."""
+"""Metres from one frame to the next: 4.5 m/s at 30 frames per second, faster than a walking person."""
 NO_JUMP = 0.075
 """Metres: a view whose joint moved less made no jump of its own."""
 FAST = 0.8
-"""m/s of the trunk: nobody walks backwards that fast."""
+"""m/s of the trunk: people rarely walk backwards that fast."""
 _AGAINST = -0.5  # cosine between facing and motion: more than 120° apart
 _SMOOTH = 9  # frames that the trunk's speed is averaged over
 _ENDS = 12  # frames at each end without a smooth speed
-_FEWEST_FAST = 30  # frames: fewer say nothing about facing
+_FEWEST_FAST = 30  # frames: too few for a share
 _FLIP_SECONDS = 0.1
-_ONE_FLIP = 10  # frames: what is nearer to each other is one flip
+_ONE_FLIP = 10  # frames: turns that are nearer to each other are one flip
 
 
 @dataclass(frozen=True, eq=False)
 class FusedPair:
-    """A recording with what was made of it.
+    """A recording with its S*.
 
     Attributes:
         body: Which joints.
@@ -69,7 +69,7 @@ class FiguresWithoutTruth:
         jumps_a, jumps_b, jumps_fused: Share of joint steps above JUMP.
         jumps_own: Share of joint steps in which S* jumps and neither view moves by more than NO_JUMP.
         against_a, against_b, against_fused: Share of frames with a trunk faster than FAST in which it faces
-            against its motion: views, or an S*, that took a back for a front.
+            against its motion: a sign of mirrored labels.
         flips_per_minute: How often S* turns by more than 90° within 0.1 s.
         rotation_off: Radians between the last frame's R and a robust fit over the recording.
         apart: Median distance between the views, by the registration of each frame.
@@ -93,14 +93,14 @@ class FiguresWithoutTruth:
 
     @property
     def roughness_ratio(self) -> float:
-        """S*'s roughness by the mean of the two views'."""
+        """Roughness of S* over the mean of the two views'."""
         return self.rough_fused / (0.5 * (self.rough_a + self.rough_b))
 
 
 def figures_without_truth(pair: FusedPair) -> FiguresWithoutTruth:
     """Measures one recording.
 
-    Assumes that the sensors' y axes point down within some 30°, so that x and z span the floor.
+    Assumes that the sensors' y axes point down within some 30°, so that x and z span the horizontal plane.
 
     Raises:
         FusionError: Fewer than 30 pairs, or hardly any joint that both sensors see.
@@ -136,13 +136,13 @@ def figures_without_truth(pair: FusedPair) -> FiguresWithoutTruth:
 
 @dataclass(frozen=True)
 class HeldOutRegistration:
-    """A registration that was learned on the first half of a recording, judged on the second half.
+    """Figures of a registration learned on the first half of a recording, on the second half.
 
     Attributes:
         rotation_off: Radians from a robust fit over the second half.
-        position_off: Metres between where both put the middle of the person in the second half.
+        position_off: Metres between both positions of the middle of the person in the second half.
         apart: Median distance between the views in the second half, with the registration learned.
-        apart_own_fit: The same with the second half's own fit: what is left to any registration.
+        apart_own_fit: The same with the second half's own fit: the lower limit.
     """
 
     rotation_off: float
@@ -209,7 +209,7 @@ def _flips_per_minute(body: Body, positions: Array, time_ns: NDArray[np.int64]) 
 
 
 def _steps(positions: Array) -> Array:
-    """(T-1, J) how far each joint moves from frame to frame."""
+    """(T-1, J) distance that each joint moves from frame to frame."""
     return np.asarray(np.linalg.norm(np.diff(positions, axis=0), axis=2))
 
 

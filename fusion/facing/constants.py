@@ -1,4 +1,4 @@
-"""The constants of the facing model, and where each comes from.
+"""The constants of the facing model and their origin.
 
 Distances are metres, angles radians, times seconds. A table has one value for each of five angles between the
 person's front and the direction to the sensor: cosine 1 (front), ½, 0 (profile), −½, −1 (back); between them
@@ -25,41 +25,41 @@ class FacingConstants:
     result depends weakly on them: a factor of two in any one weight moves the share of wrong frames by about
     a percentage point.
 
-    Successive frames repeat the same error, so a frame's log-likelihood counts only in part: the *weights*
-    are the share that is independent of the frames before.
+    Successive frames repeat the same error, so a frame's log-likelihood counts only in part. The *weights*
+    are the share that is independent of earlier frames.
 
     Attributes:
         axis_sigma: Standard deviation of the heading that a tracker's shoulders or hips show.
-        axis_floor: What an axis that is an outlier costs at most, in log density.
+        axis_floor: Largest cost of an axis that is an outlier, in log density.
         axis_weight: Weight of an axis in one frame.
-        knee_mean, knee_sigma: How far a knee stands before the line from hip to ankle.
-        elbow_mean, elbow_sigma: How far an elbow stands behind the line from shoulder to wrist.
-        head_mean, head_sigma: How far the head stands before the neck.
-        cue_floor: What a cue that is an outlier costs at most.
+        knee_mean, knee_sigma: Distance of a knee in front of the line from hip to ankle.
+        elbow_mean, elbow_sigma: Distance of an elbow behind the line from shoulder to wrist.
+        head_mean, head_sigma: Distance of the head in front of the neck.
+        cue_floor: Largest cost of a cue that is an outlier.
         cue_weight: Weight of a cue in one frame of a person who moves.
         inferred_weight: Factor on the evidence of joints that the tracker infers.
-        moving_speed: Mean speed of the joints from which on frames count in full, m/s. A posture that is
+        moving_speed: Mean speed of the joints above which frames count in full, m/s. A posture that is
             held shows the same error in every frame.
         still_weight: Factor while the person stands still.
-        motion_weight: Log-likelihood a frame, over the squared speed in m²/s², of moving forwards.
-        motion_cap: Speed from which on motion counts no more, m/s.
+        motion_weight: Log-likelihood per frame, over the squared speed in m²/s², of moving forwards.
+        motion_cap: Speed above which motion counts no more than at this speed, m/s.
         motion_seconds: Time constant of the low-pass filter of the trunk's velocity.
         mirrored_front, mirrored_back: Share of frames that a tracker reports mirrored, facing it and with
             the back turned.
         mirrored_centre, mirrored_width: Cosine at which that share is half-way, and the width of the step.
         mirrored_seconds: Time constant with which that share is reached.
-        turning_sigma: Standard deviation of a turn in 1/30 s, of a person who stands or walks straight on.
-        turning_sigma_fast: The same of one who turns.
+        turning_sigma: Standard deviation of a turn in 1/30 s, of a person who stands or walks straight ahead.
+        turning_sigma_fast: The same for a person who turns.
         turning_share: Share of frames in which a person turns.
-        continuity: How strongly labels follow the places of the frame before, 1/m²; see ``continuity.py``.
+        continuity: Weight of the agreement of labels with the previous frame, 1/m²; see ``continuity.py``.
         limb_seconds, limb_share: Time constant of arms alone or legs alone exchanged, and their share.
         knee_apart, elbow_apart: Mean and standard deviation of the left knee's (elbow's) distance to the left
             of the right one.
         span_sigma: Standard deviation of the difference between the views of a vector from a right joint
             to its left one.
         limb_weight: Weight of a frame's evidence on limbs.
-        leak: Probability of every state that no evidence can take away; with it nothing gets stuck.
-        change_from: Probability from which on a different exchange is taken up.
+        leak: Lower limit of the probability of every state, so that no state becomes impossible.
+        change_from: Probability above which a different exchange is adopted.
     """
 
     axis_sigma: Table = (0.19, 0.41, 0.84, 0.41, 0.19)
@@ -101,8 +101,8 @@ class FacingConstants:
     def of(body: Body) -> FacingConstants:
         """The constants of a body's tracker.
 
-        No recordings with turned backs are at hand for the Azure Kinect: its share of mirrored frames is
-        assumed, milder than the Kinect v2's and wide enough that the evidence decides.
+        No recording with turned backs is available for the Azure Kinect. Its share of mirrored frames is
+        assumed: smaller than the Kinect v2's, so that the evidence decides.
         """
         if body is AZURE_KINECT:
             return FacingConstants(mirrored_back=0.4)

@@ -1,9 +1,9 @@
-"""Whether the labels of a view went on from the places where they were in the frame before.
+"""Whether a view's labels continue from their positions in the previous frame.
 
 Let d be the vectors from the right joint to the left one of shoulders, hips, elbows and knees. Labels that
 are exchanged between two frames reverse every d, so that Σ d · d_before turns from positive to negative. The
 odds of an exchange are multiplied by exp(−k Σ d · d_before), between limits: a tracker that changes over
-smoothly passes through d ≈ 0 and leaves no trace, so that continuity alone must not rule an exchange out.
+smoothly passes through d ≈ 0, so that continuity alone must not exclude an exchange.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _LEAST, _MOST = math.log(0.3), math.log(3000.0)
 
 @inner_kernel
 def exchange_odds(model, state, view):  # type: ignore[no-untyped-def]
-    """Factor on the odds that the whole body's labels were exchanged since the frame before."""
+    """Factor on the odds that the whole body's labels were exchanged since the previous frame."""
     total = 0.0
     for pair in (SHOULDER, HIP, ELBOW, KNEE):
         dot = 0.0

@@ -1,12 +1,12 @@
-"""What one view shows of the way that its person faces.
+"""Evidence of one view on the direction that its person faces.
 
 Three kinds of evidence, all horizontal vectors in K_A's frame:
 
 * **axes**: l × u of shoulders and hips, with l from the right joint to the left one and u the upward
   direction. They depend on the labels: exchanged, they point backwards.
 * **cues**: the knee's offset from the line hip–ankle, the elbow's from the line shoulder–wrist (reversed),
-  the head's from the neck. A person's joints stand where they stand, however a tracker labels them: so cues
-  do not depend on the labels of the whole body.
+  the head's from the neck. These positions are the same however the tracker labels them, so cues do not
+  depend on the labels of the whole body.
 * **spans**: right joint to left joint of six pairs, for continuity and for limbs.
 """
 
@@ -18,7 +18,7 @@ from fusion.compiling.kernels import inner_kernel
 from fusion.facing.model import ANKLE, ELBOW, HIP, KNEE, SHOULDER, WRIST
 
 _TRACKED = 2  # fusion.skeleton.TrackingState.TRACKED
-_OUTLIER_STEP = 0.2  # m between two frames: no joint moves as far, so it says nothing about speed
+_OUTLIER_STEP = 0.2  # m between two frames: a larger step is an outlier and is limited to this
 _SPEED_SECONDS = 0.3
 
 
@@ -56,7 +56,7 @@ def _trust(model, states, i, j, k):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _axis(model, state, view, girdle, states, up):  # type: ignore[no-untyped-def]
-    """l × u, and how much it is worth: the square of its share of the body's width, at most 1."""
+    """l × u, and its trust: the square of its length over the body's width, at most 1."""
     span, axis = state.spans[view, girdle], state.axes[view, girdle]
     axis[0] = span[1] * up[2] - span[2] * up[1]
     axis[1] = span[2] * up[0] - span[0] * up[2]
@@ -73,7 +73,7 @@ def _axis(model, state, view, girdle, states, up):  # type: ignore[no-untyped-de
 
 @inner_kernel
 def _offset(positions, i, j, k, sign, out):  # type: ignore[no-untyped-def]
-    """How far joint j stands off the line from i to k: perpendicular to it, times the sign."""
+    """Offset of joint j from the line through i and k: perpendicular to it, times the sign."""
     along, squared = 0.0, 1e-12  # a line of no length has no offset
     for c in range(3):
         line = positions[k, c] - positions[i, c]
@@ -87,9 +87,9 @@ def _offset(positions, i, j, k, sign, out):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def follow_motion(model, state, view, positions):  # type: ignore[no-untyped-def]
-    """Carries the mean speed of the joints on with a fresh skeleton; writes its pull on the trunk's velocity.
+    """Updates the mean speed of the joints; writes the view's change of the trunk's velocity.
 
-    The pulls of both views are added afterwards, so that their order does not matter. The trunk is the mean
+    The changes of both views are added afterwards, so that their order does not matter. The trunk is the mean
     of shoulders and hips, which no exchange of labels moves.
     """
     elapsed = state.since[view]

@@ -1,4 +1,4 @@
-"""Exchanges the labels of one view, before it is fused and before it teaches the registration."""
+"""Exchanges the labels of one view, before fusion and before registration uses it."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ _INFERRED, _TRACKED = 1, 2  # fusion.skeleton.TrackingState
 
 @kernel
 def exchange(model, positions, states, code, out_positions, out_states):  # type: ignore[no-untyped-def]
-    """Writes a skeleton with left and right exchanged as the code says.
+    """Writes a skeleton with left and right exchanged according to the code.
 
     Where arms or legs are exchanged alone, real trackers leave the girdle as it is; shoulders (hips) go with
     the limb only where shoulders and hips contradict each other. With the whole body exchanged, feet, thumbs
-    and face become inferred: a tracker places them by the way that it believes the person to face, so they
-    stand on the wrong side.
+    and face become inferred: a tracker places them by the direction that it assumes the person to face, so
+    they are on the wrong side.
 
     Args:
         model: Of the body.
         positions, states: (J, 3), (J,) as reported.
         code: 0, or a sum of ARMS, LEGS and TRUNK (see :mod:`fusion.facing.model`).
-        out_positions, out_states: Room for the result; not the same arrays.
+        out_positions, out_states: Written; not the same arrays as the inputs.
     """
     opposed = _opposed(model, positions)
     trunk = _trunk_exchanged(code)
@@ -39,7 +39,7 @@ def exchange(model, positions, states, code, out_positions, out_states):  # type
 
 @inner_kernel
 def find_sources(model, positions, code, sources):  # type: ignore[no-untyped-def]
-    """Which reported joint becomes which: ``sources[j]`` is the one that :func:`exchange` calls j."""
+    """Writes the reported joint ``sources[j]`` that :func:`exchange` labels j."""
     opposed = _opposed(model, positions)
     for j in range(len(positions)):
         sources[j] = _source(model, code, opposed, j)

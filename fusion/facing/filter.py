@@ -1,4 +1,4 @@
-"""The facing filter, one pair at a time: who faces where, and which labels each view has exchanged."""
+"""The facing filter: the person's heading and the labels that each view has exchanged, pair by pair."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from fusion.facing.upright import learn_up
 from fusion.facing.whole_body import correct, make_headings, make_turning, predict, start, weigh_evidence
 
 FORGET_SECONDS = 1.0
-"""After so long without a pair the next one starts afresh."""
+"""After this time without a pair the filter starts again."""
 _SHORTEST = 1e-3  # seconds between two pairs
-_ABANDONED = 0.2  # a label pair that is less likely is given up, whatever is likelier
+_ABANDONED = 0.2  # labels with a smaller probability are given up
 
 
 @kernel
 def update_facing(model, state, dt, a, states_a, b_in_a, states_b, sensor_b, up, stale_a, stale_b):  # type: ignore[no-untyped-def]
-    """Carries the filter on by one pair; the answer stands in ``state`` (see :class:`FacingState`).
+    """Updates the filter with one pair; the result is in ``state`` (see :class:`FacingState`).
 
     Args:
         model: Of the body.
-        state: Carried on.
-        dt: Seconds since the pair before.
+        state: Updated.
+        dt: Seconds since the previous pair.
         a, b_in_a: (J, 3) float64 the views in K_A's frame, as reported; NaN where not tracked.
         states_a, states_b: (J,) uint8 tracking states.
-        sensor_b: (3,) where K_B stands in K_A's frame: the t of the registration.
-        up: (3,) unit vector against gravity in K_A's frame; NaN where it is not known: then it is learnt from
+        sensor_b: (3,) position of K_B in K_A's frame: t of the registration.
+        up: (3,) unit vector against gravity in K_A's frame; NaN where it is unknown: then it is learned from
             the person (see :mod:`fusion.facing.upright`).
-        stale_a, stale_b: Whether the view repeats its skeleton before: then it is no evidence.
+        stale_a, stale_b: Whether the view repeats its last skeleton, which is then no evidence.
     """
     if dt > FORGET_SECONDS:
         state.started[0] = 0
@@ -50,7 +50,7 @@ def update_facing(model, state, dt, a, states_a, b_in_a, states_b, sensor_b, up,
 
 @inner_kernel
 def take_evidence(model, state, dt, a, states_a, b_in_a, states_b, sensor_b, up, stale_a, stale_b):  # type: ignore[no-untyped-def]
-    """Everything that the pair itself says: log-likelihood, chances of exchanges, and of turns."""
+    """Computes the evidence of the pair: log-likelihood, probabilities of exchanges and turns."""
     state.since[0] += dt
     state.since[1] += dt
     known = math.isfinite(up[0])
@@ -63,7 +63,7 @@ def take_evidence(model, state, dt, a, states_a, b_in_a, states_b, sensor_b, up,
         positions, states, stale = (b_in_a, states_b, stale_b) if view == 1 else (a, states_a, stale_a)
         state.odds[view] = 1.0
         state.pull[view, 0] = state.pull[view, 1] = state.pull[view, 2] = 0.0
-        state.rates[view] = 0.0  # a stale skeleton has the labels that it had
+        state.rates[view] = 0.0  # a stale skeleton keeps its labels
         if not stale:
             measure_view(model, state, view, positions, states)
             follow_motion(model, state, view, positions)
@@ -78,7 +78,7 @@ def take_evidence(model, state, dt, a, states_a, b_in_a, states_b, sensor_b, up,
 
 @inner_kernel
 def _look_towards_sensors(state, sensor_b):  # type: ignore[no-untyped-def]
-    """The horizontal directions from the person to the sensors; kept where no one is seen."""
+    """The horizontal directions from the person to the sensors; kept where no person is seen."""
     for view in range(2):
         x = y = z = 0.0
         count = 0
@@ -158,7 +158,7 @@ def _average_heading(state, belief):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def label_limbs(model, state, dt, old_a, old_b, fresh_a, fresh_b):  # type: ignore[no-untyped-def]
-    """Arms and legs alone, and the codes and probabilities of both views."""
+    """Labels arms and legs; writes the codes and probabilities of both views."""
     signs = (1.0 - 2.0 * state.whole[0], 1.0 - 2.0 * state.whole[1])
     old_signs = (1.0 - 2.0 * old_a, 1.0 - 2.0 * old_b)
     rate = 1.0 - math.exp(-dt / model.scalars.limb_seconds)

@@ -1,7 +1,8 @@
-"""Arms or legs that a view exchanges alone: one small hidden Markov model for each limb pair.
+"""Exchanges of only the arms or only the legs: one small hidden Markov model for each limb pair.
 
-Given the whole body's labels, the state is (e_A, e_B), whether view v has the limb's labels against those of
-its trunk. Evidence, with d the vector from the right joint to the left one in the labels of the whole body:
+Given the whole body's labels, the state is (e_A, e_B), whether the limb's labels in view v contradict those
+of its trunk. Evidence, with d the vector from the right joint to the left one in the labels of the whole
+body:
 
 * **side**: x = d · left, with left = u × f and f the heading; log(N(x; μ, σ) + floor), x reversed where
   exchanged. Only the elbow and the knee: wrists and ankles cross in folded arms and crossed legs.
@@ -28,7 +29,7 @@ def follow_limb(model, state, limb, signs, old_signs, rate, fresh):  # type: ign
     Args:
         limb: 0 arms, 1 legs.
         signs, old_signs: For each view, −1 where the whole body is (was) mirrored, else 1.
-        rate: Chance of reaching the equilibrium in this frame.
+        rate: Probability of reaching the equilibrium in this frame.
         fresh: For each view, whether its skeleton is a new one.
     """
     belief, room = state.limb_belief[limb], state.limb_room
@@ -86,7 +87,7 @@ def _weigh(model, state, limb, near, far, signs, fresh, room):  # type: ignore[n
         x = signs[view] * (d[0] * left0 + d[1] * left1 + d[2] * left2)
         if not fresh[view] or not math.isfinite(x):
             continue
-        # A doubtful view's trunk is changing over: its limbs are where neither label puts them.
+        # While a tracker changes over, neither label describes the limbs.
         trust = known * (1.0 - state.doubt[view])
         zero = trust * math.log(math.exp(-0.5 * ((x - mean) / sigma) ** 2) + _FLOOR)
         one = trust * math.log(math.exp(-0.5 * ((-x - mean) / sigma) ** 2) + _FLOOR)

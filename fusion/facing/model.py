@@ -1,4 +1,4 @@
-"""What the facing filter knows of a body, and what one frame leaves to the next."""
+"""The facing filter's model of a body, and its state between two frames."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from fusion.facing.constants import FacingConstants
 HEADINGS = 36
 """Headings are the multiples of 10° in the horizontal plane."""
 TAPS = 6
-"""A person turns by at most so many headings between two frames."""
+"""The largest turn between two frames, in headings."""
 ARMS, LEGS, WHOLE = 1, 2, 3
 """Exchange codes: a bit for the arms, a bit for the legs, both for the whole body."""
 TRUNK = 4
-"""Added to a code where the trunk does not go with it: LEGS + TRUNK exchanges legs and trunk,
+"""Added to a code if the trunk differs from it: LEGS + TRUNK exchanges legs and trunk,
 WHOLE + TRUNK arms and legs without the trunk. The trunk is shoulders, hips and face."""
 SHOULDER, HIP, ELBOW, WRIST, KNEE, ANKLE = range(6)
 """The pairs of joints that evidence comes from, as rows of ``FacingModel.pairs``."""
@@ -66,7 +66,7 @@ class FacingModel(NamedTuple):
     limb: Ints  # (J,) the bit that exchanges the joint; 0 on the middle line
     girdle: Bools  # (J,) shoulders and hips
     face: Bools  # (J,) eyes and ears
-    believed: Bools  # (J,) joints that a tracker places by the way it believes the person to face
+    believed: Bools  # (J,) joints that a tracker places by the assumed heading
     widths: Floats  # (2,) between the shoulders, between the hips
     axis_kappa: Floats  # (5,) 1/σ²
     cue_mean: Floats  # (3, 5) knee, elbow, head
@@ -77,9 +77,9 @@ class FacingModel(NamedTuple):
 
 
 class FacingState(NamedTuple):
-    """What one frame leaves to the next, the answer, and room to work in.
+    """The state between two frames, the results, and workspace.
 
-    ``codes``, ``probability``, ``facing``, ``confidence`` and ``doubt`` are the answer for the last frame:
+    ``codes``, ``probability``, ``facing``, ``confidence`` and ``doubt`` are the results for the last frame:
 
     * codes (2,): the exchange code of A and of B.
     * probability (2, 4): of each code of each view.
@@ -95,22 +95,22 @@ class FacingState(NamedTuple):
     confidence: Floats
     doubt: Floats
     belief: Floats  # (N, 2, 2) of heading, A mirrored, B mirrored
-    predicted: Floats  # (N, 2, 2) room
+    predicted: Floats  # (N, 2, 2) workspace
     limb_belief: Floats  # (2, 2, 2) of ARMS and LEGS: exchanged in A, in B
     limb_room: Floats  # (2, 2)
     likelihood: Floats  # (N, 2, 2) log-likelihood of the frame
     headings: Floats  # (N, 3) unit vectors
-    frame_up: Floats  # (3,) that they were made for
-    up: Floats  # (3,) learnt from the person
+    frame_up: Floats  # (3,) up direction of the headings
+    up: Floats  # (3,) learned from the person
     turning: Floats  # (2 TAPS + 1,)
     whole: Ints  # (2,) whether the whole body is taken as mirrored
-    mirrored: Floats  # (2,) the probability of that
-    up_frames: Floats  # (1,) from how many frames `up` was learnt
+    mirrored: Floats  # (2,) its probability
+    up_frames: Floats  # (1,) number of frames from which `up` was learned
     shares: Floats  # (2, N) of mirrored frames, by heading
     reach: Ints  # (1,) how many headings `turning` reaches to either side
     rates: Floats  # (2,) of exchanging in this frame; 0 for a stale view
     odds: Floats  # (2,) factor on the odds of an exchange, from continuity
-    axes: Floats  # (2, 2, 3) view; shoulders, hips: horizontal, the way they say that the person faces
+    axes: Floats  # (2, 2, 3) view; shoulders, hips: horizontal direction that they say the person faces
     axis_trust: Floats  # (2, 2)
     cues: Floats  # (2, 5, 3) view; knees, elbows, head
     cue_trust: Floats  # (2, 5)
@@ -121,7 +121,7 @@ class FacingState(NamedTuple):
     since: Floats  # (2,) seconds since a view's last fresh skeleton
     speed: Floats  # (2,) mean speed of the joints, low-passed
     velocity: Floats  # (3,) of the trunk, low-passed
-    pull: Floats  # (2, 3) by how much each view changes it in this frame
+    pull: Floats  # (2, 3) change by each view in this frame
     toward: Floats  # (2, 3) horizontal unit vectors from the person to the sensors
     started: Ints  # (1,)
 
@@ -163,7 +163,7 @@ def new_facing_model(body: Body, constants: FacingConstants | None = None) -> Fa
 
 
 def new_facing_state(body: Body) -> FacingState:
-    """The state before the first frame: every heading is as likely."""
+    """The state before the first frame, with equal probability for every heading."""
     n, joints = HEADINGS, len(body)
     return FacingState(
         codes=np.zeros(2, dtype=np.int64),

@@ -1,4 +1,4 @@
-"""The labels of a whole recording at once: forwards as live, or forwards and backwards without delay."""
+"""The labels of a whole recording: forwards as live, or forwards and backwards, without delay."""
 
 from __future__ import annotations
 
@@ -52,16 +52,16 @@ def relabel_sequence(
 ) -> Labels:
     """Finds the exchanged labels of a recording by the hidden Markov model of :mod:`fusion.facing`.
 
-    With ``smooth`` the probability of the whole body's labels is that given all pairs, before and after
-    (forward-backward algorithm); without it, given the pairs up to each, as live.
+    With ``smooth`` the probability of the whole body's labels uses all pairs (forward-backward algorithm).
+    Without it, it uses earlier pairs only, as live.
 
     Args:
         body: The joints.
         a, b_in_a: (T, J, 3) both views in K_A's frame as reported, metres; NaN where not tracked.
         states_a, states_b: (T, J) tracking states.
         time_ns: (T,) the pairs' times.
-        sensor_b: (3,) where K_B stands in K_A's frame.
-        up: (3,) against gravity; learnt from the person where None.
+        sensor_b: (3,) position of K_B in K_A's frame.
+        up: (3,) against gravity; learned from the person where None.
         smooth: Whether later pairs count.
         model: The body's own where None.
     """
@@ -156,7 +156,7 @@ def _forward(  # type: ignore[no-untyped-def]
 
 @kernel
 def _backward(model, state, seconds, beliefs, likelihoods, shares, chances):  # type: ignore[no-untyped-def]
-    """Makes of each pair's belief the one given all pairs, in place."""
+    """Replaces each pair's belief by the one given all pairs."""
     later, room, rows = state.predicted, state.belief, len(state.headings)
     for n in range(rows):
         for x in range(2):
@@ -197,7 +197,7 @@ def _label(  # type: ignore[no-untyped-def]
     model, state, old, seconds, a, b, states_a, states_b, stale,
     codes, facing, doubt, probability, mirrored, beliefs,
 ):  # fmt: skip
-    """The answers of a recording from the smoothed beliefs of the whole body."""
+    """Computes the results of a recording from the smoothed beliefs of the whole body."""
     make_headings(state, old.frame_up)
     for k in range(len(seconds)):
         if seconds[k] > FORGET_SECONDS:

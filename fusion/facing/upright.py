@@ -1,7 +1,7 @@
-"""Which way is up, learnt from the person where the sensor does not say.
+"""The up direction, learned from the person.
 
-A tilted sensor's −y axis is not up, and no skeleton carries gravity. While a person stands, trunk and legs
-are in line and point up: the mean of both over such frames is within a few degrees of the vertical.
+A tilted sensor's −y axis is not up, and skeletons do not contain gravity. While a person stands, trunk and
+legs are in line and point up. The mean of both over such frames is within a few degrees of the vertical.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from fusion.compiling.kernels import inner_kernel
 from fusion.facing.model import ANKLE, HIP, SHOULDER
 
 IN_LINE = math.cos(math.radians(20.0))
-"""Trunk and legs are in line, and the person stands, where their cosine is above this."""
-_LEARNING_FRAMES = 300.0  # 10 s: the mean forgets older frames, for a sensor may be moved
+"""The person counts as standing if the cosine between trunk and legs is above this."""
+_LEARNING_FRAMES = 300.0  # 10 s: the mean forgets older frames, because a sensor may be moved
 
 
 @inner_kernel
 def learn_up(model, state, positions):  # type: ignore[no-untyped-def]
-    """Carries ``state.up`` on with one view in which the person stands."""
+    """Updates ``state.up`` with one view in which the person stands."""
     trunk_trunk = legs_legs = trunk_legs = 0.0
     for c in range(3):
         trunk, legs = _trunk_and_legs(model.pairs, positions, c)

@@ -5,21 +5,22 @@ person with left and right exchanged. One step is
 
     p(θ', m') ∝ L(θ', m'_A, m'_B) Σ P(m'_A | m_A, θ') P(m'_B | m_B, θ') P(θ' | θ) p(θ, m_A, m_B).
 
-**Turning**, P(θ' | θ): a mixture of two wrapped normal distributions, one of a person who goes straight on
-and one of a person who turns. It is the prior on turning speed.
+**Turning**, P(θ' | θ): a mixture of two wrapped normal distributions, one for a person who walks straight
+ahead and one for a person who turns. It is the prior on turning speed.
 
-**Exchanging**, P(m' | m, θ): a tracker that takes a back for a front exchanges labels where the back is
-turned. The share of mirrored frames s is a function of the cosine between the heading and the direction to
-the sensor, and is reached with the time constant τ: the chance to become mirrored in dt is r s, the chance to
-cease is r (1 − s), with r = 1 − exp(−dt/τ). That is the price of an exchange; both views exchanged at once
-pay both prices. Where the labels' places of the frame before say so, r is larger (``continuity.py``).
+**Exchanging**, P(m' | m, θ): a tracker that takes a back for a front exchanges the labels of a person whose
+back is turned. The share of mirrored frames s is a function of the cosine between the heading and the
+direction to the sensor, and is reached with the time constant τ: the probability of becoming mirrored in dt
+is r s, that of ceasing is r (1 − s), with r = 1 − exp(−dt/τ). That is the price of an exchange. If both views
+are exchanged at once, both prices count. Continuity of the labels changes the odds (``continuity.py``).
 
-**Evidence**, log L, with f the heading's unit vector; every term is weighted by its share that is new:
+**Evidence**, log L, with f the heading's unit vector; every term has a weight, because successive frames are
+correlated:
 
 * axes (only these depend on m): −β(κ (1 − cos)) + ½ log κ, a von Mises density of the angle between f and the
   axis, reversed where the view is mirrored; κ = 1/σ² from the table;
 * cues: −β(½ ((x − μ)/σ)²) − log σ, a normal density of x = cue · f, with μ and σ by the cosine to the sensor;
-  β(c) = c / (1 + c / most) bounds what a single outlier can say;
+  β(c) = c / (1 + c / most) limits the effect of a single outlier;
 * motion: w |v|² cos(v, f), with |v| capped: people rarely walk backwards fast.
 """
 
@@ -31,12 +32,12 @@ from fusion.compiling.kernels import inner_kernel
 from fusion.facing.model import TAPS
 
 _INTERVALS = 4  # of the tables over the cosine
-_FRAME = 1.0 / 30.0  # the interval that the turning constants are stated for
+_FRAME = 1.0 / 30.0  # interval of the turning constants, s
 
 
 @inner_kernel
 def make_headings(state, up):  # type: ignore[no-untyped-def]
-    """The unit vectors of the headings, horizontal under ``up``; the first as near to K_A's x as can be."""
+    """The unit vectors of the headings, horizontal under ``up``; the first is nearest to K_A's x."""
     same = True
     for c in range(3):
         same = same and abs(state.frame_up[c] - up[c]) < 1e-12
@@ -67,7 +68,7 @@ def mirrored_share(scalars, cosine):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def start(state):  # type: ignore[no-untyped-def]
-    """The prediction for a person who was not there: any heading, each view mirrored with its share there."""
+    """The prediction for a new person: any heading, each view mirrored with its share there."""
     count = len(state.headings)
     for n in range(count):
         a, b = state.shares[0, n], state.shares[1, n]
@@ -103,7 +104,7 @@ def make_turning(scalars, state, dt):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def exchanging(state, view, n):  # type: ignore[no-untyped-def]
-    """The chances that a view becomes mirrored and that it ceases to be, after continuity."""
+    """The probabilities that a view becomes mirrored and that it ceases to be, with continuity."""
     rate, odds, share = state.rates[view], state.odds[view], state.shares[view, n]
     to, fro = rate * share, rate * (1.0 - share)
     return to * odds / (1.0 - to + to * odds), fro * odds / (1.0 - fro + fro * odds)
@@ -111,7 +112,7 @@ def exchanging(state, view, n):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def predict(state, before, after):  # type: ignore[no-untyped-def]
-    """p(θ', m') before the frame's evidence; from ``before`` into ``after``."""
+    """Computes p(θ', m') before the frame's evidence, from ``before`` into ``after``."""
     count, reach = len(before), state.reach[0]
     for n in range(count):
         p00 = p01 = p10 = p11 = 0.0
@@ -134,7 +135,7 @@ def predict(state, before, after):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def retrodict(state, after, before, room):  # type: ignore[no-untyped-def]
-    """The transpose of :func:`predict`: what frames to come say of the state before; for smoothing."""
+    """The transpose of :func:`predict`, for smoothing: the evidence of later frames on the state before."""
     count, reach = len(after), state.reach[0]
     for n in range(count):
         to, fro = exchanging(state, 1, n)
@@ -160,7 +161,7 @@ def retrodict(state, after, before, room):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def weigh_evidence(model, state, fresh_a, fresh_b):  # type: ignore[no-untyped-def]
-    """Writes the log-likelihood of the frame for every state; a stale view says nothing."""
+    """Writes the log-likelihood of the frame for every state; a stale view is no evidence."""
     s = model.scalars
     v, likelihood = state.velocity, state.likelihood
     speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
@@ -232,7 +233,7 @@ def _axis_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-de
 
 @inner_kernel
 def _bounded(cost, most):  # type: ignore[no-untyped-def]
-    """A cost that grows at first as given and never beyond ``most``: an outlier costs no more."""
+    """A cost that never exceeds ``most``, and equals the given one while small."""
     return cost / (1.0 + cost / most)
 
 

@@ -1,6 +1,6 @@
-"""One frame of the method, compiled: what :class:`fusion.fuser.Fuser` does pair by pair or in one sweep.
+"""The paper's method, compiled, for :class:`fusion.fuser.Fuser`.
 
-Everything is given and returned in arrays that the caller owns, so a frame allocates nothing.
+The caller owns all arrays, so that a frame allocates nothing.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from fusion.solvers.tree_steps import copy
 
 TRUST, EQUAL = 0, 1  # which weights
 FORGET_NS = 1_000_000_000
-"""After so long without a person the next one starts afresh."""
+"""After this time without a person the previous frame is forgotten."""
 
 
 class Model(NamedTuple):
-    """What stays the same from frame to frame."""
+    """Everything that is constant from frame to frame."""
 
     parents: NDArray[np.int64]  # (J,)
     order: NDArray[np.int64]  # (J,)
@@ -42,11 +42,11 @@ class Model(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What one frame leaves to the next, and room to work in."""
+    """The state between two frames, and workspace."""
 
     translation: NDArray[np.float64]  # (3,) t
     before: NDArray[np.float64]  # (J, 3) S* of the last frame that had one
-    before_ns: NDArray[np.int64]  # (2,) its time, and whether there is one
+    before_ns: NDArray[np.int64]  # (2,) its time, and 1 if there is one
     last_a: NDArray[np.float32]  # (J, 3) the sensors' last skeletons,
     last_b: NDArray[np.float32]
     last_states_a: NDArray[np.uint8]  # (J,)
@@ -62,7 +62,7 @@ class Memory(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What a frame comes to; see :class:`fusion.fuser.FusedFrame`."""
+    """Results of T frames; see :class:`fusion.fused_frame.FusedFrame`."""
 
     positions: NDArray[np.float64]  # (J, 3)
     predicted: NDArray[np.bool_]  # (J,)
@@ -120,7 +120,7 @@ def new_memory(joints: int, translation: NDArray[np.float64]) -> Memory:
 
 
 def new_result(frames: int, joints: int) -> Result:
-    """Room for the results of so many frames."""
+    """Arrays for the results of ``frames`` frames."""
     return Result(
         positions=np.empty((frames, joints, 3)),
         predicted=np.empty((frames, joints), dtype=np.bool_),
@@ -137,8 +137,8 @@ def fuse_frames(model, memory, result, time_ns, a, states_a, b, states_b):  # ty
     """The method over consecutive pairs, eq. (1) solved exactly.
 
     Args:
-        model, memory: Of the fuser; the memory is carried on.
-        result: Room for T frames.
+        model, memory: Of the fuser; the memory is updated.
+        result: Written, T frames.
         time_ns: (T,) the pairs' times.
         a, b: (T, J, 3) float32 positions, each in its sensor's frame; NaN where not tracked.
         states_a, states_b: (T, J) uint8 tracking states; all 0 where the sensor sees no one.
@@ -155,7 +155,7 @@ def fuse_frames(model, memory, result, time_ns, a, states_a, b, states_b):  # ty
 
 @kernel
 def fuse_frames_as_published(model, memory, result, time_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
-    """:func:`fuse_frames` with eqs. (3)–(9); apart from it, so that only what is used is compiled."""
+    """:func:`fuse_frames` with eqs. (3)–(9); a kernel of its own, to compile only the method in use."""
     for k in range(len(time_ns)):
         if prepare(model, memory, result, k, time_ns[k], a[k], states_a[k], b[k], states_b[k]):
             positions = result.positions[k]
@@ -169,7 +169,7 @@ def fuse_frames_as_published(model, memory, result, time_ns, a, states_a, b, sta
 
 @inner_kernel
 def prepare(model, memory, result, k, time_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
-    """Everything of frame k but its solution, which remains NaN. Whether there is anything to solve."""
+    """Prepares frame k; its solution remains NaN. Returns whether there is a problem to solve."""
     result.counts[k, 0] = 0
     result.counts[k, 1] = _repeats(a, states_a, memory.last_a, memory.last_states_a)
     result.counts[k, 2] = _repeats(b, states_b, memory.last_b, memory.last_states_b)
@@ -196,7 +196,7 @@ def _remember(memory, positions, time_ns):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-def]
-    """Whether a sensor's skeleton is its last one again; remembers it. No skeleton repeats nothing."""
+    """Whether a sensor repeats its last skeleton; stores the new one. An empty skeleton is no repetition."""
     same, anyone = True, False
     for i in range(len(states)):
         anyone = anyone or states[i] != 0
@@ -211,7 +211,7 @@ def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-d
 
 @inner_kernel
 def carry(model, memory, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
-    """t = c_p − R c_q over the torso joints both have (sec. 4), else unchanged; then q' = R q + t."""
+    """t = c_p − R c_q over the torso joints of both views (sec. 4), else unchanged; then q' = R q + t."""
     R, t = model.rotation, memory.translation
     count = 0
     px = py = pz = qx = qy = qz = 0.0
@@ -232,7 +232,7 @@ def carry(model, memory, a, states_a, b, states_b):  # type: ignore[no-untyped-d
 
 @inner_kernel
 def _project(positions, focal, pixels):  # type: ignore[no-untyped-def]
-    """Into the sensor's own viewing plane; NaN behind the sensor."""
+    """Projects joints to the sensor's own viewing plane; NaN behind the sensor."""
     for i in range(len(positions)):
         z = float(positions[i, 2])
         if z > 0.0:
@@ -244,7 +244,7 @@ def _project(positions, focal, pixels):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
-    """w_A and w_B, eqs. (10), (11), or half each; all of a view where the other has no position."""
+    """w_A and w_B, eqs. (10), (11), or ½ each; 1 for a view if the other has no position."""
     if model.weights == EQUAL:
         for i in range(len(states_a)):
             has_a, has_b = states_a[i] != 0, states_b[i] != 0
@@ -282,7 +282,7 @@ def blend(memory, a, weights_a, weights_b, predicted):  # type: ignore[no-untype
 
 @inner_kernel
 def first_guess(model, memory):  # type: ignore[no-untyped-def]
-    """The targets as if they were the frame before; joints without one hang on their parents as at rest."""
+    """Uses the targets as previous frame; a joint without target is placed as in the rest pose."""
     before, targets = memory.before, memory.targets
     root = model.order[0]
     for c in range(3):

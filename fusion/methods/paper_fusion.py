@@ -1,4 +1,4 @@
-"""The paper's method as the fuser runs it: its model, its memory, and its rows as fused frames."""
+"""The paper's methods: owns their arrays and returns the results as fused frames."""
 
 from __future__ import annotations
 
@@ -23,16 +23,14 @@ class PaperFusion:
     """
 
     kernel: Any = solve_tree
-    """What takes longest to compile."""
+    """The kernel that takes longest to compile."""
 
     def __init__(self, setup: FusionSetup) -> None:
-        self._unknown = np.full((len(setup.body), 3, 3), np.nan)
-        self._unknown.flags.writeable = False
         self._memory = paper.new_memory(len(setup.body), setup.calibration.a_from_b.translation)
         self.recalibrate(setup)
 
     def recalibrate(self, setup: FusionSetup) -> None:
-        """Goes on with another calibration."""
+        """Continues with another calibration."""
         self._setup = setup
         self._model = paper.new_model(
             setup.body,
@@ -45,7 +43,7 @@ class PaperFusion:
         self._memory.translation[:] = setup.calibration.a_from_b.translation
 
     def compile(self, positions: NDArray[np.float32], states: NDArray[np.uint8]) -> None:
-        """Compiles all but the solver."""
+        """Compiles everything but the solver."""
         result = paper.new_result(1, len(states))
         given = self._model, self._memory, result, 0, 0, positions, states, positions, states
         paper.prepare.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
@@ -58,7 +56,7 @@ class PaperFusion:
         witnesses: tuple[NDArray[np.float32], NDArray[np.float32]],
         *views: NDArray[Any],
     ) -> list[FusedFrame]:
-        """The next pairs. The paper knows no skew between the sensors, no exchanged sides and no images."""
+        """Fuses the next pairs. The paper uses neither skew, nor exchanged sides, nor images."""
         del skew_ns, codes, witnesses
         result = paper.new_result(len(time_ns), views[1].shape[1])
         published = self._setup.settings.method == "published"
@@ -79,6 +77,4 @@ class PaperFusion:
             stale_a=bool(stale_a),
             stale_b=bool(stale_b),
             time_ns=time_ns,
-            sigma=self._unknown[:, 0, 0],
-            covariance=self._unknown,
         )

@@ -1,8 +1,8 @@
-"""Which view to trust for a joint, and why, eqs. (10), (11).
+"""Reliability of each view of a joint, eqs. (10), (11).
 
-A joint is mis-tracked where another joint that has no bone to it lies near it in a sensor's viewing plane.
+A joint is likely to be mis-tracked if another joint without a bone to it is near in a sensor's viewing plane.
 The nearest such joint over both planes is the mis-leading one, m; the view in which i and m are further apart
-is the one to trust.
+is more reliable.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def reliability_weights(
     m in each plane, w̄_A = d_A / (d_A + d_B), eq. (10); times h where tracked and 1 - h where inferred, if
     the states differ; to the fourth power and normalised to w_A + w_B = 1, eq. (11).
 
-    Only joints that both planes have can mislead: d needs both. A joint in one plane only gets weight 1
+    Only joints in both planes can mislead, because d needs both. A joint in one plane only gets weight 1
     there and 0 in the other; in neither, 0 and 0. Without a mis-leading joint, or with it on top of i in
     both planes, w̄_A = w̄_B = ½.
 

@@ -1,9 +1,9 @@
-"""By how much one sensor captures later than its time stamps say, found from the motion that both see.
+"""The offset between the sensors' clocks, estimated from the motion that both see.
 
-If B captures τ later than A, a joint that moves with velocity v stands v τ farther in B's view:
-p − (R q + t) = −v τ + bias. Over a second the bias of a joint is constant, so residual and velocity are taken
-relative to their means of that second; τ follows by robust regression over many seconds. The points used are
-those that an exchange of left and right leaves where they are.
+If B captures τ later than A, a joint that moves with velocity v is v τ farther along in B's view:
+p − (R q + t) = −v τ + bias. The bias of a joint is constant for about a second, so residual and velocity are
+taken relative to their means over that second. τ follows by robust regression over many seconds. The points
+used are those that an exchange of left and right does not move.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ Array = NDArray[np.float64]
 
 _TRACKED = int(TrackingState.TRACKED)
 _WINDOW_NS = 1_000_000_000
-_WINDOWS = 120  # kept online
+_WINDOWS = 120  # stored by the online estimator
 _FEWEST_WINDOWS = 10
-_SLOWEST = 0.08  # m/s, RMS about the second's mean: with less motion the biases' changes decide
-_SCATTER = 1.5  # what the windows' scatter is multiplied by to cover the error on the simulator
+_SLOWEST = 0.08  # m/s, RMS about the second's mean: with less motion the changes of the biases dominate
+_SCATTER = 1.5  # factor on the windows' scatter, so that it covers the error on the simulator
 _LEAST_SD_NS = 2_000_000.0
 _SLOPE = 2  # frames before and after, between which a velocity is measured
-_FAR = 2.5  # robust deviations from which a residual counts less
-_LONGEST_NS = 500_000_000  # offset that is searched for in a recording
-_CERTAIN_NS = 5_000_000  # standard deviation below which an offset is worth telling
+_FAR = 2.5  # robust deviations above which a residual counts less
+_LONGEST_NS = 500_000_000  # largest offset that is searched for in a recording
+_CERTAIN_NS = 5_000_000  # standard deviation below which an offset is reported
 _CHANGED = 3.0  # standard deviations
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """How much later B captures than the time stamps say.
+    """The delay of B's captures relative to the time stamps.
 
     Attributes:
         offset_ns: Positive where B is later. Add it to the skew of each pair.
         sd_ns: Its standard deviation, from the scatter between seconds.
-        skew_ppm: By how many millionths B's clock runs slow, so that the offset grows; 0 where unknown.
-        skew_sd_ppm: Of that; infinite where unknown.
+        skew_ppm: Growth of the offset, in millionths of the time; 0 where unknown.
+        skew_sd_ppm: Standard deviation of the skew; infinite where unknown.
         windows: Seconds of motion that it is based on.
     """
 
@@ -56,12 +56,12 @@ class ClockOffset:
 
     @property
     def significant(self) -> bool:
-        """Whether the offset is beyond twice its uncertainty, and worth applying."""
+        """Whether the offset exceeds twice its standard deviation."""
         return abs(self.offset_ns) > 2.0 * self.sd_ns
 
     @property
     def event(self) -> str:
-        """In plain English."""
+        """A sentence for the event log."""
         size = f"{self.offset_ns * 1e-6:+.1f} ± {self.sd_ns * 1e-6:.1f} ms"
         if not self.significant:
             return f"The motion shows no offset between the sensors' clocks: {size}."
@@ -92,7 +92,7 @@ class ClockOffsetEstimator:
 
     @property
     def estimate(self) -> ClockOffset | None:
-        """The offset as known so far; None before there was enough motion."""
+        """The current estimate; None before there was enough motion."""
         return _combined(list(self._windows))
 
     def observe(self, pair: SkeletonPair, a_from_b: RigidTransform, skew_ns: int = 0) -> ClockOffset | None:
@@ -262,7 +262,7 @@ def _cost(
     skews_ns: Array,
     offset_ns: float,
 ) -> float:
-    """How badly the views' motions match at an offset: mean robust penalty of the residuals."""
+    """Mismatch of the views' motions at an offset: mean robust penalty of the residuals."""
     times, residual, velocity = _residuals(views, pairs, skews_ns, offset_ns)
     penalty, count = 0.0, 0
     number = (times - times[0]) // _WINDOW_NS
@@ -291,7 +291,7 @@ def _combined(windows: Sequence[_Window]) -> ClockOffset | None:
 
 
 def _drift(windows: Sequence[_Window], correction: ClockOffset) -> tuple[float, float]:
-    """By how many millionths the offset grows with time, and its standard deviation."""
+    """Growth of the offset with time in millionths, and its standard deviation."""
     times = np.array([window.time_ns for window in windows])
     moment = np.array([window.moment for window in windows])
     power = np.array([window.power for window in windows])

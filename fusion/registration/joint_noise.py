@@ -1,4 +1,4 @@
-"""How well body trackers place each kind of joint: relative noise and bias of a joint by its name."""
+"""Relative noise and bias of body trackers by kind of joint."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 
-# Name fragment → (noise, bias) relative to the spine. The order matters: "handtip" stands before "hand".
-# Noise: quiet jitter and outlier rate of real Kinect v2 and Azure recordings, compressed to a factor of four.
+# Name fragment → (noise, bias) relative to the spine. The order matters: "handtip" precedes "hand".
+# The values are rounded by hand; no command reproduces them. Noise: jitter of a still person and outlier rate
+# of real Kinect v2 and published Azure recordings, compressed to a factor of four.
 # Bias: offsets against optical motion capture grow from the trunk to the limbs' ends.
 _KINDS = (
     ("handtip", 3.5, 1.5),
@@ -68,7 +69,7 @@ def limbs(body: Body) -> NDArray[np.int64]:
 
 def _fixed(values: list[float]) -> NDArray[np.float64]:
     array = np.array(values)
-    array.flags.writeable = False  # shared by all who ask
+    array.flags.writeable = False  # all callers share it
     return array
 
 

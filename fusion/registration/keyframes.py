@@ -1,7 +1,7 @@
-"""The evidence that registration learns from: a bounded set of pairs that fills the volume.
+"""The evidence for registration: a bounded set of pairs from all over the volume.
 
-A person who stands still for an hour adds one keyframe, not 100,000: a joint's bias is the same in all of
-them. Keyframes are kept by where the person stood and faced, so that the set keeps the whole volume.
+Frames of a person who stands still repeat the same bias of each joint, so that few of them become keyframes.
+Keyframes are stored by the person's place and heading, so that the set covers the whole volume.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ Array = NDArray[np.float64]
 
 _TRACKED, _NOT_TRACKED = int(TrackingState.TRACKED), int(TrackingState.NOT_TRACKED)
 _SHORTEST_NS = 200_000_000  # between two keyframes
-_LONGEST_NS = 2_000_000_000  # after so long the pair is taken although nobody moved
+_LONGEST_NS = 2_000_000_000  # after this time a pair becomes a keyframe even without motion
 _MOVED = 0.06  # metres, mean over the joints: a pose that is new
 _CELL = 0.5  # metres
 _SECTORS = 8  # of the person's heading
 _BLOCK_NS = 2_000_000_000  # frames of one block share a fold
 _INFERRED_WEIGHT = 0.1
-"""Information of an inferred joint relative to a tracked one: its error is some three times as large."""
+"""Information of an inferred joint relative to a tracked one: its error is about three times as large."""
 
 
 class Evidence(NamedTuple):
@@ -60,7 +60,7 @@ class Evidence(NamedTuple):
 
     @property
     def folds(self) -> NDArray[np.int64]:
-        """(K,) 0 or 1: blocks of two seconds in turn, so that one half can be held out."""
+        """(K,) 0 or 1: alternate blocks of two seconds, so that one half can be held out."""
         return np.asarray((self.time_ns // _BLOCK_NS) % 2, dtype=np.int64)
 
 
@@ -90,7 +90,7 @@ class KeyframeSet:
 
     Args:
         body: Of both views.
-        capacity: A full set gives up the oldest keyframe of its most crowded cell.
+        capacity: A full set drops the oldest keyframe of its fullest cell.
         selective: Whether a pair must show something new: a pose that has moved, or two seconds later.
     """
 
@@ -110,12 +110,12 @@ class KeyframeSet:
         self._newest: int | None = None
 
     def __len__(self) -> int:
-        """How many keyframes there are."""
+        """The number of keyframes."""
         return len(self._cells)
 
     @property
     def evidence(self) -> Evidence:
-        """All keyframes, as views of the store, in no order of time."""
+        """All keyframes, as views of the store, not ordered by time."""
         return self._store.chosen(slice(0, len(self._cells)))
 
     def clear(self) -> None:
@@ -163,7 +163,7 @@ class KeyframeSet:
         return True
 
     def relabel(self, a_from_b: RigidTransform) -> None:
-        """Exchanges left and right of B's limbs where that lays them on A's; see :func:`match_sides`."""
+        """Exchanges left and right of B's limbs where they then agree with A's; see :func:`match_sides`."""
         match_sides(self._body, self.evidence, a_from_b)
 
     def _due(self, time_ns: int) -> bool:
@@ -203,9 +203,9 @@ def evidence_of(
 
 
 def match_sides(body: Body, evidence: Evidence, a_from_b: RigidTransform) -> NDArray[np.int64]:
-    """Exchanges left and right of B's arms, and of B's legs, in pairs where that lays them on A's better.
+    """Exchanges left and right of B's arms, and of B's legs, in pairs where they then agree better with A's.
 
-    Registration needs only that both views mean the same joint; which of them is mirrored does not matter.
+    Registration needs only consistent labels; which of the views is mirrored does not matter.
     ``evidence.b`` and ``evidence.weights`` are changed in place. A joint is exchanged only together with the
     other joints of its kind of limb.
 
@@ -229,7 +229,7 @@ def match_sides(body: Body, evidence: Evidence, a_from_b: RigidTransform) -> NDA
     return codes
 
 
-_FAR = 0.08  # metres: from here on a joint's disagreement counts less and less
+_FAR = 0.08  # metres: a joint's disagreement beyond this counts less and less
 
 
 def _penalty(apart: Array) -> Array:

@@ -1,12 +1,12 @@
-"""Notices that a sensor was knocked: the two views part company, as wholes, and stay apart.
+"""Detection of a knocked sensor: the two views move apart as a whole and stay apart.
 
-The offset between the views is watched on points that an exchange of left and right cannot move: joints of
-the midline, and midpoints of joints with a left and a right. A mirrored view therefore looks like any other.
-A tracker's fault moves some joints, or all of them for a moment; a person far away makes the offset noisy,
-not different. A knocked sensor moves all points by the same rigid transform from one half second to the next.
+The offset between the views is measured on points that an exchange of left and right cannot move: joints of
+the midline, and midpoints of joints with a left and a right. So a mirrored view
+does not matter. A tracker's fault moves some joints, or all of them for a moment. A person far away makes the
+offset noisy but not different. A knocked sensor moves all points by one rigid transform within half a second.
 
-The views' biases change with the place and the heading of the person, so that an offset is judged by what it
-was where the person stood and faced alike.
+The views' biases change with the place and the heading of the person, so that an offset is compared
+with earlier offsets at a similar place and heading.
 """
 
 from __future__ import annotations
@@ -27,29 +27,29 @@ Array = NDArray[np.float64]
 
 
 class SensorState(Enum):
-    """What the offset between the views says."""
+    """The result of the detector."""
 
     STEADY = "steady"
-    """The views differ as they always did."""
+    """The offset between the views is as before."""
     KNOCKED = "knocked"
-    """The views have parted, and the offset still changes, or too little was seen since."""
+    """The views moved apart, and the offset still changes or was seen too briefly."""
     SETTLED = "settled"
-    """The views have parted, and the offset is steady again: time to register anew."""
+    """The views moved apart, and the offset is steady again, so that the sensors can be registered anew."""
 
 
 @dataclass(frozen=True)
 class KnockSettings:
-    """When the views count as parted.
+    """Thresholds of the detector.
 
     Attributes:
         block_ns: The offset is the median over blocks of this length.
-        blocks: So many in a row must be off, all in the same direction.
+        blocks: Number of successive blocks that must be off in the same direction.
         smallest: Metres; a smaller offset is left to the refinement.
-        deviations: How many robust standard deviations of the offset's own history count as off.
-        unfamiliar: Metres; the smallest offset that counts where the person has not been.
-        history: Blocks that make up the history.
-        alike: Blocks, those with the most similar place and heading, that an offset is compared with.
-        fewest: Blocks without which nothing can be told.
+        deviations: Threshold in robust standard deviations of the offset's own history.
+        unfamiliar: Metres; the smallest offset that counts at a place where the person has not been.
+        history: Number of blocks in the history.
+        alike: Number of blocks with the most similar place and heading that an offset is compared with.
+        fewest: Number of blocks that a decision needs.
         settled_ns: How long the offset must be steady before the sensors are registered anew.
     """
 
@@ -65,7 +65,7 @@ class KnockSettings:
 
 
 class _Block(NamedTuple):
-    """The views' offset over a fraction of a second, and where the person was."""
+    """The views' offset over a fraction of a second, and the person's place and heading."""
 
     start_ns: int
     offset: Array  # (3,) metres, K_A's frame
@@ -77,7 +77,7 @@ _PLACE, _HEADING = 0.6, 0.7  # metres; chord of a turn by about 40°
 
 
 class KnockDetector:
-    """Watches the offset of the views under the transform in force.
+    """Watches the offset between the views under the transform in force.
 
     Args:
         body: Of both views.
@@ -85,8 +85,8 @@ class KnockDetector:
         settings: Thresholds.
 
     Attributes:
-        since_ns: When the views parted; None while they are together.
-        offset: Metres, how far they parted.
+        since_ns: When the views moved apart; None if they did not.
+        offset: Metres, by how much they moved apart.
     """
 
     def __init__(self, body: Body, a_from_b: RigidTransform, settings: KnockSettings | None = None) -> None:
@@ -104,7 +104,7 @@ class KnockDetector:
         self.offset = 0.0
 
     def adopt(self, a_from_b: RigidTransform) -> None:
-        """Judges by another transform from now on and forgets the offsets seen under the former one."""
+        """Uses another transform and forgets the offsets measured under the former one."""
         self._a_from_b = a_from_b
         self._history.clear()
         self._recent.clear()
@@ -112,7 +112,7 @@ class KnockDetector:
         self.since_ns, self.offset = None, 0.0
 
     def refine(self, a_from_b: RigidTransform, centre: Array) -> None:
-        """Judges by a refined transform; the history moves with it.
+        """Uses a refined transform and converts the history to it.
 
         Args:
             a_from_b: The refined transform.
@@ -160,7 +160,7 @@ class KnockDetector:
             return
         if len(self._history) >= self._settings.fewest:
             self._look_for_parting(newest)
-        if self.since_ns is None:  # a block joins the history once it is known not to begin a parting
+        if self.since_ns is None:  # a block joins the history once no knock can begin in it
             self._history.append(newest[0])
 
     def _look_for_parting(self, blocks: list[_Block]) -> None:
@@ -168,13 +168,13 @@ class KnockDetector:
         off = np.array([excess for excess, _ in judged])
         mean = off.mean(axis=0)
         length = float(np.linalg.norm(mean))
-        # While the sensor still turns, the first block lies on the way.
+        # While the sensor still turns, the first block is between the old and the new offset.
         together = np.linalg.norm(off[1:] - mean, axis=1).max() < 0.5 * length
         if min(ratio for _, ratio in judged) > 1.0 and together:
             self.since_ns, self.offset, self._steady = blocks[0].start_ns, length, False
 
     def _excess(self, block: _Block) -> tuple[Array, float]:
-        """By how much an offset differs from the usual one there, and that over what is tolerated."""
+        """Difference of an offset from the usual one at that place, and its ratio to the tolerance."""
         offsets = np.array([past.offset for past in self._history])
         elsewhere = np.linalg.norm(
             np.array([past.situation for past in self._history]) - block.situation, axis=1
@@ -191,7 +191,7 @@ class KnockDetector:
         return excess, float(np.linalg.norm(excess)) / limit
 
     def _settled(self) -> bool:
-        """Whether the offsets since the parting are steady, as they are once the sensor is still."""
+        """Whether the offsets since the views moved apart are steady, because the sensor is still."""
         needed = int(np.ceil(self._settings.settled_ns / self._settings.block_ns))
         since = [block for block in self._recent if self.since_ns is None or block.start_ns >= self.since_ns]
         if len(since) < needed:
@@ -201,7 +201,7 @@ class KnockDetector:
         return bool(spread < max(self._settings.smallest, 0.3 * self.offset))
 
     def _measure(self, pairs: list[SkeletonPair]) -> _Block | None:
-        """The median offset of the points that have no side, and the person's place and heading."""
+        """The median offset of the points without a side, and the person's place and heading."""
         both = [(pair.a, pair.b) for pair in pairs if pair.a is not None and pair.b is not None]
         if len(both) < 3:
             return None
@@ -216,7 +216,7 @@ class KnockDetector:
             return None
         apart = mid_a - self._a_from_b.apply(mid_b)
         apart[~usable] = np.nan
-        # Over time first: a point that is seen more often than others counts no more.
+        # Over time first: a point that is seen more often must not count more.
         offset = np.median(_median_over_time(apart[:, often]), axis=0)
         mid_a[~usable] = np.nan
         place = np.median(_median_over_time(mid_a[:, often]), axis=0)

@@ -1,4 +1,4 @@
-"""R and t refined while the person moves: a proposal a second, accepted on held-out pairs only."""
+"""Refinement of R and t while the person moves: one proposal per second, tested on held-out pairs."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from fusion.skeleton import SkeletonPair
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """When a refinement is proposed and what it must achieve.
+    """When a refinement is proposed, and when it is accepted.
 
     Attributes:
         interval_ns: Between two proposals.
         fewest: Keyframes that a proposal needs.
         gain: By how much the log-likelihood of held-out pairs must rise; 3 is a likelihood ratio of 20.
-        smallest_turn, smallest_shift: Radians and metres; a smaller change is not worth an event.
-        half_life_ns: How fast the weight of a keyframe falls with its age.
+        smallest_turn, smallest_shift: Radians and metres; a smaller change is not proposed.
+        half_life_ns: Age at which the weight of a keyframe is one half.
         fit: What the fit assumes.
     """
 
@@ -40,15 +40,15 @@ class RefinementSettings:
 class Refinement:
     """Collects keyframes and proposes a better transform about once a second.
 
-    The test is cross-validation. One fit on the even two-second blocks is judged on the odd ones, and the
-    other way round; the transform in force is judged on both. The fit on all keyframes is accepted if the
+    The test is cross-validation. One fit on the even two-second blocks is judged on the odd ones, and
+    vice versa. The transform in force is judged on both. The fit on all keyframes is accepted if the
     two held-out fits together explain the pairs better than the transform in force.
 
     Args:
         body: Of both views.
         a_from_b: In force at the start.
-        settings: When and how.
-        prior: What is known about the transform without the keyframes.
+        settings: When a refinement is proposed and accepted.
+        prior: Knowledge of the transform besides the keyframes.
     """
 
     def __init__(
@@ -142,10 +142,10 @@ def held_out_gain(
     settings: RobustFitSettings,
     prior: Prior | None = None,
 ) -> float:
-    """By how much fits like the candidate raise the log-likelihood of pairs that they were not fitted to.
+    """The gain of log-likelihood of fits like the candidate on pairs that they were not fitted to.
 
-    Two folds, blocks of two seconds in turn. Each fold's fit starts at the candidate and sees the other fold
-    only. −inf where a fold is too thin to be fitted.
+    Two folds of alternate blocks of two seconds. Each fold's fit starts at the candidate and sees the other
+    fold only. −inf where a fold has too few keyframes.
     """
     gain = 0.0
     for fold in (0, 1):

@@ -1,4 +1,4 @@
-"""Where K_B stands: the rotation R and translation t that lay its joints on K_A's, eq. (12)."""
+"""The rotation R and translation t from K_B's frame to K_A's, eq. (12)."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _THINNEST = 0.02  # second to first singular value of the joints' spread: below,
 def fit_rigid(points_a: NDArray[np.float64], points_b: NDArray[np.float64]) -> RigidTransform:
     """The rigid transform that minimises eq. (12), J_R = Σ ‖R(q_i − c_q) + t − (p_i − c_p)‖².
 
-    R is the rotation nearest to the points' covariance (SVD, reflections excluded), taken through a unit
-    quaternion as in the paper; t then lays the centres on each other, c_p = R c_q + t.
+    R is the rotation nearest to the points' covariance (SVD, reflections excluded), normalised as a unit
+    quaternion as in the paper. t then follows from the centres, c_p = R c_q + t.
 
     Args:
         points_a: (N, 3) p, metres, in K_A's frame.
@@ -35,7 +35,7 @@ def fit_rigid(points_a: NDArray[np.float64], points_b: NDArray[np.float64]) -> R
         ``a_from_b``.
 
     Raises:
-        CalibrationError: The points do not pin a rotation: fewer than three, or all on one line.
+        CalibrationError: The points do not determine a rotation: fewer than three, or all on one line.
     """
     if len(points_a) < 3:
         raise CalibrationError(f"A rigid fit needs at least 3 points; there are {len(points_a)}.")
@@ -53,17 +53,17 @@ def fit_rigid(points_a: NDArray[np.float64], points_b: NDArray[np.float64]) -> R
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """A transform between the sensors and how far to believe it.
+    """A transform between the sensors and its uncertainty.
 
     Attributes:
         a_from_b: R and t.
         residual_median, residual_rms: Metres between p_i and R q_i + t over all joints and frames.
         joint_residuals: (J,) metres, the median of each joint; NaN for a joint never tracked in both views.
-        rotation_sd: Radians, standard error of R about its least certain axis. It takes every joint as one
-            observation however many frames saw it: a joint's bias stays the same in all of them.
+        rotation_sd: Radians, standard error of R about its least certain axis. It counts every joint as one
+            observation, because a joint's bias is the same in all frames.
         frames: How many pairs were used.
         body: The body the joints belong to.
-        translation_sd: Metres, standard error of where R q + t lays the person's centre, along the least
+        translation_sd: Metres, standard error of R q + t at the person's centre, along the least
             certain axis; NaN where it was not estimated.
     """
 
@@ -86,12 +86,12 @@ class Registration:
 def register(pairs: Sequence[SkeletonPair]) -> Registration:
     """R and t from all joints tracked in both views, over all given pairs at once.
 
-    Assumes that the sensors do not move meanwhile; the person may, and the transform is the more certain
-    the more of the room the poses fill.
+    Assumes that the sensors do not move. The person may move; poses all over the room make the transform more
+    certain.
 
     Raises:
-        CalibrationError: Too few joints tracked in both views, a degenerate constellation, or a residual
-            that only swapped, mixed-up or unrelated recordings have.
+        CalibrationError: Too few joints tracked in both views, a degenerate configuration, or a residual
+            so large that the recordings cannot belong together.
     """
     seen = [(pair.a, pair.b) for pair in pairs if pair.a is not None and pair.b is not None]
     if not seen:

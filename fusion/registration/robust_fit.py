@@ -1,4 +1,4 @@
-"""R and t from a person who moves: robust, with every joint's constant view bias as a random effect.
+"""R and t from a moving person: a robust fit with each joint's view bias as a random effect.
 
 The model of joint j in keyframe k is
 
@@ -6,7 +6,7 @@ The model of joint j in keyframe k is
 
 with h the person's heading, ε of Student's t distribution and β_jf ~ N(0, σ_β²). A tracker places a joint
 with an error that is the same in every frame of a view. Without β, ten thousand frames of one pose would
-count as ten thousand observations and would drown a better pose that was held for two seconds.
+count as ten thousand observations and would outweigh a better pose that was held for two seconds.
 
 The fit is Gauss-Newton on (θ, dt) with iterated weights; β is eliminated joint by joint.
 """
@@ -36,15 +36,16 @@ _SMALLEST_NOISE, _LARGEST_NOISE = 0.004, 0.08  # metres, the spine's
 
 @dataclass(frozen=True)
 class RobustFitSettings:
-    """What the fit assumes.
+    """Assumptions of the fit.
 
     Attributes:
-        bias_sd: Metres, standard deviation σ_β of the difference of two views' biases of a joint, an axis.
-        tempering: By how much the information of keyframes is divided: their errors beyond the bias go on for
-            seconds and along whole limbs. 10 gives the least error of R on the simulator.
-        inflation: Of the covariance, for what the model leaves out. Fitted so that on the simulator the error
-            of R lies within 1 and 2 stated standard deviations in about half and nine tenths of recordings.
-        common_sd: Metres, what all joints have in common: each sensor sees the skin and not the joint.
+        bias_sd: Metres, standard deviation σ_β of the difference of two views' biases of a joint, per axis.
+        tempering: Divisor of the information of keyframes: their errors beyond the bias are correlated over
+            seconds and whole limbs. 10 gives the least error of R on the simulator.
+        inflation: Factor on the covariance, for effects outside the model. Fitted so that on the simulator
+            the error of R lies within 1 and 2 stated standard deviations in about half and nine tenths of
+            recordings.
+        common_sd: Metres, error common to all joints: each sensor sees the skin and not the joint.
     """
 
     bias_sd: float = 0.03
@@ -55,7 +56,7 @@ class RobustFitSettings:
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """A fitted transform and how certain it is.
+    """A fitted transform and its uncertainty.
 
     Attributes:
         a_from_b: R and t.
@@ -78,12 +79,12 @@ class RobustFit:
 
     @property
     def translation_sd(self) -> float:
-        """Metres, of where R q + t lays the person's centre, along the least certain axis."""
+        """Metres, of R q + t at the person's centre, along the least certain axis."""
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
 
 
 class Prior(NamedTuple):
-    """A transform that is roughly known, and how roughly (radians; metres at the person)."""
+    """A transform known beforehand, with standard deviations (radians; metres at the person)."""
 
     a_from_b: RigidTransform
     rotation_sd: float
@@ -119,16 +120,16 @@ def fit_robust(
     Args:
         body: Of both views.
         evidence: With sides matched.
-        start: Near enough: within about 40° and half a metre.
-        settings: What is assumed.
+        start: Within about 40° and half a metre of the solution.
+        settings: Assumptions.
         iterations: Gauss-Newton steps, each with new robust weights.
-        noise_sd: Metres, where the noise's estimation begins.
-        biases: (3, J, 3) where the biases' estimation begins.
-        prior: Something known about the transform.
+        noise_sd: Metres, initial value of the noise.
+        biases: (3, J, 3) initial values of the biases.
+        prior: Knowledge of the transform besides the evidence.
         importance: (K,) factors on the keyframes' weights.
 
     Raises:
-        CalibrationError: The evidence leaves the transform open.
+        CalibrationError: The evidence does not determine the transform.
     """
     noise = relative_noise(body)
     bias_information = 1.0 / ((settings.bias_sd * relative_bias(body)) ** 2)
@@ -175,8 +176,8 @@ def disagreement(
 ) -> float:
     """Minus the log-likelihood of the evidence under a transform, up to a constant.
 
-    The biases are those that suit the transform best, at the price of their prior: a transform is not
-    rewarded for absorbing them. Compare two transforms on pairs that neither was fitted to.
+    The biases are fitted to the transform, at the price of their prior, so that a transform gains nothing by
+    absorbing them. Compare two transforms on pairs that neither was fitted to.
     """
     noise = relative_noise(body)
     bias_information = 1.0 / ((settings.bias_sd * relative_bias(body)) ** 2)
@@ -222,8 +223,8 @@ def _eliminate_biases(sums: _Sums, bias_information: Array) -> tuple[Array, Arra
     """Schur complement of each joint's β: information and gradient of (dt, θ), and β as a function of them.
 
     Returns:
-        (6, 6) information, (6,) gradient, (J, 3, 3) β for a step of 0, (J, 3, 3, 6) by how
-        much β falls with the step.
+        (6, 6) information, (6,) gradient, (J, 3, 3) β for a step of 0, (J, 3, 3, 6) the
+        decrease of β per step.
     """
     joints = len(sums.w)
     own: Array = sums.phi + bias_information[:, None, None] * np.diag(1.0 / _BASIS_VARIANCE)
@@ -251,7 +252,7 @@ _CROSS = ((0, 1, 2, 1.0), (0, 2, 1, -1.0), (1, 0, 2, -1.0), (1, 2, 0, 1.0), (2, 
 def _add_prior(
     information: Array, gradient: Array, prior: Prior, inflation: float, R: Array, t: Array, centre: Array
 ) -> None:
-    # The covariance is inflated afterwards, and with it the prior's share, which must not be.
+    # The covariance is inflated afterwards; the prior is scaled here so that it is not inflated.
     turn = Rotation.from_matrix(prior.a_from_b.rotation @ R.T).as_rotvec()
     in_b = R.T @ (centre - t)
     shift = prior.a_from_b.apply(in_b) - centre

@@ -1,4 +1,4 @@
-"""Eq. (1) by plain dense matrices: the form to read, and the oracle of the tests."""
+"""Eq. (1) by plain dense matrices: a readable reference for the tests."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ _FLATTEST = 1e-9  # smallest curvature kept, relative to the largest
 class DenseSolver:
     """Newton on the KKT system of eq. (1), as in :class:`fusion.solvers.solver.Solver`.
 
-    Every iterate keeps its bones: a step moves along the tangents of the bone constraints and is then laid
-    back onto them, joint by joint from the root. With Z an orthonormal basis of those tangents, the KKT step
+    Every iterate keeps its bones: a step moves along the tangents of the bone constraints and is then
+    projected back onto them, joint by joint from the root. With Z an orthonormal basis of those tangents, the
+    KKT step
 
         ( H  Cᵀ ) (  d )     ( −∇f )
         ( C  0  ) ( λ' )  =  (   0 ),    H = 2W + Σ λ_k ∇²c_k,   c_k = ½(‖e_k‖² − l_k²)
 
-    is d = Z s with (ZᵀHZ) s = −Zᵀ∇f, and λ are the least-squares multipliers at the iterate. Directions of
-    negative curvature are taken with their sign turned, so that every step goes downhill; a line search on f
-    makes it converge from anywhere.
+    is d = Z s with (ZᵀHZ) s = −Zᵀ∇f, and λ are the least-squares multipliers at the iterate. The sign
+    of negative curvatures is reversed, so that every step goes downhill. A line search on f makes it converge
+    from anywhere.
     """
 
     def __init__(self, body: Body) -> None:
@@ -77,7 +78,7 @@ class DenseSolver:
         lengths: NDArray[np.float64],
         start: NDArray[np.float64] | None,
     ) -> list[NDArray[np.float64]]:
-        """Where to begin: on the data's own bone directions, and on those of the frame before."""
+        """The starts: the data's own bone directions, and those of the previous frame."""
         body, parents = self._body, self._body.parent_indices
         rest = body.rest if start is None else start - start[parents]
         known = (w > 0.0) & (w[parents] > 0.0)

@@ -1,7 +1,7 @@
-"""The published scheme for eq. (1), eqs. (3)–(9), to compare with.
+"""The published scheme for eq. (1), eqs. (3)–(9), for comparison.
 
-All bones are folded into one constraint c(X) = Σ (|e| - l)², whose gradient vanishes where it holds. Its one
-multiplier cannot hold every bone against the data, so the bone lengths come out nearly, not exactly, right.
+All bones are combined in one constraint c(X) = Σ (|e| - l)², whose gradient vanishes where it holds. Its one
+multiplier cannot hold every bone against the data, so that bone lengths are only nearly right.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fusion.solvers.solver import MAX_ITERATIONS, Solution
 
 _STEP_TOLERANCE = 1e-5  # m: the paper's ‖d‖ < 1e-5
 _SHORTEST = 2.0**-20  # of a full step: below it the line search gives up
-_NO_DATA = 1e-9  # of the mean weight: what keeps H of eq. (7) invertible for a joint without data
+_NO_DATA = 1e-9  # of the mean weight: keeps H of eq. (7) invertible for a joint without data
 
 
 @inner_kernel
@@ -48,8 +48,8 @@ def solve_published(parents, targets, weights, lengths, line_search, at, work): 
 
     The two views' terms of a joint fold into one with weight w = w_A + w_B and target m, their weighted mean.
     The paper names no merit for its line search. The natural one is J of eq. (2) with this iteration's λ:
-    τ is halved from 1 until J is no larger than before. A negative λ would reward wrong bones, so |λ| stands
-    in it.
+    τ is halved from 1 until J is no larger than before. A negative λ would reward wrong bones, so |λ| is
+    used.
 
     Args:
         parents: (J,).
@@ -151,7 +151,7 @@ class PaperSolver:
             targets: (J, 3) m, metres; NaN where there is no data.
             weights: (J,) w ≥ 0.
             bone_lengths: (J,) metres, by the joint at the bone's far end.
-            start: (J, 3) the frame before's joints; the targets where None.
+            start: (J, 3) the previous frame's joints; the targets where None.
 
         Raises:
             FusionError: A shape does not fit, or the start has a joint without a position.

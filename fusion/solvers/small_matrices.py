@@ -32,7 +32,7 @@ def absolute_inverse_2x2(
 
     Returns:
         xx, xy, yy of the inverse; M's lowest eigenvalue; its unit eigenvector where the eigenvalue is
-        not above the floor (zero otherwise, where nobody needs it).
+        not above the floor (zero otherwise).
     """
     mean = 0.5 * (xx + yy)
     half = 0.5 * (xx - yy)

@@ -1,4 +1,4 @@
-"""The closest joints with exactly these bone lengths, eq. (1), one constraint a bone.
+"""The closest joints with exactly these bone lengths, eq. (1), one constraint per bone.
 
     minimise    f(x) = Σ w_i ‖x_i − m_i‖²      over joints i
     subject to  ‖x_i − x_p(i)‖ = l_i           for the bone from each joint i to its parent p(i)
@@ -25,10 +25,10 @@ class Solution:
 
     Attributes:
         positions: (J, 3) metres, in the frame of the targets.
-        iterations: Steps to a better point, from the start that led here.
+        iterations: Steps to a better point, from the start that led to the solution.
         objective: Σ (x - m)ᵀ W (x - m) there, in m² times the unit of the weights.
         converged: Whether the solver's own criterion was met before the iterations ran out.
-        systems: Linear systems solved: the work, line searches and abandoned starts included.
+        systems: Linear systems solved, including line searches and abandoned starts.
     """
 
     positions: NDArray[np.float64]
@@ -39,7 +39,7 @@ class Solution:
 
 
 class Solver(Protocol):
-    """Anything that places joints."""
+    """A solver of eq. (1)."""
 
     def solve(
         self,
@@ -54,7 +54,8 @@ class Solver(Protocol):
             targets: (J, 3) m, metres: the joint's weighted mean over the views; NaN where it has no data.
             weights: (J,) w ≥ 0; 0 for a joint without data.
             bone_lengths: (J,) metres, by the joint at the bone's far end; the root's is ignored.
-            start: (J, 3) joints near the solution, such as the frame before's; their bones need no lengths.
+            start: (J, 3) joints near the solution, such as the previous frame's; their bones may have any
+                length.
 
         Raises:
             FusionError: A shape does not fit, or a bone length is not positive.

@@ -8,7 +8,7 @@ where g_i = 2 W_i (x_i - m_i) is the gradient, T_i (3, 2) an orthonormal basis n
 multiplier of the bone's length constraint, whose curvature it carries. That is Newton's step on the KKT
 system of eq. (1), with constraints that hold already.
 
-All quantities live in one workspace, (BLOCKS, J, 6): a block a quantity, a row a joint. Symmetric 3×3
+All quantities are in one workspace, (BLOCKS, J, 6): one block per quantity, one row per joint. Symmetric 3×3
 matrices are six numbers: xx, xy, xz, yy, yz, zz.
 """
 
@@ -19,7 +19,7 @@ import math
 from fusion.compiling.kernels import inner_kernel
 from fusion.solvers.small_matrices import absolute_inverse_2x2, eigen_3x3, tangent_basis
 
-FLAT = 1e-10  # of the subtree's information: a smaller pivot is rounding, a direction the data leave free
+FLAT = 1e-10  # of the subtree's information: a smaller pivot is rounding; that direction is undetermined
 SADDLE = 1e-8  # of the subtree's information: a pivot below minus this leads downhill
 
 BLOCKS = 13
@@ -35,7 +35,7 @@ PIVOT = 8  # columns 0-2: M_i⁻¹; 3-4: T_iᵀ b_i
 STEP = 9  # columns 0-1: s_i; 2-4: d_i; 5: trace of twice the subtree's information
 BONE = 10  # columns 0-2: e_i; 3: l_i; 4: λ_i
 GRADIENT = 11  # g_i
-BEST = 12  # the last good point while patience lasts: columns 0-2: x_i; 3: λ_i
+BEST = 12  # the last good point while steps may climb: columns 0-2: x_i; 3: λ_i
 
 
 @inner_kernel
@@ -95,8 +95,8 @@ def eliminate(parents, order, work, damping, compressed):  # type: ignore[no-unt
         s_i = -M_i⁻¹ T_iᵀ (b_i + A_i d_p)
         P_i = A_i - A_i T_i M_i⁻¹ T_iᵀ A_i    r_i = b_i - A_i T_i M_i⁻¹ T_iᵀ b_i
 
-    Each M_i is a pivot of a block LDLᵀ factorisation; |M_i|, with eigenvalues raised to a floor, stands in
-    for one that is not safely positive, so that the step leads downhill.
+    Each M_i is a pivot of a block LDLᵀ factorisation; |M_i|, with eigenvalues raised to a floor, replaces
+    one that is not safely positive, so that the step leads downhill.
 
     Args:
         parents, order, work: As in :func:`fusion.solvers.tree_solver.solve_tree`.

@@ -1,6 +1,6 @@
 """The closest joints with exactly these bone lengths, eq. (1), by Newton's method on the tree of bones.
 
-The unknowns are the root's position and one direction a bone, so that every iterate has the right bone
+The unknowns are the root's position and one direction per bone, so that every iterate has the right bone
 lengths. One step costs O(J): see :mod:`fusion.solvers.tree_elimination`.
 """
 
@@ -36,31 +36,31 @@ from fusion.solvers.tree_start import BENT, BENT_AWAY, FROM_START, FROM_TARGETS,
 from fusion.solvers.tree_steps import copy, leave_saddle, stretch
 
 MAX_SYSTEMS = 150
-"""Linear systems from one start: what bounds the work, some 0.5 ms."""
+"""Limit of linear systems from one start, about 0.5 ms."""
 _STATIONARY = 3e-11  # m: tangential force over the information it acts on
 _LAST_STEP = 1e-4  # of the bone's length: an undamped step below it leaves an error of its square
-_SMALL_STEP = 1e-7  # m: where the force is zero too, a shorter step tells nothing new
+_SMALL_STEP = 1e-7  # m: with zero force, a shorter step gives no new information
 _ROUNDING = 1e-14  # relative: two objectives nearer than this are the same
 # m: so are two that differ by what a rounded coordinate of a few metres makes of the misfit. Σ 2 w r ε is at
 # most 2 ε √(f Σw); step[root, 5] is 6 Σw.
 _COORDINATE = 8e-16
 _NEAR_SADDLE = 0.01  # of the bone's length: a shorter step, with a negative pivot, crawls along a saddle
-# of the objective: so many smaller gains in a row, with a negative pivot, crawl too
+# of the objective: this many smaller gains in a row, with a negative pivot, count as crawling
 _CRAWL, _CRAWLED = 0.01, 5
-_BETTER = 1e-9  # relative: so much lower another start's end must be, to be taken
-_FLAT_MINIMUM = 4  # stationary points met; more of them have curvature of no more than rounding
-_KICK = 0.5  # of the bone's length: how far a saddle is left at once
+_BETTER = 1e-9  # relative: another start's result must be lower by this to be used
+_FLAT_MINIMUM = 4  # stationary points met; at further ones the curvature is rounding
+_KICK = 0.5  # of the bone's length: first step away from a saddle
 _SHORTER_KICK = 0.2  # after patience ran out
 
 # Levenberg's damping, as a share of the subtree's information. The values were chosen on random problems
 # whose weights span six orders of magnitude; ordinary frames never need any.
 _FIRST_DAMPING = 1e-5
 _MORE, _LESS, _NONE = 8.0, 0.03, 1e-9
-_PATIENCE = 8  # steps that may climb before the best point is taken up again
+_PATIENCE = 8  # steps that may climb before the solver returns to the best point
 _PATIENT_DAMPING, _PATIENT_MORE = 1e-8, 6.0
-_CLIMBS = 4  # lost; a valley that bends so sharply is followed with less daring:
+_CLIMBS = 4  # damping after a failure, for sharply bent valleys:
 _LITTLE_LESS, _SHORT_CLIMB = 0.1, 3
-_LONGEST = 10.0  # of the bone's length: a longer step is not worth the patience
+_LONGEST = 10.0  # of the bone's length: a longer step is not tried
 
 
 @inner_kernel
@@ -177,12 +177,12 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
        the new point would hold the curvature's transient, which under unequal weights swamps the data.)
 
     Globalisation: where the objective does not fall as predicted, up to ``_PATIENCE`` steps with growing
-    damping may still bring it below the last good point, around the bend of a narrow valley; else that point
-    is taken up again with more damping. A stationary point with a negative pivot is a saddle or a maximum
-    and is left along the curvature; so is a place where Gauss–Newton steps gain next to nothing.
+    damping may still bring it below the last good point, around the bend of a narrow valley; else the
+    solver returns to that point with more damping. A stationary point with a negative pivot is a saddle or a
+    maximum and is left along the curvature; so is a point where Gauss–Newton steps gain almost nothing.
 
     An iteration ends at a better point. The steps on the way there, each with a linear system of its own, are
-    its line search: those that more damping replaced, and those that were climbing.
+    its line search: those that were replaced with more damping, and those that climbed.
 
     It starts from the better of ``start`` and the directions between targets, both with the bones' lengths.
     From targets with a hole among them (:func:`~fusion.solvers.tree_start.aim_at`) it starts from two more
@@ -192,7 +192,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     Args:
         parents: (J,) int64, -1 for the root.
         order: (J,) int64, every parent before its children.
-        rest: (J, 3) direction of each bone where nothing better is known.
+        rest: (J, 3) default direction of each bone.
         targets: (J, 3) m, metres; a joint whose target is not finite has no data.
         weights: (J,) w ≥ 0 or (J, 3, 3) symmetric positive semidefinite W; 0 where there is no data.
         lengths: (J,) l, metres, by the joint at the bone's far end; the root's is ignored.
@@ -231,7 +231,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
 class TreeSolver:
     """Solves eq. (1) for one body; keeps the workspace, so that a frame allocates its result only.
 
-    Not to be shared between threads: the workspace is one frame's.
+    Not thread-safe, because the workspace belongs to one frame.
     """
 
     def __init__(self, parents: ArrayLike, order: ArrayLike, rest: ArrayLike) -> None:
@@ -240,10 +240,10 @@ class TreeSolver:
         Args:
             parents: (J,) index of each joint's parent, -1 for the root.
             order: (J,) joints, every parent before its children.
-            rest: (J, 3) direction parent → joint where nothing better is known; not zero but for the root.
+            rest: (J, 3) default direction parent → joint; zero for the root only.
 
         Raises:
-            FusionError: The shapes differ, it is no tree in this order, or ``rest`` has no direction.
+            FusionError: The shapes differ, the order does not form a tree, or ``rest`` has no direction.
         """
         self.parents = np.array(parents, dtype=np.int64)
         self.order, self.rest = np.array(order, dtype=np.int64), np.array(rest, dtype=np.float64)

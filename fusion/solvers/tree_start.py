@@ -1,4 +1,4 @@
-"""Where the tree solver starts: the data in its workspace, and a skeleton with the right bone lengths."""
+"""The start of the tree solver: data in its workspace, and a skeleton with the right bone lengths."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from fusion.solvers.small_matrices import tangent_basis
 from fusion.solvers.tree_elimination import BONE, INFORMATION, STEP, TARGET, misfit
 
 FROM_START, FROM_TARGETS, BENT, BENT_AWAY = 0, 1, 2, 3
-"""Where :func:`place` takes a bone's direction from."""
+"""Sources of a bone's direction in :func:`place`."""
 
 
 @inner_kernel
 def load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
-    """Targets and information into the workspace; a joint without a finite target has no information.
+    """Copies targets and information to the workspace; a joint without a finite target has no information.
 
     Returns:
         Whether all weights are finite, and all bones have a length.
@@ -44,10 +44,11 @@ def load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def aim_at(parents, order, work):  # type: ignore[no-untyped-def]
-    """Where each bone points, into STEP's columns 0-2: the target, or the mean of those next below it.
+    """Writes what each bone points to into STEP's columns 0-2: its target, or the mean of the next ones
+    below.
 
-    Column 3 is positive where there is any; column 4 is what lies between, as the sum of the squares of the
-    bones on the way, averaged over the ways.
+    Column 3 is positive where there is such a point. Column 4 is the sum of the squares of the bones between,
+    averaged over the paths.
 
     Returns:
         Whether a bone ends in a hole: a joint without data that has data below it.
@@ -87,7 +88,7 @@ def bend(x, y, z, length, reach, sx, sy, sz):  # type: ignore[no-untyped-def]
     inside = sx * x + sy * y + sz * z
     sx, sy, sz = sx - inside * x, sy - inside * y, sz - inside * z
     norm = math.sqrt(sx * sx + sy * sy + sz * sz)
-    if not norm > 1e-9 * abs(inside):  # s says no side: any, and the other for -s
+    if not norm > 1e-9 * abs(inside):  # s gives no side: any side, and the opposite one for -s
         sx, sy, sz, _, _, _ = tangent_basis(x, y, z)
         norm = math.copysign(1.0, inside)
     aside = math.sqrt(1.0 - along * along) / norm
@@ -96,12 +97,12 @@ def bend(x, y, z, length, reach, sx, sy, sz):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def place(parents, order, rest, start, way, work, at):  # type: ignore[no-untyped-def]
-    """A feasible skeleton into ``at``: directions of bones from a source, then the best translation.
+    """Writes a feasible skeleton to ``at``: bone directions from a source, then the best translation.
 
     ``FROM_START``: a bone has its direction in ``start``, else in ``rest``. ``FROM_TARGETS``: it points from
-    its near end's target, or place, to where :func:`aim_at` says; as above where that says nothing. ``BENT``
-    and ``BENT_AWAY``: likewise, but before a hole it leaves the room that the bones beyond need, to the side
-    of its direction in ``start`` or ``rest``, or to the other.
+    its near end's target, or position, to the point of :func:`aim_at`; as above without one. ``BENT``
+    and ``BENT_AWAY``: likewise, but before a hole it leaves space for the bones beyond, on the side of its
+    direction in ``start`` or ``rest``, or on the other side.
 
     Returns:
         The objective.

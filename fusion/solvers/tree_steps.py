@@ -1,4 +1,4 @@
-"""Steps other than Newton's: out of a saddle, or longer where the curvature is negative."""
+"""Steps other than Newton's: away from a saddle, or longer where the curvature is negative."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ def copy(source, target):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def leave_saddle(parents, order, saddle, s1, s2, length, work):  # type: ignore[no-untyped-def]
-    """A step along the direction of negative curvature that the joint ``saddle`` found, downhill if anything.
+    """A step along the direction of negative curvature of the joint ``saddle``, not uphill.
 
-    Its own step (s1, s2) has the pivot's negative eigenvalue; every joint below follows as the elimination
-    says, so that the curvature along the whole is just that eigenvalue. The root's is in its row already.
+    Its own step (s1, s2) has the pivot's negative eigenvalue; every joint below follows from the
+    elimination, so that the curvature along the whole step is that eigenvalue. The root's is already in its
+    row.
     """
     step = work[STEP]
     if saddle != order[0]:

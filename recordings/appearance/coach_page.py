@@ -1,4 +1,4 @@
-"""What the setup coach says at one moment, and what it draws into the scene for it."""
+"""The text and the drawings of the setup coach at one moment."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Point = tuple[float, float, float]
 Meaning = Literal["do", "mend", "better"]
 
 _COLORS: dict[Meaning, layout.Color] = {
-    "do": (64, 168, 96),  # green: go there
+    "do": (64, 168, 96),  # green: go here
     "mend": (220, 60, 60),  # red: something is wrong here
     "better": (226, 168, 60),  # amber: it could stand here
 }
@@ -23,12 +23,12 @@ _LINE_RADIUS = rr.components.Radius.ui_points(2.0)
 
 @dataclass(frozen=True)
 class Mark:
-    """Lines in the scene, and words beside the first of them.
+    """Lines in the scene, with a label at the first line.
 
     Attributes:
         lines: Polylines in K_A's frame, metres.
-        words: A label; short.
-        meaning: What its colour says.
+        words: A short label.
+        meaning: What the colour means.
     """
 
     lines: tuple[tuple[Point, ...], ...]
@@ -38,18 +38,18 @@ class Mark:
 
 @dataclass(frozen=True)
 class CoachPage:
-    """What to do next.
+    """The coach's advice at one moment.
 
     Attributes:
-        text: Markdown.
-        marks: By where they belong, a name of :data:`layout.COACH_MARKS`; what is missing is not drawn.
+        text: The advice in Markdown.
+        marks: The marks by their name in :data:`layout.COACH_MARKS`. Missing marks are not drawn.
     """
 
     text: str
     marks: tuple[tuple[str, Mark], ...] = ()
 
     def entities(self) -> Iterator[tuple[str, Any]]:
-        """What to log where; a mark that is no longer there is logged as empty, which wipes it."""
+        """Pairs of entity and archetype to log. An absent mark is logged as empty, which clears it."""
         yield layout.COACH, rr.TextDocument(self.text, media_type=rr.MediaType.MARKDOWN)
         marks = dict(self.marks)
         for name in layout.COACH_MARKS:

@@ -1,4 +1,4 @@
-"""How a session's entities look: what is logged once, static."""
+"""Appearance of a session's entities, logged once as static data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FRUSTUM_DEPTH = 0.25  # metres
 
 
 def annotation_context(body: Body) -> rr.AnnotationContext:
-    """One class a skeleton, with the joints' names and the bones between them."""
+    """One class per skeleton, with the names of the joints and the bones between them."""
     joints = [rr.AnnotationInfo(id=j, label=name) for j, name in enumerate(body.joints)]
     bones = [(int(body.parents[joint]), int(joint)) for joint in body.bone_joints]
     return rr.AnnotationContext(
@@ -37,7 +37,7 @@ def annotation_context(body: Body) -> rr.AnnotationContext:
 
 
 def joint_look(body: Body, key: str) -> rr.Points3D:
-    """Of the skeleton `key` of layout.SKELETON_NAMES; S* is coloured joint by joint, frame by frame."""
+    """Appearance of the skeleton `key` of layout.SKELETON_NAMES; S* gets a colour per joint and frame."""
     return rr.Points3D.from_fields(
         class_ids=layout.CLASS_IDS[key],
         keypoint_ids=range(len(body)),
@@ -48,12 +48,12 @@ def joint_look(body: Body, key: str) -> rr.Points3D:
 
 
 def cloud_look(side: str) -> rr.Points3D:
-    """Of a sensor's point cloud: its skeleton's colour, as in the paper's fig. 2."""
+    """Appearance of a sensor's point cloud: the colour of its skeleton, as in the paper's fig. 2."""
     return rr.Points3D.from_fields(colors=layout.SKELETON_COLORS[side], radii=_CLOUD_RADIUS)
 
 
 def camera(intrinsics: Intrinsics, side: str) -> rr.Pinhole:
-    """A camera's frustum, in its skeleton's colour."""
+    """A camera's frustum, in the colour of its skeleton."""
     return rr.Pinhole(
         focal_length=(intrinsics.fx, intrinsics.fy),
         principal_point=(intrinsics.cx, intrinsics.cy),
@@ -66,7 +66,7 @@ def camera(intrinsics: Intrinsics, side: str) -> rr.Pinhole:
 
 
 def image_edge(intrinsics: Intrinsics) -> rr.Boxes2D:
-    """Where a depth image ends, also while there is none."""
+    """The border of a depth image; shown even while there is no image."""
     return rr.Boxes2D(
         array=[0, 0, intrinsics.width, intrinsics.height],
         array_format=rr.Box2DFormat.XYWH,
@@ -76,7 +76,7 @@ def image_edge(intrinsics: Intrinsics) -> rr.Boxes2D:
 
 
 def weight_lines(body: Body, side: str) -> Visualizer:
-    """A sensor's weights; a joint and its mirror image share a hue, the right side is paler."""
+    """Plot lines of a sensor's weights. Mirrored joints share a hue; the right side is paler."""
     prominent = [body.joint(name) for name in layout.PROMINENT_JOINTS]
     hue = {joint: k // 2 / (len(prominent) // 2) for k, joint in enumerate(prominent)}
     colors = []
@@ -101,7 +101,7 @@ STATE_LANES = rr.StateConfiguration(
 
 
 def bone_lines(bone: str) -> Visualizer:
-    """A bone's length as in the paper's fig. 5."""
+    """Plot lines of a bone's length, as in the paper's fig. 5."""
     look = rr.SeriesLines(
         names=[*(layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")), "target"],
         colors=[*(layout.SKELETON_COLORS[key] for key in ("a", "b", "fused")), layout.TARGET_COLOR],
@@ -111,13 +111,13 @@ def bone_lines(bone: str) -> Visualizer:
 
 
 def figure_lines(name: str) -> Visualizer:
-    """One of the figures of layout.QUALITY; its name ends in its unit where it has one."""
+    """Plot line of a figure of layout.QUALITY; its name ends in its unit, if any."""
     words = name.replace("_mm", " (mm)").replace("_ms", " (ms)").replace("_", " ")
     return _lines(rr.SeriesLines(names=words, colors=layout.SKELETON_COLORS["fused"]), layout.FIGURES, name)
 
 
 def tracked_lines() -> Visualizer:
-    """How many joints each sensor tracks."""
+    """Plot lines of the number of joints that each sensor tracks."""
     look = rr.SeriesLines(
         names=[f"tracked by {side.upper()}" for side in layout.SIDES],
         colors=[layout.SKELETON_COLORS[side] for side in layout.SIDES],
@@ -126,7 +126,7 @@ def tracked_lines() -> Visualizer:
 
 
 def _lines(look: rr.SeriesLines, component: str, field: str | None = None) -> Visualizer:
-    """Draws a component that is no Scalars, or one field of it."""
+    """Plots a component other than Scalars, or one field of it."""
     source = VisualizerComponentMapping(
         "Scalars:scalars",
         ComponentSourceKind.SourceComponent,
@@ -146,4 +146,4 @@ STREAM_LINES = {
         for name, title in (("dropped", "dropped of"), ("unpaired", "without a partner, of"))
     },
 }
-"""Of how two running sensors' streams go, by the names of :func:`layout.stream_figure`."""
+"""Plot titles of stream figures, by the names of :func:`layout.stream_figure`."""

@@ -1,7 +1,7 @@
-"""Why S* is where it is, for eyes: joints coloured by their source, a matrix joint × time, state lanes.
+"""Pictures that explain S*: joints coloured by their source, a matrix of joint × time, lanes of states.
 
-"Why did the right elbow follow B at 12.4 s?" is answered by the joint's colour, by the row of the matrix, and
-by the data that :func:`details` lays beside the joint.
+The question "Why did the right elbow follow B at 12.4 s?" is answered by the colour of the joint, by its row
+in the matrix, and by the components stored with the joint.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from fusion.body import Body
 from recordings import layout
 from recordings.session_arrays import SessionArrays
 
-_SHADES = 16  # more than an eye tells apart here; few colours compress well
+_SHADES = 16  # finer shades are not visible; few colours compress well
 _BINS = 150
 _BIN_NS = 200_000_000
 _PAGE_NS, _LOOK_BACK_NS = 15_000_000_000, 10_000_000_000
@@ -28,12 +28,13 @@ _TICK_S = 5  # divides both
 _BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _TICKS_HEIGHT, _AXIS_HEIGHT = 5, 20, 180, 28, 52  # pixels
 _BACKGROUND, _INK = (27, 27, 31), (214, 214, 220)
 _INKS = 16  # between background and ink: smooth letters
-_FAST, _SMALL = 1, 9  # of zlib: the one takes a fifth of the time, the other half the room
+_FAST, _SMALL = 1, 9  # zlib levels: _FAST takes a fifth of the time, _SMALL half the space
 _FONT, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.6
 
 
 def _palette() -> NDArray[np.uint8]:
-    """(_INKS + _SHADES + 2, 3) RGB: from background to ink, from B's colour to A's, and predicted."""
+    """(_INKS + _SHADES + 2, 3) RGB: from background to ink, from B's colour to A's, then the predicted
+    colours."""
 
     def between(first: layout.Color, last: layout.Color, steps: int) -> NDArray[np.float64]:
         return np.linspace(np.array(first), np.array(last), steps)
@@ -48,12 +49,12 @@ _FROM_B, _FROM_A, _PREDICTED = _INKS, _INKS + _SHADES, _INKS + _SHADES + 1
 
 
 def trust_colors(rows: SessionArrays) -> NDArray[np.uint8]:
-    """(T, J, 3) RGB: between A's colour and B's by the share each has in the joint; grey where predicted."""
+    """(T, J, 3) RGB: a mix of A's and B's colours by their share in the joint; grey where predicted."""
     return np.asarray(_PALETTE[_shades(rows)])
 
 
 def _shades(rows: SessionArrays) -> NDArray[np.uint8]:
-    """(T, J) the same as places in the palette."""
+    """(T, J) the colours of :func:`trust_colors` as palette indices."""
     total = rows.weights_a + rows.weights_b
     share = np.where(total > 0.0, rows.weights_a / np.where(total > 0.0, total, 1.0), 0.0)
     return np.where(rows.predicted, _PREDICTED, _FROM_B + np.round(share * _SHADES)).astype(np.uint8)
@@ -61,28 +62,29 @@ def _shades(rows: SessionArrays) -> NDArray[np.uint8]:
 
 @dataclass(eq=False)
 class _Page:
-    """One picture of the matrix: the frame from which on it is shown, and what is in it so far."""
+    """One picture of the matrix: the frame at which it is first shown, and its content so far."""
 
     frame: int
     time_ns: int
     first: int  # bin
-    cells: NDArray[np.uint8]  # (J, _BINS) places in the palette
+    cells: NDArray[np.uint8]  # (J, _BINS) palette indices
 
     def put(self, number: int, shades: NDArray[np.uint8]) -> None:
         self.cells[:, number - self.first] = shades
 
 
 class TrustMatrix:
-    """Whose view made each joint, a row a joint, coloured as in :func:`trust_colors`: half a minute a page.
+    """Shows which view each joint followed: one row per joint, half a minute per page, colours as in
+    :func:`trust_colors`.
 
-    A page is shown from its own time on until the next one begins, and reaches from before the one to after
-    the other: whatever moment is looked at stands within its page. It is logged at the frame that begins
-    it, though complete only later.
+    A page is shown from its start until the next page starts. It covers some time before its start and after
+    its end, so that the current moment is always inside the page. A page is logged at its first frame,
+    although it is completed later.
 
     Args:
-        body: Whose joints.
-        draft_ns: How often pages that are not complete yet are drawn; newer drawings of a page replace older.
-        hasty: Whether drafts are to be fast rather than small.
+        body: The body that defines the joints.
+        draft_ns: Interval between drawings of an incomplete page; a newer drawing replaces an older one.
+        hasty: Whether to compress drafts fast rather than small.
     """
 
     def __init__(self, body: Body, draft_ns: int, hasty: bool = False) -> None:
@@ -93,10 +95,10 @@ class TrustMatrix:
         self._next_ns = 0
 
     def add(self, rows: SessionArrays) -> Iterator[tuple[int, int, bytes]]:
-        """Takes frames in time order.
+        """Adds frames in time order.
 
         Returns:
-            (frame, time in ns, PNG file) of a page whenever it is drawn.
+            (frame, time in ns, PNG file) of each page that is drawn.
         """
         for t, shades in enumerate(_shades(rows)):
             now = int(rows.time_ns[t])
@@ -116,11 +118,11 @@ class TrustMatrix:
                 page.put(number, shades)
 
     def rest(self) -> Iterator[tuple[int, int, bytes]]:
-        """The pages that are not complete, as they are."""
+        """Returns the incomplete pages in their present state."""
         yield from map(self._drawn, self._open)
 
     def _page(self, frame: int, now_ns: int, before: Sequence[_Page]) -> _Page:
-        """Begins the page of a frame with what pages `before` have of its beginning."""
+        """Starts the page of a frame with the overlapping content of the pages `before`."""
         first = max(0, now_ns // _PAGE_NS * _PAGE_NS - _LOOK_BACK_NS) // _BIN_NS
         page = _Page(frame, now_ns, first, np.zeros((len(self._body), _BINS), dtype=np.uint8))
         for old in before:
@@ -143,7 +145,7 @@ class TrustMatrix:
 
 
 def matrix_frame(body: Body) -> bytes:
-    """What lies beneath every page of the matrix: names on the right, and a legend; a PNG file."""
+    """The background of every page as a PNG file: joint names on the right, and a legend."""
     height, width = len(body) * _ROW_HEIGHT, _BINS * _BIN_WIDTH
     picture = np.zeros((height + _AXIS_HEIGHT, width + _NAMES_WIDTH), dtype=np.uint8)
     for joint, name in enumerate(body.joints):
@@ -161,31 +163,31 @@ def matrix_frame(body: Body) -> bytes:
 
 
 class StateLanes:
-    """Tracking states where they change; a joint that never changes gets no lane."""
+    """Changes of tracking states; a joint that never changes gets no lane."""
 
     def __init__(self) -> None:
         self._before: dict[str, NDArray[np.uint8]] = {}
         self._open: set[tuple[str, int]] = set()
 
     def add(self, rows: SessionArrays) -> Iterator[tuple[str, int, list[tuple[int | None, int]]]]:
-        """Takes frames in time order.
+        """Adds frames in time order.
 
         Returns:
-            For each side and joint with news, (side, joint, changes); a change is (index in `rows`, state).
-            A joint's first change is preceded by what it was from the beginning, at index None.
+            (side, joint, changes) for each joint that changed; a change is (index in `rows`, state).
+            The first change of a joint is preceded by its initial state, at index None.
         """
         for side, states in (("a", rows.states_a), ("b", rows.states_b)):
             before = self._before.get(side, states[0])
             whole = np.concatenate((before[None], states))
             for joint in np.flatnonzero((whole[1:] != whole[:-1]).any(axis=0)):
                 lane = whole[:, joint]
-                at = np.flatnonzero(lane[1:] != lane[:-1])
-                changes: list[tuple[int | None, int]] = [(int(t), int(states[t, joint])) for t in at]
+                indices = np.flatnonzero(lane[1:] != lane[:-1])
+                changes: list[tuple[int | None, int]] = [(int(t), int(states[t, joint])) for t in indices]
                 if (side, int(joint)) not in self._open:
                     self._open.add((side, int(joint)))
                     changes.insert(0, (None, int(lane[0])))
                 yield side, int(joint), changes
-            self._before[side] = states[-1].copy()  # a view would keep the whole block
+            self._before[side] = states[-1].copy()  # a view would keep the whole block in memory
 
 
 def _in_words(joint: str) -> str:
@@ -200,7 +202,7 @@ def _text(picture: NDArray[np.uint8], words: str, x: int, y: int) -> None:
 
 
 def _png(picture: NDArray[np.uint8], level: int = _SMALL) -> bytes:
-    """(height, width) places in the palette as a PNG file with a palette: a quarter of one in RGB."""
+    """Encodes palette indices (height, width) as a PNG file with a palette: a quarter of the RGB size."""
     image = Image.fromarray(picture)
     image.putpalette(_PALETTE.tobytes())
     file = io.BytesIO()

@@ -1,4 +1,4 @@
-"""S* for other programs: one module a format, chosen by the file's ending."""
+"""Exports S* for other programs: one module per format, chosen by the file's suffix."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from recordings.session import Session
 Table = Literal["long", "wide"]
 
 Writer = Callable[[Session, Path], str]
-"""Writes a session into a file and returns in words what it wrote."""
+"""Writes a session to a file and returns a description of what was written."""
 
 _WRITERS: MappingProxyType[str, Writer] = MappingProxyType(
     {
@@ -32,14 +32,14 @@ _WRITERS: MappingProxyType[str, Writer] = MappingProxyType(
 
 
 def writer_for(path: Path, table: Table = "long") -> Writer:
-    """What writes a session into a file of this ending.
+    """Returns the writer for the suffix of a file.
 
     Args:
         path: The file.
-        table: Of a ``.csv``: a row a joint, or a row a frame.
+        table: Layout of a ``.csv``: one row per joint (``long``) or one row per frame (``wide``).
 
     Raises:
-        RecordingError: No format has this ending.
+        RecordingError: No format has this suffix.
     """
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:

@@ -1,11 +1,12 @@
-"""BVH, animation's skeleton file: the bones' rest pose, and a rotation a joint and frame.
+"""Export to BVH, a skeleton file for animation: a rest pose, and a rotation per joint and frame.
 
-S* has bones of constant length, so BVH keeps it exactly, at an even rate: a recorded frame may stand twice or
-be left out, none is made up. A new calibration gives the bones new lengths, and one BVH has only one length a
-bone (programs disagree on what position channels of inner joints mean): the frames of the last one are
-written, and it is said how many were not. Where several bones leave a joint their angles vary,
-and one rotation cannot turn them all: there the joint takes the rotation that fits best, as an animator
-expects of a pelvis, and each bone gets a joint of its own in the same place for the rest. Centimetres, y up.
+S* has constant bone lengths, so BVH represents it exactly. BVH needs an even frame rate: a recorded frame may
+be repeated or dropped, but frames are never interpolated. BVH stores one length per bone (programs disagree
+on position channels of inner joints), but a new calibration changes the lengths. Therefore only the frames of
+the last calibration are written, and the number of omitted frames is reported. If several bones leave a
+joint, their angles vary and one rotation cannot represent all of them. The joint then gets the best-fitting
+rotation, as animators expect for a pelvis, and each bone gets an extra joint at the same position for the
+remaining rotation. Centimetres, y up.
 """
 
 from __future__ import annotations
@@ -24,47 +25,47 @@ from recordings.export.even_frames import at_even_frames, even_frames, y_up
 from recordings.session import Session
 
 _CM = 100.0
-_STUB = 0.2  # of the last bone: how far the end site stands beyond the last joint, for programs that draw it
+_STUB = 0.2  # length of the end site behind a last joint, as a share of the last bone; some programs draw it
 
 
 @dataclass(frozen=True)
 class _Node:
-    """One joint of the file: where it hangs, and which bones it turns."""
+    """One joint of the file: its parent, its offset, and the bones that it rotates."""
 
     name: str
     depth: int
-    offset: NDArray[np.float64]  # (3,) metres, from the node above, at rest
-    turns: tuple[int, ...]  # far joints of the bones that leave here
-    above: int  # index of the node above; -1 for the root
-    end: NDArray[np.float64] | None  # (3,) metres, the end site of a last joint
+    offset: NDArray[np.float64]  # (3,) metres, from the parent node, in the rest pose
+    turns: tuple[int, ...]  # child joints of the bones that start here
+    above: int  # index of the parent node; -1 for the root
+    end: NDArray[np.float64] | None  # (3,) metres, end site of a last joint
 
 
 def write_bvh(session: Session, path: Path) -> str:
-    """S* as a moving hierarchy. BVH knows no gaps: there the last pose is held.
+    """Writes S* as BVH. BVH has no gaps: the last pose is held during a gap.
 
     Returns:
-        What was written, in words.
+        A description of what was written.
 
     Raises:
-        RecordingError: S* exists in no frame of the last bone lengths.
+        RecordingError: No frame with the last bone lengths has an S*.
     """
     first = _first_of_last_lengths(session)
     rows = session.rows[first:]
     even = even_frames(rows)
-    at = y_up(at_even_frames(rows.fused, even))  # (N, J, 3)
-    present = np.isfinite(at).all(axis=(1, 2))
+    positions = y_up(at_even_frames(rows.fused, even))  # (N, J, 3)
+    present = np.isfinite(positions).all(axis=(1, 2))
     if not present.any():
         since = f" from frame {first} on, where its bones got their last lengths" if first else ""
         raise RecordingError(f"{session} has no frame with an S*{since}; there is nothing to export.")
-    held = np.maximum.accumulate(np.where(present, np.arange(len(at)), -1))
+    held = np.maximum.accumulate(np.where(present, np.arange(len(positions)), -1))
     held[held < 0] = int(np.argmax(present))
-    at = at[held]
+    positions = positions[held]
     body = session.body
     rest = _rest(body, session.calibration.bone_lengths)
     nodes = list(_nodes(body, rest))
-    rotations = _rotations(body, nodes, at, rest)
-    motion = np.concatenate([at[:, body.root] * _CM, *(_degrees(r) for r in rotations)], axis=1)
-    lines = [*_hierarchy(nodes), "MOTION", f"Frames: {len(at)}", f"Frame Time: {1.0 / even.rate:.9f}"]
+    rotations = _rotations(body, nodes, positions, rest)
+    motion = np.concatenate([positions[:, body.root] * _CM, *(_degrees(r) for r in rotations)], axis=1)
+    lines = [*_hierarchy(nodes), "MOTION", f"Frames: {len(positions)}", f"Frame Time: {1.0 / even.rate:.9f}"]
     lines += [" ".join(f"{v:.6f}" for v in row) for row in motion]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     words = even.in_words(len(rows))
@@ -80,7 +81,7 @@ def write_bvh(session: Session, path: Path) -> str:
 
 
 def _first_of_last_lengths(session: Session) -> int:
-    """The frame from which on the bones have the lengths of the last calibration."""
+    """The first frame with the bone lengths of the last calibration."""
     first, last = session.calibrations[-1]
     for number, calibration in reversed(session.calibrations):
         if not np.array_equal(calibration.bone_lengths, last.bone_lengths):
@@ -90,7 +91,7 @@ def _first_of_last_lengths(session: Session) -> int:
 
 
 def _rest(body: Body, lengths: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(J, 3) metres, each bone at rest: standing, facing +z, y up."""
+    """(J, 3) metres, each bone in the rest pose: standing, facing +z, y up."""
     return y_up(body.rest) * lengths[:, None]
 
 
@@ -119,7 +120,7 @@ def _nodes(body: Body, rest: NDArray[np.float64]) -> Iterator[_Node]:
 def _rotations(
     body: Body, nodes: list[_Node], at: NDArray[np.float64], rest: NDArray[np.float64]
 ) -> list[Rotation]:
-    """A rotation (N,) a node, relative to the node above."""
+    """Rotations (N,) per node, relative to the parent node."""
     world: list[Rotation] = []
     local: list[Rotation] = []
     for node in nodes:
@@ -137,7 +138,7 @@ def _rotations(
 
 
 def _turn(bones: NDArray[np.float64], rest: NDArray[np.float64]) -> Rotation:
-    """The rotations that turn (K, 3) bones at rest into (N, K, 3); the shortest ones where K is 1."""
+    """Rotations from rest bones (K, 3) to bones (N, K, 3); the smallest rotations if K is 1."""
     if bones.shape[1] == 1:
         u = rest[0] / np.linalg.norm(rest[0])
         v = bones[:, 0] / np.linalg.norm(bones[:, 0], axis=1, keepdims=True)
@@ -149,7 +150,7 @@ def _turn(bones: NDArray[np.float64], rest: NDArray[np.float64]) -> Rotation:
 
 
 def _shortest(u: NDArray[np.float64], v: NDArray[np.float64]) -> Rotation:
-    """The shortest rotations from a unit vector (3,) to unit vectors (N, 3)."""
+    """The smallest rotations from a unit vector (3,) to unit vectors (N, 3)."""
     axis = np.cross(np.broadcast_to(u, v.shape), v)
     cosine = v @ u
     quaternion = np.concatenate([axis, 1.0 + cosine[:, None]], axis=1)
@@ -160,7 +161,7 @@ def _shortest(u: NDArray[np.float64], v: NDArray[np.float64]) -> Rotation:
 
 
 def _degrees(rotation: Rotation) -> NDArray[np.float64]:
-    """(N, 3) angles about z, then x, then y, each in the turned frame."""
+    """(N, 3) intrinsic rotation angles about z, then x, then y, degrees."""
     return np.asarray(rotation.as_euler("ZXY", degrees=True, suppress_warnings=True))
 
 

@@ -1,6 +1,6 @@
-"""C3D, biomechanics' marker file: millimetres, z up, an even rate; a gap is a point with residual -1.
+"""Export to C3D, a marker file for biomechanics: millimetres, z up, even rate; a gap has residual -1.
 
-At an even rate a recorded frame may stand twice or be left out; none is made up.
+For the even rate a recorded frame may be repeated or dropped; frames are never interpolated.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ _MOST_FRAMES = 65_535
 
 
 def write_c3d(session: Session, path: Path) -> str:
-    """S* as points labelled after the joints: x right, y forward, z up, as seen from K_A.
+    """Writes S* as points labelled with the joint names: x right, y forward, z up, as seen from K_A.
 
     Args:
         session: The session.
-        path: The file; ezc3d wants it to end in ``.c3d``.
+        path: The file; ezc3d requires the suffix ``.c3d``.
 
-    Returns:
-        What was written, in words.
+        Returns:
+            A description of what was written.
 
     Raises:
         RecordingError: ``ezc3d`` is not installed, or the session is too long for the format.
@@ -43,10 +43,10 @@ def write_c3d(session: Session, path: Path) -> str:
             f"{even.rate:.6g} Hz; {session} has {len(even.index)}. Export it in parts made with "
             "`duplex trim`, or as .trc."
         )
-    at = at_even_frames(session.rows.fused, even) * 1e3  # (N, J, 3)
-    N, J = at.shape[:2]
+    positions = at_even_frames(session.rows.fused, even) * 1e3  # (N, J, 3)
+    N, J = positions.shape[:2]
     points = np.full((4, J, N), np.nan)
-    points[:3] = (at[..., [0, 2, 1]] * [1.0, 1.0, -1.0]).transpose(2, 1, 0)
+    points[:3] = (positions[..., [0, 2, 1]] * [1.0, 1.0, -1.0]).transpose(2, 1, 0)
     gap = np.isnan(points[0])
     points[3] = 1.0
     file = ezc3d.c3d()

@@ -1,4 +1,4 @@
-"""Frames at an even rate, for formats that know a rate and no times; and the axes such formats want."""
+"""Frames at an even rate, for formats without time stamps, and conversion to the axes of these formats."""
 
 from __future__ import annotations
 
@@ -16,20 +16,22 @@ _LONG_PAUSE = 3.0  # median intervals
 
 @dataclass(frozen=True, eq=False)
 class EvenFrames:
-    """Which recorded frame stands for which moment of an even rate.
+    """Assigns a recorded frame to each moment of an even rate.
 
-    No frame is made up: sensors' intervals vary by some milliseconds, and interpolating would bend bones.
+    Frames are never interpolated: interpolation would change bone lengths. The intervals of sensors vary by
+        some
+    milliseconds only.
 
     Attributes:
-        rate: Frames a second.
-        index: (N,) the recorded frame nearest to each moment; -1 where none is near.
+        rate: Frames per second.
+        index: (N,) index of the recorded frame nearest to each moment; -1 if none is near.
     """
 
     rate: float
     index: NDArray[np.int64]
 
     def in_words(self, recorded: int) -> str:
-        """How many frames there are, and what the even rate made of the `recorded` ones."""
+        """Describes the number of frames, and how many of the `recorded` frames are repeated or dropped."""
         near = self.index[self.index >= 0]
         stood = len(np.unique(near))
         counts = {
@@ -42,9 +44,9 @@ class EvenFrames:
 
 
 def even_frames(rows: SessionArrays) -> EvenFrames:
-    """The nearest recorded frame to each moment k / rate since the first frame.
+    """The recorded frame nearest to each moment k / rate since the first frame.
 
-    The rate is that of the recording without its pauses: 5, 15, 30 or 60 where it is within 5 % of that.
+    The rate is the rate of the recording without its pauses, rounded to 5, 15, 30 or 60 if within 5 % of it.
     """
     time = rows.time_ns * 1e-9
     if len(time) < 2:
@@ -62,7 +64,7 @@ def even_frames(rows: SessionArrays) -> EvenFrames:
 
 
 def at_even_frames(values: NDArray[np.float64], even: EvenFrames) -> NDArray[np.float64]:
-    """(N, …) values at the even moments, NaN where there is no frame."""
+    """(N, …) values at the even moments; NaN where there is no frame."""
     taken = values[even.index].copy()
     taken[even.index < 0] = np.nan
     return taken

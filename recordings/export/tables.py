@@ -1,6 +1,6 @@
-"""Sessions as tables: CSV, Parquet and NumPy's .npz. Metres and seconds, K_A's frame.
+"""Export of sessions as tables: CSV, Parquet and NumPy's .npz; metres and seconds, K_A's frame.
 
-Each writer returns in words what it wrote.
+Each writer returns a description of what was written.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _FUSED_STATES = np.array(["fused", "predicted"])
 
 
 def write_long_csv(session: Session, path: Path) -> str:
-    """A row a joint, skeleton and frame; empty cells where a joint has no position."""
+    """Writes one row per joint, skeleton and frame; cells are empty if a joint has no position."""
     pyarrow.csv.write_csv(long_table(session), path)
     return _frames(session)
 
 
 def write_wide_csv(session: Session, path: Path) -> str:
-    """A row a frame with S* alone: ``frame, time_s, <joint>_x, <joint>_y, <joint>_z, …``."""
+    """Writes one row per frame with S* only: ``frame, time_s, <joint>_x, <joint>_y, <joint>_z, …``."""
     rows = session.rows
     columns: dict[str, pa.Array] = {"frame": pa.array(rows.frame), "time_s": pa.array(rows.time_ns * 1e-9)}
     for j, joint in enumerate(rows.body.joints):
@@ -39,7 +39,7 @@ def write_wide_csv(session: Session, path: Path) -> str:
 
 
 def write_parquet(session: Session, path: Path) -> str:
-    """The rows of :func:`write_long_csv`; null where a joint has no position."""
+    """Writes the rows of :func:`write_long_csv`; null if a joint has no position."""
     table = long_table(session)
     about = {
         "units": "metres, seconds",
@@ -52,7 +52,7 @@ def write_parquet(session: Session, path: Path) -> str:
 
 
 def write_npz(session: Session, path: Path) -> str:
-    """The arrays of :class:`recordings.session_arrays.SessionArrays` that the session has; joints by name."""
+    """Writes the arrays of :class:`recordings.session_arrays.SessionArrays` and the names of the joints."""
     rows = session.rows
     arrays = {name: getattr(rows, name) for name in ("bone_lengths", "frame", "time_ns")}
     arrays |= {name: values for name, _, values in rows.figures()}
@@ -73,12 +73,12 @@ def _frames(session: Session) -> str:
 
 
 def long_table(session: Session) -> pa.Table:
-    """``frame, time_s, skeleton (a, b, fused), joint, x, y, z, state, weight``; S_B laid into K_A's frame."""
+    """``frame, time_s, skeleton (a, b, fused), joint, x, y, z, state, weight``; S_B in K_A's frame."""
     rows = session.rows
     T, J = rows.predicted.shape
     parts = []
     for name, positions, states, weights in _skeletons(rows):
-        at = positions.reshape(-1, 3)
+        points = positions.reshape(-1, 3)
         parts.append(
             pa.table(
                 {
@@ -86,7 +86,7 @@ def long_table(session: Session) -> pa.Table:
                     "time_s": np.repeat(rows.time_ns * 1e-9, J),
                     "skeleton": pa.array([name]).take(pa.array(np.zeros(T * J, dtype=np.int64))),
                     "joint": np.tile(np.array(rows.body.joints), T),
-                    **{axis: pa.array(at[:, k], from_pandas=True) for k, axis in enumerate("xyz")},
+                    **{axis: pa.array(points[:, k], from_pandas=True) for k, axis in enumerate("xyz")},
                     "state": states.ravel(),
                     "weight": pa.array(weights.astype(np.float64).ravel(), from_pandas=True),
                 }

@@ -1,4 +1,4 @@
-"""TRC, OpenSim's marker file: millimetres, y up, one time a frame, empty cells for gaps."""
+"""Export to TRC, OpenSim's marker file: millimetres, y up, one time per frame, empty cells for gaps."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from recordings.session import Session
 
 
 def write_trc(session: Session, path: Path) -> str:
-    """S* as markers named after the joints. Times are the recorded ones; the header has their mean rate.
+    """Writes S* as markers named after the joints. Times are as recorded; the header has the mean rate.
 
     Returns:
-        What was written, in words.
+        A description of what was written.
     """
     rows = session.rows
     joints, rate = rows.body.joints, f"{even_frames(rows).rate:.6g}"
@@ -32,4 +32,4 @@ def write_trc(session: Session, path: Path) -> str:
         cells = ("" if np.isnan(v) else f"{v:.4f}" for v in values)
         lines.append(f"{t + 1}\t{time_ns * 1e-9:.6f}\t" + "\t".join(cells))
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return f"{T} frames at the times they were recorded, {rate} Hz in the mean"
+    return f"{T} frames at the times they were recorded, {rate} Hz on average"

@@ -1,4 +1,4 @@
-"""Colour images in a session: the camera's own JPEG beside the depth image, with its lens and its place."""
+"""Colour images of a session: the camera's JPEG with its intrinsics and pose, beside the depth image."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _BLOB, _CAMERA, _CHECK = "EncodedImage:blob", "camera", "crc32"
 
 
 class ColorLog:
-    """Writes the colour images of both sensors to a stream, whose time is set by the caller."""
+    """Writes the colour images of both sensors to a stream. The caller sets the time of the stream."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
@@ -48,7 +48,7 @@ class ColorLog:
 
 
 def read_color(path: Path, side: str, frames: range) -> ImageReader[ColorImage]:
-    """The colour images of a session's sensor."""
+    """The colour images of one sensor of a session."""
     return ImageReader(path, layout.color(side), _checked, _decoded, frames)
 
 

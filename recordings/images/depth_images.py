@@ -1,4 +1,4 @@
-"""Depth images in a session."""
+"""Depth images of a session."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _BLOB, _CHECK = "EncodedDepthImage:blob", "crc32"
 
 
 def read_depth(path: Path, side: str, frames: range) -> ImageReader[NDArray[np.uint16]]:
-    """The depth images of a session's sensor: (height, width) millimetres, 0 without a reading."""
+    """The depth images of one sensor of a session: (height, width) millimetres, 0 without a reading."""
     return ImageReader(path, layout.depth(side), _checked, decode_depth, frames)
 
 

@@ -1,4 +1,4 @@
-"""A depth image as a thin point cloud, to be looked at; the image itself is what is kept."""
+"""A depth image as a sparse point cloud for display. Only the image itself is stored."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from devices.point_cloud import depth_to_points, ray_table
 from fusion.intrinsics import Intrinsics
 
 _POINTS = 10_000
-"""How many points to show at most, about: 120 kB."""
+"""Approximate maximum number of points shown; 120 kB."""
 
 
 def thin_points(depth: NDArray[np.uint16], camera: Intrinsics) -> NDArray[np.float32]:
-    """The points of every so many rows and columns of a depth image.
+    """The points of every n-th row and column of a depth image.
 
     Args:
         depth: (height, width) millimetres, 0 where there is no reading.
-        camera: Of this image.
+        camera: Intrinsics of this image.
 
     Returns:
         (N, 3) metres in the sensor's frame.
 
     Raises:
-        DeviceError: The image has another size than the camera.
+        DeviceError: The sizes of the image and the camera differ.
     """
     step, rays = _thin_rays(camera)
     return depth_to_points(depth[::step, ::step], rays)
 
 
 def prepare_points(*cameras: Intrinsics) -> None:
-    """Computes what :func:`thin_points` needs of each camera, for it takes longer than a frame."""
+    """Precomputes the rays that :func:`thin_points` needs, because this takes longer than a frame."""
     for camera in cameras:
         _thin_rays(camera)
 

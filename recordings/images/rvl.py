@@ -1,8 +1,8 @@
-"""Depth images without loss, fast: run-length and variable-length coding (RVL).
+"""Fast lossless compression of depth images: run-length and variable-length coding (RVL).
 
-After A. D. Wilson, *Fast Lossless Depth Image Compression*, ISS 2017. Runs of pixels without a reading
-and runs with one alternate; a reading is coded as its difference from the one before, three bits a nibble.
-The header is that of ROS 2's compressed depth, which Rerun's viewer reads as ``application/rvl``.
+Source: A. D. Wilson, *Fast Lossless Depth Image Compression*, ISS 2017. Runs of pixels without and with a
+reading alternate. A reading is coded as its difference from the previous one, three bits per nibble.
+The header is the one of ROS 2's compressed depth, which Rerun's viewer reads as ``application/rvl``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _MOST_PIXELS = 1 << 26
 
 
 def encode_depth(depth: NDArray[np.uint16]) -> bytes:
-    """(height, width) millimetres, 0 without a reading, as RVL with its header."""
+    """Encodes (height, width) millimetres, 0 without a reading, as RVL with a header."""
     height, width = depth.shape
     words = np.empty(depth.size + depth.size // 4 + 8, dtype=np.uint32)
     count = _encode(np.ascontiguousarray(depth).ravel(), words)
@@ -29,10 +29,10 @@ def encode_depth(depth: NDArray[np.uint16]) -> bytes:
 
 
 def decode_depth(blob: bytes) -> NDArray[np.uint16]:
-    """(height, width) millimetres of what :func:`encode_depth` wrote.
+    """Decodes the output of :func:`encode_depth` to (height, width) millimetres.
 
     Raises:
-        RecordingError: The bytes are no RVL image.
+        RecordingError: The bytes are not an RVL image.
     """
     if len(blob) < _HEADER.size or (len(blob) - _HEADER.size) % 4:
         raise RecordingError(f"A depth image of {len(blob)} bytes is cut off.")
@@ -87,7 +87,7 @@ def _encode(pixels, words):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _get(words, nibble):  # type: ignore[no-untyped-def]
-    """The value at a nibble and the nibble after it; -1 where the words end before the value."""
+    """The value at a nibble and the index of the next nibble; -1 if the words end before the value."""
     value, shift = np.int64(0), 0
     while shift <= 60 and nibble < 8 * len(words):
         bits = (np.int64(words[nibble >> 3]) >> (28 - 4 * (nibble & 7))) & 15
@@ -101,7 +101,7 @@ def _get(words, nibble):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _decode(words, pixels):  # type: ignore[no-untyped-def]
-    """Whether the words were a whole image."""
+    """Decodes the words; returns whether they form a whole image."""
     i, nibble, previous, size = 0, 0, 0, len(pixels)
     while i < size:
         zeros, nibble = _get(words, nibble)

@@ -1,4 +1,4 @@
-"""The images of a session, read as they are asked for; damaged ones are left out and counted."""
+"""The images of a session, read on demand. Damaged images are skipped and counted."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from recordings.reading.rrd_file import RrdFile
 
 T = TypeVar("T")
 _WRONG = (LookupError, TypeError, ValueError, AttributeError, pa.ArrowException)
-"""What taking an image out of a damaged chunk can raise."""
+"""Exceptions that a damaged chunk can cause."""
 
 
 class ImageReader(Generic[T]):
-    """The images of one sensor with the numbers of their frames, in their order; iterating reads the file.
+    """The images of one sensor with their frame numbers, in order; iteration reads the file.
 
     Args:
         path: The session.
-        entity: Where the images are.
-        checked: Takes the bytes of row k out of a chunk, and says whether they fit their checksum, which
-            covers the number of the frame too.
-        decoded: What is given for such bytes.
-        frames: Of which frames.
+        entity: The entity of the images.
+        checked: Returns the bytes of row k of a chunk, and whether they match their checksum. The checksum
+            also covers the frame number.
+        decoded: Decodes these bytes.
+        frames: The wanted frames.
     """
 
     def __init__(
@@ -39,14 +39,14 @@ class ImageReader(Generic[T]):
         self._path, self._entity, self._checked, self._decoded = path, entity, checked, decoded
         self._frames = frames
         self.damaged = 0
-        """How many images the last reading left out because they do not fit their checksums."""
+        """Number of images that the last iteration skipped because their checksums do not match."""
 
     def __iter__(self) -> Iterator[tuple[int, T]]:
-        """Reads the images one by one, up to the last frame that is wanted."""
+        """Reads the images one by one, up to the last wanted frame."""
         return ((frame, self._decoded(raw)) for frame, raw in self._whole())
 
     def count(self) -> int:
-        """How many whole images there are, without decoding any."""
+        """Counts the whole images without decoding them."""
         return sum(1 for _ in self._whole())
 
     def _whole(self) -> Iterator[tuple[int, Any]]:

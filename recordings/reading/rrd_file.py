@@ -1,9 +1,9 @@
-"""An ``.rrd`` file as columns of numbers, whatever happened to it: cut off, damaged, or still growing.
+"""Reads an ``.rrd`` file into columns of numbers, even if it is cut off, damaged or still growing.
 
-Rerun's own reader is not asked, because it ends the whole process where a byte is wrong. The file is a chain
-of messages, each with its kind and length before it; those of kind 2 hold one chunk of one entity as an
-Arrow stream packed with LZ4. A message that cannot be unpacked is left out, and the rest is read all the
-same. The module is long because it is the whole file format.
+Rerun's own reader is not used, because a wrong byte makes it abort the process. The file is a sequence of
+messages, each preceded by its kind and length. A message of kind 2 holds one chunk of one entity as an Arrow
+stream compressed with LZ4. A message that cannot be decompressed is skipped, and the rest is read. The module
+is long because it implements the whole file format.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ PROPERTIES = "/__properties"
 
 _MAGIC = b"RRF2"
 _FILE_HEADER = 12
-_MESSAGE = struct.Struct("<QQ")  # kind, length of what follows
+_MESSAGE = struct.Struct("<QQ")  # kind, length of the content
 _END, _CHUNK, _LAST_KIND = 0, 2, 3
-# fields of a chunk's message, and what some of their values mean
+# field numbers of a chunk's message, and some of their values
 _STORE, _PACKING, _SIZE, _PAYLOAD = 1, 2, 3, 5
 _RECORDING, _LZ4 = 1, 2
 END_OF_FILE = _MESSAGE.pack(_END, 0)
@@ -42,21 +42,21 @@ _IMAGE, _IMAGE_WITHIN = b"Encoded", 2048
 
 _DAMAGED = (
     *(pa.ArrowException, ValueError, TypeError, LookupError, AttributeError, OSError, MemoryError),
-    StopIteration,  # of a stream without a batch
+    StopIteration,  # from a stream without a batch
 )
-"""What unpacking bytes that make no sense can raise."""
+"""Exceptions that unpacking invalid bytes can cause."""
 
 
 @dataclass
 class Columns:
-    """What a file holds, but for images.
+    """The content of a file, except images.
 
     Attributes:
         properties: Values by property and component name.
-        values: By (entity, component): frame numbers (N,) and a value each, (N, …), as stored.
-        texts: Of the text log: (frame or None, time or None, {component: value}).
-        logged: By entity, of those logged now and then: (frame, {component: values}).
-        damage: What is wrong with the file; None where it is whole.
+        values: By (entity, component): frame numbers (N,) and values (N, …) as stored.
+        texts: Entries of the text log: (frame or None, time or None, {component: value}).
+        logged: By entity, for entities logged occasionally: (frame, {component: values}).
+        damage: Description of the damage; None if the file is whole.
     """
 
     properties: dict[str, dict[str, list[Any]]] = field(default_factory=dict)
@@ -67,10 +67,10 @@ class Columns:
 
 
 def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
-    """Everything of the entities wanted.
+    """Reads all data of the wanted entities.
 
     Raises:
-        RecordingError: The file cannot be read, or is no such file.
+        RecordingError: The file cannot be read, or is not an .rrd file.
     """
     found = Columns()
     parts: dict[tuple[str, str], list[tuple[NDArray[np.int64], NDArray[Any]]]] = {}
@@ -79,7 +79,7 @@ def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
             if wanted(entity):
                 _take(entity, batch, found, parts)
         found.damage = file.damage
-    while parts:  # one after the other, so that an hour is not held twice
+    while parts:  # one by one, so that a long session is not in memory twice
         key, pieces = parts.popitem()
         shape = pieces[0][1].shape[1:]
         fitting = [p for p in pieces if p[1].shape[1:] == shape and p[1].dtype == pieces[0][1].dtype]
@@ -91,13 +91,13 @@ def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
 
 
 class RrdFile:
-    """The messages of a file, as many as there are when it is opened.
+    """The messages that a file has at the time of opening.
 
     Attributes:
-        damage: What was found to be wrong so far; None where nothing was.
+        damage: Description of the damage found so far; None if there is none.
 
     Raises:
-        RecordingError: It cannot be read, or is no such file.
+        RecordingError: The file cannot be read, or is not an .rrd file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -110,7 +110,7 @@ class RrdFile:
             with path.open("rb") as file:
                 start = file.read(_FILE_HEADER)
                 if start[:4] != _MAGIC:
-                    raise RecordingError(f"{path} is no session: it does not begin as an .rrd file does.")
+                    raise RecordingError(f"{path} is not a session: it does not begin like an .rrd file.")
                 self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except FileNotFoundError:
             raise RecordingError(f"No session {path}.") from None
@@ -126,13 +126,13 @@ class RrdFile:
         self._data.close()
 
     def messages(self) -> Iterator[tuple[int, int, int]]:
-        """Kind, beginning and end of each message's content, up to the end or the first that is not whole."""
-        at, size = _FILE_HEADER, len(self._data)
-        while at + _MESSAGE.size <= size:
-            kind, length = _MESSAGE.unpack_from(self._data, at)
-            begin, end = at + _MESSAGE.size, at + _MESSAGE.size + length
+        """Kind, start and end of each message's content, up to the end or the first incomplete message."""
+        offset, size = _FILE_HEADER, len(self._data)
+        while offset + _MESSAGE.size <= size:
+            kind, length = _MESSAGE.unpack_from(self._data, offset)
+            begin, end = offset + _MESSAGE.size, offset + _MESSAGE.size + length
             if kind > _LAST_KIND:
-                self._wrong(f"byte {at} is damaged")
+                self._wrong(f"byte {offset} is damaged")
                 return
             if end > size:
                 self._wrong(f"it is cut off at byte {size}")
@@ -140,14 +140,14 @@ class RrdFile:
             yield kind, begin, end
             if kind == _END:
                 return
-            at = end
+            offset = end
         self._wrong("it was not ended")
 
     def chunks(self, images: bool) -> Iterator[tuple[str, pa.RecordBatch]]:
-        """Entity and content of each chunk of the recording, in the order they were written.
+        """Entity and content of each chunk of the recording, in the order of writing.
 
         Args:
-            images: With depth images; those need not even be unpacked where they are not wanted.
+            images: Whether to include depth images. If not, they are not decompressed.
         """
         for kind, begin, end in self.messages():
             if kind != _CHUNK:
@@ -164,7 +164,7 @@ class RrdFile:
                 yield chunk
 
     def unread(self, entity: str) -> int:
-        """How many of the chunks asked for could not be unpacked and seem to be of an entity."""
+        """Number of requested chunks that could not be unpacked and seem to belong to an entity."""
         path = entity.encode()
         return sum(
             self._data.find(path, begin, min(begin + _IMAGE_WITHIN, end)) >= 0 for begin, end in self._unread
@@ -175,10 +175,10 @@ class RrdFile:
 
 
 def damage_of(path: Path) -> str | None:
-    """What is wrong with how a file ends; None where it is whole.
+    """Description of a damaged end of a file; None if the file is whole.
 
     Raises:
-        RecordingError: It cannot be read, or is no such file.
+        RecordingError: The file cannot be read, or is not an .rrd file.
     """
     with RrdFile(path) as file:
         for _ in file.messages():
@@ -187,24 +187,24 @@ def damage_of(path: Path) -> str | None:
 
 
 def without_footer(rrd: bytes, with_header: bool) -> memoryview:
-    """The messages of a whole ``.rrd`` in memory, to be followed by more.
+    """The messages of a whole ``.rrd`` in memory, so that more messages can follow.
 
-    Rerun's binary stream gives a whole file, header and footer, each time it is read.
+    Rerun's binary stream returns a whole file with header and footer at each read.
     """
-    at = _FILE_HEADER
-    while at < len(rrd):
-        kind, length = _MESSAGE.unpack_from(rrd, at)
+    offset = _FILE_HEADER
+    while offset < len(rrd):
+        kind, length = _MESSAGE.unpack_from(rrd, offset)
         if kind == _END:
             break
-        at += _MESSAGE.size + length
-    return memoryview(rrd)[0 if with_header else _FILE_HEADER : at]
+        offset += _MESSAGE.size + length
+    return memoryview(rrd)[0 if with_header else _FILE_HEADER : offset]
 
 
 def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:
-    """Entity and content of a chunk; None where it belongs to a blueprint.
+    """Entity and content of a chunk; None if the chunk belongs to a blueprint.
 
     Raises:
-        Exception: One of _DAMAGED where it is damaged.
+        Exception: One of _DAMAGED, if the chunk is damaged.
     """
     fields = _fields(message)
     if _fields(fields[_STORE]).get(1) != _RECORDING:
@@ -225,7 +225,8 @@ def _unpack(message: bytes) -> tuple[str, pa.RecordBatch] | None:
 
 
 def _decode_names(of: pa.DataType) -> None:
-    """Raises UnicodeDecodeError for a name of a field within fields that is no text; validation does not."""
+    """Raises UnicodeDecodeError for a nested field name that is not text; Arrow's validation does not check
+    this."""
     for k in range(of.num_fields):
         within = of.field(k)
         str(within.name)
@@ -233,23 +234,23 @@ def _decode_names(of: pa.DataType) -> None:
 
 
 def _fields(message: bytes) -> dict[int, Any]:
-    """The fields of a protobuf message by number: an int or bytes each."""
+    """The fields of a protobuf message by number; each value is an int or bytes."""
     fields: dict[int, Any] = {}
-    at = 0
-    while at < len(message):
-        tag, at = _varint(message, at)
+    offset = 0
+    while offset < len(message):
+        tag, offset = _varint(message, offset)
         wire = tag & 7
         if wire == 0:
-            fields[tag >> 3], at = _varint(message, at)
+            fields[tag >> 3], offset = _varint(message, offset)
             continue
         if wire == 2:
-            length, at = _varint(message, at)
+            length, offset = _varint(message, offset)
         else:
             length = {1: 8, 5: 4}[wire]
-        if at + length > len(message):
+        if offset + length > len(message):
             raise ValueError("a field is longer than its message")
-        fields[tag >> 3] = message[at : at + length]
-        at += length
+        fields[tag >> 3] = message[offset : offset + length]
+        offset += length
     return fields
 
 
@@ -310,7 +311,7 @@ def _texts(batch: pa.RecordBatch) -> list[tuple[int | None, int | None, dict[str
             return [None] * batch.num_rows
         values = batch.column(name)
         if pa.types.is_duration(values.type) or pa.types.is_timestamp(values.type):
-            values = values.cast(pa.int64())  # nanoseconds as Python's own times only pandas can make
+            values = values.cast(pa.int64())  # without pandas, Arrow makes no Python times of ns
         return list(values.to_pylist())
 
     rows = {name: column(name) for name in batch.schema.names[1:]}
@@ -322,7 +323,7 @@ def _texts(batch: pa.RecordBatch) -> list[tuple[int | None, int | None, dict[str
 
 
 def _fields_of(name: str, column: pa.Array) -> Iterator[tuple[str, pa.Array]]:
-    """A column of structs as ``name.field`` each; any other as it is."""
+    """Splits a column of structs into ``name.field`` columns; yields any other column unchanged."""
     if not (pa.types.is_list(column.type) and pa.types.is_struct(column.type.value_type)):
         yield name, column
     elif column.null_count == 0 and column.values.null_count == 0:
@@ -332,9 +333,9 @@ def _fields_of(name: str, column: pa.Array) -> Iterator[tuple[str, pa.Array]]:
 
 
 def _dense(column: pa.Array) -> NDArray[Any] | None:
-    """(N, …) of a list column whose rows are of one length; None where they are not, or are no numbers.
+    """(N, …) values of a list column; None if its rows differ in length or are not numbers.
 
-    Of names in a dictionary, their places in it.
+    For a dictionary of names the values are the indices.
     """
     shape = [len(column)]
     if pa.types.is_list(column.type) or pa.types.is_large_list(column.type):

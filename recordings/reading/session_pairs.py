@@ -1,4 +1,4 @@
-"""A session's frames as pairs of sensor frames: a session is a source like any other."""
+"""A session's frames as pairs of sensor frames, so that a session can serve as a source."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from recordings import layout
 from recordings.session_arrays import SessionArrays
 
 PERSON = "0"
-"""The id of the one person of a session, as a source of pairs."""
+"""The id of the only person in the pairs of a session."""
 
 
 def recorded_pairs(
     rows: SessionArrays, depth: Mapping[str, Iterable[tuple[int, NDArray[np.uint16]]]]
 ) -> Iterator[FramePair]:
-    """The pairs as the sensors gave them.
+    """The pairs as given by the sensors.
 
     Args:
         rows: The frames.
-        depth: By side, depth images with the numbers of their frames, in order.
+        depth: Depth images with their frame numbers by side, in order.
     """
     images = {side: iter(given) for side, given in depth.items()}
     ahead = {side: next(images[side], None) for side in layout.SIDES}

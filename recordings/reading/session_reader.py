@@ -1,4 +1,4 @@
-"""A session of what its file holds, checked."""
+"""Builds a session from the checked content of its file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def read_session(path: Path) -> Session:
     about = checked_properties(path, found)
     name = about["session"]["body"][0]
     if name not in BODIES:
-        raise RecordingError(f"{path} is of an unknown body {name!r}. Known: {', '.join(BODIES)}.")
+        raise RecordingError(f"{path} has an unknown body {name!r}. Known: {', '.join(BODIES)}.")
     calibrations = calibrations_of(path, BODIES[name], found)
     rows, checks, lost = frames_of(BODIES[name], calibrations, found)
     used = [number < max(len(rows), 1) for number, _ in calibrations]

@@ -1,4 +1,4 @@
-"""The frames of a session's file: the first ones that are there, whole, and match their checksums."""
+"""The frames of a session's file up to the first one that is missing, incomplete or fails its checksum."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ _JOINT_DIGESTS = layout.QUALITY, layout.JOINT_DIGESTS
 def frames_of(
     body: Body, calibrations: list[tuple[int, Calibration]], found: Columns
 ) -> tuple[SessionArrays, FusedChecks, int]:
-    """The frames before the first that is missing or damaged, checks of their S*, how many are lost."""
+    """The frames before the first missing or damaged one, the checks of their S*, and the number of lost
+    frames."""
     groups = _groups(found)
     stored: dict[tuple[str, str], tuple[int, type[np.generic]]] = {
         key: (sum(spec.width(body) for _, spec in specs), specs[0][1].stored) for key, specs in groups.items()
@@ -37,13 +38,13 @@ def frames_of(
         counts.append(len(values))
     written, n = max(counts), min(counts)
     figures: dict[str, Any] = {}
-    with np.errstate(invalid="ignore"):  # damaged numbers are found below
+    with np.errstate(invalid="ignore"):  # damaged numbers are detected below
         for key, specs in groups.items():
-            at = 0
+            column = 0
             for name, spec in specs:
                 width = spec.width(body)
-                figures[name] = spec.from_file(body, columns[key][:n, at : at + width])
-                at += width
+                figures[name] = spec.from_file(body, columns[key][:n, column : column + width])
+                column += width
         rows = SessionArrays(body, _targets(calibrations, n), np.arange(n), columns[_TIME][:n, 0], **figures)
     if n:
         fits = frame_checksums(rows) == columns[_FRAME_CRC][:n, 0]
@@ -52,7 +53,7 @@ def frames_of(
 
 
 def _groups(found: Columns) -> dict[tuple[str, str], list[tuple[str, FrameField]]]:
-    """The figures by the component that has them, in their order in it; without those the file lacks."""
+    """The figures by component, in storage order; without figures that the file lacks."""
     groups: dict[tuple[str, str], list[tuple[str, FrameField]]] = {}
     for name, spec in FRAME_FIELDS.items():
         key = spec.entity, spec.component
@@ -62,7 +63,7 @@ def _groups(found: Columns) -> dict[tuple[str, str], list[tuple[str, FrameField]
 
 
 def _consecutive(found: Columns, key: tuple[str, str], width: int, kind: type[np.generic]) -> NDArray[Any]:
-    """(N, width) the values of frames 0 to N - 1, up to the first frame that is missing."""
+    """(N, width) values of frames 0 to N - 1, up to the first missing frame."""
     frames, values = found.values.get(key, (np.empty(0, np.int64), np.empty((0, width), kind)))
     if values.dtype != kind or values.size != len(frames) * width:
         return np.empty((0, width), kind)
@@ -73,7 +74,7 @@ def _consecutive(found: Columns, key: tuple[str, str], width: int, kind: type[np
 
 
 def _targets(calibrations: list[tuple[int, Calibration]], frames: int) -> NDArray[np.float64]:
-    """(T, J) the bone lengths each frame was fused with."""
+    """(T, J) bone lengths used for the fusion of each frame."""
     firsts = [first for first, _ in calibrations]
     lengths = np.array([calibration.bone_lengths for _, calibration in calibrations])
     return np.asarray(lengths[np.searchsorted(firsts, np.arange(frames), side="right") - 1])

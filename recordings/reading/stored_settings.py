@@ -1,4 +1,4 @@
-"""What a session's file says besides its frames: properties, settings, calibrations and events, checked."""
+"""Checked content of a session's file besides frames: properties, settings, calibrations and events."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def checked_properties(path: Path, found: Columns) -> dict[str, dict[str, list[A
         if found.damage is not None:
             raise RecordingError(f"{path} is damaged before its first frame: {found.damage}.")
         raise RecordingError(
-            f"{path} is a Rerun recording, but no session of duplex-kinects: its properties are missing."
+            f"{path} is a Rerun recording, but not a session of duplex-kinects: its properties are missing."
         )
     version, writer = session["layout_version"], session.get("written_by", ["another version"])
     if version[0] not in layout.READABLE_VERSIONS:
@@ -46,7 +46,7 @@ def checked_properties(path: Path, found: Columns) -> dict[str, dict[str, list[A
 
 
 def calibrations_of(path: Path, body: Body, found: Columns) -> list[tuple[int, Calibration]]:
-    """Each with the frame it begins at, in order."""
+    """Each calibration with its first frame, in order."""
     at: dict[int, Calibration] = {}
     for frame, of in found.logged.get(layout.CALIBRATION, []):
         check = of.pop("calibration_crc32", None)
@@ -74,7 +74,7 @@ def calibrations_of(path: Path, body: Body, found: Columns) -> list[tuple[int, C
 
 
 def settings_of(of: dict[str, list[Any]]) -> FuserSettings:
-    """The settings of a session; version 0.1 knew the paper's method only, with two solvers for its bones."""
+    """The settings of a session. Version 0.1 had only the paper's method, with two solvers for the bones."""
     if "solver" in of:
         method = "published" if of["solver"][0] == "paper" else "paper"
         of = {"method": [method], **{name: value for name, value in of.items() if name != "solver"}}
@@ -85,7 +85,7 @@ def settings_of(of: dict[str, list[Any]]) -> FuserSettings:
     try:
         return FuserSettings(**{name: value[0] for name, value in of.items()})
     except FusionError as error:
-        raise RecordingError(f"The session's settings cannot be followed: {error}") from None
+        raise RecordingError(f"The session's settings are not valid: {error}") from None
 
 
 def camera_of(values: list[float]) -> Intrinsics:

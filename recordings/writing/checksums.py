@@ -1,7 +1,7 @@
-"""Checksums of frames and properties: Rerun's file format notices few flipped bits, so these do.
+"""Checksums of frames and properties. Rerun's file format itself detects few flipped bits.
 
-A frame's checksum covers every number that a :class:`recordings.session.Session` reads back of it, in the
-precision it is stored in.
+A frame's checksum covers every number that :class:`recordings.session.Session` reads back, in the stored
+precision.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from recordings.session_arrays import SessionArrays
 
-_BLOCK = 4096  # frames looked at together, which for a moment take three times their room
+_BLOCK = 4096  # frames per step, which temporarily need three times their memory
 FRAME_CRC, FUSED_CRC = "figures.frame_crc32", "figures.fused_crc32"
 """Components of layout.QUALITY: :func:`frame_checksums` and :func:`fused_checksums`."""
 FusedChecks = tuple[NDArray[np.uint32], NDArray[np.uint8]]
@@ -24,7 +24,7 @@ FusedChecks = tuple[NDArray[np.uint32], NDArray[np.uint8]]
 
 
 def frame_checksums(rows: SessionArrays) -> NDArray[np.uint32]:
-    """(T,) CRC-32 of everything a frame stores; a NaN is a NaN, whatever its payload."""
+    """(T,) CRC-32 of all stored values of a frame; all NaN payloads count as equal."""
     body = rows.body
     checks = np.empty(len(rows), dtype=np.uint32)
     for first in range(0, len(rows), _BLOCK):
@@ -35,14 +35,14 @@ def frame_checksums(rows: SessionArrays) -> NDArray[np.uint32]:
 
 
 def fused_checksums(fused: NDArray[np.float64]) -> NDArray[np.uint32]:
-    """(T,) CRC-32 of (T, J, 3) S* in float64, of which the file keeps float32 only."""
+    """(T,) CRC-32 of S* (T, J, 3) in float64; the file stores only float32."""
     return _checksums(fused)
 
 
 def joint_digests(fused: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """(T, J) a byte for each joint of (T, J, 3) S* in float64: which of a frame's joints is another.
+    """(T, J) one digest byte per joint of S* (T, J, 3) in float64, to find the joints that differ.
 
-    Of 256 changes one goes unnoticed, which the frame's own checksum notices.
+    A digest misses one change in 256; the checksum of the frame detects it.
     """
     bits = np.where(np.isnan(fused), np.nan, fused).view(np.uint64)
     mixed = (bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0xD6E8FEB86659FD93], np.uint64)).sum(
@@ -52,7 +52,7 @@ def joint_digests(fused: NDArray[np.float64]) -> NDArray[np.uint8]:
 
 
 def properties_checksum(properties: Mapping[str, Mapping[str, Any]]) -> int:
-    """CRC-32 of names and values; an array and a list of its values are the same."""
+    """CRC-32 of names and values; an array and an equal list give the same checksum."""
 
     def plain(value: Any) -> Any:
         values = np.atleast_1d(np.asarray(value)).ravel().tolist()
@@ -65,12 +65,12 @@ def properties_checksum(properties: Mapping[str, Mapping[str, Any]]) -> int:
 
 
 def image_checksum(frame: int, blob: bytes) -> int:
-    """CRC-32 of an encoded image and the number of its frame."""
+    """CRC-32 of an encoded image and its frame number."""
     return crc32(blob, crc32(frame.to_bytes(8, "little", signed=True)))
 
 
 def event_checksum(at: tuple[int, int], text: str, level: str, *spell: str) -> int:
-    """CRC-32 of an event: number and time (ns) of its frame, what, how bad; topic and phase of a spell."""
+    """CRC-32 of an event: frame number and time (ns), text, level; topic and phase of a spell."""
     return crc32("\0".join(map(str, (*at, text, level, *spell))).encode())
 
 

@@ -1,8 +1,8 @@
-"""What a frame is in a session: which entities it has, and which values in which precision.
+"""The entities of a frame in a session, with their values and precision.
 
-An entity's row costs 15 bytes for its number and times, and each column 4 more, whatever is in them: so
-values that belong together share an entity, and where there are many of them a struct. Names are stored as
-dictionaries, which are numbers for the file and words for the person who clicks a joint.
+A row of an entity costs 15 bytes for frame number and time, and each column 4 more bytes. Therefore related
+values share an entity, and many of them share a struct. Names are stored as dictionaries: the file holds
+numbers, and the viewer shows words when a joint is clicked.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from recordings.writing.checksums import (
 )
 from recordings.writing.shown_figures import SHOWN_FIGURES
 
-_BONES_EVERY = 2  # frames, of the plots; S_A, S_B and S* themselves are there every frame
+_BONES_EVERY = 2  # plot every second frame; S_A, S_B and S* are logged every frame
 
 
 @dataclass(frozen=True)
 class FrameStream:
-    """What one entity has over some frames.
+    """The data of one entity over some frames.
 
     Attributes:
-        entity: Its path.
+        entity: The entity path.
         rows: The frames.
-        archetype: What a viewer draws, with ``values[field]`` (T, n, …), or (T, …) where n is None.
-        data: Components by name: n values for each of the T frames, one after the other.
+        archetype: The drawn archetype, with ``values[field]`` (T, n, …), or (T, …) if n is None.
+        data: Components by name: n values for each of the T frames, as a flat array.
     """
 
     entity: str
@@ -50,7 +50,7 @@ class FrameStream:
     data: dict[str, pa.Array] | None = None
 
     def of_first(self) -> list[Any]:
-        """What is logged for the first frame."""
+        """The data to log for the first frame."""
         logged = []
         if self.archetype is not None:
             logged.append(self.archetype(**{name: values[0] for name, values in self.values[0].items()}))
@@ -60,7 +60,7 @@ class FrameStream:
         return logged
 
     def columns(self) -> list[Any]:
-        """What is sent for all frames."""
+        """The data to send for all frames."""
         frames = len(self.rows)
         sent: list[Any] = []
         values, each = self.values
@@ -69,18 +69,20 @@ class FrameStream:
         elif self.archetype is not None:
             flat = {name: of.reshape(-1, *of.shape[2:]) for name, of in values.items()}
             sent += self.archetype.columns(**flat).partition([each] * frames)
-        for name, of in (self.data or {}).items():  # AnyValues' own way takes every value through Python
+        for name, of in (
+            self.data or {}
+        ).items():  # AnyValues itself would convert every value through Python
             ends = np.arange(frames + 1, dtype=np.int32) * np.int32(len(of) // frames)
             sent.append(rr.ComponentColumn(name, rr.AnyBatchValue(name, of), offsets=ends))
         return sent
 
 
 def frame_streams(rows: SessionArrays, checks: FusedChecks | None = None) -> Iterator[FrameStream]:
-    """Everything that is logged per frame: recorded figures, then what is derived from them for the viewer.
+    """All data logged per frame: the recorded figures, then figures derived for the viewer.
 
     Args:
         rows: The frames, one or more.
-        checks: Of S*, where `rows` have it from a file, in float32.
+        checks: Checks of S* in float64, if `rows` come from a file in float32.
     """
     drawn: dict[str, dict[str, NDArray[Any]]] = {}  # by entity and "archetype:argument"
     data: dict[str, dict[str, pa.Array]] = {}  # by entity and component
@@ -114,7 +116,7 @@ def frame_streams(rows: SessionArrays, checks: FusedChecks | None = None) -> Ite
 def _stream(
     entity: str, rows: SessionArrays, drawn: dict[str, NDArray[Any]], data: dict[str, pa.Array]
 ) -> FrameStream:
-    """One entity's columns; those named ``struct.field`` become fields of one struct."""
+    """The columns of one entity; columns named ``struct.field`` become fields of one struct."""
     components: dict[str, pa.Array] = {}
     structs: dict[str, dict[str, pa.Array]] = {}
     for name, values in data.items():
@@ -134,10 +136,11 @@ def _stream(
 
 
 def _bones(rows: SessionArrays) -> pa.Array:
-    """[S_A, S_B, S*, target] of every bone, in float16: 0.25 mm at a thigh's length."""
+    """[S_A, S_B, S*, target] lengths of each bone in float16, whose step is 0.25 mm at the length of a
+    thigh."""
     lengths = np.concatenate([rows.bone_length_of_each, rows.bone_lengths[None]])  # (4, T, J)
     bones = {rows.body.bones[j]: lengths[:, :, j].T.astype(np.float16) for j in rows.body.bone_joints}
-    # a viewer plots float16 only of a struct in which something else is a number too
+    # the viewer plots float16 only if the struct has another numeric field
     return _struct({"of": np.tile(np.arange(len(lengths), dtype=np.uint8), len(rows)), **bones})
 
 

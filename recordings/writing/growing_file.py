@@ -1,4 +1,4 @@
-"""A session's file that can be read while it grows, and is whole but for its last block whenever it ends."""
+"""A session file that is readable while it grows; an interruption loses at most the last block."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _READ_WITHIN = 10.0
 
 
 class Blocks:
-    """What is logged to a recording stream, as blocks that make an ``.rrd`` file when laid end to end.
+    """The data logged to a recording stream, as blocks that form an ``.rrd`` file when concatenated.
 
     Args:
-        stream: Which must have no sink yet.
+        stream: The stream; it must not have a sink yet.
     """
 
     def __init__(self, stream: rr.RecordingStream) -> None:
@@ -28,7 +28,7 @@ class Blocks:
         self._begun = False
 
     def take(self) -> memoryview:
-        """The next block: everything that was logged since the one before."""
+        """Returns the next block: all data logged since the previous block."""
         written = self._bytes.read(flush=True, flush_timeout_sec=_READ_WITHIN)
         if not written:
             return memoryview(b"")
@@ -36,18 +36,18 @@ class Blocks:
         return without_footer(written, with_header=not begun)
 
     def close(self) -> None:
-        """Lets the stream go; what was not taken is lost, without Rerun's warning that it is."""
+        """Releases the stream. Data not yet taken is lost; Rerun's warning about it is suppressed."""
         self._stream.disconnect()
         self._bytes.read(flush=False)
 
 
 class GrowingFile:
-    """A file that gets its name with the first block; one that had the name stays until then.
+    """A file that appears under its name with the first block; an existing file stays until then.
 
     Args:
         path: The file.
-        stream: What is logged to it is written; it must have no sink yet.
-        overwrite: Whether one of that name may be replaced.
+        stream: The stream whose data is written; it must not have a sink yet.
+        overwrite: Whether an existing file may be replaced.
     """
 
     def __init__(self, path: Path, stream: rr.RecordingStream, overwrite: bool = False) -> None:
@@ -60,14 +60,14 @@ class GrowingFile:
 
     @property
     def begun(self) -> bool:
-        """Whether the file is there."""
+        """Whether the file exists under its name."""
         return self._file is not None
 
     def write(self) -> None:
-        """Writes what was logged since the last call.
+        """Writes the data logged since the last call.
 
         Raises:
-            OSError: It is not written; what was written before is whole. Do not write more.
+            OSError: The data is not written. Earlier data is intact. Do not write more.
         """
         block = self._blocks.take()
         try:
@@ -83,10 +83,10 @@ class GrowingFile:
         self._size += len(block)
 
     def close(self) -> None:
-        """Ends the file; what was not written is lost. Closing twice is harmless.
+        """Ends the file. Data not yet written is lost. Closing twice has no effect.
 
         Raises:
-            OSError: Its end is not written.
+            OSError: The end of the file could not be written.
         """
         self._blocks.close()
         file, self._file = self._file, None
@@ -127,18 +127,18 @@ class GrowingFile:
 
 
 def partial_beside(path: Path) -> Path:
-    """A hidden name in the same folder, which no other process takes, for what is to become `path`.
+    """A unique hidden name in the same folder, for a temporary file that becomes `path`.
 
-    It has the file's own ending, in small letters: ezc3d adds that to any other.
+    It has the suffix of `path` in lower case, because ezc3d appends the suffix to any other name.
     """
     return path.with_name(f".{crc32(path.name.encode()):08x}.{os.getpid()}.partial{path.suffix.lower()}")
 
 
 def _write_whole(file: FileIO, block: bytes | memoryview, at: int) -> None:
-    """Writes a block at the end, which is `at`, or nothing of it.
+    """Writes a block at offset `at`, the end of the file, completely or not at all.
 
     Raises:
-        OSError: It does not fit, say.
+        OSError: The block cannot be written, for example on a full disk.
     """
     rest = memoryview(block)
     try:

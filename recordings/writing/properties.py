@@ -1,4 +1,4 @@
-"""A session's properties: what a replay needs, and what a person asks of a file."""
+"""A session's properties: the data for a replay, and facts about the recording."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from recordings import layout
 def session_properties(
     setup: FusionSetup, sources: tuple[str, str], about: Mapping[str, str | int]
 ) -> dict[str, dict[str, Any]]:
-    """By group and name.
+    """The properties by group and name.
 
     Args:
-        setup: Of the session's first frame.
-        sources: What the sensors are called, K_A first.
-        about: More to say of the session's origin.
+        setup: The setup of the session's first frame.
+        sources: Names of the sensors, K_A first.
+        about: Additional properties about the session's origin.
     """
     return {
         "session": {
@@ -40,7 +40,7 @@ def session_properties(
 
 
 def as_lists(properties: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, list[Any]]]:
-    """Properties as a file gives them back: a list each."""
+    """Properties as read from a file: each value is a list."""
     return {
         group: {name: np.atleast_1d(np.asarray(value)).tolist() for name, value in values.items()}
         for group, values in properties.items()

@@ -1,7 +1,6 @@
-"""Every log call. What never changes is logged once; frames go out one by one (live) or by columns (offline).
+"""All log calls. Constant data is logged once; frames are logged one by one (live) or by columns (offline).
 
-Both ways give the same layout, because both come from the same list of what a frame is:
-:mod:`recordings.writing.frame_streams`.
+Both ways give the same layout, because both use :mod:`recordings.writing.frame_streams`.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ from recordings.writing.properties import session_properties
 from recordings.writing.sensor_stream_log import StreamFiguresLog
 
 _MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
-"""How often a page of the matrix of trust is drawn before it is whole: for eyes that wait, and for a file
-that may be cut off."""
+"""Interval between drawings of an incomplete page of the trust matrix, for live viewing and for files that
+may be cut off."""
 _STATE_CHANGES = tuple(rr.StateChange(state=name) for name in layout.STATE_NAMES)
 
 
@@ -39,13 +38,13 @@ class Recorder:
     """Writes one session to a Rerun recording stream, which the caller owns and closes.
 
     Args:
-        stream: Where to log to; its sinks decide whether that is a viewer, a file or both.
-        setup: Settings, calibration and cameras, which the session keeps.
-        sources: What the sensors are called, K_A first.
-        depth_every: Keep the depth images of every so many pairs; 0 for none.
-        about: More to say of the session's origin, kept among its properties.
-        start_ns: When the session began; with the first frame recorded here where None.
-        points: Whether a depth image is shown as a point cloud too.
+        stream: The stream; its sinks are a viewer, a file or both.
+        setup: Settings, calibration and cameras, stored with the session.
+        sources: Names of the sensors, K_A first.
+        depth_every: Keep the depth images of every n-th pair; 0 for none.
+        about: Additional properties about the session's origin.
+        start_ns: Start time of the session; None: the time of the first recorded frame.
+        points: Whether to log depth images as point clouds too.
     """
 
     def __init__(
@@ -79,11 +78,11 @@ class Recorder:
             stream.send_property(name, rr.AnyValues(**values))
         stream.send_property("check", rr.AnyValues(crc32=properties_checksum(properties)))
         self.recalibrated(setup)
-        # what a reader needs first must stand first in the file; columns would overtake it
+        # data that a reader needs first must come first in the file; columns would overtake it
         stream.flush(timeout_sec=0.0)
 
     def recalibrated(self, setup: FusionSetup) -> None:
-        """Keeps the calibration with which the frames that follow are fused, by a new setup."""
+        """Logs the calibration of a new setup, which applies to the following frames."""
         calibration = self._calibration = setup.calibration
         registration = calibration.registration
         values: dict[str, Any] = {
@@ -104,7 +103,7 @@ class Recorder:
         self._stream.log(layout.CALIBRATION, rr.AnyValues(**values, calibration_crc32=check))
 
     def record(self, frame: RecordedFrame) -> None:
-        """Logs one frame at once, for live use."""
+        """Logs one frame immediately, for live use."""
         rows = self._stack([frame], None)
         self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
         for stream in frame_streams(rows):
@@ -116,14 +115,14 @@ class Recorder:
     def record_all(
         self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None = None
     ) -> SessionArrays:
-        """Logs many frames by columns; may be called again with the frames that follow.
+        """Logs many frames by columns; may be called again for the following frames.
 
         Args:
-            frames: In time order, at least one.
-            numbers: Of the frames, where some were left out; else they are counted.
+            frames: At least one frame, in time order.
+            numbers: Frame numbers, if frames were left out. None: consecutive numbers.
 
         Returns:
-            What was logged.
+            The logged arrays.
         """
         rows = self._stack(frames, numbers)
         self.record_rows(rows)
@@ -131,11 +130,11 @@ class Recorder:
         return rows
 
     def record_rows(self, rows: SessionArrays, checks: FusedChecks | None = None) -> None:
-        """Logs frames that are arrays already, under the numbers and times they have.
+        """Logs frames given as arrays, with their own numbers and times.
 
         Args:
             rows: The frames.
-            checks: Of S*, where `rows` have it from a file, in float32.
+            checks: Checks of S* in float64, if `rows` come from a file in float32.
         """
         timed, times = rows, _times(rows)
         for stream in frame_streams(rows, checks):
@@ -147,7 +146,7 @@ class Recorder:
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
 
     def record_images(self, number: int, frame: RecordedFrame) -> None:
-        """Logs the images of a frame, in time order; where it is recorded after that, it is to have none."""
+        """Logs the images of a frame, in time order. The frame must be recorded later without images."""
         time_ns = frame.pair.time_ns - self._begun_by(frame)
         if self._depth_every == 0 or number % self._depth_every:
             return
@@ -158,7 +157,7 @@ class Recorder:
                 self.record_color(side, number, time_ns, seen.color)
 
     def record_depth(self, side: str, frame: int, time_ns: int, depth: NDArray[np.uint16]) -> None:
-        """Logs a depth image: (height, width) millimetres, without loss."""
+        """Logs a depth image losslessly: (height, width) millimetres."""
         blob = encode_depth(depth)
         self._set_time(frame, time_ns)
         self._stream.log(
@@ -183,13 +182,13 @@ class Recorder:
         phase: Phase = "moment",
         at: tuple[int, int] | None = None,
     ) -> None:
-        """Logs what happened, at the time of the last frame.
+        """Logs an event at the time of the last frame.
 
         Args:
-            text: What.
-            level: How bad: INFO, WARN or ERROR.
-            topic, phase: Of a spell that begins or ends; see :class:`recordings.events.Event`.
-            at: Number and time (ns since the first pair) of the frame meant, where it is not the last.
+            text: What happened.
+            level: INFO, WARN or ERROR.
+            topic, phase: Topic and phase of a spell; see :class:`recordings.events.Event`.
+            at: Number and time (ns since the first pair) of the frame; None: the last frame.
         """
         at = at or self._last or (self._frames, 0)
         self._set_time(*at)
@@ -199,18 +198,18 @@ class Recorder:
         self._stream.log(layout.EVENTS, rr.TextLog(text, level=level), values)
 
     def coach(self, page: CoachPage) -> None:
-        """Logs what to do next, at the time of the last frame."""
+        """Logs the coach's page at the time of the last frame."""
         self._set_time(*(self._last or (0, 0)))
         for entity, what in page.entities():
             self._stream.log(entity, what)
 
     def finish(self) -> None:
-        """Says that the session is whole; a reader takes one without this for cut off."""
+        """Marks the session as complete; a reader treats a session without this mark as cut off."""
         self._log_matrix(self._matrix.rest())
         self._stream.send_property("end", rr.AnyValues(frames=self._frames))
 
     def _log_sensors(self, frames: Sequence[RecordedFrame], rows: SessionArrays) -> None:
-        """What sensors give beside skeletons."""
+        """Logs sensor data other than skeletons."""
         for frame, number, time_ns in zip(frames, rows.frame.tolist(), rows.time_ns.tolist(), strict=True):
             if frame.streams is not None:
                 self._figures.record(number, time_ns, frame.streams)
@@ -234,26 +233,28 @@ class Recorder:
         return rows
 
     def _begun_by(self, frame: RecordedFrame) -> int:
-        """When the session began: no later than with this frame."""
+        """The start time of the session; set by this frame if it is the first."""
         if self._start_ns is None:
             self._start_ns = frame.pair.time_ns
         return self._start_ns
 
     def _explain(self, rows: SessionArrays) -> None:
-        """What is not logged every frame: the trust matrix, and tracking states where they change."""
+        """Logs data that is not logged every frame: the trust matrix, and changes of tracking states."""
         self._log_matrix(self._matrix.add(rows))
         for side, joint, changes in self._lanes.add(rows):
             lane = layout.state_lane(side, rows.body.joints[joint])
-            if len(rows) == len(changes) == 1:  # as columns it takes thrice the time
+            if len(rows) == len(changes) == 1:  # columns would take three times as long
                 self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
                 self._stream.log(lane, _STATE_CHANGES[changes[0][1]])
                 continue
-            at = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
+            places = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
             self._stream.send_columns(
                 lane,
                 [
-                    rr.TimeColumn(layout.FRAME, sequence=[frame for frame, _ in at]),
-                    rr.TimeColumn(layout.TIME, duration=np.array([ns for _, ns in at], "timedelta64[ns]")),
+                    rr.TimeColumn(layout.FRAME, sequence=[frame for frame, _ in places]),
+                    rr.TimeColumn(
+                        layout.TIME, duration=np.array([ns for _, ns in places], "timedelta64[ns]")
+                    ),
                 ],
                 rr.StateChange.columns(state=[layout.STATE_NAMES[state] for _, state in changes]),
             )

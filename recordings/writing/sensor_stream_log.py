@@ -1,4 +1,4 @@
-"""How two live streams go, on the timeline: the clocks' drift, frames dropped, frames left alone."""
+"""Figures of two live streams on the timeline: clock drift, dropped frames, unpaired frames."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from recordings import layout
 from recordings.appearance import entity_styles
 
 _AGAIN_NS = 1_000_000_000
-"""How long an unchanged figure is left standing, so that its line goes on."""
+"""Longest interval between two values of an unchanged figure, so that its plot line continues."""
 
 
 class StreamFiguresLog:
-    """Writes the figures to a stream where they change, and once a second."""
+    """Writes the figures to a stream when they change, and at least once per second."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._last: dict[str, tuple[int, list[float]]] = {}
 
     def record(self, frame: int, time_ns: int, figures: StreamFigures) -> None:
-        """Logs what is known at a frame."""
-        of = {
+        """Logs the figures known at a frame."""
+        by_name = {
             "drift_ppm": [figures.drift_ppm],
             "dropped": [float(count) for count in figures.dropped],
             "unpaired": [float(count) for count in figures.unpaired],
         }
-        for name, values in of.items():
+        for name, values in by_name.items():
             before = self._last.get(name)
             if before is None:
                 self._stream.log(layout.stream_figure(name), entity_styles.STREAM_LINES[name], static=True)

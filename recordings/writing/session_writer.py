@@ -1,6 +1,6 @@
-"""The one way in which a whole session gets into a file: fused just now, replayed, trimmed or in a test.
+"""Writes a complete session to a file: a fused, replayed or trimmed session, or one in a test.
 
-(A session that is still going on grows in :mod:`recordings.writing.growing_file`.) Frames stay as they are,
+:mod:`recordings.writing.growing_file` writes a session that is still running. Frames are copied unchanged;
 nothing is fused again.
 """
 
@@ -36,25 +36,25 @@ def write_session(
     end: int | None = None,
     block: int = _BLOCK,
 ) -> int:
-    """Writes frames `first` up to, without, `end` of a session into a new file.
+    """Writes frames `first` to `end` (exclusive) of a session to a new file.
 
-    The new session's frames count from 0 and its time starts with them; ``first_frame`` among its properties
-    keeps where they came from.
+    The frame numbers and the time of the new session start at 0. Its property ``first_frame`` is the number
+    of the first frame in the original capture.
 
     Args:
-        session: In memory or in another file.
+        session: A session in memory or in another file.
         path: The file; overwritten.
-        blueprint: What a viewer shows; its own choice where None.
-        page: What the setup coach says of the session.
-        first, end: Which frames; to the last where `end` is None.
-        block: Frames written together.
+        blueprint: The layout of the viewer; None: the viewer's default.
+        page: The setup coach's page about the session.
+        first, end: The range of frames; if `end` is None, to the last.
+        block: Number of frames per write.
 
     Returns:
-        How many damaged images were left out.
+        The number of damaged images that were skipped.
 
     Raises:
-        RecordingError: There is no such frame.
-        OSError: The file is not whole afterwards.
+        RecordingError: The range has no frame.
+        OSError: The file could not be written completely.
     """
     end = len(session) if end is None else min(end, len(session))
     if not 0 <= first < end:
@@ -76,12 +76,12 @@ def write_session(
                 rows = replace(rows, frame=rows.frame - first, time_ns=rows.time_ns - start_ns)
                 recorder.record_rows(rows, (session.fused_checksums[part], session.joint_digests[part]))
         damaged = _copy_images(session, recorder, first, end)
-        if segments[0][1].start < first:  # what it was calibrated on was said before
+        if segments[0][1].start < first:  # its calibration event comes before the range
             recorder.event(f"calibrated: {segments[0][0].calibration.how}", at=(0, 0))
         for event in session.events:
             if first <= event.frame < end:
-                at = event.frame - first, event.time_ns - start_ns
-                recorder.event(event.text, event.level, event.topic, event.phase, at)
+                moment = event.frame - first, event.time_ns - start_ns
+                recorder.event(event.text, event.level, event.topic, event.phase, moment)
         if page is not None:
             recorder.coach(page)
         recorder.finish()
@@ -92,22 +92,23 @@ def write_session(
 def whole_recording(
     path: Path, blueprint: Any = None, application: str = layout.APPLICATION_ID
 ) -> Iterator[rr.RecordingStream]:
-    """A recording stream into a file, which is whole when the block has ended well.
+    """A recording stream to a file, which is complete after the block ends without error.
 
     Args:
         path: The file; overwritten.
-        blueprint: What a viewer shows; its own choice where None.
-        application: A viewer remembers a layout for each.
+        blueprint: The layout of the viewer; None: the viewer's default.
+        application: The application id; a viewer remembers one layout per id.
 
     Raises:
-        OSError: Not everything that was logged has reached the file; the disk is full, as a rule.
+        OSError: Some logged data did not reach the file, usually because the disk is full.
     """
     stream = rr.RecordingStream(application, recording_id=uuid4())
     stream.set_sinks(rr.FileSink(str(path)))
     try:
         yield stream
         if blueprint is not None:
-            # the timeline it names must be there; active, or the viewer would show what it remembers
+            # The timeline of the blueprint must exist. Without making it active, the viewer restores a
+            # remembered layout.
             stream.send_blueprint(blueprint)
         stream.flush(timeout_sec=_FLUSH_WITHIN)
     finally:
@@ -116,10 +117,10 @@ def whole_recording(
 
 
 def check_whole(path: Path) -> None:
-    """Finds out whether everything that was logged has reached the file.
+    """Checks that all logged data has reached the file.
 
     Raises:
-        OSError: It has not; the disk is full, as a rule.
+        OSError: Some data is missing, usually because the disk is full.
     """
     try:
         damage = damage_of(path)
@@ -130,7 +131,7 @@ def check_whole(path: Path) -> None:
 
 
 def _copy_images(session: Session, recorder: Recorder, first: int, end: int) -> int:
-    """Logs the images of frames `first` up to, without, `end`; how many were damaged and left out."""
+    """Logs the images of frames `first` to `end` (exclusive); returns the number of damaged images."""
     damaged = 0
     time_ns = (session.time_ns - session.time_ns[first]).tolist()
     for side in layout.SIDES:

@@ -1,6 +1,6 @@
-"""Per-frame figures that are derived from recorded ones, for the viewer; no reader asks for them.
+"""Per-frame figures derived from recorded figures for the viewer. They are not read back.
 
-A new one is a row of :data:`SHOWN_FIGURES`.
+To add a figure, add a row to :data:`SHOWN_FIGURES`.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ class ShownFigure:
     """A derived figure.
 
     Attributes:
-        entity, component: Where it is logged, named as in :class:`recordings.frame_fields.FrameField`.
-        stored: Its type in the file.
-        compute: (T, …) of the frames.
+        entity, component: Place in the file, named as in :class:`recordings.frame_fields.FrameField`.
+        stored: Type in the file.
+        compute: Computes (T, …) values from the frames.
     """
 
     entity: str
@@ -34,7 +34,7 @@ class ShownFigure:
     compute: Callable[[SessionArrays], NDArray[Any]]
 
     def values(self, rows: SessionArrays) -> NDArray[Any]:
-        """(T, …) as the file has it."""
+        """(T, …) in the type of the file."""
         return self.compute(rows).astype(self.stored, copy=False)
 
 
@@ -52,7 +52,7 @@ SHOWN_FIGURES = (
         np.float16,
         lambda rows: np.round(rows.view_difference * 1e3),
     ),
-    # a viewer's transform is in float32: R and t once more, in full, are a component beside it
+    # The viewer's transform is float32, so a component stores R and t again in float64.
     ShownFigure(layout.kinect("b"), "Transform3D:mat3x3", np.float64, lambda rows: rows.rotation),
     ShownFigure(layout.kinect("b"), "Transform3D:translation", np.float64, lambda rows: rows.translation),
     ShownFigure(layout.QUALITY, "figures.bone_error_mm", np.float32, lambda rows: rows.bone_error * 1e3),

@@ -52,8 +52,8 @@ def simulated(body: Body, motion: str, angle: float, seed: int) -> Recording:
     a, b, truth = simulated_pair(motion=motion, seed=seed, body=body, angle_deg=angle, seconds=20.0)
     frames = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
     pairs = [frame.skeletons for frame in frames]
-    at = truth.positions_at([pair.time_ns for pair in pairs])
-    return _recording(f"{motion} {angle:g}° {seed}", body, pairs, at)
+    joints = truth.positions_at([pair.time_ns for pair in pairs])
+    return _recording(f"{motion} {angle:g}° {seed}", body, pairs, joints)
 
 
 def real(folder: Path) -> Recording:

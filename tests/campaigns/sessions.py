@@ -41,21 +41,21 @@ def damaged(whole: bytes, seed: int) -> bytes:
     """Cut off, or with bits flipped, bytes changed, a stretch zeroed, or torn out."""
     rng = np.random.default_rng(seed)
     data = bytearray(whole)
-    at = int(rng.integers(len(data)))
+    offset = int(rng.integers(len(data)))
     match seed % 6:
         case 0:
-            del data[at:]
+            del data[offset:]
         case 1:
-            data[at] ^= 1 << int(rng.integers(8))
+            data[offset] ^= 1 << int(rng.integers(8))
         case 2:
             for k in rng.integers(len(data), size=int(rng.integers(2, 40))).tolist():
                 data[k] = int(rng.integers(256))
         case 3:
-            end = min(at + int(rng.integers(1, 4096)), len(data))
-            data[at:end] = bytes(end - at)
+            end = min(offset + int(rng.integers(1, 4096)), len(data))
+            data[offset:end] = bytes(end - offset)
         case 4:
-            del data[at : at + int(rng.integers(1, 2000))]
-        case 5:  # the beginning, where the settings are
+            del data[offset : offset + int(rng.integers(1, 2000))]
+        case 5:  # the start of the file, which holds the settings
             data[int(rng.integers(min(40_000, len(data))))] = int(rng.integers(256))
     return bytes(data)
 

@@ -51,7 +51,7 @@ SHOWN_MS = 15.0  # 99 % of the frames, from capture to logged for the viewer
 class Soak:
     """What was seen; ``memory`` is (seconds, resident MB), ``waiting`` the most frames in each queue.
 
-    The times are in ms a frame: how long the loop was held up by logging, and from when the frame's images
+    The times are in ms per frame: how long the loop was held up by logging, and from when the frame's images
     reached this machine until it was handed over to file and viewer, and was written to the viewer.
     ``stolen`` is the share of the processors' time that a virtual machine's host gave to others: that is in
     the times too.
@@ -84,7 +84,7 @@ class Soak:
 
     @property
     def rate(self) -> float:
-        """Fused frames a second."""
+        """Fused frames per second."""
         return self.frames / self.seconds
 
 
@@ -114,7 +114,7 @@ class _TimedRecorder(Recorder):
     ) -> SessionArrays:
         rows = super().record_all(frames, numbers)
         now = time.perf_counter_ns()
-        if self._points:  # else it is the file's
+        if self._points:  # otherwise the call is the file's
             self.shown.extend((now - _arrived(frame)) * 1e-6 for frame in frames)
         return rows
 
@@ -131,7 +131,7 @@ def soak(
     report_every_s: float = 30.0,
     viewer: bool = False,
 ) -> Soak:
-    """Runs the loop and looks at it a few times a second."""
+    """Runs the loop and inspects it a few times per second."""
     seen = Soak(shown=_TimedRecorder.shown)
     seen.shown.clear()
     a, b, _ = simulated_pair(motion="walk", depth=depth)
@@ -238,7 +238,7 @@ def main() -> int:
 
 
 def at_pace(seen: Soak) -> bool:
-    """Whether it was 30 frames a second, but for those on their way at the start and at the end."""
+    """Whether the rate was 30 frames per second, except at the start and the end."""
     return seen.frames >= FPS * seen.seconds - 3
 
 

@@ -88,8 +88,11 @@ def campaign(seconds: float, kills: int, path: Path, hub_too: bool = False) -> C
                 for victim in victims:
                     os.kill(victim.pid, signal.SIGKILL)
                 seen.kills += 1
-                at = time.perf_counter() - begun
-                print(f"{at:6.1f} s  kill {k + 1}  {seen.frames} frames  {resident_mb():.1f} MB", flush=True)
+                now = time.perf_counter() - begun
+                print(
+                    f"{now:6.1f} s  kill {k + 1}  {seen.frames} frames  {resident_mb():.1f} MB",
+                    flush=True,
+                )
             time.sleep(max(0.0, begun + seconds - time.perf_counter()))
             sensors.stop()
 
@@ -129,7 +132,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         seen = campaign(given.seconds, given.kills, Path(folder) / "campaign.rrd", given.hub_too)
     first = given.seconds / (given.kills + 1)
-    # a minute of frames is kept for the summary, which fills up in the first one
+    # the summary keeps the frames of one minute; this memory fills up during the first minute
     growth = seen.growth_mb(min(SETTLED_S, given.seconds / 2.0))
     print(
         f"{seen.frames} frames, {len(seen.in_file)} in the file, complete: {seen.complete}; dropped "

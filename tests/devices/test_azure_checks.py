@@ -53,6 +53,7 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
         assert named[name].needed, name
     assert all(check.advice for check in checks if not check.ok)
     assert "pip install '.[kinect]'" in named["pyk4a and the Sensor SDK"].advice
+    assert named["two Kinects"].detail == "cannot be looked for without pyk4a", "the way to it is said once"
 
 
 def test_a_machine_with_all_of_it_can_start(

@@ -66,10 +66,10 @@ def brute_force(
 
 @pytest.mark.parametrize("x", [0.0, 0.02, -0.03, 0.055, -0.09, 0.3])
 def test_a_bar_is_measured_as_by_brute_force(x: float) -> None:
-    at = (x, 0.1, 2.02)
+    position = (x, 0.1, 2.02)
     image = bar(-0.04, 0.04)
-    found = depth_witness(image, LENS, skeleton_with(at))[WRIST]
-    expected = brute_force(image, at)
+    found = depth_witness(image, LENS, skeleton_with(position))[WRIST]
+    expected = brute_force(image, position)
     # float16 keeps 11 bits: half a millimetre of a metre; the kernel searches no farther than whole pixels
     pixel = 2.02 / LENS.fx
     np.testing.assert_allclose(found[0], expected[0], rtol=1e-3)
@@ -108,15 +108,15 @@ def test_nothing_is_said_without_a_reading_a_place_or_an_image() -> None:
 def test_the_lens_is_opencvs() -> None:
     """Each column has its own depth, so that the gap tells which pixel was read."""
     lens = Intrinsics(640, 576, 504.0, 505.0, 320.5, 330.5, (0.5, -0.3, 3e-4, -2e-4, 0.01, 0.8, -0.2, 0.05))
-    at = np.array([[0.7, -0.5, 1.9]])
+    position = np.array([[0.7, -0.5, 1.9]])
     camera = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1.0]])
-    pixel, _ = cv2.projectPoints(at, np.zeros(3), np.zeros(3), camera, np.array(lens.distortion))
+    pixel, _ = cv2.projectPoints(position, np.zeros(3), np.zeros(3), camera, np.array(lens.distortion))
     u, v = np.round(pixel.reshape(2))
-    along = np.linalg.norm(at) / at[0, 2]
+    along = np.linalg.norm(position) / position[0, 2]
     for axis, expected in ((1, u), (0, v)):
         image = (1500 + np.indices((lens.height, lens.width))[axis]).astype(np.uint16)
-        gap = depth_witness(image, lens, skeleton_with(tuple(at[0])))[WRIST, 0]
-        assert (gap / along + at[0, 2]) * 1e3 - 1500 == pytest.approx(expected, abs=0.3)  # float16
+        gap = depth_witness(image, lens, skeleton_with(tuple(position[0])))[WRIST, 0]
+        assert (gap / along + position[0, 2]) * 1e3 - 1500 == pytest.approx(expected, abs=0.3)  # float16
 
 
 def test_a_half_and_a_full_image_say_the_same() -> None:

@@ -65,7 +65,7 @@ def test_device_busy(bus: Bus) -> None:
 
 
 def test_no_permission(bus: Bus, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    bus.devices = [Device("000123", busy=True)]  # the SDK fails without a word in both cases
+    bus.devices = [Device("000123", busy=True)]  # the SDK gives no reason in both cases
     plug_in(tmp_path)
     monkeypatch.setattr(os, "access", lambda *_: False)
     monkeypatch.setattr(pyk4a_access, "usb_kinects", lambda: usb_kinects(tmp_path))
@@ -241,7 +241,7 @@ def test_fusion_goes_on_with_the_sensor_that_is_left_and_takes_the_other_back() 
         assert two.b.returns == 0
         bench.b.open_faults.clear()
         bench.until(lambda _: two.b.returns == 1)
-        # Its clock starts anew when it is plugged in, here a little behind where it was.
+        # Its clock restarts when it is plugged in, here slightly behind its last time.
         bench.b_clock_ns = -200_000_000
 
         def paired_again(pairs: list[FramePair]) -> bool:
@@ -353,7 +353,7 @@ def test_ctrl_c_at_any_moment(moment: str) -> None:
     with pytest.raises(KeyboardInterrupt):
         _session(two, a, b, moment)
     assert (two.a.state, two.b.state) == (SensorState.CLOSED, SensorState.CLOSED)
-    # A wait that Ctrl-C cut short leaves the thread to finish by itself, which it does.
+    # After Ctrl-C interrupts the wait, the thread finishes by itself.
     assert all_threads_end()
     for sensor in (a, b):
         assert sensor.opened == sensor.closed
@@ -378,7 +378,7 @@ def _press_ctrl_c() -> None:
 
 
 def test_unplugged_beside_another_where_no_usb_list_tells(bus: Bus) -> None:
-    # As on Windows: only the SDK's count of sensors tells that one is missing.
+    # As on Windows: only the SDK's count of sensors shows that one is missing.
     bus.devices = [Device("000123"), Device("000456")]
     with _kinect("000456"), _kinect("000123") as sensor:
         frames = sensor.frames()

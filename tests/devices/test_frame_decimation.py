@@ -7,7 +7,10 @@ from itertools import pairwise
 import pytest
 
 from devices.live.frame_decimation import FrameDecimation
+from devices.live.sensor_pair import TwoSensors
+from devices.live.sensor_state import SensorEvent
 from devices.live.stream_pairing import LivePairing
+from tests.helpers.scripted_sensor import ScriptedSensor
 from tests.helpers.slow_trackers import run_slow_trackers
 from tests.helpers.standin_pyk4a import Bus
 
@@ -73,7 +76,7 @@ def test_both_count_the_same_moments_whatever_their_clocks_say(clock_ns: int) ->
     a, b = [], []
     for at_ns in times:
         a += _moments(decimation, "a", [at_ns], 0)
-        if at_ns != times[50]:  # one that B missed
+        if at_ns != times[50]:  # a frame that B missed
             b += _moments(decimation, "b", [at_ns + 160_000], 10**12 + clock_ns)
     del a[50]
     assert a == b
@@ -110,3 +113,18 @@ def test_pairing_is_as_patient_as_the_frames_are_few() -> None:
     assert (pairing._max_wait_ns, pairing._gone_after_ns) == (200 * MS, 800 * MS)
     pairing.set_interval(PERIOD_NS)
     assert (pairing._max_wait_ns, pairing._gone_after_ns) == (100 * MS, 500 * MS)
+
+
+def test_sensors_are_given_as_long_as_a_tracker_of_seconds_takes() -> None:
+    decimation, told = FrameDecimation(30), list[SensorEvent]()
+    sensors = TwoSensors(ScriptedSensor("a"), ScriptedSensor("b"), decimation=decimation, tell=told.append)
+    sensors.poll(0.0)
+    assert (sensors.step, sensors.a._stall_s) == (1, 2.0)
+    for _ in range(7):
+        decimation.tracked("a", 2300 * MS)
+    sensors.poll(0.0)
+    assert sensors.step == decimation.step > 60
+    assert sensors.a._stall_s == sensors.b._stall_s == pytest.approx(4e-9 * decimation.interval_ns)
+    assert [event.message.split(":")[0] for event in told] == [
+        "The body tracker of a takes 2300 ms per frame"
+    ]

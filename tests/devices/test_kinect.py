@@ -290,6 +290,7 @@ def test_one_name_leaves_the_other_to_what_is_connected(
         ([A, B], {"a": "000999"}, r"No Kinect with serial 000999\. Connected: 000123, 000456"),
         ([A, B], {"a": "000123", "b": "000123"}, "both 000123"),
         ([A, B, C], {}, "3 Kinects are connected"),
+        ([A, B], {"a": "000123", "principal": "000456"}, "--kinect-a 000123 and --principal 000456 both"),
     ],
 )
 def test_a_choice_that_cannot_be_made_is_explained(
@@ -318,6 +319,15 @@ def test_a_cable_that_joins_no_out_to_an_in_is_explained() -> None:
         sync_master(*wrong)
 
 
+def test_a_master_that_is_named_against_the_jacks_is_explained() -> None:
+    leads, follows = _jacks("000456", False, True), _jacks("000123", True, False)
+    assert sync_master(follows, leads, "000456") == "000456"
+    for pair in ((follows, leads), (A, B)):
+        with pytest.raises(DeviceError, match="--sync-master 000123: no cable leads from its sync out"):
+            sync_master(*pair, "000123")
+    assert sync_master(_jacks("CL1", False, False), _jacks("CL2", False, False), "CL2") == "CL2"
+
+
 def test_the_firmwares_version_is_read_from_libk4a(
     bus: Bus, wheel_library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -326,7 +336,7 @@ def test_the_firmwares_version_is_read_from_libk4a(
     version[:] = (1, 6, 102)
     bus.devices = [Device("000123")]
     (kinect,) = connected_kinects()
-    version[:] = (1, 6, 110)  # it stays loaded for the tests that follow
+    version[:] = (1, 6, 110)  # the library stays loaded for later tests
     assert kinect.firmware == (1, 6, 102)
 
 
@@ -359,12 +369,11 @@ def test_the_newest_capture_is_taken_not_the_oldest(bus: Bus) -> None:
         sensor._clock = device.time.now_ns
         frames = sensor.frames()
         next(frames)
-        device.time.wait_until(
-            device.time.now_ns() + 500_000_000
-        )  # the reader was elsewhere for half a second
+        device.time.wait_until(device.time.now_ns() + 500_000_000)  # the reader was busy for half a second
         frame = next(frames)
         assert device.time.now_ns() - (frame.host_ns or 0) <= 33_333_000
-        # 15 were captured meanwhile: all but the newest are missed, also those that the queue had no room for
+        # 15 were captured in the meantime: all but the newest are missed, including those the full queue
+        # dropped
         assert sensor.missed == 14
 
 
@@ -404,5 +413,5 @@ def test_references_to_none_that_pyk4a_gives_away_are_put_back(bus: Bus) -> None
             pass
     assert bus.failed_opens >= 1000
     gc.collect()
-    # the stand-in gave 2000 away; other objects that come and go hold some
+    # the stand-in lost 2000 references; temporary objects hold some
     assert abs(sys.getrefcount(None) - before) < 1000

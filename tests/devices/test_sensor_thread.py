@@ -183,6 +183,23 @@ def test_the_first_frame_may_take_longer_and_that_is_told_once(sensor: ScriptedS
         assert ["stalls: no frame for 60 s" in event.message for event in thread.events()] == [True]
 
 
+def test_a_sensor_whose_tracker_takes_seconds_is_not_called_stalled(sensor: ScriptedSensor) -> None:
+    now = [100.0]
+    with SensorThread(sensor, stall_s=2.0, clock=lambda: now[0]) as thread:
+        sensor.put(frame_at(0))
+        _after(sensor)
+        thread.set_interval(2.5)
+        now[0] = 109.9
+        assert thread.state is SensorState.RUNNING
+        now[0] = 110.1
+        assert ["stalls: no frame for 10 s" in event.message for event in thread.events()] == [True]
+        thread.set_interval(1 / 30)
+        sensor.put(frame_at(1))
+        _after(sensor)
+        now[0] = 112.2
+        assert thread.state is SensorState.STALLED
+
+
 def test_a_silent_sensor_is_stalled_and_then_not(sensor: ScriptedSensor) -> None:
     now = [100.0]
     with SensorThread(sensor, stall_s=2.0, clock=lambda: now[0]) as thread:

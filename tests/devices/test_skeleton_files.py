@@ -13,12 +13,12 @@ HEADER = "time_us,body,joint,x,y,z,state"
 
 
 def csv_rows(body: Body, frames: int = 3, people: tuple[str, ...] = ("0",)) -> list[str]:
-    at = standing(body)
+    joints = standing(body)
     return [
         f"{t * FRAME_NS // 1000},{person},{joint},{x:.5f},{y:.5f},{z + 0.01 * t:.5f},tracked"
         for t in range(frames)
         for person in people
-        for joint, (x, y, z) in zip(body.joints, at, strict=True)
+        for joint, (x, y, z) in zip(body.joints, joints, strict=True)
     ]
 
 

@@ -118,7 +118,7 @@ def test_a_reset_clock_is_found_and_pairing_goes_on(side: str, restart_ns: int) 
     pairs = run(pairing, a, b)
     assert pairing.figures.resets == 1
     np.testing.assert_allclose(true_skews(pairs, a, b), 3_000_000, atol=2)
-    # A reset that looks like lateness costs the frame that must confirm it, and what waited for a partner.
+    # A reset that looks like a late frame costs the frame that confirms it, and the waiting frames.
     assert pairing.figures.pairs >= len(a) - 3
     assert _in_order(pairs)
     # Time goes on over the reset: 10 s of frames take 10 s, give or take the jitter of the two anchors.
@@ -240,7 +240,7 @@ def test_time_never_goes_back_when_a_returns() -> None:
     pairing = _aligned()
     pairing.set_gone("a", True)
     (alone,) = pairing.add("b", SensorFrame(31 * INTERVAL_NS), 31 * INTERVAL_NS)
-    # A's frame of a moment that B's already stood for, as their clocks are known to a millisecond only.
+    # A's frame for a moment already covered by B's frame; their clocks are known only to a millisecond.
     pairing.set_gone("b", True)
     (back,) = pairing.add("a", SensorFrame(31 * INTERVAL_NS - MILLISECOND_NS), 31 * INTERVAL_NS)
     assert alone.a is None
@@ -257,7 +257,7 @@ def test_memory_is_bounded_when_the_other_sensor_hangs() -> None:
 
 def test_a_sensor_opened_anew_starts_its_clock_anew() -> None:
     pairing = _aligned()
-    # Back after 0.2 s with a clock 0.2 s behind: too little to be told from lateness.
+    # Back after 0.2 s with a clock 0.2 s behind: this cannot be distinguished from a late frame.
     pairing.restart("b")
     for index in range(30, 40):
         pairing.add("a", SensorFrame(index * INTERVAL_NS), index * INTERVAL_NS)

@@ -24,7 +24,7 @@ def test_the_truth_itself_has_no_error(truth: np.ndarray) -> None:
     of = measure(truth, truth)
     assert (of.mpjpe, of.p95, of.acceleration, of.swapped) == (0.0, 0.0, 0.0, 0.0)
     assert of.bone_error < 1e-12
-    assert of.lag == pytest.approx(0.0, abs=0.01)  # what a parabola makes of an uneven peak
+    assert of.lag == pytest.approx(0.0, abs=0.01)  # error of a parabola through an asymmetric peak
     assert np.isnan(of.hidden_one)
 
 
@@ -38,7 +38,7 @@ def test_an_offset_is_the_error_and_nothing_else(truth: np.ndarray) -> None:
 def test_noise_while_still_is_jitter(truth: np.ndarray) -> None:
     rng = np.random.default_rng(0)
     of = measure(truth + rng.normal(0, 0.01, truth.shape), truth)
-    # white noise against its own mean over 5: variance (1 - 1/5) a coordinate, three coordinates
+    # white noise minus its mean over 5 frames: variance (1 - 1/5) per coordinate, three coordinates
     assert of.jitter == pytest.approx(0.01 * np.sqrt(3 * 0.8), rel=0.1)
 
 
@@ -89,7 +89,7 @@ def test_a_lag_is_not_read_out_of_noise(truth: np.ndarray) -> None:
 
 @pytest.mark.parametrize("frames", [10, 14])
 def test_a_lag_at_the_end_of_the_search_is_none(frames: int) -> None:
-    # a speed that rises once and falls once: it matches the better the nearer the delays are
+    # a speed that rises once and falls once: the nearer the delays, the larger the correlation
     t = np.arange(150.0)
     along = np.cumsum(np.exp(-(((t - 75.0) / 30.0) ** 2)) * 0.03)
     truth = moving(KINECT_V1, 1).repeat(150, axis=0) + along[:, None, None]

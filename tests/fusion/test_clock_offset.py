@@ -1,4 +1,4 @@
-"""The offset between the sensors' clocks, from motion of known delay."""
+"""Estimation of the offset between the sensors' clocks, with known delays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The readable solver and the compiled one solve the same problem, each in its own way."""
+"""The dense solver and the compiled one agree."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_both_solvers_end_at_the_same_joints(body: Body, seed: int) -> None:
 def test_both_solvers_agree_with_holes(body: Body, seed: int) -> None:
     """A joint without data may turn freely about its neighbours; the joints with data may not.
 
-    Both start near the person, as after a frame before. Without, a hole can make room for two minima.
+    Both start near the person, as after a previous frame. Otherwise a hole can lead to two minima.
     """
     before = ordinary_problem(seed, body, noise=0.0).targets
     problem = ordinary_problem(seed, body, noise=0.03)
@@ -69,7 +69,7 @@ def information(seed: int, joints: int, rank: int = 3) -> np.ndarray:
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
 @pytest.mark.parametrize("seed", range(8))
 def test_both_solvers_agree_on_information_matrices(body: Body, seed: int) -> None:
-    problem = ordinary_problem(seed, body, noise=0.005)  # more makes room for two minima in short bones
+    problem = ordinary_problem(seed, body, noise=0.005)  # with more noise, short bones can have two minima
     W = information(seed, len(body))
     dense = DenseSolver(body).solve(problem.targets, W, problem.lengths)
     tree = solver_of(body).solve(problem.targets, W, problem.lengths)

@@ -1,4 +1,4 @@
-"""The baseline's registration: exact on clean data, and hardly moved by outliers."""
+"""The baseline's registration is exact on clean data and robust against outliers."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def test_fused_bones_have_their_length_whatever_the_noise(body: Body) -> None:
 
 
 def test_a_mistracked_elbow_follows_the_view_that_keeps_it_apart() -> None:
-    # fig. 3: in A's picture the elbow lies on the hip's place; B sees them far apart, and is believed
+    # fig. 3: in A's image the elbow covers the hip; B sees them far apart and gets the weight
     body = KINECT_V1
     truth = standing(body)
     pair = pair_of(body, truth)
@@ -124,7 +124,7 @@ def test_a_joint_both_lost_hangs_on_its_bones_and_the_frame_before() -> None:
     assert [body.joints[j] for j in np.flatnonzero(frame.predicted)] == [
         "HandLeft", "ElbowRight", "HandTipLeft",
     ]  # fmt: skip
-    # the body moved as a whole, so what hangs on it moved with it
+    # the body moved as a whole, and its missing joints with it
     np.testing.assert_allclose(frame.positions, truth + step, atol=1e-3)
     assert bone_error(body, frame) < 1e-9
 
@@ -221,7 +221,7 @@ def test_a_sequence_is_bit_for_bit_the_pairs_one_by_one() -> None:
 
 
 def test_a_frame_allocates_nothing() -> None:
-    """Calls allocate what a call needs, however many frames it fuses."""
+    """A call allocates the same memory for any number of frames."""
     _nrt_python.memsys_enable_stats()
     pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 20))]
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V1), PAPER))
@@ -242,7 +242,7 @@ def test_a_frame_allocates_nothing() -> None:
     ("method", "name"), [("paper", "fuse_frames"), ("published", "fuse_frames_as_published")]
 )
 def test_no_frame_after_warming_up_compiles(method: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    fresh: Any = kernel(getattr(paper, name).py_func)  # as in a process that begins
+    fresh: Any = kernel(getattr(paper, name).py_func)  # as in a new process
     monkeypatch.setattr(paper, name, fresh)
     pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 8))]
     pairs += [
@@ -259,7 +259,7 @@ def test_no_frame_after_warming_up_compiles(method: Any, name: str, monkeypatch:
             fuser.update(pair)
         fuser.fuse_sequence(pairs)
     assert compiling.buffer == []
-    assert len(fresh.signatures) == 1  # one found on disk here is one to compile elsewhere
+    assert len(fresh.signatures) == 1  # a kernel found on disk here would have to be compiled elsewhere
 
 
 def test_warming_up_leaves_no_trace() -> None:
@@ -326,7 +326,7 @@ def test_a_sensor_turned_about_its_optical_axis_turns_the_skeleton_with_it(
 def test_with_equal_weights_any_motion_of_a_sensor_moves_the_skeleton_with_it(
     seed: int, shift: tuple[float, float, float]
 ) -> None:
-    centre = np.array([0.0, 0.0, 2.6])  # about which the person stays before the sensor
+    centre = np.array([0.0, 0.0, 2.6])  # a rotation that keeps the person in front of the sensor
     motions = []
     for rotation in Rotation.random(2, rng=seed):
         R = rotation.as_matrix()
@@ -339,7 +339,7 @@ def test_with_equal_weights_any_motion_of_a_sensor_moves_the_skeleton_with_it(
 @given(seed=st.integers(0, 10_000))
 def test_the_order_of_joints_does_not_matter_to_the_skeleton(seed: int) -> None:
     body = KINECT_V2
-    new = np.random.default_rng(seed).permutation(len(body))  # new[k]: the joint that stands at k now
+    new = np.random.default_rng(seed).permutation(len(body))  # new[k]: the joint at position k now
     place = np.argsort(new)
     shuffled = replace(
         body,
@@ -379,5 +379,5 @@ def test_a_weighted_mean_with_the_right_bones_is_the_skeleton(seed: int, weights
     mean = first.weights_a[:, None] * pair.a.positions + first.weights_b[:, None] * b_in_a
     calibration = replace(calibration_of(body), bone_lengths=bone_lengths_of(body, mean))
     frame = Fuser(FusionSetup(calibration, chosen)).update(pair)
-    # no step is needed: what remains is the rounding of a few metres, summed along the longest chain
+    # no step is needed: the remaining error is the rounding of a few metres, summed along the longest chain
     np.testing.assert_allclose(frame.positions, mean, rtol=0, atol=1e-12)

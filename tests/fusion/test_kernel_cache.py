@@ -1,4 +1,4 @@
-"""Claims about compiled kernels on disk."""
+"""Tests of compiled kernels on disk."""
 
 import os
 import shutil
@@ -63,7 +63,7 @@ def test_only_kernels_older_than_a_source_go(tmp_path: Path) -> None:
 
 
 def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path: Path) -> None:
-    """Files stand where folders would be made: that stops root too, whom no permission does."""
+    """Files take the place of the folders, because permissions do not stop root."""
     for package in ("fusion", "devices", "recordings"):
         shutil.copytree(package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     for source in [*tmp_path.rglob("__init__.py")]:
@@ -88,4 +88,4 @@ def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path: Path
     source, there, folder = run.stdout.split()
     assert source.startswith(str(tmp_path))
     assert there == "True"
-    assert not Path(folder).exists()  # it goes with the process
+    assert not Path(folder).exists()  # it is deleted with the process

@@ -1,4 +1,4 @@
-"""A sensor that is knocked in the middle of a simulated recording, and what must not be taken for it."""
+"""Knocked sensors in simulated recordings, and situations that must not be taken for a knock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The calibration that goes on learning: refinements, bones, and that it never makes things worse."""
+"""The calibration learner: refinements, bones, and that the calibration does not get worse."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Claims about compiling on a first run."""
+"""Tests of compilation on a first run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_another_process_compiles_the_solver_on_a_first_run(tmp_path: Path) -> N
     cold = subprocess.run(
         [sys.executable, "-c", COLD], capture_output=True, text=True, env=environment, check=True
     )
-    # found on disk, not compiled here; and what is compiled beside it is what the loop over frames calls
+    # the solver is found on disk; the other kernels compiled are those that the loop over frames calls
     assert cold.stdout.split() == ["1", "0", "1"]
 
 

@@ -1,4 +1,4 @@
-"""Claims about the published scheme, eqs. (3)–(9)."""
+"""Tests of the published scheme, eqs. (3)–(9)."""
 
 from __future__ import annotations
 

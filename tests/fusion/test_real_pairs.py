@@ -11,7 +11,7 @@ from devices.skeletons.recording import SkeletonRecording
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import FusedFrame, Fuser
-from fusion.setup import FusionSetup
+from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import SkeletonPair
 from viewer_app.bench.scipy_solver import slsqp_optimum
 
@@ -25,12 +25,12 @@ def walk(shared: Path) -> tuple[Calibration, list[SkeletonPair]]:
         return calibrate(a.body, *find_start_up_pose(a.body, pairs)), pairs
 
 
-def test_fused_is_slsqps_optimum_on_50_frames_of_a_real_walk(
+def test_the_papers_fused_is_slsqps_optimum_on_50_frames_of_a_real_walk(
     walk: tuple[Calibration, list[SkeletonPair]],
 ) -> None:
     calibration, pairs = walk
     body = calibration.body
-    frames = Fuser(FusionSetup(calibration)).fuse_sequence(pairs)
+    frames = Fuser(FusionSetup(calibration, FuserSettings(method="paper"))).fuse_sequence(pairs)
     for k in np.random.default_rng(0).choice(len(pairs), 50, replace=False):
         pair, frame = pairs[k], frames[k]
         assert pair.a is not None

@@ -1,4 +1,4 @@
-"""Claims about eqs. (10), (11)."""
+"""Tests of eqs. (10), (11)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fusion.paper_constants import PAPER_H
 
 
 def by_the_paper(pixels_a, pixels_b, states_a, states_b, linked, h):
-    """Sec. 3 word by word, one joint at a time."""
+    """A direct implementation of sec. 3, one joint at a time."""
     joints = range(len(pixels_a))
     has_a = [bool(np.isfinite(pixels_a[i]).all()) for i in joints]
     has_b = [bool(np.isfinite(pixels_b[i]).all()) for i in joints]

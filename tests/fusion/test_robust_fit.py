@@ -1,4 +1,4 @@
-"""Robust registration on evidence of known truth."""
+"""Robust registration on evidence with known truth."""
 
 from __future__ import annotations
 
@@ -97,8 +97,8 @@ def test_the_stated_uncertainty_does_not_shrink_with_frames_of_one_pose() -> Non
             np.arange(count) * FRAME_NS,
         )
         sds.append(fit_robust(KINECT_V2, seen, A_FROM_B, SETTINGS).rotation_sd)
-    # Ten times as many independent frames would divide it by √10 = 3.2. Jitter of the reported places looks
-    # like movement and takes away some of it all the same.
+    # Ten times as many independent frames would divide it by √10 = 3.2. Jitter of the reported positions
+    # counts as movement and therefore reduces the error a little.
     assert sds[1] > 0.6 * sds[0]
 
 

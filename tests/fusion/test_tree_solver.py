@@ -1,4 +1,4 @@
-"""Claims about the exact solver of eq. (1)."""
+"""Tests of the exact solver of eq. (1)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def rotation(seed: int) -> np.ndarray:
 
 
 def test_random_problems_end_stationary_with_exact_bones_within_fifty_iterations():
-    kinds, work, failed = run(2000, first=7_000_000)  # seeds no one has tuned on
+    kinds, work, failed = run(2000, first=7_000_000)  # seeds that nothing was tuned on
     assert not failed, f"{dict(kinds)} at seeds {failed[:10]}"
     assert work[0].max() <= MAX_ITERATIONS
     assert work[1].max() <= 4 * MAX_SYSTEMS  # of four starts
@@ -98,7 +98,7 @@ def test_solution_moves_with_the_world(seed, shift):
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000), shift=st.tuples(*[st.floats(-5, 5)] * 3))
 def test_hard_problems_are_solved_wherever_the_world_is(seed, shift):
-    """Not to the same end: of several minima, rounding may choose which."""
+    """The results may differ, because rounding may choose between several minima."""
     problem = random_problem(72_000_000 + seed)
     R = rotation(seed)
     start = None if problem.start is None else problem.start @ R.T + shift
@@ -109,7 +109,7 @@ def test_hard_problems_are_solved_wherever_the_world_is(seed, shift):
 def shuffled(problem: Problem, seed: int):
     """The solution with the joints in another order that keeps the tree; in the order of the problem."""
     body = problem.body
-    new = np.random.default_rng(seed).permutation(len(body))  # new[k]: the joint that stands at k now
+    new = np.random.default_rng(seed).permutation(len(body))  # new[k]: the joint at position k now
     place = np.argsort(new)
     parents = np.array([-1 if body.parents[j] < 0 else place[body.parents[j]] for j in new])
     order = [int(place[body.root])]
@@ -303,7 +303,7 @@ def bent(x, y, z, length, reach, sx, sy, sz):
 
 @pytest.mark.parametrize("side", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (-0.6, 0.0, 0.0), (0.2, 0.5, -0.1)])
 def test_a_bone_before_a_hole_leaves_the_room_that_the_next_one_needs(side):
-    """Also where the side given is none: on the line to the target, or nothing at all."""
+    """Also if no side is given: a direction along the line to the target, or zero."""
     at = np.array([0.4, 0.0, 0.0])  # 0.3, 0.4, 0.5: the bone is at a right angle to it
     ends = [np.array(bent(*at, 0.3, 0.5, *(sign * np.array(side)))) for sign in (1.0, -1.0)]
     for direction in ends:
@@ -314,7 +314,7 @@ def test_a_bone_before_a_hole_leaves_the_room_that_the_next_one_needs(side):
 
 @pytest.mark.parametrize("seed", [41000015, 41000048, 41000330, 41000405])
 def test_around_holes_the_end_is_no_worse_than_slsqps(seed: int) -> None:
-    """Problems on which one start from the targets ended in the worse of two bends of a hole."""
+    """Problems on which a single start from the targets ended in the worse of two minima around a hole."""
     problem = random_problem(seed)
     solution = solve(problem)
     filled = np.where(np.isfinite(problem.targets), problem.targets, solution.positions)

@@ -1,4 +1,4 @@
-"""Figures that need no truth, on motions for which they are known."""
+"""Figures without ground truth, on motions with known figures."""
 
 from __future__ import annotations
 

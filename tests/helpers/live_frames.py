@@ -33,8 +33,8 @@ def frames(fuser: Fuser, count: int, depth: bool = False) -> list[RecordedFrame]
     image = np.random.default_rng(0).integers(0, 4000, (424, 512)).astype(np.uint16) if depth else None
     made = []
     for k in range(count):
-        at = standing(BODY) + [0.1 * np.sin(k / 10), 0.0, 0.0]
-        seen = pair_of(BODY, at, k * FRAME_NS)
+        joints = standing(BODY) + [0.1 * np.sin(k / 10), 0.0, 0.0]
+        seen = pair_of(BODY, joints, k * FRAME_NS)
         assert seen.a is not None
         assert seen.b is not None
         pair = FramePair.of(

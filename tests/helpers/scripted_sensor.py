@@ -13,7 +13,7 @@ from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
 
-PATIENCE_S = 10.0  # how long a test waits for a thread before it fails; never waited when all is well
+PATIENCE_S = 10.0  # time limit for waiting on a thread; never reached when the test passes
 
 
 def frame_at(time_ns: int, host_ns: int | None = None, people: bool = False) -> SensorFrame:

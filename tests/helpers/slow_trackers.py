@@ -22,7 +22,7 @@ from tests.helpers.standin_camera import DEPTH_LATENCY_NS, Device, VirtualTime
 from tests.helpers.standin_pyk4a import Bus
 
 PERIOD_NS = 33_333_000
-SETTLED_NS = 3_000_000_000  # by then the trackers' times are known
+SETTLED_NS = 3_000_000_000  # the trackers' times are known after this time
 
 
 class SlowTracker:
@@ -114,7 +114,7 @@ def run_slow_trackers(
             index = min((0, 1), key=lambda index: times[index].now_ns())
             frame = next(streams[index])
             arrivals.append((times[index].now_ns(), index, frame))
-            # What came before both clocks' present is in order of time.
+            # Frames older than both clocks are in time order.
             arrivals.sort(key=lambda arrival: arrival[0])
             while arrivals and arrivals[0][0] <= min(time.now_ns() for time in times):
                 at_ns, side, ready = arrivals.pop(0)

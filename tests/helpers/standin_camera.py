@@ -73,8 +73,8 @@ class Device:
     color: bool = True  # the colour camera works
     color_latency_ns: int = 40_000_000
     color_lost: Callable[[int], bool] = lambda _number: False
-    skips: int = 0  # captures before each that the SDK's queue had no room for
-    paced: bool = False  # captures come when they are due; else one for every wait
+    skips: int = 0  # captures before each one that the full queue of the SDK dropped
+    paced: bool = False  # captures arrive when they are due; otherwise one per wait
     time: RealTime | VirtualTime = field(default_factory=RealTime)
     at: dict[int, Callable[[], object]] = field(default_factory=dict)  # what happens at which capture
     opened_by: object = None
@@ -138,7 +138,7 @@ class Device:
             ready_ns = max(shot.ready_ns, exposed_ns + self.color_latency_ns)
         elif self.synchronized_only:
             return None
-        elif self.color:  # the colour image of the next moment shows that this one is missing
+        elif self.color:  # the next colour image shows that this one is missing
             ready_ns = max(shot.ready_ns, exposed_ns + self.interval_usec * 1000 + self.color_latency_ns)
         else:
             ready_ns = shot.ready_ns + HELD * self.interval_usec * 1000

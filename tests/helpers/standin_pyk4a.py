@@ -104,7 +104,7 @@ def make_module(bus: Bus) -> types.ModuleType:
         @property
         def sync_jack_status(self) -> tuple[bool, bool]:
             device = self._present()
-            if device.orbbec and device.busy:  # opening it was left until now
+            if device.orbbec and device.busy:  # the device opens lazily, here
                 raise K4AException
             return (False, False) if device.orbbec else device.jacks
 
@@ -134,7 +134,7 @@ def make_module(bus: Bus) -> types.ModuleType:
         def stop(self) -> None:
             if not self.opened:
                 raise WouldCrashError("stop() of a device that is not open")
-            self.close()  # as the real one, whether the device is still there or not
+            self.close()  # like the real one, even if the device is disconnected
             self.is_running = False
 
         def close(self) -> None:
@@ -290,5 +290,5 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> Bus:
     """An empty bus behind a stand-in pyk4a, without libk4a: captures carry images only."""
     result = Bus(None)
     monkeypatch.setitem(sys.modules, "pyk4a", make_module(result))
-    monkeypatch.setattr(firmware, "loaded_libk4a", lambda: None)  # one that another test has loaded
+    monkeypatch.setattr(firmware, "loaded_libk4a", lambda: None)  # ignore a library loaded by another test
     return result

@@ -29,7 +29,7 @@ def standing(
 ) -> NDArray[np.float64]:
     """(J, 3) a person 2.6 m before K_A, turned 45° to both sensors, arms and legs apart."""
     lengths = body.nominal_lengths if lengths is None else lengths
-    at = np.zeros((len(body), 3))
+    joints = np.zeros((len(body), 3))
     for joint in body.order[1:]:
         direction = body.rest[joint]
         bone = body.bones[joint]
@@ -40,8 +40,8 @@ def standing(
             angle = legs_out
         side = -1.0 if bone.endswith("left") else 1.0
         turned = Rotation.from_euler("z", side * angle, degrees=True).apply(direction)
-        at[joint] = at[body.parents[joint]] + lengths[joint] * turned
-    return Rotation.from_euler("y", 45.0, degrees=True).apply(at) + np.array([0.1, 0.05, 2.6])
+        joints[joint] = joints[body.parents[joint]] + lengths[joint] * turned
+    return Rotation.from_euler("y", 45.0, degrees=True).apply(joints) + np.array([0.1, 0.05, 2.6])
 
 
 def pair_of(

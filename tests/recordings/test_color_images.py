@@ -67,9 +67,9 @@ def test_images_come_back_with_lens_and_place(session: Path, images: list[ColorI
 
 def test_a_damaged_image_is_left_out_and_counted(session: Path, images: list[ColorImage]) -> None:
     data = bytearray(session.read_bytes())
-    at = data.find(images[2].jpeg[-400:-300])
-    assert at > 0, "the image is not in the file as it is"
-    data[at + 50] ^= 1
+    offset = data.find(images[2].jpeg[-400:-300])
+    assert offset > 0, "the image is not in the file as it is"
+    data[offset + 50] ^= 1
     session.write_bytes(data)
     reader = read_color(session, "a", ALL)
     assert [frame for frame, _ in reader] == [0, 1, 3]

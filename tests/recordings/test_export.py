@@ -85,8 +85,8 @@ def test_trc_is_in_millimetres_y_up_with_empty_cells_for_gaps(session: Session) 
     assert (head["Units"], head["DataRate"], head["NumFrames"]) == ("mm", "30", "60")
     assert [name for name in lines[3].split("\t")[2:] if name] == list(session.body.joints)
     table = pandas.read_csv(path, sep="\t", skiprows=6, header=None, skip_blank_lines=False)
-    at = table.iloc[:, 2:].to_numpy(dtype=float).reshape(session.rows.fused.shape)
-    np.testing.assert_allclose(at, 1e3 * y_up(session.rows.fused), atol=1e-4)
+    joints = table.iloc[:, 2:].to_numpy(dtype=float).reshape(session.rows.fused.shape)
+    np.testing.assert_allclose(joints, 1e3 * y_up(session.rows.fused), atol=1e-4)
     np.testing.assert_allclose(table[1], session.rows.time_ns * 1e-9, atol=1e-6)
 
 

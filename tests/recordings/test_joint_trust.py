@@ -97,8 +97,8 @@ def seconds_of(rows: SessionArrays, seconds: int) -> SessionArrays:
     """So long, a frame every 100 ms, all of A."""
     count = seconds * 10
     picked = trusting(rows[np.arange(count) % len(rows)], 1.0)
-    at = np.arange(count)
-    return replace(picked, frame=at, time_ns=at * (SECOND // 10))
+    index = np.arange(count)
+    return replace(picked, frame=index, time_ns=index * (SECOND // 10))
 
 
 def test_every_moment_of_a_file_stands_in_the_page_that_is_shown_then(rows: SessionArrays) -> None:

@@ -169,9 +169,9 @@ def test_files_that_are_no_sessions_are_named_in_one_line(tmp_path: Path) -> Non
     stream.disconnect()
     for name, words in (
         ("missing.rrd", "No session"),
-        ("text.rrd", "does not begin as an .rrd"),
+        ("text.rrd", "does not begin like an .rrd"),
         ("empty.rrd", "no session"),
-        ("other.rrd", "no session of duplex-kinects"),
+        ("other.rrd", "not a session of duplex-kinects"),
         (".", "is a folder"),
     ):
         with pytest.raises(RecordingError, match=words) as error:

@@ -84,9 +84,9 @@ def test_type_checkers_are_told_that_there_are_types(package: str) -> None:
 
 def with_a_damaged_image(session: Session, frame: int, damaged: Path) -> Session:
     data = bytearray(session.path.read_bytes())
-    at = data.find(encode_depth(dict(session.depth("a"))[frame])[200:260])
-    assert at > 0, "the image is not in the file as it is"
-    data[at + 20] ^= 1
+    offset = data.find(encode_depth(dict(session.depth("a"))[frame])[200:260])
+    assert offset > 0, "the image is not in the file as it is"
+    data[offset + 20] ^= 1
     damaged.write_bytes(data)
     return Session.open(damaged)
 

@@ -205,8 +205,8 @@ def test_where_another_method_is_nearer_on_average_is_said() -> None:
     assert lost_to(outcomes) == []
     assert "In each of 4 movements × angles" in said_of_losses(outcomes)[0]
     for outcome in outcomes:
-        at = outcome.trial.motion, outcome.trial.angle
-        if outcome.method == "mean, refined" and at == ("still", 135.0):
+        place = outcome.trial.motion, outcome.trial.angle
+        if outcome.method == "mean, refined" and place == ("still", 135.0):
             outcome.figures["mpjpe"] = 0.5
     ((motion, angle, method, by),) = lost_to(outcomes)
     assert (motion, angle, method) == ("still", 135.0, "mean, refined")

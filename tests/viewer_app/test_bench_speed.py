@@ -17,7 +17,7 @@ from devices.sensor import DeviceError
 from fusion.body import KINECT_V1, KINECT_V2, Body
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
-from fusion.setup import FusionSetup
+from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import SkeletonPair
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of
 from viewer_app import cli
@@ -51,10 +51,10 @@ def test_ceres_comes_to_the_same_joints() -> None:
     assert ceres.off_mm < 0.01
 
 
-def test_warm_frames_are_the_problems_that_the_fuser_solves() -> None:
+def test_warm_frames_are_the_problems_that_the_paper_solves() -> None:
     pairs = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 60))]
     calibration = Calibration(KINECT_V2, A_FROM_B, KINECT_V2.nominal_lengths * 1.02, "too long, on purpose")
-    fuser = Fuser(FusionSetup(calibration))
+    fuser = Fuser(FusionSetup(calibration, FuserSettings(method="paper")))
     for pair, problem in zip(pairs, bench_update.warm_frames(pairs, calibration), strict=True):
         fused = fuser.update(pair)
         found = bench_update.TreeSolver(KINECT_V2.parent_indices, KINECT_V2.order, KINECT_V2.rest).solve(

@@ -46,11 +46,11 @@ def watched(
     """What the coach says at the end of some seconds of the same sight, by topic."""
     now = now or Situation(KNOWN, settled=True, held=0.0)
     coach, fuser = Coach(BODY, (CAMERA, CAMERA)), Fuser(FusionSetup(now.calibration))
-    at = standing(BODY) if truth is None else truth
+    joints = standing(BODY) if truth is None else truth
     advice: list[Advice] = []
     for k in range(0, round(seconds * 1e9 / frame_ns) + 1, every):
         time_ns = k * frame_ns
-        seen = pair_of(BODY, at, time_ns, really)
+        seen = pair_of(BODY, joints, time_ns, really)
         people: list[dict[str, Skeleton]] = []
         for shown, skeleton in ((a, seen.a), (b, seen.b)):
             assert skeleton is not None
@@ -84,7 +84,7 @@ def test_a_sensor_that_sees_no_one_is_named_after_a_second() -> None:
 
 def test_a_sensor_that_is_slightly_too_slow_is_below_the_limit_in_words_too() -> None:
     said = watched(seconds=12.0, frame_ns=42_700_000)["rate A"]  # 23.5 in two seconds
-    assert said.text.startswith("Sensor A gives 23 frames a second; below 24 movements are missed.")
+    assert said.text.startswith("Sensor A gives 23 frames per second; below 24 movements are missed.")
 
 
 @pytest.mark.parametrize("lost", ["states", "image"])
@@ -135,6 +135,13 @@ def test_the_start_up_pose_is_counted_down() -> None:
     assert "pose" not in watched()
 
 
+def test_frames_left_out_for_a_slow_tracker_are_not_blamed_on_usb_or_light() -> None:
+    halved = Situation(KNOWN, settled=True, held=0.0, step=2)
+    assert wrong(watched(every=2, now=halved)) == set()
+    said = watched(every=3, now=halved)["rate A"]
+    assert said.text.startswith("Sensor A gives 10 frames a second; below 12 movements are missed.")
+
+
 def test_slow_late_and_dropping_sensors_are_named() -> None:
     assert wrong(watched(every=2)) == {"rate A", "rate B"}
     assert wrong(watched(skew_ns=-20_000_000)) == {"skew"}
@@ -160,8 +167,8 @@ def test_the_verdict_says_how_many_millimetres_and_what_limits_it() -> None:
     for k in range(60):
         pair = pair_of(BODY, standing(BODY), k * FRAME_NS)
         assert pair.b is not None
-        at = pair.b.positions + rng.normal(0, 0.06, (len(BODY), 3)).astype(np.float32)
-        noisy.append(replace(pair, b=Skeleton.of(BODY, at, None, k * FRAME_NS)))
+        joints = pair.b.positions + rng.normal(0, 0.06, (len(BODY), 3)).astype(np.float32)
+        noisy.append(replace(pair, b=Skeleton.of(BODY, joints, None, k * FRAME_NS)))
     said = verdict(calibrate(BODY, noisy, "start-up pose"))
     # noise of 60 mm an axis in one view: a Maxwell median of 1.538 · 60 mm
     assert said.figure == pytest.approx(92.3, rel=0.05)

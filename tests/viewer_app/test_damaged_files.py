@@ -91,8 +91,8 @@ def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
 
     def apply(data: bytes) -> bytes:
         for kind, place, length, odd in wounds:
-            at = int(place * len(data))
-            before, there, after = data[:at], data[at : at + length], data[at + length :]
+            offset = int(place * len(data))
+            before, there, after = data[:offset], data[offset : offset + length], data[offset + length :]
             if kind == "cut":
                 data = before
             elif kind == "flip" and there:
@@ -126,10 +126,10 @@ def _must_be_fused_or_refused(capsys: pytest.CaptureFixture[str], *arguments: ob
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Path]]:
     """A's and B's recording in every format."""
     folder = tmp_path_factory.mktemp("whole")
-    at = moving(KINECT_V2, FRAMES)
-    seen_by_b = A_FROM_B.inverse().apply(at)
+    offset = moving(KINECT_V2, FRAMES)
+    seen_by_b = A_FROM_B.inverse().apply(offset)
     return {
-        ending: (write(folder / f"a{ending}", at), write(folder / f"b{ending}", seen_by_b))
+        ending: (write(folder / f"a{ending}", offset), write(folder / f"b{ending}", seen_by_b))
         for ending, write in WRITERS.items()
     }
 
@@ -186,12 +186,12 @@ def test_damaged_calibrations_are_used_or_refused(
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Two recordings of sensors on a cable, with the skeletons that belong to them."""
     folder = tmp_path_factory.mktemp("recorded")
-    at = moving(AZURE_KINECT, FRAMES)
+    offset = moving(AZURE_KINECT, FRAMES)
     files = {
         "a": write_mkv(folder / "a.mkv", FRAMES, sync="MASTER"),
         "b": write_mkv(folder / "b.mkv", FRAMES, sync="SUBORDINATE"),
     }
-    for side, positions in (("a", at), ("b", A_FROM_B.inverse().apply(at))):
+    for side, positions in (("a", offset), ("b", A_FROM_B.inverse().apply(offset))):
         files[f"skeletons_{side}"] = _of_recording(folder / f"{side}.csv", AZURE_KINECT, positions)
     return files
 

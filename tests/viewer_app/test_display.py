@@ -86,7 +86,7 @@ def test_a_display_that_says_nothing_is_none_and_it_is_said(monkeypatch: pytest.
         assert words is not None
         assert name in words
         assert "0.2 s" in words
-        again = display.why_no_window()  # nobody waits for it twice
+        again = display.why_no_window()  # the result is cached: no second wait
         assert again == words
         assert time.monotonic() - before < 5.0
 

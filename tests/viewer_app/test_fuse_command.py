@@ -43,7 +43,7 @@ def test_two_recordings_become_a_session_a_report_and_a_summary(
         "start-up pose",
         "axes are 85° apart",
         "Largest bone error",
-        "ms a frame",
+        "ms per frame",
     ):
         assert words in said.replace("\n", " ")
     figures = figures_of(report)
@@ -202,9 +202,9 @@ def test_a_calibration_of_another_body_or_of_no_kind_is_refused(
     whole = kept.read_text(encoding="utf-8")
     for broken, words in (
         (whole.replace("kinect_v2", AZURE_KINECT.name), "is a calibration of azure_kinect"),
-        (whole[:100], "is no calibration"),
+        (whole[:100], "is not a calibration"),
         (whole.replace('"forearm_left"', '"tail"'), "no 'forearm_left'"),
-        ("[]", "is no calibration"),
+        ("[]", "is not a calibration"),
     ):
         kept.write_text(broken, encoding="utf-8")
         assert duplex("fuse", *recordings, "--no-viewer", "--calibrate", kept) == 2

@@ -16,7 +16,7 @@ from viewer_app.loop.interruption import CtrlC
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs POSIX signals")
 
-HANGS_S = 20.0  # it ends within 2 s on a machine with nothing else to do
+HANGS_S = 20.0  # on an idle machine it ends within 2 s
 AFTER_ALL_WAS_SAVED = (0, 130, -signal.SIGINT)  # the last while Python itself shuts down
 
 
@@ -46,7 +46,7 @@ def test_ctrl_c_before_the_first_frame(tmp_path: Path) -> None:
     while b"A simulated person" not in process.stdout.readline():
         assert process.poll() is None
     code, frames, said = ended(process)
-    if code == 130:  # before the sensors ran: there is nothing to save, and nothing is left behind
+    if code == 130:  # before the sensors ran: nothing to save, no file remains
         assert (frames, said) == (0, "duplex: stopped\n")
     else:
         assert code == 0
@@ -84,7 +84,7 @@ def test_ctrl_c_while_it_starts(tmp_path: Path, after_s: float) -> None:
     time.sleep(after_s)  # the moment of the press, which is what varies
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=HANGS_S)
-    # 1: in Python's own start, before our first line
+    # 1: during Python's start-up, before the program's first line
     assert process.returncode in (0, 1, 130, -signal.SIGINT)
     assert not list(tmp_path.glob(".*partial*"))
 

@@ -81,7 +81,7 @@ def test_two_sensors_become_a_session_and_a_summary(
     for words in ("Sync cable: B leads, A captures 160 µs later", "Paired", "Largest bone error", "Saved"):
         assert words in said
     captures = min(device.captures for device in kinects.devices)
-    # the first and the last may lack the other sensor; a machine that is busy elsewhere drops some
+    # the first and the last may lack the other sensor; a busy machine drops some
     assert 0.5 * captures <= rows_of(saved, "/fused/skeleton") <= captures + 2
     assert kinects.open_serials == []
     assert kinects.started == ["000123", "000456"], "the subordinate first"
@@ -243,7 +243,7 @@ def test_frames_lost_before_a_slow_tracker_are_told(
     assert figures["streams"]["too_slow_for"]["b"] >= 40
     assert figures["dropped"]["b"] >= 40
     said = " ".join(capsys.readouterr().out.split())
-    assert "frames of B we were too slow for 4" in said
+    assert "frames of B dropped (too slow) 4" in said
     counted = read_columns(saved, lambda entity: entity == "/quality/dropped").values
     assert counted["/quality/dropped", "Scalars:scalars"][1][-1, 1] >= 40
 
@@ -313,13 +313,16 @@ def test_mistakes_are_one_line_before_any_sensor_opens(
         (["--no-viewer", "--save", taken], "exists already"),
         (["--no-viewer", "--seconds", -1], "--seconds must be"),
         (["--no-viewer", "--calibrate", tmp_path / "none.json"], "neither auto nor a file"),
+        (["--no-viewer", "--color", "3072P"], "Colour 3072P runs at 15 fps at most"),
+        (["--no-viewer", "--smoothing", 3], "Smoothing is 0 to 1, not 3.0"),
         (["--no-viewer", "--kinect-a", "000999"], "No Kinect with serial 000999"),
         (["--no-viewer", "--principal", "000123", "--h", 2], "h must lie"),
     ):
         assert duplex("live", *arguments) == 2
-        said = capsys.readouterr().err
-        assert words in said
-        assert said.count("\n") == 1
+        printed = capsys.readouterr()
+        assert words in printed.err
+        assert printed.err.count("\n") == 1
+        assert "Opening" not in printed.out
 
 
 def test_a_calibration_is_loaded_and_kept(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
@@ -335,7 +338,7 @@ def test_a_calibration_is_loaded_and_kept(kinects: Bus, standin: Standin, tmp_pa
 def test_a_calibration_that_was_never_found_is_said_and_the_session_is_kept(
     kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # the stand-in's joints lie on a line, which no one can calibrate on
+    # the stand-in's joints lie on a line, which does not allow a calibration
     assert len(kinects.devices) == 2
     saved, wanted = tmp_path / "s.rrd", tmp_path / "calibration.json"
     assert live(standin, saved, "--save-calibration", wanted, seconds=0.3) == 2
@@ -454,7 +457,7 @@ def test_tracker_hangs_at_close(
     release, hung, close = threading.Event(), [], BodyTracker.close
 
     def hang(tracker: BodyTracker) -> None:
-        if tracker._library is not None and not hung:  # that of the one that closes first
+        if tracker._library is not None and not hung:  # the library of the sensor that closes first
             hung.append(tracker)
             release.wait(60.0)
         close(tracker)
@@ -504,7 +507,7 @@ def test_ctrl_c_ends_it_and_everything_is_saved(
     assert code == 0
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     said = capsys.readouterr().out
-    if "no frame came" in said:
+    if "no frame was received" in said:
         assert capture < 12
         assert not saved.exists()
         return
@@ -545,7 +548,7 @@ def test_the_doctor_says_0_where_live_starts(
         "viewer_app.commands.doctor.device_checks", lambda of, **more: checks(of, tmp_path, **more)
     )
     if sys.platform.startswith("linux"):
-        monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")  # windows open there; depth is made with X
+        monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")  # windows use Wayland; the depth engine uses X
         assert duplex("doctor", "--k4abt", standin.path) == 1
         assert "cannot start: depth engine.\n" in capsys.readouterr().out
     monkeypatch.setattr(display, "_answers", lambda name, within: name == ":77" and within > 0.0)

@@ -29,7 +29,7 @@ from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing
 from viewer_app.cli import main
 from viewer_app.commands import demo
-from viewer_app.loop.live_loop import run_live, undisturbed
+from viewer_app.loop.live_loop import low_latency, run_live
 from viewer_app.sinks.sink import NullSink
 
 NOMINAL = FusionSetup(nominal_calibration(KINECT_V1))
@@ -60,7 +60,7 @@ def test_a_paced_sensor_gives_each_frame_when_it_is_due() -> None:
             frames.append(frame)
             assert clock.now - begun == pytest.approx((frame.time_ns - frames[0].time_ns) * 1e-9, abs=1e-9)
             assert frame.host_ns == round(clock.now * 1e9)
-            clock.now += 0.001  # the reader's work does not add up
+            clock.now += 0.001  # the reader's work does not accumulate
     assert len(frames) == 15
 
 
@@ -133,7 +133,7 @@ def test_paced_sensors_begin_together() -> None:
     first, second = paced_together(a, b)
     threads = [threading.Thread(target=read, args=(sensor,)) for sensor in (first, second)]
     threads[0].start()
-    time.sleep(0.4)  # the stimulus: without a common beat the sensors would stay this far apart
+    time.sleep(0.4)  # the stimulus: without a common clock the sensors would keep this offset
     threads[1].start()
     for thread in threads:
         thread.join()
@@ -278,7 +278,7 @@ def test_stacking_keeps_what_the_loop_gave() -> None:
     assert (rows.states_b[0] == 0).all()
     assert (rows.fused[3] == frames[3].fused.positions).all()
     assert rows.time_ns[-1] == 19 * FRAME_NS
-    # noiseless: what B says, laid into A's frame, is what A says, to float32
+    # without noise S_B in A's frame equals S_A, to float32
     np.testing.assert_allclose(rows.b_in_a[1:], rows.positions_a[1:], atol=3e-6)
     assert rows.disagreement[1:].max() < 3e-6
     assert np.isnan(rows.disagreement[0])
@@ -312,9 +312,9 @@ def test_the_demo_refuses_what_it_does_not_know(capsys: pytest.CaptureFixture[st
         assert said.count("\n") == 1
 
 
-def test_the_loop_is_undisturbed_only_while_it_runs() -> None:
+def test_latency_settings_apply_only_while_the_loop_runs() -> None:
     before = sys.getswitchinterval()
-    with undisturbed():
+    with low_latency():
         assert sys.getswitchinterval() < 0.001  # what logging may hold up the loop by
         assert len(gc.get_objects()) < 1000  # what a search for garbage goes through
     assert sys.getswitchinterval() == before

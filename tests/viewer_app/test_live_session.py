@@ -56,7 +56,7 @@ def stuck(fuser: Fuser) -> Iterator[ViewerFeed]:
 def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
     stuck: ViewerFeed, fuser: Fuser
 ) -> None:
-    made = frames(fuser, 100, depth=True)  # 87 MB: more than any pipe takes
+    made = frames(fuser, 100, depth=True)  # 87 MB: more than the capacity of a pipe
     slowest = 0.0
     for number, frame in enumerate(made):
         before = time.perf_counter()
@@ -80,7 +80,7 @@ def test_a_turn_is_over_when_the_feed_has_written_or_time_is_up(stuck: ViewerFee
     for number, frame in enumerate(frames(fuser, 100, depth=True)):  # more than any pipe takes
         stuck.offer(Frame(number, frame))
         time.sleep(0.002)  # the pace of a fast loop, in which the feed's thread gets its turns
-    stuck._turn_over.set()  # of a turn before
+    stuck._turn_over.set()  # from an earlier turn
     begun = time.monotonic()
     stuck.wait_for_turn(0.3)
     assert time.monotonic() - begun >= 0.3
@@ -142,7 +142,7 @@ def test_a_complete_feed_passes_every_frame_on(fuser: Fuser) -> None:
     class Spy(Recorder):
         def record_all(self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None = None) -> Any:
             written.extend(numbers or ())
-            time.sleep(0.01)  # slower than they come
+            time.sleep(0.01)  # slower than the frames arrive
             return super().record_all(frames, numbers)
 
     feed = ViewerFeed(

@@ -69,7 +69,7 @@ def test_nothing_survives_two_ctrl_c_while_a_page_is_served() -> None:
         program.send_signal(signal.SIGINT)
         program.send_signal(signal.SIGINT)
         try:
-            # the second one may come before or after the first is heeded: press until it ends
+            # the second signal may arrive before or after the first is handled: repeat until the process ends
             assert eventually(lambda: _pressed(program), 30.0)
         finally:
             program.kill()
@@ -87,7 +87,7 @@ def test_hub_and_viewer_have_a_bounded_memory() -> None:
     window = start_window_on_pipe()
     try:
         for process, option in ((hub, "--server-memory-limit"), (window, "--memory-limit")):
-            # the hub's command line is Rerun's once it has been told to end with us
+            # after the launcher's exec the hub's command line is Rerun's
             assert eventually(lambda process=process, option=option: option in _options(process))
             options = _options(process)
             assert options[options.index(option) + 1].endswith("iB")

@@ -85,7 +85,7 @@ def test_the_first_frame_that_differs_is_named_also_where_float32_does_not_show_
 
 
 def test_verifying_other_settings_is_refused(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert duplex("replay", session, "--verify", "--h", "0.9") == 2
+    assert duplex("replay", session, "--verify", "--smoothing", "0.9") == 2
     assert "duplex compare" in one_line(capsys)
 
 
@@ -93,11 +93,11 @@ def test_a_replay_with_other_settings_is_compared_with_the_first(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other, compared = tmp_path / "equal.rrd", tmp_path / "compared.rrd"
-    assert duplex("replay", session, "--no-viewer", "--weights", "equal", "--save", other) == 0
+    assert duplex("replay", session, "--no-viewer", "--method", "paper", "--save", other) == 0
     capsys.readouterr()
     assert duplex("compare", session, other, "--no-viewer", "--save", compared, "--worst", "3") == 0
     said = capsys.readouterr().out
-    assert "weights: paper against equal" in said
+    assert "method: duplex against paper" in said
     assert "90 frames in common" in said
     assert said.count(" differs by ") == 3
     assert compared.stat().st_size > 10_000
@@ -110,7 +110,7 @@ def test_as_many_moments_are_listed_as_asked_for(
     count: int, session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = tmp_path / "equal.rrd"
-    assert duplex("replay", session, "--no-viewer", "--weights", "equal", "--save", other) == 0
+    assert duplex("replay", session, "--no-viewer", "--method", "paper", "--save", other) == 0
     capsys.readouterr()
     assert duplex("compare", session, other, "--no-viewer", "--worst", count) == 0
     said = capsys.readouterr().out
@@ -152,7 +152,7 @@ def test_names_with_brackets_are_printed_as_they_are(
     for name in ("[red]a.rrd", "[/bold]a.rrd", "c[bold].rrd"):
         path = Path(name)
         path.parent.mkdir(exist_ok=True)
-        path.write_bytes(session.read_bytes()[:-50])  # said to be cut off, under its name
+        path.write_bytes(session.read_bytes()[:-50])  # reported as cut off, with its name
         out = path.with_suffix("")
         for command in (
             ("info", path),
@@ -174,7 +174,7 @@ def test_sessions_of_other_captures_are_not_compared(
     later = [pair for pair in frame_pairs(KINECT_V2, 200) if pair.time_ns > 4_000_000_000]
     other = fused_run(later, calibration_of(KINECT_V2)).path
     assert duplex("compare", session, other, "--no-viewer") == 2
-    assert "not one capture" in one_line(capsys)
+    assert "not the same capture" in one_line(capsys)
 
 
 def test_a_trimmed_session_is_a_session(
@@ -244,9 +244,9 @@ def test_a_damaged_image_is_left_out_and_said(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = bytearray(session.read_bytes())
-    at = data.find(encode_depth(dict(Session.open(session).depth("b"))[60])[200:260])
-    assert at > 0
-    data[at + 20] ^= 1
+    offset = data.find(encode_depth(dict(Session.open(session).depth("b"))[60])[200:260])
+    assert offset > 0
+    data[offset + 20] ^= 1
     bad = tmp_path / "bad.rrd"
     bad.write_bytes(data)
     assert duplex("info", bad) == 0
@@ -259,7 +259,7 @@ def test_a_damaged_image_is_left_out_and_said(
         (("replay", bad, "--no-viewer", "--save", tmp_path / "v.rrd"), 1),
     ):
         assert duplex(*command) == 0
-        assert ("1 damaged images were left out" in capsys.readouterr().out) is bool(count)
+        assert ("1 damaged images were skipped" in capsys.readouterr().out) is bool(count)
         saved = Session.open(command[-1])
         assert saved.depth("b").count() == saved.depth("a").count() - 1 - count  # one frame B did not deliver
 

@@ -25,7 +25,7 @@ WARNING = Advice("A's view", "Sensor A sees no one: 0 of 25 joints", "WARN", sen
 def statuses() -> list[Any]:
     """Two seconds at 30 fps; A has dropped 3 frames, B 4."""
     fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
-    sensors = SimpleNamespace(a=SimpleNamespace(dropped=3), b=SimpleNamespace(dropped=4))
+    sensors = SimpleNamespace(a=SimpleNamespace(dropped=3), b=SimpleNamespace(dropped=4), step=2)
     calibrator = SimpleNamespace(calibration=fuser.setup.calibration, settled=True, held=0.0)
     return [
         SimpleNamespace(frame=frame, sensors=sensors, calibrator=calibrator, events=())
@@ -100,6 +100,13 @@ def test_a_warning_is_one_event_and_one_when_it_is_over(statuses: list[Any], qui
     begins = (WARNING.text, "WARN")
     assert shown.events() == [begins, (f"{WARNING.topic}: all right again",), begins]
     assert shown.printed.getvalue() == f"{WARNING.text}\n" * 2
+
+
+def test_the_coach_knows_what_the_sensors_do(statuses: list[Any]) -> None:
+    shown = Shown()
+    shown.display(statuses[0])
+    situation = shown.coach.watch.call_args.args[1]
+    assert (situation.dropped, situation.step) == ((3, 4), 2)
 
 
 def test_what_is_no_warning_is_no_event(statuses: list[Any]) -> None:

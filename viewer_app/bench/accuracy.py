@@ -1,4 +1,4 @@
-"""``duplex bench accuracy``: what S* is worth in millimetres, and what the simulator is worth."""
+"""``duplex bench accuracy``: measures the accuracy of S* in millimetres, and the realism of the simulator."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def run(options: BenchAccuracyOptions) -> None:
 
 
 def _check(options: BenchAccuracyOptions) -> None:
-    """Finds out before the work what cannot be done."""
+    """Checks the options before the measurement starts."""
     if options.seeds < 1:
         raise UsageError(f"--seeds must be 1 or more; got {options.seeds}.")
     if options.first_seed < 0:
@@ -81,7 +81,7 @@ def _check(options: BenchAccuracyOptions) -> None:
 
 
 def _methods(options: BenchAccuracyOptions) -> list[str]:
-    """The names of the methods asked for, in the tables' order."""
+    """The names of the selected methods, in the tables' order."""
     if options.methods:
         return [method.name for method in chosen_methods(options.methods)]
     return [method.name for method in (*METHODS, *(ABLATIONS if options.ablations else ()))]
@@ -93,7 +93,7 @@ def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[st
         Trial(motion, angle, seed) for motion in options.motions for angle in options.angles for seed in seeds
     ]
     simulation = Simulation(options.body, options.seconds, options.errors, options.tracker_errors)
-    # a process takes seconds to start: not more than one for every four trials
+    # a process takes seconds to start: at most one per four trials
     processes = options.processes or min(os.cpu_count() or 1, max(1, len(trials) // 4))
     outcomes: list[Outcome] = []
     runs = run_trials(trials, simulation, _methods(options), processes)
@@ -145,7 +145,7 @@ def _compare_with_real(console: Console, options: BenchAccuracyOptions) -> dict[
         with console.status(f"simulating {name}"):
             folder = None if options.recordings is None else options.recordings / name
             real = None
-            if folder is not None and name != "azure_squat":  # of which no recording is at hand
+            if folder is not None and name != "azure_squat":  # no recording is available
                 real = statistics(*_views(folder / "a.csv", folder / "b.csv"))
             simulated = simulated_statistics(
                 setting, range(options.first_seed, options.first_seed + options.seeds)

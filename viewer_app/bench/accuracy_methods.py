@@ -6,7 +6,7 @@ To add a method, add a row to :data:`METHODS`. A switch of our method is a row o
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -20,9 +20,13 @@ from fusion.calibration.calibration import Calibration
 from fusion.estimator.constants import Constants
 from fusion.evaluation import baselines
 from fusion.evaluation.fixed_registration import fit_recording
+from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
+from fusion.recording import plan_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
+from recordings.fusing import fuse_segments, setups_of
+from recordings.live_fusing import LiveFusion
 
 Array = NDArray[np.float64]
 Kind = Literal["view", "baseline", "bound", "method", "ablation"]
@@ -30,13 +34,13 @@ Kind = Literal["view", "baseline", "bound", "method", "ablation"]
 
 @dataclass(frozen=True, eq=False)
 class RecordedPair:
-    """What every method is given, and the truth that only bounds and figures use.
+    """The input of every method, and the truth, which only bounds and figures use.
 
     Attributes:
-        body: Which joints.
+        body: The body that defines the joints.
         pairs: T pairs, in time order.
-        calibration: From the start-up pose.
-        frame_seconds: Between two frames.
+        calibration: Calibration from the start-up pose.
+        frame_seconds: Seconds between two frames.
         truth: (T, J, 3) metres, in K_A's frame.
     """
 
@@ -54,8 +58,8 @@ class RecordedPair:
 
         def stacked(side: str) -> tuple[Array, NDArray[np.uint8]]:
             view = [getattr(pair, side) for pair in skeletons]
-            at = np.array([nowhere if s is None else s.positions for s in view], dtype=np.float64)
-            return at, np.array([unseen if s is None else s.states for s in view])
+            positions = np.array([nowhere if s is None else s.positions for s in view], dtype=np.float64)
+            return positions, np.array([unseen if s is None else s.states for s in view])
 
         return stacked("a"), stacked("b")
 
@@ -88,13 +92,12 @@ class RecordedPair:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a method found.
+    """The result of a method.
 
     Attributes:
-        joints: (T, J, 3) metres, in K_A's frame; NaN where it has none.
+        joints: (T, J, 3) metres, in K_A's frame; NaN without an estimate.
         each_us: Microseconds per frame.
-        sd: (T, J) metres, one standard deviation of a joint's distance to the truth, as it states it; None
-            without.
+        sd: (T, J) metres, one standard deviation of a joint's distance to the truth; None without.
     """
 
     joints: Array
@@ -139,14 +142,43 @@ def fused(
             before = time.perf_counter_ns()
             frames.append(fuser.update(skeletons, codes))
             cost.append(time.perf_counter_ns() - before)
-        sd = np.array([frame.sigma for frame in frames])
-        return Found(
-            np.array([frame.positions for frame in frames]),
-            float(np.median(cost)) * 1e-3,
-            sd if np.isfinite(sd).any() else None,
-        )
+        return _found(frames, float(np.median(cost)) * 1e-3)
 
     return find
+
+
+def as_recorded(settings: FuserSettings, refine: bool = True) -> Callable[[RecordedPair], Found]:
+    """What ``duplex fuse`` makes of the recording: calibration and labels from the whole of it."""
+
+    def find(recording: RecordedPair) -> Found:
+        skeletons = [pair.skeletons for pair in recording.pairs]
+        plan = plan_recording(recording.body, skeletons, settings, refine=refine)
+        segments = setups_of(plan, settings, (None, None))
+        frames = list(fuse_segments(segments, recording.pairs, plan.codes))
+        return _found([f.fused for f in frames], float(np.median([f.fuse_ns for f in frames])) * 1e-3)
+
+    return find
+
+
+def as_live(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
+    """What ``duplex live`` makes of the recording: nothing looks ahead."""
+
+    def find(recording: RecordedPair) -> Found:
+        live = LiveFusion(FusionSetup(recording.calibration, settings), refine=True)
+        frames = [live.fuse(pair) for pair in recording.pairs]
+        return _found([f.fused for f in frames], float(np.median([f.fuse_ns for f in frames])) * 1e-3)
+
+    return find
+
+
+def _found(frames: Sequence[FusedFrame], each_us: float) -> Found:
+    sigma = [frame.sigma for frame in frames]
+    known = [one for one in sigma if one is not None]
+    return Found(
+        np.array([frame.positions for frame in frames]),
+        each_us,
+        np.array(known) if len(known) == len(sigma) else None,
+    )
 
 
 def _baseline(find: Callable[[RecordedPair], Array]) -> Callable[[RecordedPair], Found]:
@@ -176,7 +208,7 @@ def _oracle(recording: RecordedPair) -> Array:
 
 
 DEFAULT = FuserSettings()
-"""The settings a person gets who chooses none."""
+"""The default settings."""
 
 METHODS: tuple[Method, ...] = (
     Method("A alone", "view", _baseline(lambda r: baselines.alone(r.a))),
@@ -189,7 +221,9 @@ METHODS: tuple[Method, ...] = (
     Method("oracle", "bound", _baseline(_oracle)),
     Method("published", "method", fused(replace(DEFAULT, method="published"))),
     Method("paper", "method", fused(replace(DEFAULT, method="paper"))),
-    Method("duplex", "method", fused(DEFAULT)),
+    Method("duplex", "method", as_recorded(replace(DEFAULT, hindsight="labels"))),
+    Method("duplex, live", "method", as_live(DEFAULT)),
+    Method("duplex, smoothed", "method", as_recorded(replace(DEFAULT, hindsight="whole"))),
 )
 """In the order of the tables.
 
@@ -204,6 +238,8 @@ OURS = "duplex"
 _NEVER = 1e-12  # a probability: what the filter takes the logarithm of
 
 ABLATIONS: tuple[Method, ...] = (
+    Method("start-up, causal", "ablation", fused(DEFAULT)),
+    Method("without refinement", "ablation", as_recorded(replace(DEFAULT, hindsight="labels"), refine=False)),
     Method("without time", "ablation", fused(replace(DEFAULT, smoothing=0.0))),
     Method(
         "without robustness",
@@ -215,4 +251,7 @@ ABLATIONS: tuple[Method, ...] = (
     Method("without facing", "ablation", fused(DEFAULT, (0, 0))),
     Method("without scale", "ablation", fused(DEFAULT, scale_sd=0.0)),
 )
-"""The default with one part switched off, for ``--ablations``."""
+"""One part switched off at a time, for ``--ablations``.
+
+``without refinement`` is ``duplex`` with the start-up pose's calibration. The others are ``start-up, causal``
+with one part switched off: the start-up pose's calibration, and nothing that looks ahead."""

@@ -49,7 +49,7 @@ def rivals_of(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def tables_of_methods(outcomes: list[Outcome]) -> list[Table]:
-    """All figures of all methods, and which method is clearly the best in one."""
+    """Tables with all figures of all methods; a clearly best method is bold."""
     distances = _table("Methods on identical input: mean ± deviation over seeds", _DISTANCES, outcomes)
     movement = _table("", _MOVEMENT, outcomes)
     tables = [distances, movement]
@@ -74,9 +74,9 @@ def tables_of_methods(outcomes: list[Outcome]) -> list[Table]:
 
 
 def common_trials(outcomes: Sequence[Outcome], name: str) -> set[Trial]:
-    """The trials in which every method has a figure: only those are averaged over.
+    """The trials in which every method has a figure; averages use only these.
 
-    A method that never has it does not count.
+    A method that never has the figure is ignored.
     """
     having = {o.method for o in outcomes if np.isfinite(o.figures[name])}
     missing = {o.trial for o in outcomes if o.method in having and not np.isfinite(o.figures[name])}
@@ -94,7 +94,8 @@ def over_seeds(outcomes: Sequence[Outcome], method: str, name: str) -> NDArray[n
 
 
 def clearly_best(outcomes: Sequence[Outcome], name: str) -> str | None:
-    """The method nearest to zero, where seed against seed it is so by twice the difference's deviation."""
+    """The method nearest to zero, if its paired difference to each other method exceeds twice the
+    deviation."""
     competing = [method for method in methods_of(outcomes) if _KINDS[method] != "bound"]
     values = {method: np.abs(over_seeds(outcomes, method, name)) for method in competing}
     values = {method: of for method, of in values.items() if of.size > 1}
@@ -106,13 +107,13 @@ def clearly_best(outcomes: Sequence[Outcome], name: str) -> str | None:
 
 
 def wins(outcomes: Sequence[Outcome], method: str) -> float:
-    """Paired by recording: the share in which ours is nearer to the truth than another method."""
+    """The share of recordings in which our method is nearer to the truth than another method."""
     ours = {o.trial: o.figures["mpjpe"] for o in outcomes if o.method == OURS}
     return float(np.mean([ours[o.trial] < o.figures["mpjpe"] for o in outcomes if o.method == method]))
 
 
 def lost_to(outcomes: Sequence[Outcome]) -> list[tuple[str, float, str, float]]:
-    """Where another method is nearer to the truth on average: (movement, angle, method, metres nearer)."""
+    """Cases in which another method is nearer to the truth on average: (movement, angle, method, metres)."""
     lost = []
     rivals = rivals_of(outcomes)
     for motion, angle in dict.fromkeys((o.trial.motion, o.trial.angle) for o in outcomes):
@@ -171,7 +172,7 @@ def _table(title: str, columns: dict[str, Column], outcomes: list[Outcome]) -> T
     table = Table(title=title or None, title_justify="left", box=box.SIMPLE_HEAD)
     table.add_column("method", no_wrap=True)
     for heading, _, _ in columns.values():
-        table.add_column(heading, justify="right", overflow="fold")  # not a digit is lost
+        table.add_column(heading, justify="right", overflow="fold")  # fold instead of cutting digits off
     best = {name: clearly_best(outcomes, name) for name in columns}
     for method in methods_of(outcomes):
         cells = []

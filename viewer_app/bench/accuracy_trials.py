@@ -30,9 +30,9 @@ class Trial:
     """One simulated recording.
 
     Attributes:
-        motion: Which movement.
+        motion: Name of the movement.
         angle: Degrees between the sensors.
-        seed: Of all errors.
+        seed: Seed of all errors.
     """
 
     motion: str
@@ -42,13 +42,13 @@ class Trial:
 
 @dataclass(frozen=True)
 class Simulation:
-    """What all trials share.
+    """Settings shared by all trials.
 
     Attributes:
         body: The name of the body that the trackers report.
-        seconds: How long each recording is.
-        errors: All errors of the trackers, times this.
-        tracker_errors: Fitted to real recordings, or heavy-tailed: a tracker nothing was fitted to.
+        seconds: Duration of each recording.
+        errors: Factor for all tracker errors.
+        tracker_errors: Error model: fitted to real recordings, or heavy-tailed, which no method is fitted to.
     """
 
     body: str = "azure_kinect"
@@ -79,11 +79,10 @@ def run_trials(
     """The named methods on each trial, in the trials' order.
 
     Args:
-        trials: Recordings to make.
-        simulation: What they share.
-        names: Of METHODS and ABLATIONS.
-        processes: How many trials are run at the same time. With more than one, ``fuse_us`` is measured
-            while the other processors work.
+        trials: The trials to run.
+        simulation: Their shared settings.
+        names: Names from METHODS and ABLATIONS.
+        processes: Number of trials run in parallel. With more than one, ``fuse_us`` is measured under load.
 
     Raises:
         DeviceError: There is no such movement, or it is too short to hold the start-up pose.
@@ -94,7 +93,7 @@ def run_trials(
         for trial in trials:
             yield run_trial(trial, simulation, names)
         return
-    # Started afresh, not forked: numba's and OpenBLAS's threads do not survive a fork.
+    # Spawned, not forked: the threads of numba and OpenBLAS do not survive a fork.
     pool = ProcessPoolExecutor(processes, get_context("spawn"), _leave_ctrl_c_to_the_parent)
     try:
         yield from pool.map(run_trial, trials, [simulation] * count, [tuple(names)] * count)
@@ -132,9 +131,9 @@ def run_trial(trial: Trial, simulation: Simulation, names: Sequence[str]) -> lis
 
 
 def record(trial: Trial, simulation: Simulation) -> tuple[RecordedPair, int]:
-    """A simulated recording, and its first frame after the start-up pose: only from there on it is measured.
+    """A simulated recording, and its first frame after the start-up pose, where the measurement starts.
 
-    In the start-up pose all methods are at their best.
+    The start-up pose is excluded, because all methods perform best in it.
 
     Raises:
         DeviceError: As :func:`run_trials`.

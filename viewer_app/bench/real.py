@@ -1,4 +1,4 @@
-"""``duplex bench real``: what S* is worth on recordings of real sensors, where nobody knows the truth."""
+"""``duplex bench real``: measures the quality of S* on recordings of real sensors without ground truth."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from devices.pairing import FramePair
 from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import Body
 from fusion.errors import FusionError
 from fusion.evaluation.faults import FAULTS, Fault, share_of_fault, with_fault
 from fusion.evaluation.without_truth import FusedPair, figures_without_truth, judge_registration
-from fusion.fuser import Fuser
-from fusion.setup import FusionSetup
+from fusion.recording import plan_recording
+from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
-from recordings.fusing import calibration_of
+from recordings.fusing import fuse_segments, setups_of
 from viewer_app.bench.real_tables import real_tables
 from viewer_app.errors import UsageError
 from viewer_app.options import BenchRealOptions
@@ -29,7 +30,7 @@ from viewer_app.output_files import check_writable, whole_file
 
 FAULTY_FRAMES = 20
 FAULTY_PLACES = (0.4, 0.6, 0.8)
-"""Where in a recording each fault begins, as shares of its length; the start-up pose lies before them."""
+"""Start of each fault as a share of the recording's length; the start-up pose comes before them."""
 _FEWEST_PAIRS = 120
 """Two halves of two seconds each."""
 
@@ -69,7 +70,7 @@ def run(options: BenchRealOptions) -> None:
 
 
 def recordings_of(paths: Sequence[Path]) -> dict[str, tuple[Path, Path]]:
-    """The pairs of recordings that the paths name, by a name for each.
+    """The pairs of recordings at the given paths, by name.
 
     Args:
         paths: Folders that hold two recordings ``a`` and ``b`` of one format; or two recordings.
@@ -102,7 +103,7 @@ def measure(body: Body, skeletons: Sequence[SkeletonPair], *, faults: bool) -> d
     """All figures of one recording by name, in SI.
 
     Raises:
-        FusionError: It is too short, or cannot be calibrated on.
+        FusionError: The recording is too short, or cannot be calibrated.
     """
     if len(skeletons) < _FEWEST_PAIRS:
         raise FusionError(
@@ -125,8 +126,11 @@ def measure(body: Body, skeletons: Sequence[SkeletonPair], *, faults: bool) -> d
 
 def fuse_pair(body: Body, skeletons: Sequence[SkeletonPair]) -> FusedPair:
     """What the program makes of a recording with its default settings."""
-    calibration = calibration_of(body, skeletons)
-    frames = Fuser(FusionSetup(calibration)).fuse_sequence(skeletons)
+    settings = FuserSettings(hindsight="labels")
+    plan = plan_recording(body, skeletons, settings)
+    pairs = [FramePair(None, None, pair) for pair in skeletons]
+    segments = setups_of(plan, settings, (None, None))
+    frames = [frame.fused for frame in fuse_segments(segments, pairs, plan.codes)]
     nowhere = np.full((len(body), 3), np.nan)
 
     def positions(side: str) -> NDArray[np.float64]:
@@ -144,7 +148,7 @@ def fuse_pair(body: Body, skeletons: Sequence[SkeletonPair]) -> FusedPair:
 
 
 def fault_share(pair: FusedPair, skeletons: Sequence[SkeletonPair], fault: Fault, side: str) -> float:
-    """How much of a fault in one view reaches S*: the mean over FAULTY_PLACES."""
+    """The share of a fault in one view that reaches S*, mean over FAULTY_PLACES."""
     view = getattr(pair, side)
     shares = []
     for place in FAULTY_PLACES:
@@ -160,7 +164,8 @@ def fault_share(pair: FusedPair, skeletons: Sequence[SkeletonPair], fault: Fault
 def _with_view(
     skeletons: Sequence[SkeletonPair], side: str, positions: NDArray[np.float64], frames: range
 ) -> list[SkeletonPair]:
-    """The pairs with one view's joints moved in some frames; a joint that gets a place counts as tracked."""
+    """The pairs with the joints of one view moved in some frames; a joint that gets a position becomes
+    tracked."""
     changed = list(skeletons)
     for k in frames:
         skeleton: Skeleton | None = getattr(skeletons[k], side)
@@ -173,7 +178,7 @@ def _with_view(
 
 
 def mean_of(rows: dict[str, dict[str, float]]) -> dict[str, float]:
-    """Each figure's mean over the recordings that have it."""
+    """The mean of each figure over the recordings that have it."""
     names = dict.fromkeys(name for row in rows.values() for name in row)
     known = {name: [row[name] for row in rows.values() if np.isfinite(row[name])] for name in names}
     return {name: float(np.mean(values)) if values else np.nan for name, values in known.items()}

@@ -36,9 +36,9 @@ def slsqp_optimum(
         targets: (J, 3) m, metres; ignored where the information is zero.
         information: (J,) weights w, or (J, 3, 3) symmetric matrices W.
         lengths: (J,) l, metres, of the bone that ends in each joint.
-        start: (J, 3) where SLSQP starts, metres.
-        analytic: Whether SLSQP gets all derivatives or finds them by differences.
-        max_steps: SLSQP's own limit.
+        start: (J, 3) starting point, metres.
+        analytic: Whether SLSQP gets analytic derivatives; if not, it uses finite differences.
+        max_steps: The step limit of SLSQP.
     """
     child = body.bone_joints
     parent = body.parent_indices[child]

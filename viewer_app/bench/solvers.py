@@ -1,4 +1,4 @@
-"""Eq. (1) by several solvers, one after the other on the same problems."""
+"""Times several solvers of eq. (1) on the same problems."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from viewer_app.bench.scipy_solver import slsqp_optimum
 _STIFFNESS = 1e2  # of a bone in Ceres, where a joint has √w ≤ 1; stiffer, Ceres takes more steps or fails
 _NOISE = 0.01  # metres
 _SLOW_FRAMES = 50  # for the solvers that take milliseconds
-_FEASIBLE = 1e-9  # m: bones off by less buy an objective lower by less than anyone sees
+_FEASIBLE = 1e-9  # metres: bone errors below this change the objective insignificantly
 
 
 @dataclass(frozen=True)
@@ -38,18 +38,18 @@ class Problem:
 
 @dataclass(frozen=True)
 class Timing:
-    """How one solver did.
+    """Result of one solver.
 
     Attributes:
-        name: Of the solver.
-        frames: How many it solved.
-        median_us, p99_us, max_us: Microseconds a frame.
-        iterations: Median.
-        systems: Median of the linear systems solved: line searches and abandoned starts included.
-        bone_error_mm: The largest of all frames.
-        excess: Median of the objective over the optimum's, less 1; negative where wrong bones leave the data
-            better than any skeleton with right ones could. None where no other solver looked for the optimum.
-        off_mm: The largest distance of a joint from the optimum; None likewise.
+        name: Name of the solver.
+        frames: Number of frames solved.
+        median_us, p99_us, max_us: Microseconds per frame.
+        iterations: Median number of iterations.
+        systems: Median number of linear systems solved, including line searches and abandoned starts.
+        bone_error_mm: The largest bone error of all frames.
+        excess: Median of objective / optimal objective - 1. It is negative if wrong bone lengths allow a
+            better fit than any skeleton with correct lengths. None if the optimum is unknown.
+        off_mm: The largest distance of a joint from the optimum; None if the optimum is unknown.
     """
 
     name: str
@@ -103,7 +103,7 @@ def time_solvers(problems: Sequence[Problem]) -> list[Timing]:
 def time_solver(
     name: str, solve: Solve, problems: Sequence[Problem], best: Sequence[NDArray[np.float64]] = ()
 ) -> Timing:
-    """One solver on some frames; the first of them against the optima known."""
+    """Times one solver on some frames; compares the first frames with the known optima."""
     solve(problems[0])
     nanoseconds, iterations, systems, bones, excess, off = [], [], [], [], [], []
     for problem, known in zip_longest(problems, best[: len(problems)]):
@@ -132,7 +132,7 @@ def time_solver(
 
 
 def optimum(problem: Problem) -> NDArray[np.float64]:
-    """The lowest end with right bones of three solvers that know nothing of each other."""
+    """The best feasible solution of three independent solvers."""
     body = problem.body
     dense = (
         DenseSolver(body).solve(problem.targets, problem.weights, problem.lengths, problem.start).positions
@@ -165,7 +165,7 @@ def published(body: Body) -> Solve:
 
 
 def slsqp(analytic: bool) -> Solve:
-    """scipy's SLSQP with a constraint a bone, with or without derivatives given."""
+    """scipy's SLSQP with one constraint per bone, with or without analytic derivatives."""
 
     def solve(problem: Problem) -> tuple[NDArray[np.float64], int, int]:
         found = slsqp_optimum(
@@ -177,18 +177,18 @@ def slsqp(analytic: bool) -> Solve:
             analytic=analytic,
             max_steps=500,
         )
-        return found.positions, found.steps, found.steps  # a least-squares system a step
+        return found.positions, found.steps, found.steps  # one least-squares system per step
 
     return solve
 
 
 def stiff_ceres() -> Solve | None:
-    """Ceres through pyceres: a residual √w (x − m) a joint and a stiff residual k (‖e‖ − l) a bone.
+    """Ceres through pyceres: a residual √w (x − m) per joint and a stiff residual k (‖e‖ − l) per bone.
 
-    The residuals are Python callbacks, which is how pyceres takes them; their time is part of the price.
+    The residuals are Python callbacks, as pyceres requires; their time is included.
 
     Returns:
-        None where pyceres is not installed.
+        None if pyceres is not installed.
     """
     try:
         ceres = importlib.import_module("pyceres")
@@ -228,12 +228,14 @@ def stiff_ceres() -> Solve | None:
 
     def solve(problem: Problem) -> tuple[NDArray[np.float64], int, int]:
         body = problem.body
-        at = [row.copy() for row in problem.targets]
+        points = [row.copy() for row in problem.targets]
         model = ceres.Problem()
         for joint in range(len(body)):
-            model.add_residual_block(Joint(problem.targets[joint], problem.weights[joint]), None, [at[joint]])
+            model.add_residual_block(
+                Joint(problem.targets[joint], problem.weights[joint]), None, [points[joint]]
+            )
         for joint in body.bone_joints:
-            ends = [at[joint], at[body.parents[joint]]]
+            ends = [points[joint], points[body.parents[joint]]]
             model.add_residual_block(Bone(problem.lengths[joint]), None, ends)
         options = ceres.SolverOptions()
         options.linear_solver_type = ceres.LinearSolverType.SPARSE_NORMAL_CHOLESKY
@@ -245,7 +247,7 @@ def stiff_ceres() -> Solve | None:
         summary = ceres.SolverSummary()
         ceres.solve(options, model, summary)
         steps = int(summary.num_successful_steps + summary.num_unsuccessful_steps)
-        return np.array(at), steps, steps
+        return np.array(points), steps, steps
 
     return solve
 

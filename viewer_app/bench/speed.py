@@ -1,4 +1,4 @@
-"""``duplex bench speed``: what a frame costs here, solvers side by side and the program as a whole."""
+"""``duplex bench speed``: measures the time per frame of the solvers and of the whole program."""
 
 from __future__ import annotations
 
@@ -43,21 +43,21 @@ from viewer_app.output_files import check_writable, whole_file
 
 _COLD_FRAMES = 1000
 _SECONDS = 20.0
-_SHORT, _LONG = 600, 6600  # pairs of the two recordings that tell writing from start-up
-_WIDTH = 120  # columns of what is not a terminal: the tables cannot be cut there
+_SHORT, _LONG = 600, 6600  # pairs of the two recordings whose difference separates writing from start-up
+_WIDTH = 120  # columns if the output is not a terminal, so that no table is cut
 _PAIRS_A_MINUTE = 1800  # at 30 fps
 
 
 @dataclass(frozen=True)
 class Writing:
-    """``duplex fuse --save --no-viewer`` end to end, reading and summary included; and reading it again.
+    """Throughput of ``duplex fuse --save --no-viewer`` end to end, and of reading the session again.
 
     Attributes:
-        pairs_per_s: After start-up.
-        start_up_s: What is left for no pairs at all.
-        bytes_a_minute: Of the session, at 30 fps.
-        opened_per_s: Pairs of a session that is opened.
-        replayed_per_s: Pairs that ``duplex replay --verify`` opens, fuses and compares.
+        pairs_per_s: Pairs per second after start-up.
+        start_up_s: Start-up time, extrapolated to zero pairs.
+        bytes_a_minute: Size of the session per minute at 30 fps.
+        opened_per_s: Pairs per second when a session is opened.
+        replayed_per_s: Pairs per second that ``duplex replay --verify`` reads, fuses and compares.
     """
 
     pairs_per_s: float
@@ -115,7 +115,7 @@ def run(options: BenchSpeedOptions) -> None:
 
 
 def _check_creatable(path: Path, force: bool) -> None:
-    """Finds out before minutes of timing what a folder's permissions do not tell."""
+    """Checks that a file can be created before minutes of timing; permissions alone do not show this."""
     check_writable(path, force)
     try:
         tempfile.TemporaryFile(dir=path.resolve().parent).close()
@@ -137,8 +137,8 @@ def _recorded(path_a: Path, path_b: Path) -> tuple[str, Body, list[SkeletonPair]
 
 
 def time_writing(body: Body, pairs: Sequence[SkeletonPair]) -> Writing:
-    """Fuses a short and a long recording, each in a process of its own, and takes the difference."""
-    # a shake, so that what repeats itself does not compress better than a recording as long
+    """Fuses a short and a long recording, each in a separate process, and uses the difference."""
+    # noise, so that repeated frames do not compress better than a real recording
     rng = np.random.default_rng(0)
     many = [
         replace(pair, a=shaken(pair.a, rng), b=shaken(pair.b, rng))
@@ -170,7 +170,7 @@ def shaken(skeleton: Skeleton | None, rng: np.random.Generator) -> Skeleton | No
 
 
 def writing_between(pairs: Sequence[int], seconds: Sequence[float], sizes: Sequence[int]) -> Writing:
-    """What a pair costs, by the difference of a short and a long recording; the rest is start-up."""
+    """The cost per pair from the difference of a short and a long recording; the rest is start-up."""
     each = (seconds[1] - seconds[0]) / (pairs[1] - pairs[0])
     return Writing(
         pairs_per_s=1.0 / each,
@@ -194,7 +194,7 @@ def _write_csv(path: Path, body: Body, pairs: Sequence[SkeletonPair], side: str)
 
 
 def time_help() -> float:
-    """Seconds until ``duplex --help`` has answered: the best of five, as a cold disk is not the program."""
+    """Seconds that ``duplex --help`` takes: the best of five runs, to exclude a cold disk cache."""
     return min(_seconds_of(["--help"]) for _ in range(5))
 
 
@@ -212,7 +212,7 @@ def _wide_enough(console: Console) -> Console:
 
 def _solver_table(solvers: Sequence[Timing]) -> Table:
     table = _table(
-        "Eq. (1), a frame; cold: 20 joints, 10 mm noise",
+        "Eq. (1), per frame; cold: 20 joints, 10 mm noise",
         ("solver", "median", "p99", "max", "steps", "systems", "bones off", "joints off"),
         "Systems: linear ones, line search and abandoned starts included. Off: at worst, from their lengths, "
         "and from the lowest that exact, dense Newton and SLSQP find, where all three are run. "

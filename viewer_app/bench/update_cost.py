@@ -1,4 +1,4 @@
-"""What ``Fuser.update`` costs, whole and by stages, and what a batch of pairs costs."""
+"""Measures the time of ``Fuser.update``, in total and by stage, and the throughput of batches."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
 from fusion.methods import paper
-from fusion.setup import FusionSetup
+from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
 from fusion.solvers.tree_solver import TreeSolver, solve_tree
 from fusion.solvers.tree_steps import copy
@@ -31,15 +31,15 @@ FRAME_NS = 33_333_333
 
 @dataclass(frozen=True)
 class UpdateTiming:
-    """What a pair costs.
+    """Time per pair.
 
     Attributes:
-        name: Of the body, and where the pairs come from.
-        frames: How many.
+        name: The body and the source of the pairs.
+        frames: Number of pairs.
         stages_us: Of each stage inside the compiled loop, microseconds.
         median_us, p99_us, p999_us, max_us: Of ``Fuser.update`` as called from Python.
-        iterations: Median.
-        batch_per_s: Pairs a second by ``fuse_sequence``.
+        iterations: Median number of iterations.
+        batch_per_s: Pairs per second with ``fuse_sequence``.
     """
 
     name: str
@@ -66,7 +66,7 @@ def start_up(pairs: Sequence[SkeletonPair], body: Body) -> Calibration:
 
 
 def repeated(pairs: Sequence[SkeletonPair], times: int) -> list[SkeletonPair]:
-    """A longer recording: forwards, backwards, forwards …, so that it has no jumps."""
+    """Repeats a recording forwards and backwards in turn, so that it has no jumps."""
     shown = [pair for k in range(times) for pair in (pairs if k % 2 == 0 else pairs[::-1])]
     return [replace(pair, time_ns=k * FRAME_NS) for k, pair in enumerate(shown)]
 
@@ -104,9 +104,9 @@ def time_update(name: str, pairs: Sequence[SkeletonPair], calibration: Calibrati
 
 
 def time_stages(pairs: Sequence[SkeletonPair], calibration: Calibration) -> dict[str, float]:
-    """Microseconds that each stage of :mod:`fusion.methods.paper` adds to the loop, a mean over the pairs.
+    """Microseconds that each stage of :mod:`fusion.methods.paper` adds per pair.
 
-    Of several rounds the fastest counts: it has the least of what else the machine does.
+    The fastest of several rounds counts, because it is disturbed least by other processes.
     """
     body = calibration.body
     nobody = Skeleton.of(body, np.full((len(body), 3), np.nan))
@@ -168,9 +168,9 @@ def _some_stages(stages, model, memory, result, a, states_a, b, states_b):  # ty
 
 
 def warm_frames(pairs: Sequence[SkeletonPair], calibration: Calibration) -> list[Problem]:
-    """Eq. (1) of every pair that both sensors see, each started from the solution before."""
+    """Eq. (1) of ``paper`` for every pair that both sensors see, each started from the solution before."""
     body = calibration.body
-    fuser = Fuser(FusionSetup(calibration))
+    fuser = Fuser(FusionSetup(calibration, FuserSettings(method="paper")))
     solver = TreeSolver(body.parent_indices, body.order, body.rest)
     problems: list[Problem] = []
     before: NDArray[np.float64] | None = None

@@ -1,4 +1,4 @@
-"""One thing to know or do while two sensors are set up, and what a calibration gives cause to say."""
+"""Advice for setting up two sensors, and advice derived from a calibration."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from fusion.calibration.calibration import Calibration
 Level = Literal["INFO", "WARN"]
 
 ANGLES = (60.0, 120.0)
-"""Degrees between the sensors within which each sees most of what the other cannot."""
+"""Range of the angle between the sensors, degrees, in which they complement each other best."""
 GOOD, USABLE = 40.0, 80.0
-"""Millimetres (median) between the views, calibrated: real Kinects reach 25 to 60."""
-_CERTAIN = 2.0  # degrees: half a metre from the torso that is 17 mm
+"""Thresholds for the median distance between the calibrated views, mm; real Kinects reach 25 to 60 mm."""
+_CERTAIN = 2.0  # degrees: 17 mm at half a metre from the torso
 
 
 @dataclass(frozen=True)
 class Advice:
-    """One thing to know or do.
+    """One piece of advice.
 
     Attributes:
-        topic: What it is about; an advice replaces the one before on its topic.
-        text: What to do, with figure and threshold in words.
-        level: Whether something is wrong.
-        figure: What was measured; NaN where there is no number to it.
-        threshold: What it is held against; likewise.
-        sensors: Which of ``AB`` it is about, if it is about one.
-        label: The same in a few words, to be written beside the sensor.
+        topic: The subject; new advice replaces earlier advice on the same topic.
+        text: What to do, with the figure and the threshold.
+        level: Severity.
+        figure: The measured value; NaN if there is none.
+        threshold: The limit for the figure; NaN if there is none.
+        sensors: The sensors of ``AB`` concerned; empty if none.
+        label: A short form of the text, shown beside the sensor.
     """
 
     topic: str
@@ -42,7 +42,7 @@ class Advice:
 
 
 def placement(calibration: Calibration) -> Iterator[Advice]:
-    """What is to be said of the sensors' places, once they are known by registration."""
+    """Advice on the placement of the sensors, once the registration is known."""
     if calibration.registration is None:
         return
     angle = math.degrees(calibration.axes_angle)
@@ -61,15 +61,15 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
 
 
 def quality(residual_mm: float) -> Literal["good", "usable", "poor"]:
-    """How good a calibration is whose views differ by so many millimetres (median)."""
+    """Rates a calibration by the median distance between the views, millimetres."""
     return "good" if residual_mm < GOOD else "usable" if residual_mm < USABLE else "poor"
 
 
 def verdict(calibration: Calibration) -> Advice:
-    """How good a calibration is, in millimetres, and what limits it."""
+    """Advice that rates a calibration in millimetres and names the limiting factor."""
     registration = calibration.registration
     if registration is None:
-        return Advice("calibration", f"Calibration: {calibration.how}; how well it fits is not known.")
+        return Advice("calibration", f"Calibration: {calibration.how}; its quality is unknown.")
     apart = registration.residual_median * 1e3
     word = quality(apart)
     worst = ", ".join(f"{name} {1e3 * off:.0f} mm" for name, off in registration.worst_joints(2))
@@ -90,7 +90,7 @@ def verdict(calibration: Calibration) -> Advice:
 
 
 def to_markdown(advice: Sequence[Advice]) -> str:
-    """The coach's page."""
+    """Formats advice as Markdown for the coach's page."""
     if not advice:
         return "## All is well\n"
     marks = {"WARN": "**Mend:**", "INFO": ""}

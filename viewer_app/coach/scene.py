@@ -1,4 +1,4 @@
-"""The coach's advice drawn into the 3D scene: where to stand, what to mend, where B would see more."""
+"""The coach's advice in the 3D scene: where to stand, which sensor has a problem, where B would see more."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from viewer_app.coach.standing_spot import CAMERA_HEIGHT, FARTHEST, StandingSpot
 _RING = 0.3  # metres, radius
 _UNDER = 1.5  # metres
 _ANKLE = 0.08  # metres above the floor
-_THERE = 0.4  # metres from the spot within which one stands on it
+_THERE = 0.4  # metres from the spot that count as standing on it
 _FLOOR_OVER = 60  # frames
-_COARSE = 0.1  # metres: what is drawn changes only when there is something to see
+_COARSE = 0.1  # metres: rounding of the drawings, so that invisible changes are not logged
 _FRUSTUM = 0.35  # metres: around the sensor's own
 _BEST_ANGLE = 90.0  # degrees
 
 
 class CoachScene:
-    """Makes the coach's page.
+    """Builds the coach's page.
 
     Args:
-        body: What both sensors report.
-        cameras: Of A and B.
+        body: The body that both sensors report.
+        cameras: Intrinsics of A and B.
     """
 
     def __init__(self, body: Body, cameras: tuple[Intrinsics, Intrinsics]) -> None:
@@ -45,12 +45,12 @@ class CoachScene:
         self._found: tuple[Calibration, float, StandingSpot] | None = None
 
     def page(self, advice: Sequence[Advice], now: Situation, fused: FusedFrame | None = None) -> CoachPage:
-        """What to show now.
+        """The page to show now.
 
         Args:
-            advice: All there is to say.
-            now: What the loop knows.
-            fused: The newest S*, whose feet are on the floor; None where there is no one.
+            advice: All current advice.
+            now: The state of the loop.
+            fused: The newest S*; its feet give the floor. None without a person.
         """
         person = None if fused is None else self._person(fused)
         marks = {
@@ -64,7 +64,7 @@ class CoachScene:
         )
 
     def _person(self, fused: FusedFrame) -> NDArray[np.float64] | None:
-        """(2,) x and z of where the person stands, coarsely."""
+        """(2,) rounded x and z of the person's position."""
         feet = fused.positions[self._feet]
         if np.isfinite(feet).all():
             self._lowest.append(float(feet[:, 1].max()) + _ANKLE)
@@ -75,7 +75,7 @@ class CoachScene:
 
     @property
     def _floor(self) -> float:
-        """Its y in K_A's frame, metres."""
+        """y of the floor in K_A's frame, metres."""
         return float(_coarse(np.median(self._lowest))) if self._lowest else CAMERA_HEIGHT
 
     def _place(self, calibration: Calibration) -> StandingSpot:
@@ -101,7 +101,7 @@ class CoachScene:
             ),
             axis=-1,
         )
-        # the words stand beside the first line: below ring and point clouds, which would cross them
+        # the label is beside the first line, below the ring and the point clouds, which would cover it
         under = np.array([place.x, floor + _UNDER, place.z])
         post = np.array([[place.x, floor, place.z], under])
         lines = _line(np.stack((under, under))), _line(ring), _line(post)
@@ -130,7 +130,7 @@ class CoachScene:
         return Mark(tuple(_frustum(camera, in_a)), f"{side}: {', '.join(wrong)}", "mend")
 
     def _better(self, calibration: Calibration) -> Mark | None:
-        """B turned about the standing person until the axes are at a right angle."""
+        """The position of B if it moved around the person until the axes form a right angle."""
         angle = math.degrees(calibration.axes_angle)
         if calibration.registration is None or ANGLES[0] <= angle <= ANGLES[1]:
             return None

@@ -1,4 +1,4 @@
-"""Where a person is to stand so that both sensors see all of them."""
+"""The best place to stand, where both sensors see the whole person."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 
 FARTHEST = {"kinect_v1": 4.0, "kinect_v2": 4.5, "azure_kinect": 3.9}
-"""Metres to which the makers promise a depth, by body (Azure: NFOV, not binned)."""
+"""Specified depth range in metres, by body (Azure: NFOV, not binned)."""
 TALL = 2.0
 """Metres that must fit into the image: a tall adult, and some room."""
 ARM = 0.9
 """Metres from the trunk to a fingertip, arms out."""
 CAMERA_HEIGHT = 1.0
-"""Metres above the floor at which a sensor is taken to stand until feet have been seen."""
-_STEP = 0.1  # metres between the places that are tried
+"""Assumed height of a sensor above the floor, metres, until feet have been seen."""
+_STEP = 0.1  # metres between the tested places
 _TORSO_HEIGHT = 1.0  # metres above the floor
 
 
@@ -28,7 +28,8 @@ class StandingSpot:
 
     Attributes:
         x, z: Metres in K_A's frame.
-        room: Metres that are to spare at the tightest limit of either sensor; negative: not all is seen.
+        room: Margin in metres at the tightest limit of either sensor; negative if the person is not fully
+            visible.
     """
 
     x: float
@@ -37,23 +38,23 @@ class StandingSpot:
 
 
 def nearest(camera: Intrinsics) -> float:
-    """Metres from which on a tall person fits into the image's height."""
+    """The smallest distance in metres at which a tall person fits into the image."""
     return TALL * camera.fy / camera.height
 
 
 def standing_spot(
     a_from_b: RigidTransform | None, cameras: tuple[Intrinsics, Intrinsics], far: float, floor: float
 ) -> StandingSpot:
-    """The place with the most room to spare.
+    """Finds the place with the largest margin.
 
-    The limits of each sensor are the nearest and the farthest distance, and the image's sides for a person
-    with both arms out. K_A is taken to stand upright: the floor is a plane of equal y.
+    The limits of each sensor are its nearest and farthest distance, and the sides of the image for a person
+    with both arms out. K_A is assumed to be upright: the floor is a plane of equal y.
 
     Args:
-        a_from_b: Where K_B stands; None where that is not known, and K_A alone decides.
-        cameras: Of A and B.
-        far: Metres to which the sensors measure.
-        floor: Its y in K_A's frame.
+        a_from_b: Transform K_A ← K_B; None if it is unknown, then only K_A counts.
+        cameras: Intrinsics of A and B.
+        far: Measuring range of the sensors, metres.
+        floor: y of the floor in K_A's frame.
     """
     x, z = np.meshgrid(np.arange(-4.0, 4.0, _STEP), np.arange(0.5, 6.0, _STEP))
     torso = np.stack((x, np.full_like(x, floor - _TORSO_HEIGHT), z), axis=-1)

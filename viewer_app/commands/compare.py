@@ -1,4 +1,4 @@
-"""``duplex compare``: two fusions of the same capture side by side."""
+"""``duplex compare``: compares two fusions of the same capture."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ def _joint_table(comparison: Comparison) -> Table:
         table.add_column(column, justify="left" if column == "joint" else "right")
     apart, noise = comparison.apart * 1e3, comparison.frame_noise * 1e3
     for j, name in enumerate(comparison.body.joints):
-        of = apart[:, j][np.isfinite(apart[:, j])]
-        figures = [_mm(np.percentile(of, p)) if len(of) else "–" for p in (50, 95, 100)]
+        distances = apart[:, j][np.isfinite(apart[:, j])]
+        figures = [_mm(np.percentile(distances, p)) if len(distances) else "–" for p in (50, 95, 100)]
         swapped = int(comparison.swapped[:, j].sum())
         table.add_row(name, *figures, _mm(noise[0, j]), _mm(noise[1, j]), str(swapped) if swapped else "")
     return table

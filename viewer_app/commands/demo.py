@@ -1,4 +1,4 @@
-"""``duplex demo``: two simulated Kinects, live pace, through the loop that real sensors go through."""
+"""``duplex demo``: runs two simulated Kinects in real time through the loop of the real sensors."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def run(options: DemoOptions) -> None:
     warm_up(Fuser(nominal), console, lambda: next(a.frames(), None))
     console.print(
         f"A simulated person ({escape(options.motion)}) before two Kinects {options.angle:.0f}° apart, "
-        f"{options.seconds:g} s. Ctrl-C ends it."
+        f"{options.seconds:g} s. Press Ctrl-C to end."
     )
     if save is not None:
         warn_of_little_room(save, console)
@@ -92,16 +92,16 @@ def run(options: DemoOptions) -> None:
             show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))
             setup, frames = run_live(sensors, nominal, session, truth_at=TruthAhead(truth), go_on=show)
             session.save()
-            with suppress(KeyboardInterrupt):  # whoever ended the run with Ctrl-C need not press it again
+            with suppress(KeyboardInterrupt):  # after Ctrl-C, do not wait for another one
                 again = threading.Event()
                 ctrl_c.calls(again.set)
                 stay_for_visitors(viewing, console, again)
         print_session(console, setup, frames, sensors)
         left_out = a.images_left_out + b.images_left_out
         if left_out:
-            of = sensors.a.received + sensors.b.received
+            received = sensors.a.received + sensors.b.received
             console.print(
-                f"To keep pace, {left_out} of {of} depth images were left out; a smaller --depth takes less.",
+                f"To keep pace, {left_out} of {received} depth images were dropped; use a smaller --depth.",
                 highlight=False,
             )
         if frames:
@@ -115,7 +115,7 @@ def _print_truth(console: Console, setup: FusionSetup, frames: list[RecordedFram
     assert rows.truth is not None
     angle = math.degrees(setup.calibration.a_from_b.angle_to(truth.a_from_b))
     console.print(f"The sensors' true rotation lies {angle:.1f}° from the one found.")
-    calibrated = rows.frame >= len(rows) // 4  # by then the start-up pose is over
+    calibrated = rows.frame >= len(rows) // 4  # the start-up pose is over by then
     skeletons: dict[str, NDArray[np.float64]] = {
         "S_A": rows.positions_a.astype(np.float64),
         "S_B": rows.b_in_a,

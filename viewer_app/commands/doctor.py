@@ -1,4 +1,4 @@
-"""``duplex doctor``: what of live capture works on this machine, and what to do where it does not."""
+"""``duplex doctor``: checks live capture on this machine, and states how to fix what does not work."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program fr
 
 
 def run(options: DoctorOptions) -> None:
-    """Carries out the command; exits with 1 if ``duplex live`` could not start."""
+    """Runs the command; exits with code 1 if ``duplex live`` could not start."""
     console = Console()
     tracker = TrackerSettings(library=options.k4abt, processing=options.processing)
     choice = options.kinect_a, options.kinect_b, options.principal
@@ -40,7 +40,7 @@ def run(options: DoctorOptions) -> None:
 
 
 def line(check: Check) -> Text:
-    """A check as one line: a mark, what it is, what was found, what to do."""
+    """A check as one line: a mark, its name, the result, the advice."""
     mark, style = ("✓", "green") if check.ok else ("✗", "bold red") if check.needed else ("–", "yellow")
     text = Text(f"{mark} ", style=style)
     text.append(check.name, style="bold")
@@ -52,10 +52,10 @@ def line(check: Check) -> Text:
 
 
 def program_checks(root: Path = Path("/")) -> list[Check]:
-    """What the rest of the program needs: somewhere to show, the viewer, the reader of recordings.
+    """Checks of the rest of the program: display, graphics, viewer, reader of recordings.
 
     Args:
-        root: Where the file system starts; tests put their own there.
+        root: Root of the file system; tests inject their own.
     """
     return [_display(), _graphics(root), _viewer(), _recordings()]
 
@@ -65,7 +65,7 @@ def _display() -> Check:
     if why_not is None:
         return Check("display", True, os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY") or "yes")
     advice = "Use duplex live --save FILE.rrd --no-viewer and look at the file on another machine."
-    # live saves without one; what sensors need of a display is the depth engine's line
+    # duplex live can save without a display; the depth engine's own check covers what sensors need
     return Check("display", False, why_not, advice, needed=False)
 
 

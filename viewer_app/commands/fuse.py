@@ -1,10 +1,10 @@
-"""``duplex fuse``: two recordings in, one session and one report out."""
+"""``duplex fuse``: fuses two recordings into a session and a report."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Sequence
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from uuid import uuid4
@@ -21,19 +21,21 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.errors import CalibrationError
 from fusion.fuser import Fuser
-from fusion.setup import FuserSettings, FusionSetup
+from fusion.recording import plan_recording
+from fusion.setup import FuserSettings, FusionSetup, Hindsight
 from fusion.skeleton import SkeletonPair
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.calibration_file import calibration_to_json, read_calibration
-from recordings.fusing import calibration_of, fuse_one, fused_session
+from recordings.fusing import fuse_one, fuse_segments, fused_session, setups_of
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.session_writer import write_session
 from viewer_app.coach.advice import placement, verdict
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import Situation
 from viewer_app.errors import UsageError
-from viewer_app.loop.fusing import fuse_offline, warm_up
+from viewer_app.loop.fusing import warm_up
+from viewer_app.method_options import check_paper_options
 from viewer_app.options import FuseOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import FusionResult, print_summary, report, report_to_json, say_saved
@@ -44,10 +46,10 @@ from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_v
 
 
 def run(options: FuseOptions) -> None:
-    """Carries out the command.
+    """Runs the command.
 
     Raises:
-        DeviceError, FusionError, RecordingError, UsageError: With one line for the person who asked.
+        DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
     """
     console = Console()
     viewing = choose_viewing(
@@ -56,7 +58,13 @@ def run(options: FuseOptions) -> None:
     outputs = (options.save, options.report, options.save_calibration)
     inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
     check_outputs(outputs, filter(None, inputs), options.force)
-    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
+    hindsight: Hindsight = "whole" if options.smooth == "whole" else "labels"
+    if options.method != "duplex":
+        if options.smooth == "whole":
+            raise UsageError(f"--smooth whole needs --method duplex; got --method {options.method}.")
+        hindsight = "none"
+    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing, hindsight)
+    check_paper_options(settings)
     progress = _progress(console)
     tracker = TrackerSettings(processing=options.processing, library=options.k4abt)
     read = read_two(*_choices(options), tracker, progress)
@@ -64,25 +72,34 @@ def run(options: FuseOptions) -> None:
         console.print(warning, style="yellow", highlight=False, markup=False)
     skeletons = [pair.skeletons for pair in read.pairing.pairs]
     calibration = _calibrate(options.calibrate, read.body, skeletons)
-
-    setup = FusionSetup(calibration, settings, *read.cameras(options.depth))
-    fuser = Fuser(setup)
-    warm_up(fuser, console)
+    kept = calibration is not None and not options.calibrate.startswith("seconds:")
+    with console.status("Learning the registration …") if console.is_terminal else nullcontext():
+        plan = plan_recording(read.body, skeletons, settings, calibration, options.refine and not kept)
+    segments = setups_of(plan, settings, read.cameras(options.depth))
+    setup = segments[-1][0]
+    warm_up(Fuser(setup), console)
     blueprint = session_blueprint(setup, _whereabouts(skeletons), options.layout)
     sources = str(options.a), str(options.b)
     announce(viewing, console)
     viewer = viewer_sink(setup, sources, blueprint, viewing, uuid4(), complete=True)
     with closing(viewer):
         page = _verdict(setup)
-        viewer.event(f"calibrated: {calibration.how}")
+        viewer.event(f"calibrated: {setup.calibration.how}")
         viewer.coach(page)
         for warning in read.warnings:
             viewer.event(warning, "WARN")
-        shown = track(
-            read.pairing.pairs, "fusing", console=console, transient=True, disable=not console.is_terminal
-        )
-        frames = fuse_offline(shown, fuser, viewer)
-        session = fused_session(read, setup, frames, sources, options.depth, progress)
+        frames = []
+        for frame in track(
+            fuse_segments(segments, read.pairing.pairs, plan.codes),
+            "fusing",
+            total=len(skeletons),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        ):
+            viewer.write(frame)
+            frames.append(frame)
+        session = fused_session(read, plan, segments, frames, sources, options.depth, progress)
         session = replace(session, images=ShownImages(session, viewer))
         if options.save is None:
             for side in layout.SIDES:
@@ -91,7 +108,7 @@ def run(options: FuseOptions) -> None:
             with whole_file(options.save) as partial:
                 write_session(session, partial, blueprint=blueprint, page=page)
         viewer.finish()
-        result = FusionResult(read.pairing, calibration, settings, session.rows, _exact(frames, setup))
+        result = FusionResult(read.pairing, setup.calibration, settings, session.rows, _exact(frames, setup))
         _summarise(console, options, result)
         stay_for_visitors(viewing, console)
 
@@ -112,7 +129,7 @@ def _progress(console: Console) -> Progress:
 
 
 def _verdict(setup: FusionSetup) -> CoachPage:
-    """What the setup says of a recording: how well its two views fit, and what would have been better."""
+    """The coach's verdict on a recording: how well the two views fit, and what to improve."""
     calibration = setup.calibration
     scene = CoachScene(setup.body, setup.intrinsics)
     advice = list(placement(calibration)) or [verdict(calibration)]
@@ -120,7 +137,7 @@ def _verdict(setup: FusionSetup) -> CoachPage:
 
 
 def _exact(frames: list[RecordedFrame], setup: FusionSetup) -> SessionArrays | None:
-    """The same frames with exact bones, where the published scheme was asked for."""
+    """The same frames solved with exact bone lengths, if the published scheme was selected; else None."""
     if setup.settings.method != "published":
         return None
     exact = replace(setup, settings=replace(setup.settings, method="paper"))
@@ -138,10 +155,11 @@ def _summarise(console: Console, options: FuseOptions, result: FusionResult) -> 
         say_saved(console, options.save)
 
 
-def _calibrate(wanted: str, body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:
+def _calibrate(wanted: str, body: Body, pairs: Sequence[SkeletonPair]) -> Calibration | None:
+    """The calibration that is asked for; None where the recording's start-up pose is to give it."""
     kind, _, argument = wanted.partition(":")
     if wanted == "auto":
-        return calibration_of(body, pairs)
+        return None
     if kind == "seconds":
         try:
             seconds = float(argument)
@@ -153,14 +171,14 @@ def _calibrate(wanted: str, body: Body, pairs: Sequence[SkeletonPair]) -> Calibr
         return calibrate(body, chosen, f"first {seconds:g} s, {len(chosen)} frames")
     if not Path(wanted).exists():
         raise UsageError(
-            f"--calibrate {wanted}: neither auto, nor seconds:N, nor a file that is there. Make one with "
+            f"--calibrate {wanted}: neither auto, nor seconds:N, nor an existing file. Make one with "
             "--save-calibration."
         )
     return read_calibration(Path(wanted), body)
 
 
 def _whereabouts(pairs: Sequence[SkeletonPair]) -> NDArray[np.float64]:
-    """(3,) metres in K_A's frame, the middle of where the person is over the recording."""
+    """(3,) metres in K_A's frame, the median position of the person over the recording."""
     seen = [pair.a.positions for pair in pairs if pair.a is not None]
     if not seen:
         raise CalibrationError("The principal sensor A never sees the person in a pair.")

@@ -1,4 +1,4 @@
-"""``duplex info``: what a session holds."""
+"""``duplex info``: prints the contents of a session."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def run(options: InfoOptions) -> None:
     row("written by", f"{about['written_by'][0]}, layout {about['layout_version'][0]}")
     row("body", f"{session.body.name}, {len(session.body)} joints")
     row("sensors", f"A {session.sources[0]}, B {session.sources[1]}")
-    row("frames", f"{len(session)} in {seconds:.2f} s, {session.frame_rate:.1f} a second")
+    row("frames", f"{len(session)} in {seconds:.2f} s, {session.frame_rate:.1f} per second")
     row("without S*", int(rows.predicted.all(axis=1).sum()))
     row("settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items()))
     for k, line in enumerate(calibration_in_words(session.calibration)):
@@ -60,5 +60,5 @@ def run(options: InfoOptions) -> None:
     console = Console()
     console.print(table, highlight=False)
     for event in session.events:
-        at = "" if event.time_ns is None else f"{event.time_ns * 1e-9:8.2f} s  "
-        console.print(f"  {at}{event.text}", highlight=False, markup=False)
+        moment = "" if event.time_ns is None else f"{event.time_ns * 1e-9:8.2f} s  "
+        console.print(f"  {moment}{event.text}", highlight=False, markup=False)

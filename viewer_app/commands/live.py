@@ -1,4 +1,4 @@
-"""``duplex live``: two real Kinects through the loop, into the viewer, a file or both."""
+"""``duplex live``: fuses two connected Kinects and shows or saves the session."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.markup import escape
 
 from devices.azure.kinect import KinectSensor
-from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings
+from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings, check_modes
 from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects
 from devices.azure.sensor_roles import NeedsChoiceError, cable_notes, choose_two, sync_master
-from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.tracking.body_tracker import TrackerSettings, check_smoothing
 from devices.image_thinning import thinned_camera
 from devices.live.frame_decimation import FrameDecimation
 from devices.live.sensor_pair import TwoSensors
@@ -36,6 +36,7 @@ from viewer_app.loop.interruption import CtrlC
 from viewer_app.loop.live_loop import Status, run_live
 from viewer_app.loop.live_summary import check_saved, print_saved, print_session, session_report
 from viewer_app.loop.status_line import LiveDisplay
+from viewer_app.method_options import check_paper_options
 from viewer_app.options import LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
 from viewer_app.report.figures import report_to_json
@@ -44,14 +45,14 @@ from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.viewer_choice import announce, choose_viewing
 
-_PERSON_AT = np.array([0.0, 0.0, 2.5])  # where the viewer looks at first, metres in K_A's frame
+_PERSON_AT = np.array([0.0, 0.0, 2.5])  # the initial view target, metres in K_A's frame
 
 
 def run(options: LiveOptions) -> None:
-    """Carries out the command.
+    """Runs the command.
 
     Raises:
-        DeviceError, FusionError, RecordingError, UsageError: With one line for the person who asked.
+        DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
     """
     console = Console()
     check(options)
@@ -60,28 +61,30 @@ def run(options: LiveOptions) -> None:
 
 
 def check(options: LiveOptions) -> None:
-    """Finds out before any sensor is opened what of the options cannot be.
+    """Checks the options before any sensor is opened.
 
     Raises:
-        UsageError: With one line for the person who asked.
+        DeviceError, UsageError: With one line for the person who asked.
     """
     _viewing(options)
+    check_modes(_settings(options, "", None))
+    check_smoothing(options.smoothing)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
     check_outputs((options.save, options.report, options.save_calibration), read, options.force)
     if options.seconds is not None and not 0.0 < options.seconds < float("inf"):
         raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
     if options.calibrate != "auto" and not Path(options.calibrate).exists():
         raise UsageError(
-            f"--calibrate {options.calibrate}: neither auto nor a file that is there. Make one with "
+            f"--calibrate {options.calibrate}: neither auto nor an existing file. Make one with "
             f"--save-calibration."
         )
 
 
 def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
-    """The two sensors that the options, the sync cable and the person at the terminal choose; not yet open.
+    """Chooses the two sensors from the options, the sync cable and the user's answers; opens neither.
 
     Raises:
-        DeviceError: Not two usable Kinects, no SDK, a cable that joins nothing.
+        DeviceError: Fewer than two usable Kinects, no SDK, or a wrongly connected sync cable.
     """
     connected = connected_kinects()
     serials = _choose(connected, options, console)
@@ -130,9 +133,10 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
 
 
 def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
-    """Fuses what two sensors give, until they end, Ctrl-C, or the time is up; saves and sums up."""
+    """Fuses two sensors until they end, Ctrl-C is pressed or the time is up; saves and prints the summary."""
     viewing = _viewing(options)
     settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
+    check_paper_options(settings)
     a, b = sensors.a.sensor, sensors.b.sensor
     calibration = _given_calibration(options, a)
     nominal = FusionSetup(calibration or nominal_calibration(a.body), settings)
@@ -141,7 +145,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
     with CtrlC() as ctrl_c:
         with ExitStack() as opened:
             console.print(f"Opening {a.name} (A) and {b.name} (B) …", highlight=False, markup=False)
-            with ctrl_c.raising():  # a body tracker may load its network for minutes
+            with ctrl_c.raising():  # a body tracker may take minutes to load its network
                 opened.enter_context(sensors)
             ctrl_c.calls(sensors.stop)
             cameras = _camera(options, a), _camera(options, b)
@@ -164,7 +168,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             display = opened.enter_context(
                 LiveDisplay(console, session, coach, options.quiet, options.verbose)
             )
-            console.print("Running. Ctrl-C ends it.")
+            console.print("Running. Press Ctrl-C to end.")
             with _Timer(options.seconds, sensors):
                 setup, frames = run_live(
                     sensors,
@@ -172,7 +176,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                     session,
                     calibrated=calibration is not None,
                     depth=options.depth,
-                    # events are told at once, by the sensors: also while no frame comes
+                    # the sensors report events at once, even while no frame arrives
                     go_on=lambda status: watch(status) and display(replace(status, events=())),
                 )
         for warning in (*a.warnings, *b.warnings):
@@ -195,7 +199,7 @@ def _viewing(options: LiveOptions) -> Viewing | None:
 
 
 class _Watch:
-    """Says on the terminal when the calibration is found, and remembers it."""
+    """Prints the calibration on the terminal when it is found, and keeps it."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -209,7 +213,7 @@ class _Watch:
 
 
 class _Timer:
-    """Stops the sensors when the time is up, whether frames come or not."""
+    """Stops the sensors when the time is up, even while no frame arrives."""
 
     def __init__(self, seconds: float | None, sensors: TwoSensors) -> None:
         self._timer = None if seconds is None else threading.Timer(seconds, sensors.stop)
@@ -262,7 +266,7 @@ def _settings(options: LiveOptions, serial: str, master: str | None) -> KinectSe
 
 
 def _opens_within(options: LiveOptions) -> float:
-    """Seconds that a sensor with its body tracker may take to open; its subordinate waits as long for it."""
+    """The time limit for opening a sensor and its body tracker, seconds."""
     return 900.0 if options.processing == "tensorrt" else 120.0
 
 
@@ -279,7 +283,7 @@ def _given_calibration(options: LiveOptions, sensor: Sensor) -> Calibration | No
 def _save_calibration(path: Path, calibration: Calibration | None) -> None:
     if calibration is None:
         raise UsageError(
-            f"{path} was not written, for no calibration was found. Stand where both sensors see all of you, "
+            f"{path} was not written: no calibration was found. Stand where both sensors see all of you, "
             f"turned half-way between them, arms and legs apart, and hold still for a second."
         )
     with whole_file(path) as partial:

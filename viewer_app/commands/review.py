@@ -1,4 +1,4 @@
-"""``duplex review``: a session in the viewer, its summary, and a page to send on."""
+"""``duplex review``: shows a session in the viewer, prints its summary and writes a report page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``duplex trim``: a stretch of a session as a session of its own."""
+"""``duplex trim``: saves a time range of a session as a new session."""
 
 from __future__ import annotations
 

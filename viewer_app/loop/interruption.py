@@ -1,4 +1,4 @@
-"""Ctrl-C as a wish to end, so that what was captured is saved whatever moment it comes at."""
+"""Handles Ctrl-C as a request to end, so that captured data is saved at any moment."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class CtrlC:
-    """While it is entered, Ctrl-C and a request to terminate interrupt nothing: they are remembered.
+    """Context manager that records SIGINT and SIGTERM instead of interrupting the program.
 
-    An exception in the middle of opening or saving would leave things half done. What waits long asks for it
-    (:meth:`raising`), and the loop is told (:meth:`calls`). Outside the main thread, which alone gets
-    signals, it does nothing.
+    An exception during opening or saving would leave them incomplete. A long wait enables the exception with
+    :meth:`raising`; the loop registers a callback with :meth:`calls`. Only the main thread receives signals:
+    on other threads the manager does nothing.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class CtrlC:
 
     @contextmanager
     def raising(self) -> Iterator[None]:
-        """Within the block a signal raises ``KeyboardInterrupt``, and so does one that came before."""
+        """Within the block a signal raises ``KeyboardInterrupt``; an earlier signal raises it at once."""
         self._raises = True
         try:
             self._raise_if_pressed()
@@ -45,10 +45,10 @@ class CtrlC:
             self._raises = False
 
     def calls(self, action: Callable[[], None]) -> None:
-        """From now on a signal calls `action`, however often it comes.
+        """Calls `action` at every signal from now on.
 
         Raises:
-            KeyboardInterrupt: One came before.
+            KeyboardInterrupt: A signal arrived earlier.
         """
         self._action = action
         self._raise_if_pressed()

@@ -21,13 +21,13 @@ from recordings.session_arrays import RecordedFrame
 from viewer_app.sinks.sink import Sink
 
 _KEPT_FRAMES = 1_800
-"""A minute at 30 fps: what the summary at the end speaks of."""
-_TURN = 0.0005  # seconds
+"""One minute at 30 fps: the frames that the final summary covers."""
+_SWITCH_INTERVAL = 0.0005  # seconds
 
 
 @dataclass(frozen=True)
 class Status:
-    """What the loop tells whoever watches it, after each frame."""
+    """What the loop reports to its observer after each frame."""
 
     frame: RecordedFrame
     calibrator: Calibrator
@@ -36,15 +36,16 @@ class Status:
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
-    """Keeps what else goes on in this process from holding up a loop, and those who wait for its frames.
+def low_latency() -> Iterator[None]:
+    """Reduces the latency that other threads and the garbage collector add to the loop.
 
-    A loop that has waited for a frame, or for a lock, goes on only when the thread that runs has had its
-    turn: Python's 5 ms are a sixth of a frame. And its search for garbage stops every thread, for four frames
-    if it goes through all that was imported and compiled: what is there when the loop begins is left out.
+    A thread that waits for the GIL gets it only after the switch interval of the running thread. Python's
+    default of 5 ms is a sixth of a frame; this context sets 0.5 ms. The garbage collector stops all threads;
+    a full collection over all imported and compiled objects takes about four frames. ``gc.freeze`` excludes
+    the objects that exist when the loop starts.
     """
     before = sys.getswitchinterval()
-    sys.setswitchinterval(_TURN)
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     gc.freeze()
     try:
         yield
@@ -53,7 +54,7 @@ def undisturbed() -> Iterator[None]:
         sys.setswitchinterval(before)
 
 
-@undisturbed()
+@low_latency()
 def run_live(
     sensors: TwoSensors,
     setup: FusionSetup,
@@ -64,19 +65,19 @@ def run_live(
     truth_at: Callable[[int], NDArray[np.float64]] | None = None,
     go_on: Callable[[Status], bool] = lambda _: True,
 ) -> tuple[FusionSetup, list[RecordedFrame]]:
-    """Fuses and records what two open sensors give until they end or ``go_on`` says no.
+    """Fuses and records the frames of two open sensors until they end or ``go_on`` returns False.
 
     Args:
-        sensors: Open.
-        setup: To begin with; its cameras are for depth images as `depth` leaves them.
-        sink: Takes the frames, and what happened.
-        calibrated: Whether to keep the setup's calibration; else one is found while running.
-        depth: How much of the depth images is recorded.
-        truth_at: (J, 3) the true joints at a time of A's clock, where they are known.
-        go_on: Asked after each frame; shows the status in passing.
+        sensors: The open sensors.
+        setup: The setup at the start. Its intrinsics belong to the depth images that `depth` selects.
+        sink: Receives the frames and the events.
+        calibrated: Whether to keep the calibration of `setup`. If not, one is computed while the loop runs.
+        depth: Which depth images are recorded.
+        truth_at: Returns the true joints (J, 3) at a time of A's clock; None if they are unknown.
+        go_on: Called with the status after each frame; returns whether to continue.
 
     Returns:
-        The last setup, and the last frames, without their images.
+        The last setup, and the frames of the last minute without their images.
     """
     fusion = LiveFusion(setup, calibrated)
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
@@ -88,13 +89,15 @@ def run_live(
             sink.recalibrated(fusion.setup)
         frame = replace(fusion.fuse(pair), streams=sensors.stream_figures)
         if truth_at is not None:
-            if pair.a is not None:  # A's own time: a pair's goes on where A's clock is reset
+            if pair.a is not None:  # the pair's time continues when A's clock is reset
                 ahead_ns = pair.time_ns - pair.a.time_ns
             frame = replace(frame, truth=truth_at(pair.time_ns - ahead_ns))
         events = tuple(event.message for event in sensors.events())
         sink.write(frame)
         if recalibrated:
             sink.event(f"calibrated: {fusion.setup.calibration.how}")
+        for told in fusion.told():
+            sink.event(*told)
         for event in events:
             sink.event(event, "WARN")
         kept.append(replace(frame, pair=without_images(pair)))

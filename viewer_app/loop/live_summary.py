@@ -1,4 +1,4 @@
-"""What a live session came to: the figures at its end, for real and simulated sensors."""
+"""The summary of a live session with real or simulated sensors."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from viewer_app.sinks.session_file import FileSink
 
 
 def print_frames(console: Console, sensors: TwoSensors) -> None:
-    """How many frames came, were paired, and were not."""
+    """Prints how many frames were received, paired and dropped."""
     figures = sensors.figures
     console.print(
         f"[bold]Paired[/] {figures.pairs} frames of {sensors.a.received} (A) and {sensors.b.received} (B); "
         f"alone {figures.alone_a} and {figures.alone_b}; of B {figures.unmatched_b} that A has no frame for."
     )
     trouble = {
-        "frames of A we were too slow for": sensors.a.dropped,
-        "frames of B we were too slow for": sensors.b.dropped,
-        "A lost and back": sensors.a.returns,
-        "B lost and back": sensors.b.returns,
+        "frames of A dropped (too slow)": sensors.a.dropped,
+        "frames of B dropped (too slow)": sensors.b.dropped,
+        "reconnects of A": sensors.a.returns,
+        "reconnects of B": sensors.b.returns,
         "frames late": figures.late,
         "repeated": figures.repeated,
         "out of order": figures.reordered,
@@ -40,7 +40,10 @@ def print_frames(console: Console, sensors: TwoSensors) -> None:
 
 
 def rows_since_calibration(setup: FusionSetup, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
-    """The frames fused with the last calibration: earlier ones have other bone lengths. None without any."""
+    """The frames fused with the last calibration; None if there are none.
+
+    Earlier frames have other bone lengths.
+    """
     rotation = setup.calibration.a_from_b.rotation
     last = [frame for frame in frames if frame.fused.a_from_b.rotation is rotation]
     calibration = setup.calibration
@@ -48,10 +51,10 @@ def rows_since_calibration(setup: FusionSetup, frames: Sequence[RecordedFrame]) 
 
 
 def session_report(setup: FusionSetup, frames: Sequence[RecordedFrame], sensors: TwoSensors) -> Figures:
-    """What ``duplex fuse --report`` writes, of a live session, and how its streams went.
+    """The report of a live session: the figures of ``duplex fuse --report`` and the stream counts.
 
-    As in the summary, frames are counted since the start, and the rest is of the last minute, whose length is
-    ``seconds``; without a fused frame there is no rest.
+    Frames are counted since the start. All other figures cover the last minute; ``seconds`` is its actual
+    length. Without a fused frame there are only counts.
     """
     counted = sensors.figures
     figures: Figures = {
@@ -81,39 +84,39 @@ def session_report(setup: FusionSetup, frames: Sequence[RecordedFrame], sensors:
 def print_session(
     console: Console, setup: FusionSetup, frames: Sequence[RecordedFrame], sensors: TwoSensors
 ) -> None:
-    """The whole summary. Frames are counted since the start; the method's figures are of the last minute."""
+    """Prints the summary. Frames are counted since the start; the method's figures cover the last minute."""
     print_frames(console, sensors)
     rows = rows_since_calibration(setup, frames)
     if rows is None:
         console.print("No frame was fused.")
         return
     seconds = (rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
-    rate = f", {(len(rows) - 1) / seconds:.1f} a second" if seconds > 0.0 else ""
+    rate = f", {(len(rows) - 1) / seconds:.1f} per second" if seconds > 0.0 else ""
     console.print(f"[bold]The last {seconds:.1f} s[/]: {len(rows)} frames{rate}.")
     print_method(console, setup.calibration, method_figures(rows))
 
 
 def print_saved(console: Console, file: FileSink) -> None:
-    """Where the session is, if all of it is there; nothing where none was to be saved."""
+    """Prints where the session was saved and which frames are missing; nothing if none was to be saved."""
     if file.path is None:
         return
     if file.saved == 0 and file.failure is None:
-        console.print(f"{file.path} was not written: no frame came.", highlight=False, markup=False)
+        console.print(f"{file.path} was not written: no frame was received.", highlight=False, markup=False)
     elif file.failure is None:
         say_saved(console, file.path)
     for count, what in (
-        (file.lost, "not saved: the disk stood still"),
-        (file.without_images, "saved without their images, which came too fast for this machine"),
+        (file.lost, "not saved: the disk was too slow"),
+        (file.without_images, "saved without their images: this machine was too slow"),
     ):
         if count:
             console.print(f"[yellow]{count} frames are {what}.[/]", highlight=False)
 
 
 def check_saved(file: FileSink) -> None:
-    """Ends a session whose saving stopped as a mistake does: with one line, and exit code 2.
+    """Reports a failure of saving as a usage error: one line and exit code 2.
 
     Raises:
-        UsageError: It did.
+        UsageError: Saving stopped.
     """
     if file.failure is not None:
         raise UsageError(file.failure)

@@ -1,4 +1,4 @@
-"""What a person sees of a running loop beside the viewer: one status line, and the coach's advice."""
+"""The terminal output of a running loop: a status line and the coach's advice."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from viewer_app.coach.setup_coach import Coach, Situation
 from viewer_app.loop.live_loop import Status
 from viewer_app.sinks.live_session import LiveSession
 
-_EVERY = 0.5  # seconds between two status lines: as often as a person can read one
-_RATE_OVER = 2.0  # seconds
+_EVERY = 0.5  # seconds between two status lines; a person cannot read them faster
+_RATE_OVER = 2.0  # seconds over which the frame rate is averaged
 
 
 class LiveDisplay:
-    """Call it with each :class:`~viewer_app.loop.live_loop.Status`; it returns True: go on.
+    """Callback for each :class:`~viewer_app.loop.live_loop.Status`; always returns True.
 
     Args:
-        console: Where to write. It heeds NO_COLOR.
-        session: Which gets the coach's page, and says how much is saved and dropped.
-        coach: Whose advice is shown.
-        quiet: No status line and no advice, only warnings.
-        verbose: Every status line stays, with more figures.
-        clock: Seconds; tests put their own.
+        console: The output. It respects NO_COLOR.
+        session: Receives the coach's page; provides the counts of saved and dropped frames.
+        coach: Gives the advice to show.
+        quiet: Print warnings only, no status line and no advice.
+        verbose: Keep every status line, with more figures.
+        clock: Returns seconds; tests inject their own.
     """
 
     def __init__(
@@ -56,18 +56,18 @@ class LiveDisplay:
         self._next = -np.inf
 
     def __enter__(self) -> LiveDisplay:
-        """Begins the status line, where there is a terminal."""
+        """Starts the status line if the output is a terminal."""
         if self._shows:
             self._live.start()
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Ends it."""
+        """Stops the status line."""
         if self._shows:
             self._live.stop()
 
     def __call__(self, status: Status) -> bool:
-        """Takes what the loop tells after a frame."""
+        """Updates the output after a frame."""
         self._frames.append(status)
         newest = status.frame.pair.time_ns
         while newest - self._frames[0].frame.pair.time_ns > _RATE_OVER * 1e9:
@@ -127,6 +127,7 @@ class LiveDisplay:
             calibrator.settled,
             calibrator.held,
             (sensors.a.dropped, sensors.b.dropped),
+            sensors.step,
         )
         advice = self._coach.watch(status.frame, situation)
         page = self._scene.page(advice, situation, status.frame.fused)
@@ -136,7 +137,7 @@ class LiveDisplay:
         self._say(advice)
 
     def _say(self, advice: list[Advice]) -> None:
-        """An event when something begins to be wrong, or to be right again; the page has the rest."""
+        """Logs an event when a problem begins or ends; the coach's page shows the rest."""
         wrong = {each.topic: each.text for each in advice if each.level == "WARN"}
         for topic, text in wrong.items():
             if topic not in self._said:

@@ -1,4 +1,4 @@
-"""What a fusion came to, in figures: ``report.json``, and the summary in the terminal."""
+"""The figures of a fusion: ``report.json`` and the summary in the terminal."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ Figures = dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class FusionResult:
-    """Everything a report is made of.
+    """The data of a report.
 
     Attributes:
-        pairing: What was paired and dropped.
-        calibration: What the fusion ran with.
-        settings: The method's choices.
+        pairing: Counts of paired and dropped frames.
+        calibration: The calibration used.
+        settings: The settings used.
         rows: The fused frames.
-        exact: The same frames by the exact solver, where another one was asked for.
+        exact: The same frames solved with exact bones, if the published scheme was used; else None.
     """
 
     pairing: Pairing
@@ -62,7 +62,7 @@ def report(result: FusionResult) -> Figures:
 
 
 def fusion_figures(calibration: Calibration, settings: FuserSettings, rows: SessionArrays) -> Figures:
-    """What a report says of fused frames, wherever they came from."""
+    """The figures of fused frames from any source."""
     registration = calibration.registration
     return {
         "stale": {"a": int(rows.stale_a.sum()), "b": int(rows.stale_b.sum())},
@@ -94,7 +94,7 @@ def fusion_figures(calibration: Calibration, settings: FuserSettings, rows: Sess
 
 
 def method_figures(rows: SessionArrays) -> Figures:
-    """Bones, errors, disagreement and time of any fused frames."""
+    """Bones, errors, disagreement and time of fused frames."""
     lengths, target = rows.bone_length_of_each, rows.bone_lengths
     disagreement = rows.disagreement * 1e3
     bones = {}
@@ -126,7 +126,7 @@ def report_to_json(figures: Figures) -> str:
 
 
 def print_summary(console: Console, result: FusionResult, figures: Figures) -> None:
-    """The summary a person reads: pairing, calibration in plain words, bones, errors, time."""
+    """Prints the summary: pairing, calibration, bones, errors, time."""
     dropped, stale, alone = figures["dropped"], figures["stale"], figures["without_person"]
     console.print(
         f"[bold]Paired[/] {figures['paired']} frames of {figures['frames']['a']} (A) and "
@@ -144,7 +144,7 @@ def print_summary(console: Console, result: FusionResult, figures: Figures) -> N
 
 
 def print_method(console: Console, calibration: Calibration, figures: Figures) -> None:
-    """What the method came to, for recorded and live sessions alike: calibration, bones, errors, time."""
+    """Prints the figures of the method for recorded and live sessions: calibration, bones, errors, time."""
     how, *verdict = calibration_in_words(calibration)
     console.print(f"[bold]Calibration[/]: {escape(how)}", highlight=False)
     for line in verdict:
@@ -158,13 +158,13 @@ def print_method(console: Console, calibration: Calibration, figures: Figures) -
     console.print(f"[bold]S_A against S_B[/]: median {in_mm(apart['median'])}, 95 % {in_mm(apart['p95'])}")
     ms = figures["fuse_ms"]
     console.print(
-        f"[bold]Fusion[/]: {ms['p50']:.3f} ms a frame (median), 99 % {ms['p99']:.3f} ms, "
+        f"[bold]Fusion[/]: {ms['p50']:.3f} ms per frame (median), 99 % {ms['p99']:.3f} ms, "
         f"max {ms['max']:.3f} ms"
     )
 
 
 def say_saved(console: Console, path: Path) -> None:
-    """One line: where the session is, and the command to look at it here, as this program was called."""
+    """Prints where the session is, and the command to view it, as this program was called."""
     program = sys.argv[0] if Path(sys.argv[0]).name.startswith("duplex") else "duplex"
     page = "" if has_display() else f" --html {path.with_suffix('.html')}"
     console.print(
@@ -179,7 +179,7 @@ _FEWEST_FRAMES = 15  # half a second
 
 
 def calibration_in_words(calibration: Calibration) -> list[str]:
-    """On what it was calibrated, and the verdict, a line each."""
+    """The source of the calibration, and the verdict, as lines."""
     registration = calibration.registration
     lines = [f"{calibration.how}."]
     angle = math.degrees(calibration.axes_angle)
@@ -228,16 +228,16 @@ def _comparison_table(figures: Figures) -> Table:
         title_justify="left",
         caption_justify="left",
     )
-    for column in ("solver", "largest bone error", "iterations (median)", "at the limit", "ms a frame"):
+    for column in ("solver", "largest bone error", "iterations (median)", "at the limit", "ms per frame"):
         table.add_column(column, justify="left" if column == "solver" else "right")
     for name in ("paper", "exact"):
-        of = figures[name]
+        solver = figures[name]
         table.add_row(
             name,
-            in_mm(of["max_bone_error_mm"]),
-            f"{of['median_iterations']:.0f}",
-            f"{of['at_iteration_limit']} frames",
-            f"{of['fuse_ms_p50']:.3f}",
+            in_mm(solver["max_bone_error_mm"]),
+            f"{solver['median_iterations']:.0f}",
+            f"{solver['at_iteration_limit']} frames",
+            f"{solver['fuse_ms_p50']:.3f}",
         )
     return table
 
@@ -262,7 +262,7 @@ def _mean_and_deviation(of_bone: Figures) -> str:
 
 
 def _of(figure: Any, values: NDArray[Any]) -> float | None:
-    """A figure of the finite values; None where there are none."""
+    """A figure of the finite values; None if there are none."""
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]
     return float(figure(finite)) if finite.size else None

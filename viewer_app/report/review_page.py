@@ -1,7 +1,7 @@
-"""A session's quality on one page that stands alone: no network, no script, light and dark.
+"""A session's quality on one self-contained HTML page: no network, no script, light and dark.
 
-This module collects what the page shows; ``templates/review_page.html`` says how. Jinja escapes every text
-that a session brings along.
+This module collects the content of the page; ``templates/review_page.html`` defines its form. Jinja escapes
+all text from the session.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def _event_rows(session: Session) -> list[tuple[str, str, str]]:
 
 
 def _without_folders(sources: tuple[str, str]) -> tuple[str, str]:
-    """What the sensors were called: of files the end of the path that tells them apart, and no more."""
+    """The names of the sensors; for files, the shortest end of the path that distinguishes them."""
     a, b = (re.split(r"[/\\]", source) for source in sources)
     for parts in range(1, min(len(a), len(b)) + 1):
         if a[-parts:] != b[-parts:]:

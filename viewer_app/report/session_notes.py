@@ -1,4 +1,4 @@
-"""What commands say about a session that they have opened."""
+"""Messages about an opened session."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from recordings.session import Session
 
 
 def print_damage(console: Console, session: Session) -> None:
-    """Says what is wrong with a file, where something is."""
+    """Prints the damage of a file, if any."""
     if session.damage is not None:
         lost = f"; {session.frames_lost} more were written and are lost" if session.frames_lost else ""
         console.print(
@@ -20,6 +20,6 @@ def print_damage(console: Console, session: Session) -> None:
 
 
 def print_damaged_images(console: Console, count: int) -> None:
-    """Says how many images could not be copied, where there are any."""
+    """Prints how many images could not be copied, if any."""
     if count:
-        console.print(f"[bold yellow]{count} damaged images[/] were left out.", highlight=False)
+        console.print(f"[bold yellow]{count} damaged images[/] were skipped.", highlight=False)

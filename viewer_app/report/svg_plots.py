@@ -1,7 +1,7 @@
-"""Plots as SVG inside a page, in the page's own text colour.
+"""Plots as SVG inside a page, in the page's text colour.
 
-By matplotlib: its SVG needs no script, so a page stays small and safe to open; Plotly would add 4 MB of
-script to each, Bokeh 1 MB.
+The plots use matplotlib, whose SVG needs no script, so that a page is small and safe to open. Plotly would
+add 4 MB of script to each page, Bokeh 1 MB.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from recordings import layout
 
-_INK = "#010203"  # stands for the page's text colour until the SVG is written
-_MOST_POINTS = 1500  # a line has a pixel or so for each
+_INK = "#010203"  # placeholder for the page's text colour
+_MOST_POINTS = 1500  # about one point per pixel
 _TRUST_COLUMNS = 600
 _WIDE = 11.0  # inches, of a plot across the page
 Line = tuple[NDArray[Any], str]
@@ -33,7 +33,7 @@ def line_plot(
     logarithmic: bool = False,
     wide: bool = False,
 ) -> str:
-    """Values over seconds; each line with the key of its skeleton's colour, and a dashed level."""
+    """Plots values over seconds; each line has the key of its skeleton's colour. A level is dashed."""
     figure, axes = _figure(_WIDE if wide else 6.0, 2.4)
     for name, (values, key) in lines.items():
         at, thinned = _thinned(time, np.asarray(values, dtype=np.float64))
@@ -51,7 +51,7 @@ def line_plot(
 
 
 def bar_plot(unit: str, names: Sequence[str], bars: Mapping[str, Line]) -> str:
-    """A group of bars a name."""
+    """Plots one group of bars per name."""
     figure, axes = _figure(_WIDE, 3.2)
     at, width = np.arange(len(names)), 0.8 / len(bars)
     for k, (name, (values, key)) in enumerate(bars.items()):
@@ -69,7 +69,7 @@ def bar_plot(unit: str, names: Sequence[str], bars: Mapping[str, Line]) -> str:
 
 
 def trust_map(time: NDArray[Any], names: Sequence[str], share: NDArray[Any]) -> str:
-    """(T, J) share of A, a row a joint: A's colour, B's colour, and empty where neither."""
+    """Plots the share of A (T, J), one row per joint: from A's colour to B's, empty without data."""
     from matplotlib.colors import LinearSegmentedColormap
 
     figure, axes = _figure(_WIDE, 0.16 * len(names) + 1.0)
@@ -88,7 +88,7 @@ def trust_map(time: NDArray[Any], names: Sequence[str], share: NDArray[Any]) -> 
 
 
 def _columns_of_time(time: NDArray[Any], share: NDArray[Any]) -> NDArray[np.float64]:
-    """(columns, J) means of (T, J) over equal stretches of time; NaN where there is no frame near."""
+    """(columns, J) means of (T, J) over equal time spans; NaN without a frame nearby."""
     if len(time) < 2:
         return np.asarray(share, dtype=np.float64)
     edges = np.linspace(time[0], time[-1], _TRUST_COLUMNS + 1)
@@ -98,7 +98,7 @@ def _columns_of_time(time: NDArray[Any], share: NDArray[Any]) -> NDArray[np.floa
     np.add.at(total, column, np.where(counted, share, 0.0))
     np.add.at(count, column, counted)
     mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    # where columns are narrower than frames, those between two frames take the nearer one
+    # columns narrower than a frame take the nearer of two frames
     middle = (edges[:-1] + edges[1:]) / 2
     after = np.clip(np.searchsorted(time, middle), 1, len(time) - 1)
     nearest = np.where(middle - time[after - 1] <= time[after] - middle, after - 1, after)
@@ -109,7 +109,7 @@ def _columns_of_time(time: NDArray[Any], share: NDArray[Any]) -> NDArray[np.floa
 
 
 def _legend(axes: Any, columns: int) -> None:
-    """Above the plot, where no curve is."""
+    """Places the legend above the plot, where it covers no curve."""
     axes.legend(
         fontsize=8,
         frameon=False,
@@ -145,7 +145,7 @@ def _svg(figure: Any, label: str, wide: bool = False) -> str:
     svg = out.getvalue()
     svg = svg[svg.index("<svg") :].replace(_INK, "currentColor")
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
-    # ids are of the whole page, so each plot's are made its own
+    # ids are shared by the whole page, so each plot gets unique ones
     own = f"p{crc32((label + svg).encode()):x}"
     svg = re.sub(r'\bid="', f'id="{own}-', svg)
     svg = re.sub(r"url\(#", f"url(#{own}-", svg)
@@ -159,15 +159,15 @@ def _color(key: str) -> str:
 
 
 def _thinned(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Lowest and highest of each stretch, so that a peak is never lost."""
+    """Minimum and maximum of each span, so that no peak is lost."""
     if len(values) <= _MOST_POINTS:
         return time, values
     blocks = np.array_split(np.arange(len(values)), _MOST_POINTS // 2)
-    at = []
+    kept = []
     for block in blocks:
-        of = values[block]
-        if np.isnan(of).all():
-            at += [block[0], block[-1]]
+        part = values[block]
+        if np.isnan(part).all():
+            kept += [block[0], block[-1]]
         else:
-            at += sorted((block[np.nanargmin(of)], block[np.nanargmax(of)]))
-    return time[at], values[at]
+            kept += sorted((block[np.nanargmin(part)], block[np.nanargmax(part)]))
+    return time[kept], values[kept]

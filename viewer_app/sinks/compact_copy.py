@@ -1,4 +1,4 @@
-"""The same session in large blocks, to take the place of the file that grew once that is complete."""
+"""A copy of the session in large blocks, which replaces the growing file when the session ends."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from recordings.writing.session_writer import check_whole
 from viewer_app.sinks.queue_items import Frame, Item, Opening, write_items
 
 _BLOCK = 600
-"""Items written together: 20 s, which then take less than half the room of half seconds."""
+"""Items per block: 20 s, which need less than half the space of blocks of half a second."""
 _FLUSH_WITHIN = 5.0
 
 
 class CompactCopy:
-    """Writes items to a second file, which has Rerun's table of contents, too.
+    """Writes items to a second file, which also has Rerun's table of contents.
 
-    That has no name where the system knows such files, so that a process that is killed leaves nothing
-    behind. Whatever goes wrong, only the copy is given up. With the first image it gives itself up: images
-    take nearly all of a file, and gain nothing by being written together.
+    The file has no name if the system supports unnamed files, so that a killed process leaves nothing behind.
+    Any failure discards only the copy. The first image discards the copy too: images fill almost the whole
+    file and do not benefit from large blocks.
 
     Args:
-        path: The file that grows; the copy is in its folder, to end up on the same disk.
+        path: The growing file; the copy is in the same folder and thus on the same disk.
         stream: A second stream of the same recording.
-        begin: Writes what is static.
+        begin: Writes the static data.
     """
 
     def __init__(self, path: Path, stream: rr.RecordingStream, begin: Opening) -> None:
@@ -58,7 +58,7 @@ class CompactCopy:
                 self._waiting.clear()
 
     def take_place(self) -> None:
-        """Ends the session, and puts it where the grown one is, in one step."""
+        """Ends the session, and replaces the grown file atomically."""
         if self._recorder is not None:
             write_items(self._recorder, self._waiting)
             self._waiting.clear()
@@ -73,12 +73,12 @@ class CompactCopy:
         self.close()
 
     def close(self) -> None:
-        """Gives the copy up, unless it took the place; closing twice is harmless."""
+        """Discards the copy, unless it replaced the file. Closing twice has no effect."""
         if self._recorder is not None:
             self._recorder = None
             self._waiting.clear()
             with suppress(OSError):
-                self._file.truncate(0)  # makes room for what the stream has yet to write, on a full disk
+                self._file.truncate(0)  # on a full disk, frees space for the rest of the stream
             self._stream.disconnect()
             self._file.close()
             with suppress(OSError):

@@ -1,4 +1,4 @@
-"""How often a viewer is shown images."""
+"""Limits the rate of images sent to a viewer."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import replace
 from devices.image_thinning import has_images, without_images
 from recordings.session_arrays import RecordedFrame
 
-_EARLY = 0.9  # of an interval: a frame that comes a little early is not put off for the next one
+_EARLY = 0.9  # share of the interval: a frame that arrives slightly early still counts
 _HALF_NS = 16_000_000
-"""Half a frame. A's images begin with the second frame, B's with the third: together, or with the matrix of
-trust, whose seconds begin with the first, they would make everyone wait."""
+"""Half a frame. A's images start with the second frame, B's with the third. Sending them together,
+or with the trust matrix at the first frame, would add latency."""
 
 
 class ImageTurns:
-    """Leaves images out, so that a viewer gets as many as it stands, of one sensor at a time.
+    """Drops images, so that a viewer is not overloaded; passes images of one sensor at a time.
 
     Args:
-        rate: Images a second and sensor, at most.
+        rate: Maximum images per second and sensor.
     """
 
     def __init__(self, rate: float) -> None:
@@ -25,7 +25,7 @@ class ImageTurns:
         self._next_ns: dict[str, int] = {}
 
     def capped(self, frame: RecordedFrame) -> RecordedFrame:
-        """The next frame with the images whose turn it is."""
+        """The next frame, with only the images that are due."""
         if not has_images(frame.pair):
             return frame
         now = frame.pair.time_ns

@@ -1,4 +1,4 @@
-"""Where a loop's frames go while it runs: viewer, file, further sinks. It waits for none of them."""
+"""The sinks of a running loop: viewer, file, further sinks. The loop waits for none of them."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class LiveSession(FanOut):
 
     Args:
         setup: Settings, cameras and the first calibration.
-        sources: What the sensors are called, K_A first.
-        blueprint: What the viewer shows.
-        file: The file to write; None for none. It can be read while it grows.
-        overwrite: Whether a file of that name may be replaced.
+        sources: Names of the sensors, K_A first.
+        blueprint: The layout of the viewer.
+        file: The file to write; None for none. It is readable while it grows.
+        overwrite: Whether an existing file may be replaced.
         viewing: The viewer; None for none.
         others: Further sinks.
 
@@ -56,7 +56,7 @@ class LiveSession(FanOut):
 
         def begin(stream: rr.RecordingStream) -> Recorder:
             recorder = Recorder(stream, setup, sources, depth_every=1)
-            # the timeline it names must be there; it is active, or a viewer would show what it remembers
+            # The blueprint's timeline must exist. If not active, a viewer restores a remembered layout.
             stream.send_blueprint(blueprint)
             return recorder
 
@@ -73,11 +73,11 @@ class LiveSession(FanOut):
         super().__init__((self.file, self.viewer, *others))
 
     def save(self) -> None:
-        """Writes what waits for the file, and closes it; what comes later only the others get."""
+        """Writes the queued items to the file and closes it; later items go only to the other sinks."""
         self.file.close()
 
     def __enter__(self) -> LiveSession:
-        """Is open already."""
+        """Returns itself; it is already open."""
         return self
 
     def __exit__(self, *exc_info: object) -> None:

@@ -1,4 +1,4 @@
-"""What waits in a sink's queue until its thread writes it."""
+"""Items of a sink's queue, written by the sink's thread."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder
 
 Opening = Callable[[rr.RecordingStream], Recorder]
-"""Writes what is static, and gives the recorder to go on with."""
+"""Writes the static data and returns the recorder."""
 
 
 class Item(Protocol):
-    """One thing to be written."""
+    """One item to write."""
 
     def write(self, recorder: Recorder) -> None:
-        """Puts it where it belongs."""
+        """Writes the item to the recorder."""
         ...
 
 
@@ -42,11 +42,11 @@ class Frame:
         return has_images(self.frame.pair)
 
     def without_images(self) -> Frame:
-        """The same with skeletons only."""
+        """The frame without images."""
         return replace(self, frame=replace(self.frame, pair=without_images(self.frame.pair)))
 
     def write(self, recorder: Recorder) -> None:
-        """By columns, as :func:`write_items` does with several."""
+        """Writes the frame by columns, as :func:`write_items` does for several frames."""
         recorder.record_all([self.frame], [self.number])
 
 
@@ -55,9 +55,9 @@ class Note:
     """An event.
 
     Attributes:
-        text: What is said.
-        level: How bad it is.
-        topic, phase: Of a spell that begins or ends.
+        text: The message.
+        level: Severity.
+        topic, phase: Topic and phase of a spell.
     """
 
     text: str
@@ -72,12 +72,12 @@ class Note:
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """A depth image of a frame that was given before.
+    """A depth image of an earlier frame.
 
     Attributes:
-        side: Whose.
-        frame: Of which frame.
-        time_ns: Since the first pair.
+        side: The sensor, ``a`` or ``b``.
+        frame: The frame number.
+        time_ns: Time since the first pair.
         depth: (height, width) uint16 millimetres.
     """
 
@@ -87,18 +87,18 @@ class Image:
     depth: NDArray[np.uint16]
 
     def write(self, recorder: Recorder) -> None:
-        """At the time of its frame."""
+        """Writes the image at the time of its frame."""
         recorder.record_depth(self.side, self.frame, self.time_ns, self.depth)
 
 
 @dataclass(frozen=True, eq=False)
 class Recalibration:
-    """What the frames that follow are fused with."""
+    """A new setup for the following frames."""
 
     setup: FusionSetup
 
     def write(self, recorder: Recorder) -> None:
-        """Before those frames."""
+        """Writes the calibration before these frames."""
         recorder.recalibrated(self.setup)
 
 
@@ -114,7 +114,7 @@ class Page:
 
 
 def write_items(recorder: Recorder, items: Sequence[Item]) -> None:
-    """Writes items in order, frames that follow each other by columns."""
+    """Writes items in order; consecutive frames are written by columns."""
     run: list[Frame] = []
 
     def write_run() -> None:

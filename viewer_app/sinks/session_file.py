@@ -1,4 +1,4 @@
-"""A session's file, written on a thread of its own."""
+"""A session file, written on a separate thread."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from viewer_app.sinks.queue_items import Frame, Item, Note, Opening, Page, Recal
 from viewer_app.sinks.sink import Sink
 
 _KEEP_WITH_IMAGES = 60
-"""Frames that wait with their images, at most: 90 MB."""
+"""Maximum number of queued frames with images: 90 MB."""
 _KEEP = 1800
-"""Frames that wait, at most: a minute in which the disk takes nothing."""
+"""Maximum number of queued frames: one minute without progress of the disk."""
 _LOOK_SECONDS = 0.04
-"""Images are encoded as they come: those of a block at once would keep everyone waiting."""
+"""Images are encoded one by one: encoding a whole block at once would block other threads."""
 _BLOCK_SECONDS = 0.5
-"""Frames are written together, for by columns that takes less time and space; a kill loses as many."""
+"""Frames per block: columns take less time and space. A killed process loses at most one block."""
 
 
 class FileSink(Sink):
-    """A file that is saved while the loop runs; this one is none."""
+    """Interface of a file that is written while the loop runs; this base class writes none."""
 
     @property
     def path(self) -> Path | None:
@@ -46,7 +46,7 @@ class FileSink(Sink):
 
     @property
     def failure(self) -> str | None:
-        """Why not everything is saved, in a sentence; None where it is."""
+        """Why saving stopped, as a sentence; None if it did not."""
         return None
 
     @property
@@ -71,20 +71,20 @@ class FileSink(Sink):
 
 
 class SessionFile(FileSink):
-    """Writes a live session on a thread of its own; the loop never waits.
+    """Writes a live session on a separate thread; the loop never waits.
 
-    The file can be read while it grows; it gets its name, and replaces one that had it, with the first
-    frames. A disk that is full stops the saving and nothing else: :attr:`failure` then says so. While the
-    disk stands still, images are left out first, after a minute frames too; both are counted.
+    The file is readable while it grows. It appears under its name, and replaces an existing file, with the
+    first frames. A full disk stops only the saving; see :attr:`failure`. While the disk blocks, images are
+    dropped first, after a minute frames too; both are counted.
 
     Args:
         path: The file.
-        open_stream: Makes a stream of the recording, without a sink.
-        begin: Writes what is static.
-        overwrite: Whether a file of that name may be replaced.
-        turn: Waits until whoever goes first has had a turn, so many seconds at most. A lower priority of the
-            thread would hold up all the others: while it is kept waiting, it may hold Python's lock.
-        on_failure: Told, on the thread, why saving stopped.
+        open_stream: Creates a stream of the recording, without a sink.
+        begin: Writes the static data.
+        overwrite: Whether an existing file may be replaced.
+        turn: Waits until the viewer's thread has written, at most the given seconds. A lower thread priority
+            is no alternative: a preempted thread may hold the GIL and block all others.
+        on_failure: Called on the thread with the reason when saving stops.
     """
 
     def __init__(
@@ -135,7 +135,7 @@ class SessionFile(FileSink):
         self._offer(Page(page))
 
     def finish(self) -> None:
-        """The file will say that the session is whole."""
+        """Marks the session as complete."""
         self._whole = True
 
     @property
@@ -145,7 +145,7 @@ class SessionFile(FileSink):
 
     @property
     def saves(self) -> bool:
-        """Whether it is being written: until it fails."""
+        """Whether the file is being written; False after a failure."""
         return self._failure is None
 
     @property
@@ -178,11 +178,11 @@ class SessionFile(FileSink):
 
     @property
     def waiting(self) -> int:
-        """How much is taken and not yet written."""
+        """Number of queued items."""
         return len(self._queue)
 
     def close(self) -> None:
-        """Writes what waits, and closes the file.
+        """Writes the queued items and closes the file.
 
         Raises:
             Exception: A fault of the program.
@@ -236,10 +236,10 @@ class SessionFile(FileSink):
                 compact.take_place()
 
     def _take_block(self, recorder: Recorder, compact: CompactCopy) -> tuple[bool, list[Item]]:
-        """Whether this is the end, and what was offered in half a second and a turn or two.
+        """Whether this is the end, and the items of the last half second.
 
-        Its images are written already, so that they stand before its skeletons: a file cut off between them
-        has images without a frame, which our readers leave out.
+        Their images are already written and so precede their skeletons: a file cut off in between has images
+        without a frame, which the readers skip.
         """
         begun = time.monotonic()
         block: list[Item] = []
@@ -262,7 +262,7 @@ class SessionFile(FileSink):
             self._more.wait_for(lambda: self._ending, timeout=seconds)
 
     def _take(self) -> tuple[bool, list[Item]]:
-        """Whether this is the end, and what was offered."""
+        """Whether this is the end, and the queued items."""
         with self._more:
             ending = self._ending
         return ending, [self._queue.popleft() for _ in range(len(self._queue))]

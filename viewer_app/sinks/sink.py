@@ -1,4 +1,4 @@
-"""The contract of everything a loop's frames go to: a viewer, a file, the network."""
+"""The contract of the outputs of a loop: viewer, file, network."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from recordings.session_arrays import RecordedFrame
 
 
 class Sink:
-    """Takes what a loop makes. Each method does nothing here: a sink overrides what it has a use for.
+    """Receives the output of a loop. Each method does nothing here; a sink overrides the methods it needs.
 
-    The loop calls the methods on its own thread and must not be held up: a sink that may wait for a disk, a
-    process or a network takes its items into a queue.
+    The loop calls the methods on its own thread, so they must not block. A sink that may wait for a disk, a
+    process or a network puts its items into a queue.
     """
 
     def write(self, frame: RecordedFrame) -> None:
         """Takes the next frame."""
 
     def event(self, text: str, level: str = "INFO", topic: str = "", phase: Phase = "moment") -> None:
-        """Takes what happened, at the time of the last frame.
+        """Takes an event, at the time of the last frame.
 
         Args:
-            text: What.
-            level: How bad: INFO, WARN or ERROR.
-            topic, phase: Of a spell that begins or ends; see :class:`recordings.events.Event`.
+            text: What happened.
+            level: INFO, WARN or ERROR.
+            topic, phase: Topic and phase of a spell; see :class:`recordings.events.Event`.
         """
 
     def recalibrated(self, setup: FusionSetup) -> None:
-        """Takes what the frames that follow are fused with, by a new fuser."""
+        """Takes the setup of the following frames; a new fuser starts."""
 
     def coach(self, page: CoachPage) -> None:
-        """Takes what to do next, at the time of the last frame."""
+        """Takes the coach's page, at the time of the last frame."""
 
     def finish(self) -> None:
-        """Takes that the loop has ended as it should: no frame follows."""
+        """Called when the loop has ended normally; no frame follows."""
 
     def close(self) -> None:
-        """Writes what waits, and ends. Closing twice is harmless."""
+        """Writes the queued items and closes. Closing twice has no effect."""
 
 
 class NullSink(Sink):
-    """Takes everything and keeps nothing."""
+    """Discards everything."""
 
 
 class FanOut(Sink):
@@ -79,7 +79,7 @@ class FanOut(Sink):
             sink.finish()
 
     def close(self) -> None:
-        """Closes each, whatever becomes of the others."""
+        """Closes each sink, even if closing another one fails."""
         with ExitStack() as closing:
             for sink in reversed(self.sinks):
                 closing.callback(sink.close)

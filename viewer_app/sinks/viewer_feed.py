@@ -1,7 +1,7 @@
-"""A viewer fed from a thread of its own, which nothing ever waits for.
+"""Feeds a viewer from a separate thread; no other thread waits for it.
 
-What is offered goes into a queue. A viewer that cannot follow gets the newest frames; what it missed is
-counted. A hub that dies or stands still is replaced by a new one on the same port.
+Offered items go into a queue. A viewer that is too slow gets the newest frames; dropped frames are counted. A
+hub that dies or hangs is replaced by a new one on the same port.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ class ViewerFeed:
 
     Args:
         start: Starts the process, with a pipe as its standard input.
-        stream: Without a sink. All processes get the same one: Rerun never frees a stream's threads and
-            buffers, 5 MB each.
-        begin: Writes what is static.
-        keep: How many items wait at most, the oldest give way; None: all wait, nothing is left out.
+        stream: A stream without a sink, shared by all processes: Rerun never frees the threads and buffers of
+            a stream, 5 MB each.
+        begin: Writes the static data.
+        keep: Maximum queue length; the oldest items are dropped. None: no limit, nothing is dropped.
         patience: Seconds without progress after which the process is replaced.
         restart: Whether a process that ended is replaced.
         retry: Seconds between two starts.
@@ -55,11 +55,11 @@ class ViewerFeed:
         self._idle = False
         self._turn_over = threading.Event()
         self.dropped = 0
-        """Frames that the viewer was too slow for."""
+        """Frames dropped because the viewer was too slow."""
         self.starts = 0
-        """Processes started."""
+        """Number of processes started."""
         self.process = start()
-        """The one fed now, or last."""
+        """The current process, or the last one."""
         self.starts = 1
         self._thread = threading.Thread(target=self._run, name="viewer feed", daemon=True)
         self._thread.start()
@@ -75,12 +75,12 @@ class ViewerFeed:
             self._more.notify()
 
     def wait_for_turn(self, seconds: float) -> None:
-        """Waits until it is next done with what there was to write, if anything; so many seconds at most."""
+        """Waits until the queued items are written, at most the given seconds."""
         self._turn_over.clear()
         self._turn_over.wait(seconds)
 
     def finish(self, timeout: float) -> bool:
-        """Waits until everything offered is written or the process is gone; says whether it was written."""
+        """Waits until all items are written or the process is gone; returns whether all were written."""
         deadline = time.monotonic() + timeout
         with self._more:
             self._more.notify()
@@ -91,7 +91,7 @@ class ViewerFeed:
         return False
 
     def close(self, end_process: bool) -> None:
-        """Stops feeding at once. The process's input ends; the process too where asked."""
+        """Stops feeding at once and closes the input of the process; ends the process if requested."""
         with self._more:
             self._stopping = True
             self._more.notify()
@@ -102,7 +102,7 @@ class ViewerFeed:
             self.process.stdin.close()
 
     def _drop_oldest_frame(self) -> None:
-        """What is said stays: it is rare and short."""
+        """Drops the oldest frame. Events stay: they are rare and short."""
         for index, item in enumerate(self._queue):
             if isinstance(item, Frame):
                 del self._queue[index]
@@ -132,7 +132,7 @@ class ViewerFeed:
                     continue
 
     def _feed(self, process: subprocess.Popen[bytes]) -> None:
-        """Until the process is gone, stands still, or we stop."""
+        """Feeds the process until it is gone, hangs, or the feed stops."""
         encoded = rr.binary_stream(self._stream)
         recorder = self._begin(self._stream)
         try:
@@ -149,10 +149,11 @@ class ViewerFeed:
                     self._idle = self._idle and not items
                 write_items(recorder, items)
         finally:
-            encoded.read()  # what is left would be reported as lost
+            encoded.read()  # Rerun would report the rest as lost
 
     def _send(self, process: subprocess.Popen[bytes], data: bytes) -> bool:
-        """Whether all went into the pipe. It is not broken off within a message, unless for good."""
+        """Writes to the pipe; returns whether all data was written. A message is interrupted only when
+        stopping."""
         assert process.stdin is not None
         pipe = process.stdin.fileno()
         os.set_blocking(pipe, False)

@@ -27,22 +27,22 @@ from viewer_app.viewer.rerun_process import Hub, start_window, start_window_on_p
 from viewer_app.viewer.viewer_window import ViewerWindow
 
 _QUEUE = 60
-"""Frames that wait for the viewer at most: two seconds, then it is shown the newest."""
-_DEPTH_HZ = 10.0  # what a viewer's memory of images stands
+"""Maximum number of queued frames: two seconds; older frames are dropped."""
+_DEPTH_HZ = 10.0  # limited by the viewer's memory for images
 _SHOWN_WITHIN = 60.0  # seconds
 _SHOWN_EVERY = 3  # depth images of a recording
 
 
 @dataclass(frozen=True)
 class Viewing:
-    """How a session is looked at while it is made.
+    """How a running session is shown.
 
     Attributes:
         window: Whether a window opens.
-        hub: Where viewers connect to; None where there is only a window, which then outlives the program.
-        depth_hz: Depth images a second and sensor at most, in the viewer.
-        headless: Whether the window is drawn without a screen, for tests.
-        why_not: Why nothing is looked at, where something was to be.
+        hub: The hub that viewers connect to; None: only a window, which outlives the program.
+        depth_hz: Maximum depth images per second and sensor in the viewer.
+        headless: Whether the window renders off-screen, for tests.
+        why_not: Why no viewer opens although one was requested.
     """
 
     window: bool = False
@@ -53,7 +53,7 @@ class Viewing:
 
 
 class ViewerSink(Sink):
-    """A session in a viewer; this one is none."""
+    """Interface of a viewer sink; this base class shows nothing."""
 
     @property
     def dropped(self) -> int:
@@ -62,16 +62,17 @@ class ViewerSink(Sink):
 
     @property
     def window_closed(self) -> bool:
-        """Whether a person closed the window; it does not come back by itself."""
+        """Whether the user closed the window; it does not reopen by itself."""
         return False
 
     @property
     def wait_for_turn(self) -> Callable[[float], object] | None:
-        """Waits until what there is to show has been written, so many seconds at most; None without one."""
+        """A function that waits until the queued items are written, at most the given seconds; None without a
+        viewer."""
         return None
 
     def depth_image(self, side: str, frame: int, time_ns: int, depth: NDArray[np.uint16]) -> None:
-        """Takes a depth image of a frame that was taken before, for recordings only.
+        """Takes a depth image of an earlier frame, for recordings only.
 
         Args:
             side: ``a`` or ``b``.
@@ -82,7 +83,7 @@ class ViewerSink(Sink):
 
 
 class ShownSession(ViewerSink):
-    """A session in a viewer, fed from a thread of its own; the loop never waits for it.
+    """A session in a viewer, fed from a separate thread; the loop never waits for it.
 
     Args:
         setup: Settings, cameras and the first calibration.
@@ -90,8 +91,9 @@ class ShownSession(ViewerSink):
         blueprint: What the viewer shows.
         viewing: A hub, a window, or both.
         identity: Of the recording.
-        complete: Whether the viewer gets every frame, and closing waits for that: for recordings, whose
-            frames stay in memory anyway.
+        complete: Whether the viewer gets every frame and closing waits for it. This is for recordings, whose
+            frames
+        are in memory anyway.
 
     Raises:
         UsageError: The viewer does not start.
@@ -113,7 +115,7 @@ class ShownSession(ViewerSink):
         self._whole = False
         self._turns = ImageTurns(viewing.depth_hz)
         self.window: ViewerWindow | None = None
-        """The window that is looked after; None where there is none."""
+        """The supervised window; None if there is none."""
         hub = viewing.hub
         if hub is None:
             self.feed = self._feed_into(start_window_on_pipe, restart=False)
@@ -139,7 +141,7 @@ class ShownSession(ViewerSink):
         self.feed.offer(Note(text, level, topic, phase))
 
     def recalibrated(self, setup: FusionSetup) -> None:
-        """Takes a calibration; a viewer that comes later begins with it."""
+        """Takes a calibration; a viewer that connects later starts with it."""
         self._setup = setup
         self.feed.offer(Recalibration(setup))
 
@@ -153,7 +155,7 @@ class ShownSession(ViewerSink):
             self.feed.offer(Image(side, frame, time_ns, depth))
 
     def finish(self) -> None:
-        """Closing then waits until the viewer has everything, if that was asked for."""
+        """Makes closing wait until the viewer has everything, if `complete` is set."""
         self._whole = True
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
-"""What the viewer shows, and where: three layouts, one a task, as tabs to switch between.
+"""The layouts of the viewer: three tabs, one per task.
 
-*setup* while sensors are placed, *inspect* to find out why a joint went where, *report* for the bones.
+*setup* is for placing the sensors, *inspect* for explaining the motion of a joint, *report* for the bones.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _setup(setup: FusionSetup, person_at: NDArray[np.float64], color: bool) -> r
     forth = 0.5 * _place_of_b(setup, person_at) - person_at  # to half-way between the sensors
     seen = rrb.TimeSeriesView(
         origin=layout.QUALITY,
-        contents=["$origin"],  # beneath it are the streams' figures, in other units
+        contents=["$origin"],  # its children are stream figures in other units
         name="joints tracked by each sensor",
         overrides={layout.QUALITY: entity_styles.tracked_lines()},
         axis_y=rrb.ScalarAxis(range=(0.0, len(setup.body) + 1.0)),
@@ -127,7 +127,7 @@ def _color_view(side: str) -> rrb.Spatial2DView:
 
 
 def _place_of_b(setup: FusionSetup, person_at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3,) metres in K_A's frame; while nobody knows, where it should be: 90° round the person."""
+    """(3,) position of K_B in K_A's frame, metres; if unknown, the ideal one: 90° around the person."""
     b_at = setup.calibration.a_from_b.translation
     if b_at.any():
         return b_at
@@ -229,7 +229,7 @@ def _plot(name: str, title: str) -> rrb.TimeSeriesView:
 
 
 def _events() -> rrb.TextLogView:
-    """Without the entity's path, which is the same in every row."""
+    """The event log without the entity path, which is the same in every row."""
     columns = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
     return rrb.TextLogView(origin=layout.EVENTS, name="events", columns=columns)
 

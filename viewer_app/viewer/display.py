@@ -1,4 +1,4 @@
-"""Whether a window could open here: a display that is named, and that answers."""
+"""Checks whether a window can open: a display must be named and must answer."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def has_display() -> bool:
 
 
 def why_no_window() -> str | None:
-    """What stands in the way of a window, in words; None where nothing does."""
+    """Why no window can open, as text; None if one can."""
     return None if os.environ.get("WAYLAND_DISPLAY") else why_no_x()
 
 
 def why_no_x() -> str | None:
-    """What stands in the way of X, which a sensor's depth engine needs under Wayland too; as above."""
+    """Why X cannot be used, as text; None if it can. A sensor's depth engine needs X even under Wayland."""
     if platform.system() != "Linux":
         return None
     name = os.environ.get("DISPLAY")
@@ -39,7 +39,7 @@ def why_no_x() -> str | None:
 
 @functools.lru_cache(maxsize=8)
 def _answers(name: str, within: float) -> bool:
-    """Whether an X server answers there; without an answer, a program that opens a window waits for ever."""
+    """Whether an X server answers; without an answer a program that opens a window would block forever."""
     answered = threading.Event()
     asking = threading.Thread(target=_ask, args=(name, answered), daemon=True)
     with contextlib.redirect_stdout(io.StringIO()):  # python-xlib prints where it finds no authorisation

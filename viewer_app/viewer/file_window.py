@@ -1,4 +1,4 @@
-"""A file in a viewer's window: written first, then shown, so that no viewer can hold up the writing."""
+"""Shows a file in a viewer window after writing it, so that no viewer can block the writing."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from viewer_app.viewer.rerun_process import start_viewer
 
 @contextmanager
 def written_and_shown(save: Path | None, window: bool) -> Iterator[Path | None]:
-    """The path to write a file to, which a new window shows when the block has ended well.
+    """Yields a path to write to; a new window shows the file after the block ends without error.
 
-    The file appears under its own name only then; without a name it exists for the window only. The window
-    stays when this process ends.
+    The file gets its final name only then; without a name it exists only for the window. The window stays
+    open when this process ends.
 
     Args:
         save: The file; None for none.
@@ -40,7 +40,7 @@ def written_and_shown(save: Path | None, window: bool) -> Iterator[Path | None]:
 
 
 def show(path: Path) -> None:
-    """Opens a session in a new window; the file may go as soon as this returns.
+    """Opens a session in a new window; the file may be deleted as soon as this returns.
 
     Raises:
         UsageError: The viewer does not start.

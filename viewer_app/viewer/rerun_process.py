@@ -1,10 +1,10 @@
 """Rerun's own program as child processes: a hub that viewers connect to, and a window.
 
-A recording stream that logs to a viewer directly stops for good when that viewer is frozen or gone. So our
-data go down a pipe into a hub (``rerun --serve-grpc -``), which keeps a bounded history for viewers that come
-late, and which we can abandon at any time: a pipe can be written without waiting.
+A recording stream connected directly to a viewer stops permanently when the viewer hangs or ends. Therefore
+the data goes through a pipe to a hub (``rerun --serve-grpc -``). The hub keeps a bounded history for viewers
+that connect later, and can be abandoned at any time, because writing to a pipe need not block.
 
-Everything listens on this machine's loopback address unless told otherwise, and sends no usage statistics.
+All processes listen on the loopback address unless told otherwise, and send no usage statistics.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ _VIEWER_MEMORY = "2GiB"
 
 @dataclass(frozen=True)
 class Hub:
-    """Where a hub listens.
+    """The addresses of a hub.
 
     Attributes:
-        port: Of the data.
-        web_port: Of the page with the viewer; None without one.
-        address: That it is bound to.
+        port: Port of the data.
+        web_port: Port of the web viewer; None without one.
+        address: The address that the hub is bound to.
     """
 
     port: int
@@ -74,7 +74,8 @@ class Hub:
         return f"http://{self.reached_at}:{self.web_port}/?url={quote(self.url, safe='')}"
 
     def start(self) -> subprocess.Popen[bytes]:
-        """Starts it; it takes a session from its standard input, and listens when something came there."""
+        """Starts the hub. It reads a session from its standard input, and listens once it has received
+        data."""
         web = ["--serve-grpc"]
         if self.web_port is not None:
             web = ["--serve-web", "--web-viewer-port", str(self.web_port)]
@@ -89,7 +90,7 @@ class Hub:
         )
 
     def wait_until_listening(self, process: subprocess.Popen[bytes]) -> None:
-        """Waits for a hub that was started and gets its session.
+        """Waits until a started hub, which is receiving its session, listens.
 
         Raises:
             UsageError: It does not start.
@@ -136,7 +137,7 @@ def start_viewer(
 
 
 def stop(process: subprocess.Popen[bytes]) -> None:
-    """Ends a process that this module started, frozen or not; ending it twice is harmless."""
+    """Ends a process started by this module, even if it hangs. Ending it twice has no effect."""
     if process.stdin is not None:
         with contextlib.suppress(OSError):
             process.stdin.close()
@@ -188,7 +189,7 @@ def _start(
         stdin=stdin,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,  # Ctrl-C is for us: we end it when everything is saved
+        start_new_session=True,  # only this process gets Ctrl-C; it ends the child when everything is saved
         bufsize=0,
     )
     if dies_with_us:
@@ -201,7 +202,7 @@ def _own(port: int) -> tuple[str, ...]:
 
 
 def _program() -> list[str]:
-    """Rerun's viewer itself where it can be found, so that it is the process we start, stop and wait for."""
+    """The binary of Rerun's viewer, if found, so that the child process is the viewer itself."""
     spec = importlib.util.find_spec("rerun_cli")
     for folder in (spec.submodule_search_locations or ()) if spec else ():
         for name in ("rerun", "rerun.exe"):

@@ -1,4 +1,4 @@
-"""Which viewer a command opens, and what is said about it."""
+"""Chooses the viewer that a command opens, and announces it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def choose_viewing(
         live: Whether a loop runs at its own pace; then a window that is closed can be opened again.
 
     Returns:
-        None where none is wanted; one that says why it opens nothing where none can be.
+    None if no viewer is wanted. If none can open, a value that states the reason.
 
     Raises:
         UsageError: The options contradict each other, or there is neither a display nor a file.
@@ -50,7 +50,7 @@ def choose_viewing(
 
 
 def announce(viewing: Viewing | None, console: Console) -> None:
-    """Says where the viewer is, and who else can see it; opens the browser where there is one."""
+    """Prints the address of the viewer and who else can see it; opens the browser if there is one."""
     if viewing is None:
         return
     if viewing.why_not:
@@ -75,7 +75,7 @@ def announce(viewing: Viewing | None, console: Console) -> None:
 def stay_for_visitors(
     viewing: Viewing | None, console: Console, until: threading.Event | None = None
 ) -> None:
-    """Keeps a page that is served until Ctrl-C, or the event; returns at once where there is none."""
+    """Serves the web page until Ctrl-C or the event; returns at once without a page."""
     if viewing is None or viewing.hub is None or viewing.hub.web_port is None:
         return
     console.print("The page stays until Ctrl-C.")

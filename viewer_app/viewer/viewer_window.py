@@ -1,4 +1,4 @@
-"""A viewer's window that is looked after while a session runs."""
+"""A viewer window that is supervised while a session runs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _LOOKED_AFTER_EVERY = 0.5  # seconds
 
 
 class ViewerWindow:
-    """A viewer's window that comes back when it crashes, and stays away when a person closes it."""
+    """A viewer window that reopens after a crash, and stays closed when the user closes it."""
 
     def __init__(self, start: Callable[[], subprocess.Popen[bytes]]) -> None:
         self._start = start
@@ -25,7 +25,7 @@ class ViewerWindow:
         self._thread.start()
 
     def leave(self) -> None:
-        """Stops looking after it. The window stays open, with what it has."""
+        """Stops the supervision. The window stays open with its content."""
         self._leaving.set()
         self._thread.join(timeout=1.0)
 

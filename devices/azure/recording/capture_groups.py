@@ -1,4 +1,4 @@
-"""The packets of a recording's cameras, gathered into what was captured together."""
+"""Groups the packets of a recording's cameras into captures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(eq=False)
 class Capture:
-    """What was captured together, as recorded; times in ns from the file's start."""
+    """Images captured together, as recorded; times in ns from the file's start."""
 
     at_ns: int
     depth: bytes

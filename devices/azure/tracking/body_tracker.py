@@ -104,10 +104,7 @@ class BodyTracker:
         """
         self.close()
         settings = self.settings
-        if not 0.0 <= settings.smoothing <= 1.0:
-            raise DeviceError(
-                f"Smoothing is 0 to 1, not {settings.smoothing}. 0 leaves skeletons as they are."
-            )
+        check_smoothing(settings.smoothing)
         if settings.model is not None and not settings.model.is_file():
             raise DeviceError(
                 f"No network at {settings.model}. It comes with the SDK: dnn_model_2_0_op11.onnx."
@@ -203,6 +200,16 @@ class BodyTracker:
             f"The body tracker stalls: it {what} for {self._timeout_ms() / 1000:g} s. Its GPU is too slow or "
             f"busy: close other programs, or record now and track later (duplex fuse a.mkv b.mkv)."
         )
+
+
+def check_smoothing(smoothing: float) -> None:
+    """Finds out whether the tracker takes this temporal smoothing.
+
+    Raises:
+        DeviceError: It does not.
+    """
+    if not 0.0 <= smoothing <= 1.0:
+        raise DeviceError(f"Smoothing is 0 to 1, not {smoothing}. 0 leaves skeletons as they are.")
 
 
 def _bodies(library: ctypes.CDLL, frame: c_void_p) -> TrackedBodies:

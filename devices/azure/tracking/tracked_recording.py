@@ -143,9 +143,9 @@ class RecordingWithSkeletons:
         reach_ns = (info.interval_ns if info is not None else 0) // 2
         found = total = 0
         for frame in self.recording.frames():
-            at = bisect_left(times, frame.time_ns)
+            i = bisect_left(times, frame.time_ns)
             near = min(
-                saved[max(at - 1, 0) : at + 1], key=lambda s: abs(s.time_ns - frame.time_ns), default=None
+                saved[max(i - 1, 0) : i + 1], key=lambda s: abs(s.time_ns - frame.time_ns), default=None
             )
             total += 1
             if near is not None and abs(near.time_ns - frame.time_ns) <= reach_ns:

@@ -1,4 +1,4 @@
-"""Frames on their way through the body tracker."""
+"""The queue of frames in the body tracker."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from dataclasses import replace
 from devices.azure.tracking.body_tracker import BodyTracker
 from devices.sensor import SensorFrame
 
-_AT_WORK = 2  # frames in the tracker at once: it works on one's network while it fits the other's skeletons
+_AT_WORK = 2  # frames in the tracker: it runs the network on one while it fits the skeletons of the other
 
 
 class TrackerQueue:
-    """Joins each frame again with the people that the tracker finds in it.
+    """Joins each frame with the people that the tracker finds in it.
 
-    The tracker works on its own threads, so frames come out one or two captures after they went in when it
-    takes longer than ``wait_s``, and at once when not.
+    The tracker works on its own threads. If it needs longer than ``wait_s``, frames come out one or two
+    captures later; otherwise at once.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class TrackerQueue:
         self._tracker = tracker
         self._wait_s = wait_s
         self._took, self._clock = took, clock
-        self._inside: OrderedDict[int, tuple[SensorFrame, int]] = OrderedDict()  # and when it went in
+        self._inside: OrderedDict[int, tuple[SensorFrame, int]] = OrderedDict()  # with the time of entry
         self._result_ns: int | None = None
         self._waited_s = 0.0  # for the oldest frame, in waits that ended without a result
 
@@ -50,7 +50,7 @@ class TrackerQueue:
 
     @property
     def full(self) -> bool:
-        """Whether one more frame would only wait, and grow old, in the tracker."""
+        """Whether another frame would only add latency in the tracker."""
         return len(self._inside) >= _AT_WORK
 
     def put(self, frame: SensorFrame, capture: int) -> None:
@@ -92,7 +92,7 @@ class TrackerQueue:
         self._waited_s = 0.0
         time_us = bodies.time_ns // 1000
         if time_us not in self._inside:
-            return True  # a result of before a restart
+            return True  # a result from before a restart
         while self._inside:
             at_us, (frame, went_in_ns) = self._inside.popitem(last=False)
             if at_us == time_us:
@@ -102,5 +102,5 @@ class TrackerQueue:
                 self._took(now_ns - begun_ns)
                 yield replace(frame, people=bodies.people)
                 return True
-            yield frame  # the tracker skipped it: no people are known
+            yield frame  # the tracker skipped this frame: its people are unknown
         return True

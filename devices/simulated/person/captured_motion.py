@@ -199,14 +199,14 @@ def _segments(skeleton: _Captured, path: Path) -> tuple[dict[str, tuple[Array, A
             sided = tuple(prefix + name for name in alternatives for prefix in prefixes)
             if key in _SIDED_NAMES or any(name in skeleton.positions for name in sided):
                 names[f"{key}_{side}"] = _find(skeleton, path, f"{side.lower()} {key}", sided)
-    at = {key: skeleton.positions[name] for key, name in names.items()}
+    joint = {key: skeleton.positions[name] for key, name in names.items()}
 
     down, back = np.array((0.0, 1.0, 0.0)), np.array((0.0, 0.0, 1.0))
     root, head = skeleton.rotations[names["root"]], skeleton.rotations[names["head"]]
-    hips = 0.5 * (at["hip_LEFT"] + at["hip_RIGHT"])
+    hips = 0.5 * (joint["hip_LEFT"] + joint["hip_RIGHT"])
     legs = np.mean(
         [
-            np.linalg.norm(at[f"{upper}_{side}"] - at[f"{lower}_{side}"], axis=1)
+            np.linalg.norm(joint[f"{upper}_{side}"] - joint[f"{lower}_{side}"], axis=1)
             for upper, lower in (("hip", "knee"), ("knee", "ankle"))
             for side in ("LEFT", "RIGHT")
         ]
@@ -214,21 +214,24 @@ def _segments(skeleton: _Captured, path: Path) -> tuple[dict[str, tuple[Array, A
     scale = (length("KNEE_LEFT") + length("ANKLE_LEFT")) / float(2.0 * legs)
     pelvis_down = root @ down
     navel = hips - pelvis_down * (0.195 / scale)
-    trunk_down = navel - at["neck"]
+    trunk_down = navel - joint["neck"]
     frames = {
-        "pelvis": (pelvis_down, np.cross(at["hip_LEFT"] - at["hip_RIGHT"], pelvis_down)),
-        "trunk": (trunk_down, np.cross(at["shoulder_LEFT"] - at["shoulder_RIGHT"], trunk_down)),
+        "pelvis": (pelvis_down, np.cross(joint["hip_LEFT"] - joint["hip_RIGHT"], pelvis_down)),
+        "trunk": (trunk_down, np.cross(joint["shoulder_LEFT"] - joint["shoulder_RIGHT"], trunk_down)),
         "head": (head @ down, head @ back),
     }
     for side in ("LEFT", "RIGHT"):
-        upper = at[f"elbow_{side}"] - at[f"shoulder_{side}"]
-        fore = at[f"wrist_{side}"] - at[f"elbow_{side}"]
-        hand = at[f"finger_{side}"] - at[f"wrist_{side}"] if f"finger_{side}" in at else fore
+        upper = joint[f"elbow_{side}"] - joint[f"shoulder_{side}"]
+        fore = joint[f"wrist_{side}"] - joint[f"elbow_{side}"]
+        hand = joint[f"finger_{side}"] - joint[f"wrist_{side}"] if f"finger_{side}" in joint else fore
         wrist = skeleton.rotations[names[f"wrist_{side}"]]
-        edge = at[f"wrist_{side}"] - at[f"thumb_{side}"] if f"thumb_{side}" in at else wrist @ back
-        thigh, shin = at[f"knee_{side}"] - at[f"hip_{side}"], at[f"ankle_{side}"] - at[f"knee_{side}"]
+        edge = joint[f"wrist_{side}"] - joint[f"thumb_{side}"] if f"thumb_{side}" in joint else wrist @ back
+        thigh, shin = (
+            joint[f"knee_{side}"] - joint[f"hip_{side}"],
+            joint[f"ankle_{side}"] - joint[f"knee_{side}"],
+        )
         ankle = names[f"ankle_{side}"]
-        toes_back = at[f"ankle_{side}"] - skeleton.ends[ankle]
+        toes_back = joint[f"ankle_{side}"] - skeleton.ends[ankle]
         # The ankle-to-toes line of our foot slopes by this much when the foot is flat.
         flat = np.cross(toes_back, np.cross(skeleton.rotations[ankle] @ down, toes_back))
         frames |= {

@@ -67,21 +67,21 @@ def walk_feet(
     """
     toes, yaw, pitch = np.zeros((len(t), 2, 3)), np.zeros((len(t), 2)), np.zeros((len(t), 2))
     for foot in (0, 1):
-        at = stances[foot]
-        toes[:, foot] = (at.x, -anatomy.FOOT_HEIGHT, at.z)
-        yaw[:, foot] = at.yaw
+        stance = stances[foot]
+        toes[:, foot] = (stance.x, -anatomy.FOOT_HEIGHT, stance.z)
+        yaw[:, foot] = stance.yaw
         for step in sorted((s for s in steps if s.foot == foot), key=lambda s: s.start):
             span = step.end - step.start
             done = smooth(((t - step.start) / span - 0.06) / 0.88)  # lifted first, then moved
-            toes[:, foot, 0] += done * (step.to.x - at.x)
-            toes[:, foot, 2] += done * (step.to.z - at.z)
+            toes[:, foot, 0] += done * (step.to.x - stance.x)
+            toes[:, foot, 2] += done * (step.to.z - stance.z)
             toes[:, foot, 1] -= step.lift * bump((t - step.start) / span)
-            yaw[:, foot] += done * (step.to.yaw - at.yaw)
+            yaw[:, foot] += done * (step.to.yaw - stance.yaw)
             # The heel leaves before the toes; the toes land after the heel.
             toes_up = 0.5 * step.heel * bump((t - step.start - 0.4 * span) / span)
             pitch[:, foot] += step.heel * bump((t - step.start + 0.4 * span) / span) - toes_up
             toes[:, foot, 1] -= _FOOT_LENGTH * np.sin(toes_up)
-            at = step.to
+            stance = step.to
     return toes, yaw, pitch
 
 

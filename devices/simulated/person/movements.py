@@ -84,18 +84,20 @@ def _steps() -> Motion:
         frames += [(k * seconds, {"place": (x, z)}), (k * seconds + 1.3, {"place": to})]
         lead = 0 if to[0] > x or (to[0] == x and k % 2) else 1
         for order, foot in enumerate((lead, 1 - lead)):
-            at = FEET_AT_EASE[foot]
-            there = Stance(at.x + to[0], at.z + to[1], at.yaw)
+            stance = FEET_AT_EASE[foot]
+            there = Stance(stance.x + to[0], stance.z + to[1], stance.yaw)
             steps.append(Step(foot, begin + 0.55 * order, begin + 0.55 * order + 0.48, there, 0.06, 0.25))
     period = seconds * len(offsets)
     return Motion("steps", period, keyframes(period, *frames), Footsteps(FEET_AT_EASE, tuple(steps)))
 
 
 def _turned(foot: int, left: float, forward: float = 0.0, out: float = 0.0) -> Stance:
-    at = FEET_AT_EASE[foot]
-    x, z = at.x + (out if foot == 0 else -out), at.z - forward
+    stance = FEET_AT_EASE[foot]
+    x, z = stance.x + (out if foot == 0 else -out), stance.z - forward
     return Stance(
-        float(x * np.cos(left) - z * np.sin(left)), float(x * np.sin(left) + z * np.cos(left)), at.yaw + left
+        float(x * np.cos(left) - z * np.sin(left)),
+        float(x * np.sin(left) + z * np.cos(left)),
+        stance.yaw + left,
     )
 
 

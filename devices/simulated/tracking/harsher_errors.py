@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from devices.simulated.tracking.mirroring import Mirroring
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
 
 SIZES = frozenset(
@@ -18,9 +19,15 @@ SIZES = frozenset(
 )
 """Knobs that say how large an error is: multiplied."""
 SHARES = frozenset(
-    {"unsure", "not_tracked", "mistracked", "snap", "stretch", "outliers", "swapped", "stale", "lost"}
-)
-"""Knobs that say how often an error occurs: multiplied, up to LARGEST_SHARE (never above what they were)."""
+    {
+        "unsure", "not_tracked", "mistracked", "snap", "stretch", "outliers", "mirroring", "swapped", "stale",
+        "lost",
+    }
+)  # fmt: skip
+"""Knobs that say how often an error occurs: multiplied, up to LARGEST_SHARE (never above what they were).
+
+Of ``mirroring`` it is ``back``.
+"""
 SHAPES = frozenset({
     "seen_share", "inferred_jitter", "jitter_memory", "rescale_seconds", "swap_seconds", "lost_seconds",
     "tail_spread",
@@ -76,7 +83,11 @@ def heavy_tailed(errors: TrackerErrors) -> TrackerErrors:
     )  # fmt: skip
 
 
-def _times(value: float | JointGroups, factor: float, *, share: bool) -> float | JointGroups:
+def _times(
+    value: float | JointGroups | Mirroring, factor: float, *, share: bool
+) -> float | JointGroups | Mirroring:
+    if isinstance(value, Mirroring):
+        return replace(value, back=_product(value.back, factor, share))
     if isinstance(value, JointGroups):
         return JointGroups(
             **{kind.name: _product(getattr(value, kind.name), factor, share) for kind in fields(JointGroups)}

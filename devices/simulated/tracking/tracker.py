@@ -95,39 +95,39 @@ class Tracker:
         self._wander(normal)
         hidden = self._hide(joints, visible, uniform)
 
-        at = joints + self._view_bias(joints)
-        at = at * (1.0 - e.skin * self._flesh / np.linalg.norm(joints, axis=1))[:, None]
+        reported = joints + self._view_bias(joints)
+        reported = reported * (1.0 - e.skin * self._flesh / np.linalg.norm(joints, axis=1))[:, None]
         weight = self._hiding[:, None]
         snapped = self._spell == TrackingState.TRACKED
-        guess = at + e.inferred_error * self._guess
-        guess[snapped] = at[snapped] + e.snap * (joints[self._cover] - at)[snapped]
-        at = at + weight * (guess - at)
-        at = self._hold_bones(at, joints) + self._outliers(uniform[3:])
+        guess = reported + e.inferred_error * self._guess
+        guess[snapped] = reported[snapped] + e.snap * (joints[self._cover] - reported)[snapped]
+        reported = reported + weight * (guess - reported)
+        reported = self._hold_bones(reported, joints) + self._outliers(uniform[3:])
         if self._tails is not None:
-            at = at + self._tails.next()
-        root = at[body.root]
-        at = root + (at - root) * (1.0 + e.rescale * self._scale)
+            reported = reported + self._tails.next()
+        root = reported[body.root]
+        reported = root + (reported - root) * (1.0 + e.rescale * self._scale)
         shaking = (self._jitter_size + e.moving_jitter * self._speed(joints))[:, None]
-        at = at + shaking * (1.0 + (e.inferred_jitter - 1.0) * weight) * self._jitter
+        reported = reported + shaking * (1.0 + (e.inferred_jitter - 1.0) * weight) * self._jitter
 
         states = np.where(hidden, self._spell, int(TrackingState.TRACKED)).astype(np.uint8)
         facing = self._facing(joints)
-        at, states = self._mirroring.apply(at, states, self._front(joints), facing)
+        reported, states = self._mirroring.apply(reported, states, self._front(joints), facing)
         if self._switch(
             self._swapped, e.swapped if facing < _BACK_TURNED else 0.0, e.swap_seconds, chance[0]
         ):
             self._swapped = True
-            at, states = at[body.mirror], states[body.mirror]
+            reported, states = reported[body.mirror], states[body.mirror]
         else:
             self._swapped = False
         if self._last is not None and chance[1] < e.stale:
-            at, states = self._last
-        self._last = at, states
+            reported, states = self._last
+        self._last = reported, states
         out_of_sight = e.seen_share > 0.0 and np.mean(visible > 0.0) < 0.25
         self._lost = self._switch(self._lost, e.lost, e.lost_seconds, chance[2])
         if self._lost or out_of_sight:
             return None
-        return Skeleton.of(body, at, states, time_ns)
+        return Skeleton.of(body, reported, states, time_ns)
 
     def _wander(self, normal: Array) -> None:
         """The errors that go on from frame to frame: first-order autoregressive, of unit variance."""

@@ -83,9 +83,9 @@ def test_captured_bones_are_constant_and_scaled_by_height(tmp_path: Path) -> Non
     motion = read_bvh(write_bvh(tmp_path / "arm.bvh"))
     t = np.linspace(0.0, motion.seconds, 200)
     for body in BODIES.values():
-        at = motion.joints(body, t)
+        joints = motion.joints(body, t)
         for joint in body.bone_joints:
-            lengths = np.linalg.norm(at[:, joint] - at[:, body.parents[joint]], axis=1)
+            lengths = np.linalg.norm(joints[:, joint] - joints[:, body.parents[joint]], axis=1)
             assert np.ptp(lengths) < 50 * np.finfo(float).eps
     np.testing.assert_allclose(motion.landmarks(1.0, 0.875), 0.5 * motion.landmarks(1.0), atol=1e-12)
 
@@ -93,8 +93,8 @@ def test_captured_bones_are_constant_and_scaled_by_height(tmp_path: Path) -> Non
 def test_a_captured_movement_begins_with_the_startup_pose_unless_told_otherwise(tmp_path: Path) -> None:
     path = write_bvh(tmp_path / "arm.bvh")
     with_startup, without = read_bvh(path), read_bvh(path, startup=False)
-    at = with_startup.landmarks(np.linspace(0.0, 2.0, 30))
-    assert np.ptp(at, axis=0).max() < 0.04
+    joints = with_startup.landmarks(np.linspace(0.0, 2.0, 30))
+    assert np.ptp(joints, axis=0).max() < 0.04
     begins = with_startup.seconds - without.seconds
     np.testing.assert_allclose(with_startup.landmarks(begins + 0.7), without.landmarks(0.7), atol=1e-12)
 
@@ -140,8 +140,8 @@ def test_real_motion_capture_plays_through_the_pair(clip: str) -> None:
     a, _, truth = simulated_pair(motion=path, seconds=5.0, errors=TrackerErrors.none())
     frames = list(a.frames())
     assert len(frames) == 150
-    at = np.stack([f.people["1"].positions for f in frames])
-    assert np.ptp(at, axis=0).max() > 0.5  # it moves
+    joints = np.stack([f.people["1"].positions for f in frames])
+    assert np.ptp(joints, axis=0).max() > 0.5  # it moves
     feet = truth.scene.motion.landmarks(np.linspace(4.0, 5.0, 30))[
         :, [INDEX["FOOT_LEFT"], INDEX["FOOT_RIGHT"]]
     ]

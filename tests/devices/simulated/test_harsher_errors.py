@@ -38,6 +38,10 @@ def test_sizes_and_shares_grow_and_shapes_stay() -> None:
     assert larger.view_bias == pytest.approx(1.5 * FITTED.view_bias)
     assert larger.jitter.thumb == pytest.approx(1.5 * FITTED.jitter.thumb)
     assert larger.unsure.hand == pytest.approx(1.5 * FITTED.unsure.hand)
+    assert larger.mirroring.back == pytest.approx(1.5 * FITTED.mirroring.back)
+    assert replace(larger.mirroring, back=FITTED.mirroring.back) == FITTED.mirroring
+    often = TrackerErrors.of(KINECT_V2)
+    assert scaled(often, 1.5).mirroring == often.mirroring  # 97 % is more than LARGEST_SHARE: it stays
     assert larger.not_tracked == LARGEST_SHARE  # 1.5 times 65 % would be 98 %
     assert (larger.seen_share, larger.swap_seconds) == (FITTED.seen_share, FITTED.swap_seconds)
 
@@ -62,8 +66,11 @@ PUBLISHED = {
 def test_tails_are_as_heavy_as_measured() -> None:
     found = distances(KINECT_V2) * 1e3
     for joint, ranges in PUBLISHED.items():
-        at = np.percentile(found[:, KINECT_V2.joint(joint)], (50, 90, 99))
-        assert all(low <= value <= high for value, (low, high) in zip(at, ranges, strict=True)), (joint, at)
+        tails = np.percentile(found[:, KINECT_V2.joint(joint)], (50, 90, 99))
+        assert all(low <= value <= high for value, (low, high) in zip(tails, ranges, strict=True)), (
+            joint,
+            tails,
+        )
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=list(BODIES))

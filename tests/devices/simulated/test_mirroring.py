@@ -21,15 +21,15 @@ def standing(body: Body = KINECT_V2) -> np.ndarray:
     _, _, truth = simulated_pair(
         motion="startup", seconds=1.0, body=body, angle_deg=0.0, errors=TrackerErrors.none()
     )
-    at = truth.positions_at(0)
-    root = at[body.root]
-    return (at - root) * (-1.0, 1.0, -1.0) + root  # half a turn about the vertical
+    joints = truth.positions_at(0)
+    root = joints[body.root]
+    return (joints - root) * (-1.0, 1.0, -1.0) + root  # half a turn about the vertical
 
 
 def watch(mirroring: Mirroring, frames: int, cosine: float, body: Body = KINECT_V2) -> np.ndarray:
-    at, states = standing(body), np.full(len(body), 2, dtype=np.uint8)
+    joints, states = standing(body), np.full(len(body), 2, dtype=np.uint8)
     tracker = MirroringTracker(body, mirroring, 1 / 30, np.random.default_rng(0))
-    return np.array([tracker.apply(at, states, BACK, cosine)[0] for _ in range(frames)])
+    return np.array([tracker.apply(joints, states, BACK, cosine)[0] for _ in range(frames)])
 
 
 @pytest.mark.parametrize("cosine", [-1.0, -0.55, -0.3])
@@ -59,14 +59,16 @@ def test_places_stay_and_labels_are_exchanged_but_for_what_depth_hardly_shows() 
 
 def test_the_tracker_changes_over_smoothly_and_the_legs_later() -> None:
     mirroring = Mirroring(back=1.0, seconds=1e-3, crossing_seconds=0.3, legs_later=0.5)
-    at = watch(mirroring, 60, -2.0)
+    joints = watch(mirroring, 60, -2.0)
     # 3 w² − 2 w³ is at most 1.5 times as steep as its mean: 9 frames for the way from one side to the other.
-    width = np.linalg.norm(at[0, KINECT_V2.joint("HandTipLeft")] - at[0, KINECT_V2.joint("HandTipRight")])
-    step = np.linalg.norm(np.diff(at, axis=0), axis=2)
+    width = np.linalg.norm(
+        joints[0, KINECT_V2.joint("HandTipLeft")] - joints[0, KINECT_V2.joint("HandTipRight")]
+    )
+    step = np.linalg.norm(np.diff(joints, axis=0), axis=2)
     assert step.max() <= 1.5 * 1.1 * width / 9 + 0.03
     truth = np.tile(standing(), (60, 1, 1))
-    trunk = swapped(KINECT_V2, at, truth, "shoulder", "hip")
-    legs = swapped(KINECT_V2, at, truth, "knee", "ankle")
+    trunk = swapped(KINECT_V2, joints, truth, "shoulder", "hip")
+    legs = swapped(KINECT_V2, joints, truth, "knee", "ankle")
     assert trunk.argmax() < legs.argmax()
     assert legs[-1]
 
@@ -76,8 +78,8 @@ def test_a_person_who_faces_the_sensor_is_never_mirrored() -> None:
         errors = TrackerErrors.of(body)
         assert errors.mirroring.share(0.0) < 0.01
         assert errors.mirroring.share(1.0) < 1e-5
-        at = watch(replace(errors.mirroring), 300, 1.0, body)
-        np.testing.assert_array_equal(at, np.tile(standing(body), (300, 1, 1)))
+        joints = watch(replace(errors.mirroring), 300, 1.0, body)
+        np.testing.assert_array_equal(joints, np.tile(standing(body), (300, 1, 1)))
 
 
 def test_turning_round_before_a_kinect_v2_is_reported_as_facing_it() -> None:

@@ -24,9 +24,9 @@ def times(motion: Motion, rate: float = 60.0) -> np.ndarray:
 @EVERY_MOTION
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES.keys())
 def test_every_bone_of_every_body_keeps_its_length(motion: Motion, body: Body) -> None:
-    at = motion.joints(body, times(motion))
+    points = motion.joints(body, times(motion))
     for joint in body.bone_joints:
-        lengths = np.linalg.norm(at[:, joint] - at[:, body.parents[joint]], axis=1)
+        lengths = np.linalg.norm(points[:, joint] - points[:, body.parents[joint]], axis=1)
         assert lengths.min() > 0.02
         # A dozen roundings along the chain of segments, each of a metre's last bit.
         assert np.ptp(lengths) < 50 * np.finfo(float).eps, body.bones[joint]
@@ -43,21 +43,21 @@ def test_the_three_bodies_agree_where_they_share_a_joint() -> None:
 def test_movements_begin_in_the_startup_pose_and_hold_it(motion: Motion) -> None:
     if not motion.startup:
         pytest.skip("begins at once: there is nothing to calibrate on")
-    at = motion.landmarks(np.linspace(0.0, STARTUP_SECONDS, 60))
-    wrists = at[:, [INDEX["WRIST_LEFT"], INDEX["WRIST_RIGHT"]]]
-    shoulders = at[:, [INDEX["SHOULDER_LEFT"], INDEX["SHOULDER_RIGHT"]]]
+    points = motion.landmarks(np.linspace(0.0, STARTUP_SECONDS, 60))
+    wrists = points[:, [INDEX["WRIST_LEFT"], INDEX["WRIST_RIGHT"]]]
+    shoulders = points[:, [INDEX["SHOULDER_LEFT"], INDEX["SHOULDER_RIGHT"]]]
     assert (np.abs(wrists - shoulders)[..., 0] > 0.3).all()  # arms apart
-    assert np.all(at[:, INDEX["ANKLE_LEFT"], 0] - at[:, INDEX["ANKLE_RIGHT"], 0] > 0.3)  # legs apart
-    assert np.ptp(at, axis=0).max() < 0.04  # breathing and swaying only
-    assert np.all(at[:, INDEX["NOSE"], 2] < at[:, INDEX["HEAD"], 2])  # facing −z, between the sensors
+    assert np.all(points[:, INDEX["ANKLE_LEFT"], 0] - points[:, INDEX["ANKLE_RIGHT"], 0] > 0.3)  # legs apart
+    assert np.ptp(points, axis=0).max() < 0.04  # breathing and swaying only
+    assert np.all(points[:, INDEX["NOSE"], 2] < points[:, INDEX["HEAD"], 2])  # facing −z, between the sensors
 
 
 @EVERY_MOTION
 def test_movements_are_smooth(motion: Motion) -> None:
     rate = 240.0
-    at = motion.landmarks(times(motion, rate))
-    speed = np.linalg.norm(np.diff(at, axis=0), axis=2) * rate
-    acceleration = np.linalg.norm(np.diff(at, 2, axis=0), axis=2) * rate**2
+    points = motion.landmarks(times(motion, rate))
+    speed = np.linalg.norm(np.diff(points, axis=0), axis=2) * rate
+    acceleration = np.linalg.norm(np.diff(points, 2, axis=0), axis=2) * rate**2
     # A smash moves the hand at some 15 m/s and a few hundred m/s²; a jump between two frames of 1 cm
     # would be 576 m/s².
     assert speed.max() < 15.0
@@ -69,9 +69,9 @@ def test_movements_are_smooth(motion: Motion) -> None:
 @EVERY_MOTION
 def test_planted_toes_do_not_slide_and_feet_stay_above_the_floor(motion: Motion) -> None:
     rate = 120.0
-    at = motion.landmarks(times(motion, rate))
+    points = motion.landmarks(times(motion, rate))
     for foot in ("FOOT_LEFT", "FOOT_RIGHT"):
-        toes = at[:, INDEX[foot]]
+        toes = points[:, INDEX[foot]]
         assert (toes[:, 1] < -anatomy.FOOT_HEIGHT + 0.005).all()
         down = toes[:, 1] > -anatomy.FOOT_HEIGHT - 0.0015
         planted = down[1:] & down[:-1]
@@ -82,25 +82,25 @@ def test_planted_toes_do_not_slide_and_feet_stay_above_the_floor(motion: Motion)
 
 def test_walking_turns_through_every_heading_and_moves_as_fast_as_a_person() -> None:
     walk = MOTIONS["walk"]
-    at = walk.landmarks(np.arange(walk.begins, walk.begins + walk.period, 1 / 30))
-    left = at[:, INDEX["HIP_LEFT"]] - at[:, INDEX["HIP_RIGHT"]]
+    points = walk.landmarks(np.arange(walk.begins, walk.begins + walk.period, 1 / 30))
+    left = points[:, INDEX["HIP_LEFT"]] - points[:, INDEX["HIP_RIGHT"]]
     headings = np.degrees(np.arctan2(left[:, 2], left[:, 0]))
     assert np.histogram(headings, bins=12, range=(-180, 180))[0].min() > 0
-    speed = np.linalg.norm(np.diff(at[60:, INDEX["PELVIS"]][:, [0, 2]], axis=0), axis=1) * 30
+    speed = np.linalg.norm(np.diff(points[60:, INDEX["PELVIS"]][:, [0, 2]], axis=0), axis=1) * 30
     assert 0.3 < speed.min() < speed.max() < 1.2
 
 
 def test_turning_on_the_spot_goes_once_round() -> None:
     turn = MOTIONS["turn"]
-    at = turn.landmarks(np.arange(turn.begins, turn.begins + turn.period, 1 / 30))
-    left = at[:, INDEX["HIP_LEFT"]] - at[:, INDEX["HIP_RIGHT"]]
+    points = turn.landmarks(np.arange(turn.begins, turn.begins + turn.period, 1 / 30))
+    left = points[:, INDEX["HIP_LEFT"]] - points[:, INDEX["HIP_RIGHT"]]
     assert np.ptp(np.unwrap(np.arctan2(left[:, 2], left[:, 0]))) > np.radians(355)
 
 
 def test_hands_go_across_the_trunk_and_behind_the_back() -> None:
     arms = MOTIONS["arms"]
-    at = arms.landmarks(arms.begins + np.array([3.0, 8.7]))
-    across, behind = at
+    points = arms.landmarks(arms.begins + np.array([3.0, 8.7]))
+    across, behind = points
     assert across[INDEX["HAND_LEFT"], 0] < across[INDEX["HAND_RIGHT"], 0] - 0.1
     for side in ("LEFT", "RIGHT"):
         assert behind[INDEX[f"HAND_{side}"], 2] > behind[INDEX["SPINE_NAVEL"], 2] + 0.1
@@ -108,17 +108,17 @@ def test_hands_go_across_the_trunk_and_behind_the_back() -> None:
 
 def test_a_jump_shot_leaves_the_floor_and_a_squat_goes_down() -> None:
     shot = MOTIONS["basketball"]
-    at = shot.landmarks(shot.begins + np.arange(0, shot.period, 1 / 60))
-    assert at[:, [INDEX["FOOT_LEFT"], INDEX["FOOT_RIGHT"]], 1].max(axis=1).min() < -0.12
+    points = shot.landmarks(shot.begins + np.arange(0, shot.period, 1 / 60))
+    assert points[:, [INDEX["FOOT_LEFT"], INDEX["FOOT_RIGHT"]], 1].max(axis=1).min() < -0.12
     squat = MOTIONS["squat"]
-    at = squat.landmarks(squat.begins + np.arange(0, squat.period, 1 / 60))
-    assert np.ptp(at[:, INDEX["PELVIS"], 1]) > 0.4
+    points = squat.landmarks(squat.begins + np.arange(0, squat.period, 1 / 60))
+    assert np.ptp(points[:, INDEX["PELVIS"], 1]) > 0.4
 
 
 @pytest.mark.parametrize("height", [1.2, 1.75, 2.0])
 def test_the_body_is_scaled_by_height(height: float) -> None:
-    at = MOTIONS["still"].landmarks([0.0], height)[0]
-    assert -at[INDEX["HEAD_TOP"], 1] == pytest.approx(height, rel=0.03)
+    points = MOTIONS["still"].landmarks([0.0], height)[0]
+    assert -points[INDEX["HEAD_TOP"], 1] == pytest.approx(height, rel=0.03)
 
 
 def test_any_time_may_be_asked_for_in_any_order() -> None:
@@ -147,10 +147,10 @@ def test_two_bones_have_their_lengths_wherever_they_reach(target: list[float], p
 
 
 def test_knees_bend_forwards_elbows_backwards_and_thumbs_point_ahead() -> None:
-    at = MOTIONS["still"].landmarks(3.0)[0]
+    points = MOTIONS["still"].landmarks(3.0)[0]
     for side in ("LEFT", "RIGHT"):
-        hip, knee, ankle = (at[INDEX[f"{n}_{side}"]] for n in ("HIP", "KNEE", "ANKLE"))
-        shoulder, elbow, wrist = (at[INDEX[f"{n}_{side}"]] for n in ("SHOULDER", "ELBOW", "WRIST"))
+        hip, knee, ankle = (points[INDEX[f"{n}_{side}"]] for n in ("HIP", "KNEE", "ANKLE"))
+        shoulder, elbow, wrist = (points[INDEX[f"{n}_{side}"]] for n in ("SHOULDER", "ELBOW", "WRIST"))
         assert knee[2] < (0.5 * (hip + ankle))[2] - 0.01  # −z is ahead
         assert elbow[2] > (0.5 * (shoulder + wrist))[2] + 0.01
-        assert at[INDEX[f"THUMB_{side}"], 2] < at[INDEX[f"HAND_{side}"], 2] - 0.03
+        assert points[INDEX[f"THUMB_{side}"], 2] < points[INDEX[f"HAND_{side}"], 2] - 0.03

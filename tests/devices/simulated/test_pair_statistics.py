@@ -51,9 +51,9 @@ def read_csv(path: Path) -> list[Skeleton]:
     frames: dict[int, np.ndarray] = {}
     with path.open() as file:
         for row in csv.DictReader(file):
-            at = frames.setdefault(int(row["time_us"]), np.full((len(KINECT_V2), 3), np.nan))
-            at[KINECT_V2.joint(row["joint"])] = [float(row[axis]) for axis in "xyz"]
-    return [Skeleton.of(KINECT_V2, at, time_ns=1000 * time) for time, at in frames.items()]
+            positions = frames.setdefault(int(row["time_us"]), np.full((len(KINECT_V2), 3), np.nan))
+            positions[KINECT_V2.joint(row["joint"])] = [float(row[axis]) for axis in "xyz"]
+    return [Skeleton.of(KINECT_V2, positions, time_ns=1000 * time) for time, positions in frames.items()]
 
 
 def test_perfect_views_differ_by_nothing() -> None:

@@ -57,9 +57,9 @@ def test_a_capsule_has_its_surface_at_its_radius_from_its_axis(end: tuple[float,
     np.testing.assert_allclose(distance, radius, atol=4 * FLOAT32)
     # No ray passes through the capsule without a hit (sampled along the rays).
     for step in np.linspace(1.8, 3.4, 60):
-        at = rays() * step
-        share = np.clip((at - start) @ (stop - start) / np.sum((stop - start) ** 2), 0.0, 1.0)
-        deep = np.linalg.norm(at - start - share[..., None] * (stop - start), axis=-1) < radius - 1e-6
+        landmarks = rays() * step
+        share = np.clip((landmarks - start) @ (stop - start) / np.sum((stop - start) ** 2), 0.0, 1.0)
+        deep = np.linalg.norm(landmarks - start - share[..., None] * (stop - start), axis=-1) < radius - 1e-6
         assert hit[deep].all()
 
 
@@ -122,8 +122,8 @@ def test_the_same_point_is_in_the_same_place_of_the_halved_image() -> None:
 @pytest.mark.parametrize("which", [0, 1])
 def test_visibility_without_an_image_agrees_with_the_depth_image(name: str, time: float, which: int) -> None:
     sensor_from_world = Rig().world_from_sensor(which).inverse()
-    at = sensor_from_world.apply(MOTIONS[name].landmarks(time)[0])
-    shapes, joints = capsules(at), at[anatomy.landmarks_of(AZURE_KINECT)]
+    points = sensor_from_world.apply(MOTIONS[name].landmarks(time)[0])
+    shapes, joints = capsules(points), points[anatomy.landmarks_of(AZURE_KINECT)]
     flesh = flesh_over(AZURE_KINECT)
     seen = visibility(joints, shapes, flesh, LENS)
     z, _, _ = surface(shapes, sensor_from_world, LENS)
@@ -141,32 +141,32 @@ def test_visibility_without_an_image_agrees_with_the_depth_image(name: str, time
 def test_hands_behind_the_back_are_hidden_from_the_front_and_the_nose_from_behind() -> None:
     arms = MOTIONS["arms"]
     front = Rig(angle_deg=0.0).world_from_sensor(0).inverse()
-    at = front.apply(arms.landmarks(arms.begins + 8.7)[0])
-    joints = at[anatomy.landmarks_of(AZURE_KINECT)]
-    seen = visibility(joints, capsules(at), flesh_over(AZURE_KINECT), LENS)
+    points = front.apply(arms.landmarks(arms.begins + 8.7)[0])
+    joints = points[anatomy.landmarks_of(AZURE_KINECT)]
+    seen = visibility(joints, capsules(points), flesh_over(AZURE_KINECT), LENS)
     named = dict(zip(AZURE_KINECT.joints, seen, strict=True))
     assert max(named["HAND_LEFT"], named["HAND_RIGHT"]) == 0.0
     assert min(named["NOSE"], named["KNEE_LEFT"], named["SPINE_CHEST"], named["ELBOW_LEFT"]) > 0.6
     # Half a turn about the vertical through the origin shows the back.
     behind = RigidTransform.of(np.diag((-1.0, 1.0, -1.0)), np.zeros(3))
-    at = front.apply(behind.apply(arms.landmarks(arms.begins + 8.7)[0]))
-    joints = at[anatomy.landmarks_of(AZURE_KINECT)]
-    seen = visibility(joints, capsules(at), flesh_over(AZURE_KINECT), LENS)
+    points = front.apply(behind.apply(arms.landmarks(arms.begins + 8.7)[0]))
+    joints = points[anatomy.landmarks_of(AZURE_KINECT)]
+    seen = visibility(joints, capsules(points), flesh_over(AZURE_KINECT), LENS)
     named = dict(zip(AZURE_KINECT.joints, seen, strict=True))
     assert max(named["NOSE"], named["EYE_LEFT"]) == 0.0
     assert min(named["HAND_LEFT"], named["HAND_RIGHT"]) > 0.4
 
 
 def test_all_joints_are_seen_in_the_startup_pose_from_in_front() -> None:
-    at = Rig(angle_deg=0.0).world_from_sensor(0).inverse().apply(MOTIONS["startup"].landmarks(1.0)[0])
-    joints = at[anatomy.landmarks_of(AZURE_KINECT)]
-    seen = visibility(joints, capsules(at), flesh_over(AZURE_KINECT), LENS)
+    points = Rig(angle_deg=0.0).world_from_sensor(0).inverse().apply(MOTIONS["startup"].landmarks(1.0)[0])
+    joints = points[anatomy.landmarks_of(AZURE_KINECT)]
+    seen = visibility(joints, capsules(points), flesh_over(AZURE_KINECT), LENS)
     assert seen.min() > 0.5, dict(zip(AZURE_KINECT.joints, seen, strict=True))
 
 
 def test_a_joint_outside_the_image_is_not_seen() -> None:
-    at = Rig(angle_deg=0.0).world_from_sensor(0).inverse().apply(MOTIONS["startup"].landmarks(1.0)[0])
-    aside = np.add(at, (5.0, 0.0, 0.0))
+    points = Rig(angle_deg=0.0).world_from_sensor(0).inverse().apply(MOTIONS["startup"].landmarks(1.0)[0])
+    aside = np.add(points, (5.0, 0.0, 0.0))
     joints = aside[anatomy.landmarks_of(AZURE_KINECT)]
     seen = visibility(joints, capsules(aside), flesh_over(AZURE_KINECT), LENS)
     assert not seen.any()

@@ -51,10 +51,10 @@ def test_the_person_faces_between_the_sensors_and_sees_b_on_the_left() -> None:
     rig = Rig(angle_deg=90.0)
     facing = np.array((0.0, 0.0, -1.0))
     for which, side in ((0, -1.0), (1, 1.0)):
-        at = rig.world_from_sensor(which).translation
-        assert np.sign(at[0]) == side  # the person's left is +x
-        assert np.hypot(at[0], at[2]) == pytest.approx(rig.distance)
-        to_sensor = np.array((at[0], 0.0, at[2])) / rig.distance
+        position = rig.world_from_sensor(which).translation
+        assert np.sign(position[0]) == side  # the person's left is +x
+        assert np.hypot(position[0], position[2]) == pytest.approx(rig.distance)
+        to_sensor = np.array((position[0], 0.0, position[2])) / rig.distance
         assert np.degrees(np.arccos(to_sensor @ facing)) == pytest.approx(45.0)
         # It looks at the person: the origin lies on its vertical middle plane, before it.
         origin = rig.world_from_sensor(which).inverse().apply(np.zeros(3))

@@ -47,8 +47,8 @@ def tracker(errors: TrackerErrors, seed: int = 0) -> Tracker:
 
 def stand(errors: TrackerErrors, frames: int) -> tuple[list[Skeleton | None], np.ndarray]:
     """What a tracker reports of someone who stands still with every joint in sight, and the truth."""
-    watching, at = tracker(errors), standing()
-    return [watching.report(at, np.ones(32), k) for k in range(frames)], np.tile(at, (frames, 1, 1))
+    watching, joints = tracker(errors), standing()
+    return [watching.report(joints, np.ones(32), k) for k in range(frames)], np.tile(joints, (frames, 1, 1))
 
 
 def standing() -> np.ndarray:
@@ -110,22 +110,22 @@ def test_the_views_bias_is_constant_for_one_view_and_changes_with_it() -> None:
 
 
 def test_the_skin_pulls_joints_towards_the_sensor_along_the_ray() -> None:
-    at = standing()
-    reported = tracker(replace(NONE, skin=0.5)).report(at, np.ones(32), 0)
+    joints = standing()
+    reported = tracker(replace(NONE, skin=0.5)).report(joints, np.ones(32), 0)
     assert reported is not None
-    shift = reported.positions - at
+    shift = reported.positions - joints
     np.testing.assert_allclose(np.linalg.norm(shift, axis=1), 0.5 * 0.05, atol=4 * FLOAT32)
-    ray = at / np.linalg.norm(at, axis=1, keepdims=True)
+    ray = joints / np.linalg.norm(joints, axis=1, keepdims=True)
     np.testing.assert_allclose(np.sum(shift * ray, axis=1), -0.5 * 0.05, atol=4 * FLOAT32)
 
 
 def test_the_whole_skeleton_rescales_by_one_factor() -> None:
     skeletons, true = stand(replace(NONE, rescale=0.04, rescale_seconds=0.2), 1800)
     body = AZURE_KINECT
-    at = errors_of(skeletons, true) + true
+    joints = errors_of(skeletons, true) + true
     ratio = np.stack(
         [
-            np.linalg.norm(at[:, j] - at[:, body.parents[j]], axis=1)
+            np.linalg.norm(joints[:, j] - joints[:, body.parents[j]], axis=1)
             / np.linalg.norm(true[:, j] - true[:, body.parents[j]], axis=1)
             for j in body.bone_joints
         ]
@@ -152,12 +152,14 @@ def test_hidden_joints_are_inferred_and_their_guess_errs_smoothly() -> None:
 
 def test_a_hidden_joint_jitters_more_by_the_factor_the_knob_says() -> None:
     jitter = JointGroups(elbow=0.01, knee=0.01)
-    at, visible = standing(), np.ones(32)
+    joints, visible = standing(), np.ones(32)
     elbow, knee = AZURE_KINECT.joint("ELBOW_LEFT"), AZURE_KINECT.joint("KNEE_LEFT")
     visible[elbow] = 0.0
     watching = tracker(replace(NONE, seen_share=0.35, jitter=jitter, jitter_memory=0.0, inferred_jitter=3.0))
-    reported = [watching.report(at, visible, k) for k in range(1860)][60:]  # many times a guess takes over
-    spread = errors_of(reported, np.tile(at, (1800, 1, 1))).std(axis=(0, 2))
+    reported = [watching.report(joints, visible, k) for k in range(1860)][
+        60:
+    ]  # many times a guess takes over
+    spread = errors_of(reported, np.tile(joints, (1800, 1, 1))).std(axis=(0, 2))
     # 5400 samples each: known to 1/√(2·5400) = 1 %; five times that.
     assert spread[elbow] == pytest.approx(0.03, rel=0.05)
     assert spread[knee] == pytest.approx(0.01, rel=0.05)
@@ -167,11 +169,11 @@ def test_a_hidden_joint_jitters_more_by_the_factor_the_knob_says() -> None:
     ("knob", "state"), [("not_tracked", TrackingState.NOT_TRACKED), ("mistracked", TrackingState.TRACKED)]
 )
 def test_hidden_spells_meet_their_fate_in_the_share_the_knob_says(knob: str, state: TrackingState) -> None:
-    at, share, spells = standing(), 0.3, 100
+    joints, share, spells = standing(), 0.3, 100
     watching = tracker(replace(NONE, seen_share=0.35, **{knob: share}))
     found = []
     for k in range(2 * spells):
-        reported = watching.report(at, np.full(32, (0.1, 1.0)[k % 2]), k)  # all hide in every other frame
+        reported = watching.report(joints, np.full(32, (0.1, 1.0)[k % 2]), k)  # all hide in every other frame
         assert reported is not None
         if k % 2 == 0:
             found.append(reported.states == state)
@@ -182,31 +184,31 @@ def test_hidden_spells_meet_their_fate_in_the_share_the_knob_says(knob: str, sta
 
 
 def test_a_mistracked_joint_is_called_tracked_and_stands_where_the_joint_before_it_is() -> None:
-    at = standing()
+    joints = standing()
     body = AZURE_KINECT
     hand, elbow = body.joint("HAND_LEFT"), body.joint("ELBOW_RIGHT")
     # The left hand goes straight behind the right elbow, seen from the sensor.
-    at[hand] = at[elbow] * 1.15
+    joints[hand] = joints[elbow] * 1.15
     visible = np.ones(32)
     visible[hand] = 0.0
     watching = tracker(replace(NONE, seen_share=0.35, mistracked=1.0, snap=1.0))
     for _ in range(60):  # many times the time a guess takes over
-        reported = watching.report(at, visible, 0)
+        reported = watching.report(joints, visible, 0)
     assert reported is not None
     assert reported.tracked.all()
     others = np.arange(32) != hand
-    np.testing.assert_allclose(reported.positions[hand], at[elbow], atol=1e-5)
-    np.testing.assert_allclose(reported.positions[others], at[others], atol=4 * FLOAT32)
+    np.testing.assert_allclose(reported.positions[hand], joints[elbow], atol=1e-5)
+    np.testing.assert_allclose(reported.positions[others], joints[others], atol=4 * FLOAT32)
 
 
 def test_a_hidden_joint_with_nothing_before_it_is_not_snapped_away() -> None:
-    at = standing()
+    joints = standing()
     visible = np.ones(32)
     visible[AZURE_KINECT.joint("FOOT_RIGHT")] = 0.0
     watching = tracker(replace(NONE, seen_share=0.35, mistracked=1.0, snap=1.0))
-    reported = watching.report(at, visible, 0)
+    reported = watching.report(joints, visible, 0)
     assert reported is not None
-    np.testing.assert_allclose(reported.positions, at, atol=4 * FLOAT32)
+    np.testing.assert_allclose(reported.positions, joints, atol=4 * FLOAT32)
 
 
 def test_unsure_joints_are_inferred_for_the_share_of_time_the_knob_says() -> None:
@@ -221,9 +223,9 @@ def test_unsure_joints_are_inferred_for_the_share_of_time_the_knob_says() -> Non
 
 def test_left_and_right_are_swapped_in_runs_while_the_back_is_turned_and_never_else() -> None:
     skeletons, true = watch("walk", replace(NONE, swapped=0.5, swap_seconds=0.5), 30.0)
-    at = errors_of(skeletons, true) + true
-    swapped = np.abs(at - true[:, AZURE_KINECT.mirror]).max(axis=(1, 2)) < 1e-5
-    plain = np.abs(at - true).max(axis=(1, 2)) < 1e-5
+    joints = errors_of(skeletons, true) + true
+    swapped = np.abs(joints - true[:, AZURE_KINECT.mirror]).max(axis=(1, 2)) < 1e-5
+    plain = np.abs(joints - true).max(axis=(1, 2)) < 1e-5
     assert (swapped | plain).all()
     left = true[:, AZURE_KINECT.joint("HIP_LEFT")] - true[:, AZURE_KINECT.joint("HIP_RIGHT")]
     back_turned = left[:, 0] < 0.0  # the person's left is on the sensor's left
@@ -265,10 +267,10 @@ def test_a_small_stretch_keeps_bones_near_their_length_where_joints_err() -> Non
 
     def bone_errors(errors: TrackerErrors) -> np.ndarray:
         skeletons, true = watch("startup", errors, 0.2)
-        at = errors_of(skeletons, true) + true
+        joints = errors_of(skeletons, true) + true
         lengths = [
             np.linalg.norm(x[:, body.bone_joints] - x[:, body.parent_indices[body.bone_joints]], axis=2)
-            for x in (at, true)
+            for x in (joints, true)
         ]
         return np.abs(lengths[0] - lengths[1])
 
@@ -293,7 +295,8 @@ def test_the_real_defaults_have_every_error_turned_on() -> None:
     for body in BODIES.values():
         errors = TrackerErrors.of(body)
         for knob in TrackerErrors.knobs():
-            off = ("lost_seconds", "swap_seconds", "swapped")  # durations, and what mirroring replaces
+            # durations, what mirroring replaces, and the tails of a tracker that nothing was fitted to
+            off = ("lost_seconds", "swap_seconds", "swapped", "tail", "tail_spread")
             assert getattr(errors, knob) != getattr(NONE, knob) or knob in off, knob
         assert TrackerErrors.with_random_swaps(body).swapped > 0.0
         assert TrackerErrors.with_random_swaps(body).mirroring == NONE.mirroring

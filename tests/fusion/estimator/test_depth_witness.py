@@ -1,4 +1,4 @@
-"""What the estimator makes of depth images: evidence, surface measurements, and nothing without an image."""
+"""Depth images in the estimator: evidence, surface measurements, and no effect without an image."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LEFT, RIGHT = BODY.joint("WristLeft"), BODY.joint("WristRight")
 
 
 def confirming() -> NDArray[np.float32]:
-    """The witness of a skeleton whose joints are all where the image shows a limb."""
+    """The witness of a skeleton whose joints all agree with the image."""
     found = np.zeros((J, 4), dtype=np.float32)
     found[:, 0] = -new_witness_model(BODY).flesh
     found[:, 1] = 0.05
@@ -62,15 +62,12 @@ def recording(frames: int = 60) -> list[SkeletonPair]:
 
 def same_bits(one: list[FusedFrame], other: list[FusedFrame]) -> bool:
     names = ("positions", "sigma", "covariance", "weights_a", "weights_b", "predicted")
-    return all(
-        np.array_equal(getattr(p, name), getattr(q, name), equal_nan=True)
-        for p, q in zip(one, other, strict=True)
-        for name in names
-    )
+    arrays = [(getattr(p, n), getattr(q, n)) for p, q in zip(one, other, strict=True) for n in names]
+    return all(p is q if p is None else np.array_equal(p, q, equal_nan=True) for p, q in arrays)
 
 
 def asked(code: int, witness: NDArray[np.float32]) -> tuple[Model, Views, Skeleton]:
-    """Both views of one standing person with A's witness, after the images are asked."""
+    """Both views of one standing person with A's witness, after :func:`ask_images`."""
     model = new_model(BODY, BODY.nominal_lengths, A_FROM_B.rotation, A_FROM_B.translation)
     pair = pair_of(BODY, standing(BODY), 0)
     assert pair.a is not None
@@ -170,7 +167,7 @@ def test_the_surface_is_joined_with_the_tracker_by_information() -> None:
 
 
 def test_a_hand_that_the_image_sees_past_counts_for_less() -> None:
-    """A says that the right arm is where it is not, and A's image sees past that place."""
+    """A reports the right arm at a wrong position, and A's image sees past that position."""
     arm = [BODY.joint(f"{joint}Right") for joint in ("Wrist", "Hand", "HandTip", "Thumb")]
     past = np.full((J, 4), np.nan, dtype=np.float32)
     past[arm] = 0.5, -0.1, 0.0, 0.0

@@ -1,4 +1,4 @@
-"""What S* of the method duplex promises, on a person of known truth."""
+"""Properties of S* with the method duplex, on a person with known truth."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def changed(skeleton: Skeleton | None, change: Callable[[Array], Array]) -> Skel
 
 
 def fused(pairs: list[SkeletonPair], smoothing: float = 0.5, body: Body = BODY) -> list[FusedFrame]:
-    """S* with the sides as they are: these people move as no one does, and have no front."""
+    """S* without correction of sides: these artificial people have no front."""
     return fuser(smoothing, body).fuse_sequence(pairs, np.zeros((len(pairs), 2)))
 
 

@@ -1,4 +1,4 @@
-"""Each step of the estimator against the textbook: matrices, enumeration, dense solutions."""
+"""Each step of the estimator against a plain reference: matrices, enumeration, dense solutions."""
 
 from __future__ import annotations
 
@@ -266,7 +266,7 @@ def test_covariances_are_those_of_the_joints_that_keep_their_bones(scene: Scene)
     solve.positions[:] = standing(BODY)
     for i in range(J):
         solve.information[i] = np.linalg.inv(scene.state.shared_error[i])
-    solve.information[4] = 0.0  # no one has seen it
+    solve.information[4] = 0.0  # it was never seen
     found, sigma = np.zeros((J, 3, 3)), np.zeros(J)
     interpreted(uncertainty.spread)(scene.model, solve, found, sigma, np.zeros((3, 3)))
     W, constraints = np.zeros((3 * J, 3 * J)), []

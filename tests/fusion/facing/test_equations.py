@@ -85,7 +85,7 @@ def reference_likelihood(c: FacingConstants, views: Views, k: int, state: Facing
 
 
 def reference_prediction(before: Floats, state: FacingState) -> Floats:
-    """(N, 2, 2) by dense matrices: turning, then each view's chances of an exchange."""
+    """(N, 2, 2) by dense matrices: turning, then each view's probability of an exchange."""
     n = np.arange(HEADINGS)
     difference = (n[:, None] - n[None] + HEADINGS // 2) % HEADINGS - HEADINGS // 2
     reach = int(state.reach[0])
@@ -142,7 +142,7 @@ def test_smoothing_is_the_forward_backward_algorithm() -> None:
         expected = smoothed[:, 1, :].sum(), smoothed[:, :, 1].sum()
         np.testing.assert_allclose(labels.mirrored[k], expected, atol=1e-4)  # float32 history over 60 frames
         weighted = beta * np.exp(kept[k][1] - kept[k][1].max())
-        # The transpose of the prediction: what each state before makes of it.
+        # The transpose of the prediction: the message to each earlier state.
         beta = np.zeros_like(beta)
         if k:
             for n in range(HEADINGS):

@@ -1,4 +1,4 @@
-"""Claims about the labels that the facing filter finds: invariances, goals on simulated truth, faults."""
+"""Labels found by the facing filter: invariances, goals on simulated truth, faults."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_both_views_exchanged_at_once_are_found_and_let_go() -> None:
 
 
 def test_anatomy_finds_both_views_exchanged_from_the_start() -> None:
-    # No jump, and both views agree: only knees, elbows, head and motion tell.
+    # No jump, and both views agree: only knees, elbows, head and motion show the exchange.
     views = exchanged(simulated_views("walk", tracker="right"), (True, True), 0, 150, ALL)
     labels = views.relabel(smooth=False)
     assert not swapped(views.body, views.fused(labels), views.truth)[120:].any()
@@ -177,7 +177,7 @@ def test_stale_skeletons_are_no_evidence() -> None:
     np.testing.assert_allclose(state.mirrored, mirrored_before, atol=1e-6)
     assert state.likelihood.min() == state.likelihood.max() == 0.0
     assert state.facing @ facing > 0.9
-    assert state.confidence[0] < 0.95  # a second without news: less sure
+    assert state.confidence[0] < 0.95  # less certain after a second without evidence
 
 
 def test_a_posture_that_is_held_does_not_talk_anyone_round() -> None:
@@ -258,7 +258,7 @@ def test_two_seconds_apart_is_someone_else() -> None:
     update_facing(model, state, 2.0, *given, UP, False, False)
     fresh = new_facing_state(KINECT_V2)
     step(model, fresh, views, 100)
-    # The axes say it within one frame; nothing of the 100 frames before is in the prediction.
+    # The axes show it within one frame; the prediction contains nothing of the 100 frames before.
     np.testing.assert_allclose(state.predicted, fresh.predicted, atol=1e-9)
 
 

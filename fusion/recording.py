@@ -1,0 +1,138 @@
+"""Analysis of a whole recording before fusion: its calibrations and the exchanged sides of each view.
+
+There are two passes. The first uses the start-up pose and the labels under its registration to learn
+registration and bones from the whole recording. The second finds the labels again under that registration. A
+live run has neither pass, because both use later frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.calibration.calibration import Calibration, calibrate
+from fusion.calibration.learner import CalibrationChange
+from fusion.calibration.recording_learner import LearnedCalibration, learn_from_recording
+from fusion.calibration.start_up_pose import find_start_up_pose
+from fusion.errors import CalibrationError
+from fusion.facing.sequence import relabel_sequence
+from fusion.registration.clock_offset import ClockOffset
+from fusion.setup import FuserSettings
+from fusion.skeleton import Skeleton, SkeletonPair
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingPlan:
+    """The calibrations and labels that a recording of T pairs is fused with.
+
+    Attributes:
+        segments: Each calibration, with the pairs that it holds for; in order, without gaps.
+        codes: (T, 2) which sides of A and of B are exchanged, see :mod:`fusion.facing.model`; None where the
+            method or the settings use no later frames.
+        changes: Events of the learner: a sensor that was moved.
+        clock: Offset of B's clock, from the motion; None where unknown.
+    """
+
+    segments: tuple[tuple[Calibration, slice], ...]
+    codes: NDArray[np.int64] | None = None
+    changes: tuple[CalibrationChange, ...] = ()
+    clock: ClockOffset | None = None
+
+
+def start_up_calibration(body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:
+    """The calibration on a recording's start-up pose; on its calmest window where there is none.
+
+    Raises:
+        CalibrationError: No frame shows a person to both sensors, or the views cannot be registered.
+    """
+    chosen, how = find_start_up_pose(body, pairs)
+    return calibrate(body, chosen, how)
+
+
+def plan_recording(
+    body: Body,
+    pairs: Sequence[SkeletonPair],
+    settings: FuserSettings,
+    calibration: Calibration | None = None,
+    refine: bool = True,
+) -> RecordingPlan:
+    """Finds the calibrations and labels of a recording.
+
+    The paper's methods keep the calibration of the start-up pose and the sides as reported.
+
+    Args:
+        body: Of both views.
+        pairs: In time order, at least one.
+        settings: The method; ``hindsight`` determines whether labels are found here.
+        calibration: An earlier calibration; that of the start-up pose where None.
+        refine: Whether the method ``duplex`` refines it over the whole recording.
+
+    Raises:
+        CalibrationError: None is given, and none can be found.
+    """
+    whole = slice(0, len(pairs))
+    start = calibration or start_up_calibration(body, pairs)
+    if settings.method != "duplex":
+        return RecordingPlan(((start, whole),))
+    views = _Views(body, pairs)
+    segments: tuple[tuple[Calibration, slice], ...] = ((start, whole),)
+    learned: LearnedCalibration | None = None
+    if refine:
+        try:
+            learned = learn_from_recording(
+                body,
+                pairs,
+                [(int(a) & _LIMBS, int(b) & _LIMBS) for a, b in views.labels(segments)],
+                calibration,
+                skews_ns=[pair.skew_ns for pair in pairs],
+            )
+        except CalibrationError:
+            learned = None  # nothing to learn from: the start-up pose's calibration remains
+    if learned is not None:
+        segments = _segments(learned, views.time_ns)
+    return RecordingPlan(
+        segments,
+        None if settings.hindsight == "none" else views.labels(segments),
+        () if learned is None else learned.events,
+        None if learned is None else learned.clock,
+    )
+
+
+_LIMBS = 3  # arms and legs of an exchange code
+
+
+class _Views:
+    """Both views of a recording as arrays."""
+
+    def __init__(self, body: Body, pairs: Sequence[SkeletonPair]) -> None:
+        self._body = body
+        nobody = Skeleton.of(body, np.full((len(body), 3), np.nan))
+        a, b = ([pair.a or nobody for pair in pairs], [pair.b or nobody for pair in pairs])
+        self._a = np.array([skeleton.positions for skeleton in a], dtype=np.float64)
+        self._b = np.array([skeleton.positions for skeleton in b], dtype=np.float64)
+        self._states_a = np.array([skeleton.states for skeleton in a])
+        self._states_b = np.array([skeleton.states for skeleton in b])
+        self.time_ns = np.array([pair.time_ns for pair in pairs], dtype=np.int64)
+
+    def labels(self, segments: Sequence[tuple[Calibration, slice]]) -> NDArray[np.int64]:
+        """(T, 2) exchange codes, given these calibrations."""
+        b_in_a = np.concatenate([one.a_from_b.apply(self._b[own]) for one, own in segments])
+        sensor_b = segments[0][0].a_from_b.translation
+        found = relabel_sequence(
+            self._body, self._a, self._states_a, b_in_a, self._states_b, self.time_ns, sensor_b
+        )
+        return found.codes
+
+
+def _segments(
+    learned: LearnedCalibration, time_ns: NDArray[np.int64]
+) -> tuple[tuple[Calibration, slice], ...]:
+    """The spans of a learned calibration as slices of the pairs."""
+    firsts = [0, *(int(np.searchsorted(time_ns, span.first_ns)) for span in learned.spans[1:])]
+    ends = [*firsts[1:], len(time_ns)]
+    spans = zip(learned.spans, firsts, ends, strict=True)
+    return tuple((span.calibration, slice(first, end)) for span, first, end in spans if first < end)

@@ -1,0 +1,17 @@
+"""Whether the options of a method fit the method that is chosen."""
+
+from __future__ import annotations
+
+from fusion.paper_constants import PAPER_H
+from fusion.setup import FuserSettings
+from viewer_app.errors import UsageError
+
+
+def check_paper_options(settings: FuserSettings) -> None:
+    """Refuses settings of the paper's methods where the method is ``duplex``, which would ignore them.
+
+    Raises:
+        UsageError: ``--h`` or ``--weights`` is given.
+    """
+    if settings.method == "duplex" and (settings.h != PAPER_H or settings.weights != "paper"):
+        raise UsageError("--h and --weights are of the paper's methods: add --method paper or published.")
