@@ -179,7 +179,7 @@ def test_mistakes_are_one_line_and_exit_code_2(
     [
         (("--h", "0.3"), "between 0.5 and 1"),
         (("--calibrate", "seconds:none"), "must be a positive number"),
-        (("--calibrate", "nowhere.json"), "neither auto, nor seconds:N, nor a file"),
+        (("--calibrate", "nowhere.json"), "neither auto, nor seconds:N, nor an existing file"),
         (("--save", "/nowhere/at/all/s.rrd"), "No folder"),
     ],
 )

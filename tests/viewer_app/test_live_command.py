@@ -312,7 +312,7 @@ def test_mistakes_are_one_line_before_any_sensor_opens(
         ([], "no display"),
         (["--no-viewer", "--save", taken], "exists already"),
         (["--no-viewer", "--seconds", -1], "--seconds must be"),
-        (["--no-viewer", "--calibrate", tmp_path / "none.json"], "neither auto nor a file"),
+        (["--no-viewer", "--calibrate", tmp_path / "none.json"], "neither auto nor an existing file"),
         (["--no-viewer", "--color", "3072P"], "Colour 3072P runs at 15 fps at most"),
         (["--no-viewer", "--smoothing", 3], "Smoothing is 0 to 1, not 3.0"),
         (["--no-viewer", "--kinect-a", "000999"], "No Kinect with serial 000999"),
