@@ -26,6 +26,8 @@ SHARES = frozenset(
 )  # fmt: skip
 """Knobs for the frequency of an error; they are multiplied, up to LARGEST_SHARE.
 
+A value that is already above LARGEST_SHARE stays unchanged.
+
 Of ``mirroring`` it is ``back``.
 """
 SHAPES = frozenset({
@@ -55,8 +57,9 @@ def heavy_tailed(errors: TrackerErrors) -> TrackerErrors:
     """Returns heavy-tailed errors: 1–2 cm at trunk and legs, at times half a metre at the hands.
 
     The sizes are those of one Kinect v2 against optical motion capture: 59 recordings of a seated person,
-    with the constant offset of each joint removed. Median, 90 % and 99 % in mm, ranges over three exercises: spine base
-    13–24, 30–70, 51–97; head 12–31, 33–245, 69–273; knee 5–15, 16–33, 21–55; hands 18–38, 84–775, 279–1139.
+    with the constant offset of each joint removed. Median, 90 % and 99 % in mm, ranges over three exercises:
+    spine base 13–24, 30–70, 51–97; head 12–31, 33–245, 69–273; knee 5–15, 16–33, 21–55; hands 18–38, 84–775,
+    279–1139.
     Jitter of trunk and legs 0.2–0.6 mm, of hands 2.3 mm. Elbows and wrists are interpolated between shoulder
     and hand: an assumption. The errors of hidden joints, turned backs and lost persons stay unchanged.
 

@@ -19,13 +19,13 @@ from fusion.body import Body
 
 @dataclass(frozen=True)
 class Mirroring:
-    """The frequency and form of mirroring. The default has none.
+    """The frequency and form of mirroring. The default has no mirroring.
 
     The values for the Kinect v2 were measured on five real walks of three people with
     ``python -m tests.campaigns.facing``. The share of mirrored frames depends on the cosine between the
-    person's front and the direction to the sensor: 0 % above 0, 2 % at −0.1, 16 % at −0.4, 63 % at −0.6, 93 %
-    at −0.8 and 99 % at −1. The share for the Azure Kinect is an assumption, for lack of recordings with turned
-    backs.
+    person's front and the direction to the sensor: 0 % above 0, 2 % at −0.1, 16 % at −0.4, 63 % at −0.6,
+    93 % at −0.8 and 99 % at −1. The share for the Azure Kinect is an assumption, for lack of recordings with
+    turned backs.
 
     Attributes:
         back: Share of mirrored frames when the back is turned.
@@ -46,7 +46,7 @@ class Mirroring:
     believed: tuple[float, float, float, float, float, float, float] = (0.9, 0.9, 0.6, 0.3, 0.5, 0.35, 0.1)
 
     def share(self, cosine: float) -> float:
-        """Returns the share of mirrored frames at a cosine between the front and the direction to the sensor."""
+        """Returns the share of mirrored frames; ``cosine`` is between front and direction to the sensor."""
         return float(self.back / (1.0 + np.exp((cosine - self.centre) / self.width)))
 
 

@@ -182,7 +182,7 @@ class Tracker:
         return speed
 
     def _covering(self, joints: Array, visible: Array) -> NDArray[np.int64]:
-        """Returns (J,) the covering joint of each: nearest in the image, in front, no neighbour; or itself."""
+        """(J,) The joint that covers each: nearest in the image, in front, no neighbour; or itself."""
         pixels = self._intrinsics.project(joints)
         apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
         nearer = joints[None, :, 2] < joints[:, None, 2] - 0.05
@@ -201,7 +201,7 @@ class Tracker:
         return bias
 
     def _facing(self, joints: Array, *, sideways: bool = False) -> float:
-        """Returns the cosine between the front (or left) and the direction to the sensor, seen from above."""
+        """Returns the cosine between front (or left) and the direction to the sensor, seen from above."""
         l1, l2, r1, r2 = joints[self._corners]
         left = (l1 - r1) + (l2 - r2)
         direction = left if sideways else np.array((-left[2], 0.0, left[0])) * -1.0
@@ -217,7 +217,7 @@ class Tracker:
         return np.asarray(front / max(float(np.linalg.norm(front)), 1e-9))
 
     def _rates(self, share: Array | float, seconds: float) -> tuple[Array, float]:
-        """Returns the probabilities per frame that a spell starts and ends, from its share and mean length."""
+        """Returns the probabilities per frame that a spell starts and ends, from its share and length."""
         stop = min(1.0, self._dt / max(seconds, self._dt))
         share = np.minimum(np.asarray(share), 0.99)
         return np.asarray(stop * share / (1.0 - share)), stop
