@@ -26,9 +26,7 @@ class ExchangedSides:
             topic = f"exchanged_{sensor.lower()}"
             if code and since_ns is None:
                 self._since_ns[sensor] = fused.time_ns
-                text = (
-                    f"{sensor} reports left and right exchanged ({_PARTS[code & 3]}); S* corrects this."
-                )
+                text = f"{sensor} reports left and right exchanged ({_PARTS[code & 3]}); S* corrects this."
                 told.append((text, "INFO", topic, "start"))
             elif not code and since_ns is not None:
                 self._since_ns[sensor] = None
