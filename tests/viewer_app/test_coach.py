@@ -139,7 +139,7 @@ def test_frames_left_out_for_a_slow_tracker_are_not_blamed_on_usb_or_light() -> 
     halved = Situation(KNOWN, settled=True, held=0.0, step=2)
     assert wrong(watched(every=2, now=halved)) == set()
     said = watched(every=3, now=halved)["rate A"]
-    assert said.text.startswith("Sensor A gives 10 frames a second; below 12 movements are missed.")
+    assert said.text.startswith("Sensor A gives 10 frames per second; below 12 movements are missed.")
 
 
 def test_slow_late_and_dropping_sensors_are_named() -> None:

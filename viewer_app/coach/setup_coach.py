@@ -176,7 +176,7 @@ class Coach:
                 few = int(came)  # rounded it might be the limit itself
                 yield Advice(
                     f"rate {side}",
-                    f"Sensor {side} gives {few} frames a second; below {least:.3g} "
+                    f"Sensor {side} gives {few} frames per second; below {least:.3g} "
                     "movements are missed. Give it a USB controller of its own, and light.",
                     "WARN",
                     came,

@@ -13,8 +13,8 @@ from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
-from fusion.estimator import robust, surface
 from fusion.estimator.arrays import Model, Views, new_model, new_state, new_views
+from fusion.estimator.measuring import robust, surface
 from fusion.facing.model import ARMS, WHOLE, new_facing_model
 from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser

@@ -12,10 +12,11 @@ from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
 from fusion.body import AZURE_KINECT, KINECT_V2
-from fusion.estimator import measurement, motion, offsets, robust, smoother, uncertainty, update, views
+from fusion.estimator import motion, smoother, uncertainty, update
 from fusion.estimator.arrays import Model, Solve, State, Views, new_model, new_solve, new_state, new_views
 from fusion.estimator.constants import KINDS, Constants, kind_of
 from fusion.estimator.limits import respect_hinges
+from fusion.estimator.measuring import measurement, offsets, robust, views
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, standing
 
