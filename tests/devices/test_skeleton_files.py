@@ -207,7 +207,7 @@ def test_ntu_camera_space_becomes_the_sensor_frame(tmp_path: Path) -> None:
         (lambda lines: lines[:20], "cut off at line 21"),
         (lambda lines: [*lines[:9], lines[9][:30]], "12 numbers"),
         (lambda lines: ["many", *lines[1:]], "line 1: frame count must be a whole number; got 'many'"),
-        (lambda lines: [*lines[:5], lines[5].replace("277.4", "left"), *lines[6:]], "line 6: expected numbers"),
+        (lambda lines: [*lines[:5], lines[5].replace("277.4", "left"), *lines[6:]], "line 6: expected"),
         (lambda lines: [*lines[:3], "20", *lines[4:]], "a body has 20 joints"),
     ],
 )
