@@ -18,7 +18,7 @@ from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
 from fusion.witness import COLUMNS, REACH, SEEN_PAST
 
-_GAP_RADIUS = 0.012  # metres: the window about the joint over which the surface is the median reading
+_GAP_RADIUS = 0.012  # metres: half width of the window whose median reading is the surface
 _LARGEST_WINDOW = 3  # pixels to each side of the joint
 _PATCH_RADIUS = 0.09  # metres: wider than any limb, narrower than two legs
 _PATCH_DEPTH = 0.06  # metres: a reading farther from the surface at the joint belongs to another limb
@@ -33,8 +33,8 @@ def depth_witness(
 
     Args:
         depth: (height, width) uint16 millimetres along z, 0 where there is no reading.
-        intrinsics: Of this image. The lens's distortion is applied to each joint.
-        skeleton: Of the same frame and sensor.
+        intrinsics: Intrinsics of this image. The lens distortion is applied to each joint.
+        skeleton: Skeleton of the same frame and sensor.
 
     Returns:
         (J, 4) metres; the columns are ``fusion.witness.COLUMNS``. NaN without a reading at the
@@ -79,10 +79,7 @@ def _measure(depth, pinhole, lens, positions, found):  # type: ignore[no-untyped
         pixel_u, pixel_v = _pixel(x / z, y / z, pinhole, lens)
         if not (0.0 <= pixel_u < width and 0.0 <= pixel_v < height):
             continue
-        u, v = (
-            int(pixel_u),
-            int(pixel_v),
-        )  # the pixel that holds it, whose centre is half a pixel away at most
+        u, v = int(pixel_u), int(pixel_v)  # the pixel that contains the joint
         along = math.sqrt(x * x + y * y + z * z) / z  # metres along the ray for each metre of depth
         across = pinhole[0] / z  # pixels for each metre across the ray
         gap = _gap(depth, u, v, z, along, across, sorted_gaps)
@@ -95,9 +92,9 @@ def _measure(depth, pinhole, lens, positions, found):  # type: ignore[no-untyped
 
 @inner_kernel
 def _pixel(x, y, pinhole, lens):  # type: ignore[no-untyped-def]
-    """Where the ray through (x, y, 1) falls: OpenCV's rational model k1, k2, p1, p2, k3, k4, k5, k6.
+    """Projects the ray through (x, y, 1) by OpenCV's rational model k1, k2, p1, p2, k3, k4, k5, k6.
 
-    Half a pixel is added, so that the integer part is the pixel that holds the point.
+    Half a pixel is added, so that the integer part is the index of the pixel that contains the point.
     """
     r2 = x * x + y * y
     radial = 1.0 + r2 * (lens[0] + r2 * (lens[1] + r2 * lens[4]))
@@ -130,7 +127,7 @@ def _gap(depth, u, v, z, along, across, sorted_gaps):  # type: ignore[no-untyped
 
 @inner_kernel
 def _edge(depth, u, v, z, along, across, outside):  # type: ignore[no-untyped-def]
-    """Signed distance to the silhouette, metres: positive inside; searched in squares that grow."""
+    """Signed distance to the silhouette, metres: positive inside; searched in growing squares."""
     height, width = depth.shape
     step = max(1, round(_STEP * across))
     farthest = int(REACH * across)
@@ -159,7 +156,7 @@ def _edge(depth, u, v, z, along, across, outside):  # type: ignore[no-untyped-de
 
 @inner_kernel
 def _patch(depth, pixel_u, pixel_v, z, along, across, gap):  # type: ignore[no-untyped-def]
-    """Centre of the readings near the surface at the joint, less the joint, across the ray, metres."""
+    """Offset across the ray from the joint to the centroid of the readings near its surface, metres."""
     height, width = depth.shape
     radius = _PATCH_RADIUS * across
     step = max(1, round(_STEP * across))

@@ -1,4 +1,4 @@
-"""Depth images as points in the sensor's frame."""
+"""Converts depth images to points in the sensor's frame."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 from devices.sensor import DeviceError
 from fusion.intrinsics import Intrinsics
 
-_MAX_REPROJECTION = 0.05  # pixels: a ray that misses its own pixel by more is outside the lens's model
+_MAX_REPROJECTION = 0.05  # pixels: a ray with a larger reprojection error is outside the lens model's range
 
 
 def ray_table(intrinsics: Intrinsics) -> NDArray[np.float32]:
-    """The ray through every pixel of a depth camera: where it is one metre in front of the sensor.
+    """Computes the ray through each pixel of a depth camera, as its point at z = 1 m.
 
-    Made once (a fraction of a second), because undoing the lens's distortion has no closed form.
+    Compute it once per camera (a fraction of a second): removing the lens distortion has no closed form.
 
     Args:
-        intrinsics: Of the depth camera, with its distortion.
+        intrinsics: Intrinsics of the depth camera, with distortion.
 
     Returns:
-        (height, width, 3) x, y, 1 in the sensor's frame; NaN where the lens's model holds no more: the
+        (height, width, 3) x, y, 1 in the sensor's frame; NaN where the lens model is not valid: in the
         corners of a wide image.
     """
     camera = np.array([[intrinsics.fx, 0.0, intrinsics.cx], [0.0, intrinsics.fy, intrinsics.cy], [0, 0, 1]])
@@ -29,7 +29,7 @@ def ray_table(intrinsics: Intrinsics) -> NDArray[np.float32]:
     rows, columns = np.mgrid[0 : intrinsics.height, 0 : intrinsics.width]
     pixels = np.stack((columns, rows), axis=-1).reshape(-1, 1, 2).astype(np.float64)
     until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
-    # OpenCV 4 has the criteria in a function of its own, OpenCV 5 in undistortPoints itself.
+    # OpenCV 4 accepts the criteria in undistortPointsIter, OpenCV 5 in undistortPoints.
     undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
     ideal = undistort(pixels, camera, lens, R=np.eye(3), P=np.eye(3), criteria=until).reshape(-1, 2)
     rays = np.concatenate((ideal, np.ones((len(ideal), 1))), axis=1)
@@ -40,11 +40,11 @@ def ray_table(intrinsics: Intrinsics) -> NDArray[np.float32]:
 
 
 def depth_to_points(depth: NDArray[np.uint16], rays: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The points that a depth image shows.
+    """Converts a depth image to points.
 
     Args:
         depth: (height, width) uint16 millimetres along z, 0 where there is no reading.
-        rays: (height, width, 3) of the same camera, from :func:`ray_table`.
+        rays: (height, width, 3) rays of the same camera, from :func:`ray_table`.
 
     Returns:
         (N, 3) metres in the sensor's frame, row by row; pixels without a reading or a ray are left out.

@@ -1,9 +1,9 @@
-"""The factory calibration of an Azure Kinect: its cameras in the modes they run in.
+"""Reads the factory calibration of an Azure Kinect and converts it to the mode of each camera.
 
-The sensor stores one calibration of the whole chip, in units of the image's size, with (0, 0) at the
-corner of the first pixel. A mode bins and crops the chip, so its intrinsics in pixels follow from the
-two numbers a mode has: the size of the binned chip and the corner of the crop. They are those of the
-Sensor SDK (its ``transformation`` source); NFOV_UNBINNED and 720p are checked against its output.
+The sensor stores one calibration of the whole image sensor, in units of the image's size, with (0, 0) at the
+corner of the first pixel. A camera mode bins and crops that image. The intrinsics in pixels therefore follow
+from the binned size and the corner of the crop. Both are those of the Sensor SDK (its ``transformation``
+source). NFOV_UNBINNED and 720p are tested against the output of the SDK.
 """
 
 from __future__ import annotations
@@ -21,7 +21,13 @@ from fusion.rigid import RigidTransform
 
 @dataclass(frozen=True)
 class CameraMode:
-    """How a camera's chip becomes an image: binned to a size, then cropped, all in pixels."""
+    """A camera mode: the sensor's image is binned, then cropped.
+
+    Attributes:
+        binned: Width and height after binning, pixels.
+        crop: Column and row of the crop's first pixel in the binned image.
+        width, height: Size of the final image, pixels.
+    """
 
     binned: tuple[int, int]
     crop: tuple[int, int]
@@ -47,11 +53,11 @@ COLOR_MODES = {
 
 @dataclass(frozen=True)
 class AzureCalibration:
-    """The cameras of one sensor.
+    """The calibrated cameras of one sensor.
 
     Attributes:
         depth: Intrinsics of the depth camera, pixels.
-        color: The colour camera; None when it is off.
+        color: Intrinsics and pose of the colour camera; None if it is off.
     """
 
     depth: Intrinsics
@@ -59,25 +65,25 @@ class AzureCalibration:
 
 
 def depth_mode(name: str) -> CameraMode:
-    """The depth mode of this name, as the SDK spells it.
+    """Returns the depth mode of a name, spelled as in the SDK.
 
     Raises:
-        DeviceError: No depth comes in this mode, or it is unknown.
+        DeviceError: The mode has no depth image, or it is unknown.
     """
     mode = DEPTH_MODES.get(name)
     if mode is None:
         raise DeviceError(
             f"Depth mode {name or 'unnamed'} is not supported. Supported: {', '.join(DEPTH_MODES)}; "
-            f"NFOV_UNBINNED is the one to record in."
+            f"Record in NFOV_UNBINNED."
         )
     return mode
 
 
 def read_calibration(text: str | bytes, depth: str, color: str | None = None) -> AzureCalibration:
-    """The calibration that a sensor stores as JSON, for the modes its cameras run in.
+    """Reads the calibration that a sensor stores as JSON, for the given camera modes.
 
     Args:
-        text: The JSON, as in a recording's ``calibration.json``.
+        text: The JSON text, as in a recording's ``calibration.json``.
         depth: Depth mode, a key of ``DEPTH_MODES``.
         color: Colour resolution, a key of ``COLOR_MODES``; None for off.
 
@@ -117,7 +123,7 @@ def _intrinsics(camera: dict[str, Any], mode: CameraMode) -> Intrinsics:
     if not all(math.isfinite(value) for value in parameters) or min(parameters[2:4]) <= 0:
         raise ValueError("a model parameter is out of range")
     cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = parameters[:14]
-    # A calibration measured on a 16:9 image covers the middle 2304 of the chip's 3072 rows.
+    # A calibration measured on a 16:9 image covers the middle 2304 of the sensor's 3072 rows.
     if camera["SensorWidth"] * 9 == camera["SensorHeight"] * 16:
         fy, cy = fy * 0.75, (cy * 2304 + 384) / 3072
     width, height = mode.binned

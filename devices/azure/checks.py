@@ -247,7 +247,7 @@ def _gpu(tracker: TrackerSettings, root: Path) -> Check:
         else:
             return Check("GPU", True, "DirectML found", needed=False)
     slow = (
-        "about one frame a second of both sensors: record with k4arecorder now, "
+        "about one frame per second of both sensors: record with k4arecorder now, "
         "duplex fuse a.mkv b.mkv later."
     )
     if tracker.processing == "cpu":

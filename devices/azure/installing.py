@@ -1,4 +1,4 @@
-"""How to install pyk4a, by platform, and why one that is installed does not work."""
+"""Instructions for installing pyk4a, by platform."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _NEEDS = {
 
 
 def how_to_install(platform: str = sys.platform) -> str:
-    """The way to a pyk4a that works with this program.
+    """Returns the instructions for installing a pyk4a that works with this program.
 
     pyk4a is built from source: the wheels of pyk4a-bundle need numpy < 2, and rerun-sdk needs numpy ≥ 2.
 
     Args:
-        platform: As ``sys.platform`` names it.
+        platform: A platform name as in ``sys.platform``.
     """
     needs = _NEEDS.get(platform)
     if needs is None:

@@ -61,8 +61,8 @@ class KinectSensor:
             settings: How it runs.
             tracker: How the body tracker runs.
             track: Whether to track people; False for images alone.
-            decimation: Which moments go to the tracker; share it between two sensors. Its own where None.
-            clock: Nanoseconds, of ``host_ns`` and of the tracker's times; tests put their own.
+            decimation: Which moments go to the tracker; share it between two sensors. None: its own.
+            clock: Nanoseconds, of ``host_ns`` and of the tracker's times; tests inject their own.
         """
         self.name = serial
         self.body: Body = AZURE_KINECT

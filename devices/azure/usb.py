@@ -41,7 +41,7 @@ def usb_kinects(root: Path = Path("/")) -> list[UsbKinect]:
     """The Kinects plugged in, by Linux's own list; empty on other systems.
 
     Args:
-        root: Where the file system starts; tests put their own there.
+        root: Where the file system starts; tests inject their own.
     """
     found = []
     for device in sorted((root / "sys/bus/usb/devices").glob("*")):

@@ -1,4 +1,4 @@
-"""How long to wait before a lost sensor is opened again."""
+"""The back-off between attempts to reopen a lost sensor."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ _LONGEST_S = 10.0
 
 
 class Retries:
-    """Waits twice as long after each opening that fails, up to ten seconds.
+    """Doubles the wait after each failed attempt, up to ten seconds.
 
-    Each opening that libk4a refuses searches the USB bus while pyk4a holds the GIL, and leaks in pyk4a. A
-    sensor that is not connected is not opened at all, so that is asked at the first interval again and again.
+    Each failed attempt searches the USB bus while pyk4a holds the GIL, and leaks memory in pyk4a. A sensor
+    that is not connected causes no such attempt, so its wait stays at ``first_s``.
 
     Args:
-        first_s: How long to wait after the first failure.
+        first_s: Wait after the first failed attempt, in seconds.
     """
 
     def __init__(self, first_s: float) -> None:
         self._first_s = self._next_s = first_s
 
     def after(self, fault: DeviceError) -> float:
-        """Seconds to wait after this failure."""
+        """Returns the seconds to wait after this failure."""
         if isinstance(fault, AbsentError):
             return self._first_s
         wait_s, self._next_s = self._next_s, max(self._first_s, min(2.0 * self._next_s, _LONGEST_S))
         return wait_s
 
     def succeeded(self) -> None:
-        """Starts anew: the sensor was opened."""
+        """Resets the wait after the sensor was opened."""
         self._next_s = self._first_s

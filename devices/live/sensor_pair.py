@@ -62,14 +62,14 @@ class TwoSensors:
 
         Args:
             a, b: The principal and the secondary sensor.
-            pairing: How to pair them; the default pairing at 30 fps where None.
+            pairing: How to pair them; None: the default pairing at 30 fps.
             decimation: What the two sensors share to keep the same moments; pairing follows its step.
             first: Which one to start first: the subordinate, if there is a sync cable.
             stall_s: After how long without a frame a sensor counts as stalled.
             retry_s: How often a lost sensor is tried again.
             open_s: How long opening one may take, and its first frame: its body tracker loads a network.
             tell: Told of every event at once, also while no pair comes; on the thread that asks for pairs.
-            clock: Seconds; tests put their own.
+            clock: Seconds; tests inject their own.
         """
         self._arrival = threading.Event()
         self.a, self.b = (

@@ -54,7 +54,7 @@ class SensorThread:
             first_s: The same for the first one since opening: a body tracker's first result takes long.
             retry_s: How soon a lost sensor is tried again; later where it is there and does not open.
             arrival: Set at every frame and change of state; two sensors may share one, to wait for either.
-            clock: Seconds, for stalls and ``host_ns``; tests put their own.
+            clock: Seconds, for stalls and ``host_ns``; tests inject their own.
             wait: Waits for an event at most so many seconds; how retries pass time.
         """
         self.sensor = sensor

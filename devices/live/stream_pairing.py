@@ -114,7 +114,7 @@ class LivePairing:
     def set_interval(self, interval_ns: int) -> None:
         """Changes the time between two frames of the faster sensor, and the patience that follows from it."""
         self._interval_ns, self._tolerance_ns = interval_ns, interval_ns // 2
-        # At few frames a second a partner may come nearly an interval later by itself.
+        # At few frames per second a partner may come nearly an interval later by itself.
         self._max_wait_ns = max(self._least_wait_ns, interval_ns)
         self._gone_after_ns = max(self._least_gone_ns, 4 * interval_ns)
 

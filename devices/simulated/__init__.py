@@ -1,1 +1,1 @@
-"""Two simulated Kinects in front of one person whose joints are known exactly."""
+"""Simulates two Kinects in front of a person whose true joints are known."""

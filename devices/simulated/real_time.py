@@ -1,4 +1,4 @@
-"""A simulated sensor at the pace of a real one: slowed down, or relieved of images that take too long."""
+"""Plays a simulated sensor in real time; images that take too long are left out."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ from fusion.intrinsics import Intrinsics
 
 _FRAME, _TOGETHER = 1.0 / 30.0, 1.0  # seconds
 _MARGIN, _FORGETTING = 1.5, 0.95
-"""A frame is begun 1.5 times as long before it is due as the longest of late took, which fades by 5 %."""
+"""A frame is started 1.5 times its expected duration before it is due.
+
+The expected duration is the longest recent one; it decays by 5 % per frame.
+"""
 
 
 class Beat:
-    """Lets sensors begin together, as real ones on a cable do.
+    """Starts sensors together, like real sensors on a sync cable.
 
     Args:
-        sensors: How many.
+        sensors: Number of sensors.
     """
 
     def __init__(self, sensors: int = 1) -> None:
@@ -30,7 +33,7 @@ class Beat:
         self._latest = 0.0
 
     def begin(self, clock: Callable[[], float], stopping: threading.Event) -> float:
-        """Waits for the others, a second at most; gives the moment to begin at, seconds of the clock."""
+        """Waits up to a second for the other sensors; returns the common start time, seconds of the clock."""
         with self._came:
             self._awaited -= 1
             self._latest = clock()
@@ -39,23 +42,23 @@ class Beat:
             return self._latest if all_here else clock()
 
     def wake(self) -> None:
-        """Lets who waits see that it is to stop."""
+        """Wakes the waiting threads, so that they check whether to stop."""
         with self._came:
             self._came.notify_all()
 
 
 class PacedSensor:
-    """Gives each frame of a simulated sensor when its capture time has come.
+    """Yields each frame of a simulated sensor at its capture time.
 
-    A real sensor's frame is made outside of this process. This one is therefore made in the second half of
-    the time until it is due, so that it does not compete with what is done with the frame before; earlier
-    where it takes long.
+    A real sensor makes its frames outside of this process. Simulating a frame therefore starts in the second
+    half of the interval before it is due, so that it does not compete with the processing of the previous
+    frame. It starts earlier if simulating takes longer.
 
     Args:
-        sensor: Whose frames. It is told to hurry while it does not keep pace.
-        beat: Of the sensors that begin with this one; its own where None.
-        clock: Seconds; tests put their own.
-        wait: Waits for an event at most so many seconds; tests put their own.
+        sensor: The simulated sensor. It is told to hurry while it is slower than real time.
+        beat: Shared by sensors that start together; None: this sensor starts alone.
+        clock: Returns seconds; tests inject their own.
+        wait: Waits for an event with a timeout in seconds; tests inject their own.
     """
 
     def __init__(
@@ -74,17 +77,17 @@ class PacedSensor:
 
     @property
     def body(self) -> Body:
-        """The sensor's body."""
+        """Body of the sensor."""
         return self._sensor.body
 
     @property
     def intrinsics(self) -> Intrinsics | None:
-        """The sensor's depth camera."""
+        """Intrinsics of the depth camera."""
         return self._sensor.intrinsics
 
     @property
     def warnings(self) -> Sequence[str]:
-        """Those of the sensor."""
+        """Warnings of the sensor."""
         return self._sensor.warnings
 
     def __enter__(self) -> PacedSensor:
@@ -98,12 +101,12 @@ class PacedSensor:
         self._sensor.__exit__(*exc_info)
 
     def interrupt(self) -> None:
-        """Makes ``frames`` end now."""
+        """Ends ``frames`` immediately."""
         self._stopping.set()
         self._beat.wake()
 
     def frames(self) -> Iterator[SensorFrame]:
-        """The sensor's frames, each when it is due."""
+        """Yields the frames of the sensor, each when it is due."""
         begun, longest = None, 0.0
         frames = self._sensor.frames()
         while True:
@@ -123,12 +126,12 @@ class PacedSensor:
                 return
 
     def _stops_before(self, moment: float) -> bool:
-        """Waits for a moment; says whether it was interrupted."""
+        """Waits until a time; returns whether the wait was interrupted."""
         left = moment - self._clock()
         return self._stopping.is_set() or (left > 0.0 and self._wait(self._stopping, left))
 
 
 def paced_together(*sensors: SimulatedKinect) -> list[PacedSensor]:
-    """Sensors whose frames come as far apart as they are captured."""
+    """Returns sensors that start together and play in real time."""
     beat = Beat(len(sensors))
     return [PacedSensor(sensor, beat) for sensor in sensors]

@@ -1,4 +1,4 @@
-"""Where the two simulated sensors stand and how their clocks run."""
+"""The poses and clocks of the two simulated sensors."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ class Rig:
     middle between them.
 
     Attributes:
-        angle_deg: Between the two lines of sight, seen from above, 0 to 180.
-        distance: From the origin, along the floor, metres.
-        height: Of the sensors over the floor, metres.
-        tilt_deg: How far they look down.
-        frame_seconds: Between two frames of one sensor.
-        skew_seconds: How much later B captures than A.
-        clock_offset_seconds: What B's clock shows more than A's.
-        drift_ppm: How much faster B's clock runs, in millionths.
-        dropped: Share of frames that never arrive, each sensor by itself.
+        angle_deg: Angle between the two lines of sight, seen from above, 0 to 180 degrees.
+        distance: Distance of the sensors from the origin, along the floor, metres.
+        height: Height of the sensors above the floor, metres.
+        tilt_deg: Downward tilt of the sensors, degrees.
+        frame_seconds: Frame interval of each sensor.
+        skew_seconds: Delay of B's captures after A's.
+        clock_offset_seconds: B's clock minus A's clock.
+        drift_ppm: Drift of B's clock against A's, parts per million; positive: B's clock is faster.
+        dropped: Share of dropped frames, independent for each sensor.
     """
 
     angle_deg: float = 90.0
@@ -50,7 +50,7 @@ class Rig:
 
     def world_from_sensor(self, which: int) -> RigidTransform:
         """The pose of sensor A (0) or B (1). World axes: x left of the person, y down, z backwards."""
-        # Sensor A is turned to its left, so it stands on its right of the middle: at negative x.
+        # Sensor A stands on the person's right, at negative x, and is turned towards the person's left.
         yaw = np.radians(self.angle_deg) * (0.5 if which == 0 else -0.5)
         tilt = np.radians(self.tilt_deg)
         turned = np.array(
@@ -64,15 +64,15 @@ class Rig:
 
     @property
     def a_from_b(self) -> RigidTransform:
-        """Where K_B stands in K_A's frame: the truth that registration looks for."""
+        """The true pose of K_B in K_A's frame, which registration estimates."""
         return self.world_from_sensor(0).inverse() @ self.world_from_sensor(1)
 
     def captured_at(self, which: int, frame: int) -> float:
-        """When frame number ``frame`` is captured, in true seconds."""
+        """Returns the true capture time of frame number ``frame``, in seconds."""
         return frame * self.frame_seconds + (self.skew_seconds if which == 1 else 0.0)
 
     def clock(self, which: int, seconds: float) -> int:
-        """What the sensor's clock shows at a true time, integer nanoseconds."""
+        """Returns the reading of the sensor's clock at a true time, integer nanoseconds."""
         if which == 1:
             seconds = seconds * (1.0 + 1e-6 * self.drift_ppm) + self.clock_offset_seconds
         return round(seconds * 1e9)

@@ -1,4 +1,4 @@
-"""Skeletons as CSV, one row a joint: ``time_us,body,joint,x,y,z[,state]``; metres, sensor frame."""
+"""Reads skeletons from CSV, one row per joint: ``time_us,body,joint,x,y,z[,state]``; metres, sensor frame."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fusion.skeleton import Skeleton, TrackingState
 COLUMNS = ("time_us", "body", "joint", "x", "y", "z")
 
 LATEST_US = 9 * 10**15
-"""So that times in nanoseconds fit 64 bits."""
+"""Largest time, so that nanoseconds fit into 64 bits."""
 
 _STATES = {
     **{state.name.lower(): state for state in TrackingState},
@@ -28,14 +28,14 @@ _STATES = {
 
 
 def read_csv(path: Path) -> tuple[Body, list[SensorFrame]]:
-    """The body and frames of a CSV file.
+    """Reads the body and the frames of a CSV file.
 
-    ``state`` is tracked, inferred or not_tracked, or 2, 1, 0; a file without the column has every joint
-    tracked. A joint without a row in a frame, or with an empty coordinate, is not tracked there.
+    ``state`` is tracked, inferred or not_tracked, or 2, 1, 0. Without this column every joint counts as
+    tracked. A joint is not tracked in a frame in which it has no row or an empty coordinate.
 
     Raises:
-        DeviceError: Wrong columns, an unknown joint, text where a number belongs, a row cut off, a joint
-            given twice; the message names the line.
+        DeviceError: Wrong columns, an unknown joint, text instead of a number, an incomplete row, or a
+            repeated joint; the message names the line.
     """
     raw = path.read_bytes()
     table = _table(raw, path)
@@ -78,10 +78,10 @@ def read_csv(path: Path) -> tuple[Body, list[SensorFrame]]:
 
 
 def _table(raw: bytes, path: Path) -> pa.Table:
-    """All columns as text."""
+    """Reads all columns as text."""
     if not raw.strip():
         raise DeviceError(f"{path} is empty.")
-    raw.decode("utf-8")  # raises what the caller explains
+    raw.decode("utf-8")  # raises UnicodeDecodeError, which the caller explains
     header = raw.splitlines()[0].decode("utf-8-sig")
     columns = [name.strip() for name in header.split(",")]
     missing = [name for name in COLUMNS if name not in columns]
@@ -91,7 +91,7 @@ def _table(raw: bytes, path: Path) -> pa.Table:
             f"state; the file begins with {header[:80]!r}."
         )
     if len(set(columns)) < len(columns):
-        raise DeviceError(f"{path}: a column name stands twice in {header!r}.")
+        raise DeviceError(f"{path}: {header!r} repeats a column name.")
     wrong: list[str] = []
 
     def remember(row: pyarrow.csv.InvalidRow) -> str:
@@ -114,7 +114,7 @@ def _table(raw: bytes, path: Path) -> pa.Table:
     if wrong:
         last = raw.rstrip(b"\r\n").endswith(wrong[-1].encode())
         raise DeviceError(
-            f"{path}{_line_of(raw, wrong[0])}: {wrong[0][:60]!r} has not {len(columns)} columns"
+            f"{path}{_line_of(raw, wrong[0])}: {wrong[0][:60]!r} does not have {len(columns)} columns"
             + ("; the file is cut off. Copy it again, or delete its last line." if last else ".")
         )
     return table
@@ -160,7 +160,7 @@ def _states(table: pa.Table, path: Path) -> NDArray[np.uint8]:
 
 
 def _codes(table: pa.Table, column: str) -> tuple[list[str], NDArray[np.int64]]:
-    """The distinct texts of a column, and for each row which of them it is."""
+    """Returns the distinct values of a column, and the index of each row's value."""
     encoded = pc.utf8_trim_whitespace(table[column]).combine_chunks().dictionary_encode()
     return encoded.dictionary.to_pylist(), np.asarray(encoded.indices.to_numpy(), dtype=np.int64)
 
@@ -170,12 +170,12 @@ def _refuse_repeated(slot: NDArray[np.int64], path: Path, body: Body) -> None:
     repeated = sorted_slots[1:][sorted_slots[1:] == sorted_slots[:-1]]
     if len(repeated):
         joint = body.joints[int(repeated[0]) % len(body)]
-        raise DeviceError(f"{path}: joint {joint} of one person stands twice in one frame.")
+        raise DeviceError(f"{path}: joint {joint} of one person has two rows in one frame.")
 
 
 def _refuse_cut_off(raw: bytes, table: pa.Table, frame: NDArray[np.int64], path: Path) -> None:
-    # Without a newline at the end the last value may have lost digits. Some writers leave the newline out,
-    # so it only counts where that value is shorter than others, or the last frame lacks rows.
+    # Without a newline at the end, the last value may have lost digits. Some writers omit that newline, so
+    # the file is rejected only if this value is shorter than others, or if the last frame lacks rows.
     if raw.endswith(b"\n"):
         return
     rows = np.bincount(frame)
@@ -184,6 +184,6 @@ def _refuse_cut_off(raw: bytes, table: pa.Table, frame: NDArray[np.int64], path:
     is_number = table.column_names[-1] in ("x", "y", "z")
     if (len(rows) > 1 and rows[-1] < rows[-2]) or (is_number and decimals[-1] < decimals.max()):
         raise DeviceError(
-            f"{path} seems cut off in its last line, {raw.splitlines()[-1].decode()[-40:]!r}. Copy it again; "
-            "if that line is whole, end it with a newline."
+            f"{path} seems to be cut off in its last line, {raw.splitlines()[-1].decode()[-40:]!r}. Copy it "
+            "again; if that line is complete, end it with a newline."
         )

@@ -1,4 +1,4 @@
-"""Skeletons of the NTU RGB+D data set: ``.skeleton`` text files of a Kinect v2, without times."""
+"""Reads skeletons of the NTU RGB+D data set: ``.skeleton`` text files of a Kinect v2, without times."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from fusion.body import KINECT_V2, Body
 from fusion.skeleton import Skeleton
 
 FRAME_NS = 33_333_333
-"""The files carry no times; their frames come at 30 Hz."""
+"""Frame interval. The files contain no times; the frame rate is 30 Hz."""
 
 # Camera space has x to the sensor's left and y up.
 _SENSOR_FROM_CAMERA_SPACE = np.array([-1.0, -1.0, 1.0])
 
 
 def read_ntu(path: Path) -> tuple[Body, list[SensorFrame]]:
-    """The body and frames of a ``.skeleton`` file.
+    """Reads the body and the frames of a ``.skeleton`` file.
 
     Raises:
-        DeviceError: Empty, cut off, or a line that is not what its place asks for; the message names it.
+        DeviceError: The file is empty or cut off, or has an invalid line; the message names the line.
     """
     lines = _Lines(path)
     frames = []
@@ -59,7 +59,7 @@ class _Lines:
         line = next(self._lines, "")
         if not line.strip():
             ended = "is empty" if self._number == 1 else f"is cut off at line {self._number}"
-            raise DeviceError(f"{self._path} {ended}, where a {what} should stand.")
+            raise DeviceError(f"{self._path} {ended}, where a {what} is expected.")
         return line
 
     def whole_number(self, what: str) -> int:
@@ -73,12 +73,12 @@ class _Lines:
         return number
 
     def joint(self) -> tuple[float, float, float, float]:
-        """x, y, z in camera space and the state, from a line of twelve numbers."""
+        """Reads x, y, z in camera space and the state from a line of twelve numbers."""
         line = self.take("joint")
         try:
             values = [float(value) for value in line.split()]
         except ValueError:
-            raise DeviceError(f"{self.here}: text where a number belongs, in {line[:60]!r}.") from None
+            raise DeviceError(f"{self.here}: expected numbers only; got {line[:60]!r}.") from None
         if len(values) != 12 or values[11] not in (0.0, 1.0, 2.0):
             raise DeviceError(
                 f"{self.here}: a joint has 12 numbers, the last a state 0, 1 or 2; got {line[:60]!r}. "

@@ -1,4 +1,4 @@
-"""Skeletons as Microsoft's ``offline_processor`` sample writes them: JSON, millimetres, no confidences."""
+"""Reads JSON of Microsoft's ``offline_processor`` sample: skeletons in millimetres, without confidences."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from fusion.skeleton import Skeleton
 
 
 def read_json(path: Path) -> tuple[Body, list[SensorFrame]]:
-    """The body and frames of an offline_processor file. Every joint counts as tracked.
+    """Reads the body and the frames of an offline_processor file. Every joint counts as tracked.
 
     Raises:
-        DeviceError: Not JSON, cut off, not of this layout, or a joint unknown.
+        DeviceError: The file is not JSON, is cut off, has another layout, or names an unknown joint.
     """
     text = path.read_text(encoding="utf-8-sig")
     if not text.strip():
@@ -27,7 +27,7 @@ def read_json(path: Path) -> tuple[Body, list[SensorFrame]]:
     try:
         document = json.loads(text)
     except (json.JSONDecodeError, RecursionError) as error:
-        raise DeviceError(f"{path} is not whole JSON: {error}. Was it cut off?") from None
+        raise DeviceError(f"{path} is not complete JSON: {error}. Was it cut off?") from None
     where = "the top level"
     try:
         if not isinstance(document, dict):
@@ -61,7 +61,7 @@ def _frame(frame: dict[str, Any], body: Body, joint: np.ndarray[Any, np.dtype[np
         try:
             given = np.array(person["joint_positions"], dtype=np.float64)
         except (TypeError, ValueError):
-            raise ValueError("joint_positions must be numbers, three a joint") from None
+            raise ValueError("joint_positions must be numbers, three per joint") from None
         if given.shape != (len(joint), 3):
             raise ValueError(f"joint_positions has shape {given.shape}, not ({len(joint)}, 3)")
         positions = np.full((len(body), 3), np.nan)

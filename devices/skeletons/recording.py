@@ -1,4 +1,4 @@
-"""Recorded skeletons as a sensor: ``.csv``, offline_processor ``.json``, NTU RGB+D ``.skeleton``."""
+"""Plays recorded skeletons as a sensor: ``.csv``, offline_processor ``.json``, NTU RGB+D ``.skeleton``."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Reader = Callable[[Path], tuple[Body, list[SensorFrame]]]
 READERS: MappingProxyType[str, Reader] = MappingProxyType(
     {".csv": read_csv, ".json": read_json, ".skeleton": read_ntu}
 )
-"""One reader a file name's ending. Each gives the body and the frames in time order, or a DeviceError."""
+"""The reader for each file extension. It returns body and frames in time order, or raises DeviceError."""
 
 
 class SkeletonRecording:
-    """A file of recorded skeletons, read whole when it is opened.
+    """A file of recorded skeletons; it is read completely when it is opened.
 
     Args:
-        path: The file; its ending says the format (:data:`READERS`).
+        path: The file; its extension determines the format (:data:`READERS`).
     """
 
     def __init__(self, path: Path) -> None:
@@ -38,7 +38,7 @@ class SkeletonRecording:
 
     @property
     def body(self) -> Body:
-        """The body whose joints the file names; known once it is open."""
+        """The body to which the joints of the file belong; known after opening."""
         if self._body is None:
             raise DeviceError(f"{self.name} is not open.")
         return self._body
@@ -47,12 +47,12 @@ class SkeletonRecording:
         """Reads the file.
 
         Raises:
-            DeviceError: It cannot be read, or what stands in it cannot be right.
+            DeviceError: The file cannot be read, or its content is invalid.
         """
         reader = READERS.get(self._path.suffix.lower())
         if reader is None:
             raise DeviceError(
-                f"{self.name}: {self._path.suffix or 'no ending'} is no format of recorded skeletons. "
+                f"{self.name}: {self._path.suffix or 'no ending'} is not a format of recorded skeletons. "
                 f"Known: {', '.join(READERS)}."
             )
         try:
@@ -68,9 +68,9 @@ class SkeletonRecording:
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Lets go of the frames."""
+        """Releases the frames."""
         self._frames = ()
 
     def frames(self) -> Iterator[SensorFrame]:
-        """The frames in time order."""
+        """Returns an iterator over the frames in time order."""
         return iter(self._frames)

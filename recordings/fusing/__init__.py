@@ -1,1 +1,1 @@
-"""Fusion of recordings and of live sensors into frames that a session records."""
+"""Fuses recordings and live sensors into the frames of a session."""

@@ -1,4 +1,4 @@
-"""Spells in which a view's left and right are exchanged, as events with a start and an end."""
+"""Events for the intervals in which a view reports left and right exchanged."""
 
 from __future__ import annotations
 
@@ -13,22 +13,20 @@ Told = tuple[str, str, str, Phase]
 
 
 class ExchangedSides:
-    """Tells when a view begins and stops to report left and right exchanged."""
+    """Detects when a view starts and stops reporting left and right exchanged."""
 
     def __init__(self) -> None:
         self._since_ns: dict[str, int | None] = {"A": None, "B": None}
 
     def observe(self, fused: FusedFrame) -> list[Told]:
-        """What begins or ends with the next frame."""
+        """Returns the events that start or end with the next frame."""
         told: list[Told] = []
         for sensor, code in (("A", fused.exchanged_a), ("B", fused.exchanged_b)):
             since_ns = self._since_ns[sensor]
             topic = f"exchanged_{sensor.lower()}"
             if code and since_ns is None:
                 self._since_ns[sensor] = fused.time_ns
-                text = (
-                    f"{sensor} reports left and right exchanged ({_PARTS[code & 3]}); S* has them put right."
-                )
+                text = f"{sensor} reports left and right exchanged ({_PARTS[code & 3]}); S* corrects this."
                 told.append((text, "INFO", topic, "start"))
             elif not code and since_ns is not None:
                 self._since_ns[sensor] = None
@@ -39,7 +37,7 @@ class ExchangedSides:
 
 
 def exchange_events(frames: Iterable[FusedFrame], first_ns: int) -> list[Event]:
-    """The events of frames in time order; ``first_ns`` is the time of the session's first pair."""
+    """Returns the events of frames in time order; ``first_ns`` is the time of the session's first pair."""
     sides = ExchangedSides()
     return [
         Event(number, fused.time_ns - first_ns, *told)

@@ -22,14 +22,14 @@ class LiveFusion:
     """Fuses one pair after another to S*.
 
     Args:
-        setup: To begin with.
-        calibrated: Whether to keep its calibration; else one is found while pairs come in, and refined.
-        refine: Whether a calibration that is kept is refined as well.
+        setup: Initial setup.
+        calibrated: Whether to keep its calibration; otherwise one is found while pairs arrive, and refined.
+        refine: Whether to refine a calibration that is kept.
     """
 
     def __init__(self, setup: FusionSetup, calibrated: bool = False, refine: bool = False) -> None:
         self.setup = setup
-        """What the last pair was fused with."""
+        """The setup with which the last pair was fused."""
         self.calibrator = Calibrator(setup.body, setup.calibration if calibrated or refine else None)
         self._fuser = Fuser(setup)
         self._people = PersonOfPair()
@@ -46,9 +46,9 @@ class LiveFusion:
         return self._people.chosen(pair, b_from_a)
 
     def recalibrated(self, pair: FramePair) -> bool:
-        """Whether a new calibration is used from this pair on, whose person is chosen.
+        """Returns whether a new calibration is used from this pair on.
 
-        The start-up pose gives one, or what was learned from the pairs before.
+        It comes from the start-up pose or from the learner. The person of the pair must be chosen.
         """
         found = self.calibrator.watch(pair.skeletons)
         if found is not None:
@@ -68,7 +68,7 @@ class LiveFusion:
         return True
 
     def fuse(self, pair: FramePair) -> RecordedFrame:
-        """S* of the pair, whose person is chosen; the pair then teaches the calibration."""
+        """Fuses a pair whose person is chosen; then passes the pair to the calibration learner."""
         frame = fuse_one(self._fuser, pair)
         self._told = self._sides.observe(frame.fused)
         if self._learner is not None and self.calibrator.settled:
@@ -83,7 +83,7 @@ class LiveFusion:
         return frame
 
     def told(self) -> list[Told]:
-        """What happened with the last pair: sides exchanged, a refined calibration, a sensor that moved."""
+        """Returns the events of the last pair: sides exchanged, calibration refined, sensor moved."""
         return self._told
 
 

@@ -53,15 +53,14 @@ def fuse(
     Args:
         a, b: Recordings of the principal sensor K_A, in whose frame S* is, and of the secondary one K_B:
             ``.csv``, ``.json``, ``.skeleton``, or ``.mkv`` of an Azure Kinect.
-        calibration: One made before; found in the recordings, on the start-up pose if there is one, where
-            None.
-        settings: The method's choices, but for ``hindsight``.
-        person_a, person_b: Ids of the person; in each recording the one seen longest where None.
-        skeletons_a, skeletons_b: For an ``.mkv``: skeletons saved before, in place of the body tracker.
-        depth: For an ``.mkv``: how much of its depth images the session has.
-        hindsight: What of the recording counts for the frames before it; see
-            :class:`fusion.setup.FuserSettings`.
-        refine: Whether the calibration, where it is found here, is refined over the whole recording.
+        calibration: An earlier calibration. None: calibrate on the start-up pose of the recordings, or on
+            their calmest window if there is no such pose.
+        settings: Settings of the method, except ``hindsight``.
+        person_a, person_b: Ids of the person. None: the person seen longest in each recording.
+        skeletons_a, skeletons_b: For an ``.mkv``: saved skeletons, used instead of the body tracker.
+        depth: For an ``.mkv``: how many of its depth images the session contains.
+        hindsight: How later frames are used; see :class:`fusion.setup.FuserSettings`.
+        refine: Whether a calibration found here is refined over the whole recording.
 
     Raises:
         DeviceError: A recording cannot be read or tracked, the bodies differ, or they never overlap in time.
@@ -83,13 +82,13 @@ def fuse(
 
 
 Segments = Sequence[tuple[FusionSetup, slice]]
-"""What successive stretches of a recording are fused with."""
+"""The setups of successive parts of a recording."""
 
 
 def setups_of(
     plan: RecordingPlan, settings: FuserSettings, cameras: tuple[Intrinsics | None, Intrinsics | None]
 ) -> Segments:
-    """The plan's segments with the settings and the cameras."""
+    """Returns the segments of a plan as setups with the settings and cameras."""
     return [(FusionSetup(calibration, settings, *cameras), own) for calibration, own in plan.segments]
 
 
@@ -98,12 +97,12 @@ def fuse_segments(
 ) -> Iterator[RecordedFrame]:
     """Fuses a recording with the calibration of each segment.
 
-    The method ``duplex`` remembers what came before a segment; the paper's methods begin each anew.
+    The method ``duplex`` keeps its state from segment to segment; the paper's methods start each one anew.
 
     Args:
-        segments: In order, without gaps.
-        pairs: Of all segments.
-        codes: (T, 2) which sides are exchanged; found pair by pair where None.
+        segments: Segments in order, without gaps.
+        pairs: Pairs of all segments.
+        codes: (T, 2) exchange codes; None: found pair by pair.
     """
     fuser: Fuser | None = None
     for setup, own in segments:
@@ -124,7 +123,7 @@ def fuse_segments(
 
 
 def fuse_one(fuser: Fuser, pair: FramePair, codes: tuple[int, int] | None = None) -> RecordedFrame:
-    """Fuses a pair and takes the time; ``codes`` as in :meth:`fusion.fuser.Fuser.update`."""
+    """Fuses a pair and measures the time; ``codes`` as in :meth:`fusion.fuser.Fuser.update`."""
     before = time.perf_counter_ns()
     fused = fuser.update(pair.skeletons, codes)
     return RecordedFrame(pair, fused, time.perf_counter_ns() - before)
@@ -143,12 +142,12 @@ def fused_session(
 
     Args:
         read: The recordings.
-        plan: What was found out about them.
-        segments: What they were fused with.
-        frames: What came of it.
-        sources: What the recordings are called.
-        depth: How much of the depth images it has; they are read from the recordings when asked for.
-        progress: Shows how far reading those is.
+        plan: Plan of the recordings.
+        segments: Setups with which they were fused.
+        frames: Fused frames.
+        sources: Names of the recordings.
+        depth: How many depth images the session contains; they are read from the recordings on demand.
+        progress: Shows the progress of reading the depth images.
     """
     first_ns = read.pairing.pairs[0].time_ns
     return Session.of(
@@ -163,7 +162,7 @@ def fused_session(
 
 
 def _events_of(read: TwoRecordings, plan: RecordingPlan, segments: Segments, first_ns: int) -> list[Event]:
-    """Calibrations, warnings, and what the learner noticed, in time order."""
+    """Returns calibrations, warnings and events of the learner, in time order."""
     pairs = read.pairing.pairs
     times = np.array([pair.time_ns for pair in pairs], dtype=np.int64)
     said = []

@@ -103,7 +103,7 @@ def test_a_tracker_on_the_cpu_needs_no_gpu(monkeypatch: pytest.MonkeyPatch, tmp_
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     gpu = _by_name(device_checks(TrackerSettings(processing="cpu"), tmp_path))["GPU"]
     assert (gpu.ok, gpu.needed) == (False, False)
-    assert "about one frame a second" in gpu.advice
+    assert "about one frame per second" in gpu.advice
     assert "duplex fuse" in gpu.advice
 
 

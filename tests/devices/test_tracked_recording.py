@@ -92,7 +92,7 @@ def test_saved_skeletons_join_the_frame_of_their_time(path: Path) -> None:
     with RecordingWithSkeletons(MkvRecording(path), _Saved(times)) as source:
         frames = list(source.frames())
         assert source.body is KINECT_V2
-        assert source.warnings == ["b.mkv: 1 of 6 frames found no saved skeleton."]
+        assert source.warnings == ["b.mkv: 1 of 6 frames have no saved skeleton."]
     assert [list(frame.people) for frame in frames] == [["0"], ["1"], [], ["2"], ["3"], ["4"]]
     assert all(frame.depth is not None for frame in frames)
 

@@ -210,7 +210,7 @@ def test_pairing_has_the_interval_of_the_cameras(
 def test_on_a_cpu_it_says_that_frames_are_few(capsys: pytest.CaptureFixture[str]) -> None:
     two_kinects(LiveOptions(principal="000123", processing="cpu"), Console())
     said = " ".join(capsys.readouterr().out.split())
-    assert "about one frame a second" in said
+    assert "about one frame per second" in said
     assert "duplex fuse a.mkv b.mkv" in said
 
 

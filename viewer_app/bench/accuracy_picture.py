@@ -1,4 +1,4 @@
-"""The picture of ``duplex bench accuracy``: MPJPE of each method, by movement."""
+"""The chart of ``duplex bench accuracy``: MPJPE of each method, by movement."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from viewer_app.output_files import whole_file
 
 
 def draw(outcomes: list[Outcome], path: Path) -> None:
-    """Writes the picture as a PNG.
+    """Writes the chart as a PNG.
 
     Raises:
         UsageError: The file cannot be written.
@@ -44,7 +44,7 @@ def draw(outcomes: list[Outcome], path: Path) -> None:
         )
     axes.set_xticks(np.arange(len(motions)), motions)
     axes.set_ylabel("MPJPE (mm)")
-    axes.set_title("Distance from the true joints, by movement (bars: deviation over angles and seeds)")
+    axes.set_title("Distance from the true joints, by movement (error bars: SD over angles and seeds)")
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(ncols=min(len(methods), 6), frameon=False, fontsize=9, loc="outside lower center")
     with whole_file(path) as partial:

@@ -39,7 +39,7 @@ def run(options: BenchRealOptions) -> None:
     """Carries out the command.
 
     Raises:
-        DeviceError, FusionError, UsageError: With one line for the person who asked.
+        DeviceError, FusionError, UsageError: With a one-line message for the user.
     """
     console = Console()
     if options.json is not None:
@@ -70,7 +70,7 @@ def run(options: BenchRealOptions) -> None:
 
 
 def recordings_of(paths: Sequence[Path]) -> dict[str, tuple[Path, Path]]:
-    """The pairs of recordings at the given paths, by name.
+    """Returns the pairs of recordings at the given paths, by name.
 
     Args:
         paths: Folders that hold two recordings ``a`` and ``b`` of one format; or two recordings.
@@ -100,7 +100,7 @@ def recordings_of(paths: Sequence[Path]) -> dict[str, tuple[Path, Path]]:
 
 
 def measure(body: Body, skeletons: Sequence[SkeletonPair], *, faults: bool) -> dict[str, float]:
-    """All figures of one recording by name, in SI.
+    """Computes all figures of one recording, by name, in SI.
 
     Raises:
         FusionError: The recording is too short, or cannot be calibrated.
@@ -125,7 +125,7 @@ def measure(body: Body, skeletons: Sequence[SkeletonPair], *, faults: bool) -> d
 
 
 def fuse_pair(body: Body, skeletons: Sequence[SkeletonPair]) -> FusedPair:
-    """What the program makes of a recording with its default settings."""
+    """Fuses a recording as the program does with its default settings."""
     settings = FuserSettings(hindsight="labels")
     plan = plan_recording(body, skeletons, settings)
     pairs = [FramePair(None, None, pair) for pair in skeletons]
@@ -148,7 +148,7 @@ def fuse_pair(body: Body, skeletons: Sequence[SkeletonPair]) -> FusedPair:
 
 
 def fault_share(pair: FusedPair, skeletons: Sequence[SkeletonPair], fault: Fault, side: str) -> float:
-    """The share of a fault in one view that reaches S*, mean over FAULTY_PLACES."""
+    """Computes the share of a fault in one view that reaches S*, averaged over FAULTY_PLACES."""
     view = getattr(pair, side)
     shares = []
     for place in FAULTY_PLACES:
@@ -164,8 +164,10 @@ def fault_share(pair: FusedPair, skeletons: Sequence[SkeletonPair], fault: Fault
 def _with_view(
     skeletons: Sequence[SkeletonPair], side: str, positions: NDArray[np.float64], frames: range
 ) -> list[SkeletonPair]:
-    """The pairs with the joints of one view moved in some frames; a joint that gets a position becomes
-    tracked."""
+    """Replaces the joints of one view in some frames.
+
+    A joint without a position becomes tracked if it gets one.
+    """
     changed = list(skeletons)
     for k in frames:
         skeleton: Skeleton | None = getattr(skeletons[k], side)
@@ -178,7 +180,7 @@ def _with_view(
 
 
 def mean_of(rows: dict[str, dict[str, float]]) -> dict[str, float]:
-    """The mean of each figure over the recordings that have it."""
+    """Computes the mean of each figure over the recordings that have it."""
     names = dict.fromkeys(name for row in rows.values() for name in row)
     known = {name: [row[name] for row in rows.values() if np.isfinite(row[name])] for name in names}
     return {name: float(np.mean(values)) if values else np.nan for name, values in known.items()}

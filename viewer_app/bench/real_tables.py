@@ -38,7 +38,7 @@ _HELD_OUT: dict[str, Column] = {
 
 
 def real_tables(rows: dict[str, dict[str, float]], faults: Sequence[str]) -> list[Table]:
-    """All figures of all recordings, and their means."""
+    """Makes the tables of all figures of all recordings, with means."""
     tables = [
         _table("Second difference of a joint (mm per frame²), and steps above 150 mm", _MOTION, rows),
         _table("Facing against the motion above 0.8 m/s; registration against a robust fit", _FACING, rows),

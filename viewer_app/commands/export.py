@@ -1,4 +1,4 @@
-"""``duplex export``: S* for other programs."""
+"""``duplex export``: writes S* in formats of other programs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def run(options: ExportOptions) -> None:
     """Carries out the command.
 
     Raises:
-        RecordingError, UsageError: With one line for the person who asked.
+        RecordingError, UsageError: With a one-line message for the user.
     """
     console = Console()
     write = writer_for(options.to, options.table)

@@ -103,8 +103,8 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
     )
     if options.processing == "cpu":
         console.print(
-            "A CPU tracks about one frame a second, and so both sensors give no more: for a fused session "
-            "record with k4arecorder, then duplex fuse a.mkv b.mkv.",
+            "A CPU tracks only about one frame per second of both sensors. To fuse every frame, "
+            "record with k4arecorder, then run duplex fuse a.mkv b.mkv.",
             style="yellow",
             highlight=False,
         )

@@ -1,4 +1,4 @@
-"""A session's depth images, passed on to the viewer as they are read."""
+"""Passes the depth images of a session to the viewer while they are read."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from viewer_app.sinks.viewer_sink import ViewerSink
 
 
 class ShownImages:
-    """A session's images; reading a depth image shows it.
+    """The images of a session; each depth image is shown when it is read.
 
     Args:
-        session: Whose images.
-        viewer: Where they are shown.
+        session: The session.
+        viewer: The viewer that shows the depth images.
     """
 
     def __init__(self, session: Session, viewer: ViewerSink) -> None:
         self._session, self._viewer = session, viewer
 
     def depth(self, side: str, frames: range) -> Images[NDArray[np.uint16]]:
-        """Shown one by one."""
+        """Returns depth images that are shown one by one while they are read."""
 
         def made() -> Iterator[tuple[int, NDArray[np.uint16]]]:
             for k, image in self._session.images.depth(side, frames):
@@ -35,5 +35,5 @@ class ShownImages:
         return MadeImages(made)
 
     def color(self, side: str, frames: range) -> Images[ColorImage]:
-        """Not shown."""
+        """Returns colour images without showing them."""
         return self._session.images.color(side, frames)

@@ -9,7 +9,13 @@ from dataclasses import dataclass
 
 @dataclass(eq=False)
 class Capture:
-    """Images captured together, as recorded; times in ns from the file's start."""
+    """The images of one capture, as recorded.
+
+    Attributes:
+        at_ns: Time from the start of the file.
+        depth, ir, color: Content of each packet; None if the image is missing.
+        color_off_ns: Absolute time difference between the colour and the depth image.
+    """
 
     at_ns: int
     depth: bytes
@@ -19,7 +25,13 @@ class Capture:
 
 
 class Captures:
-    """Gathers packets into captures: streams are interleaved, and colour may be some ms off depth."""
+    """Groups packets into captures.
+
+    The packets of the streams are interleaved. A colour image may differ from its depth image by some ms.
+
+    Args:
+        reach_ns: Largest time difference between a depth image and the other images of its capture.
+    """
 
     def __init__(self, reach_ns: int) -> None:
         self._reach_ns = reach_ns
@@ -27,6 +39,7 @@ class Captures:
         self._early: list[tuple[str, int, bytes]] = []
 
     def add(self, title: str, at_ns: int, data: bytes) -> None:
+        """Adds a packet to its capture; a packet that precedes its depth image waits for it."""
         if title == "DEPTH":
             self._open.append(Capture(at_ns, data))
             early, self._early = self._early, []
@@ -43,13 +56,13 @@ class Captures:
             nearest.color, nearest.color_off_ns = data, off_ns
 
     def complete(self, newest_ns: float) -> list[Capture]:
-        """The captures that no packet can join any more, once one of ``newest_ns`` was read."""
+        """Removes and returns the captures that no packet after ``newest_ns`` can belong to."""
         done = [capture for capture in self._open if capture.at_ns < newest_ns - 2 * self._reach_ns]
         self._open = [capture for capture in self._open if capture not in done]
         return sorted(done, key=lambda capture: capture.at_ns)
 
     def gather(self, packets: Iterator[tuple[str, int, bytes]]) -> Iterator[Capture]:
-        """The captures of a file in capture order, from its packets."""
+        """Groups the packets of a file and yields its captures in capture order."""
         newest = 0
         for title, at_ns, data in packets:
             self.add(title, at_ns, data)

@@ -1,8 +1,8 @@
-"""Azure Kinect recordings (.mkv), read without any SDK.
+"""Reads Azure Kinect recordings (.mkv) without an SDK.
 
-A recording is a Matroska file with the streams COLOR (JPEG), DEPTH and IR (raw 16 bit, big-endian), IMU
-(one sample a packet), and the factory calibration as an attachment. Device time is the packet's time
-plus the start offset in the file's metadata.
+A recording is a Matroska file with the streams COLOR (JPEG), DEPTH and IR (raw 16 bit, big-endian) and IMU
+(one sample per packet). The factory calibration is an attachment. Device time is the packet's time plus the
+start offset in the file's metadata.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _IMU_SAMPLE = struct.Struct("<Q3fQ3f")
 
 @dataclass(frozen=True)
 class ImuSample:
-    """One sample of the sensor's inertial unit, in its own axes.
+    """One sample of the inertial measurement unit (IMU), in its own axes.
 
     Attributes:
-        time_ns: When the acceleration was measured, on the sensor's clock.
+        time_ns: Time of the acceleration, on the sensor's clock.
         acceleration: x, y, z in m/s².
-        gyro_time_ns: When the rotation was measured.
+        gyro_time_ns: Time of the angular velocity, on the sensor's clock.
         angular_velocity: x, y, z in rad/s.
     """
 
@@ -44,19 +44,19 @@ class ImuSample:
 
 @dataclass(frozen=True, eq=False)
 class MkvInfo:
-    """What a recording says about itself, and about the sensor that made it.
+    """Metadata of a recording and of its sensor.
 
     Attributes:
-        serial: The sensor's serial number; empty if the file does not say.
+        serial: The sensor's serial number; empty if the file has none.
         depth_mode: A key of ``DEPTH_MODES``.
-        color_mode: A key of ``COLOR_MODES``; None without colour in a supported mode.
+        color_mode: A key of ``COLOR_MODES``; None if the recording has no colour in a supported mode.
         sync_mode: ``STANDALONE``, ``MASTER`` or ``SUBORDINATE``.
-        subordinate_delay_ns: How much later than the master a subordinate captures.
+        subordinate_delay_ns: Delay of a subordinate's captures after the master's.
         start_offset_ns: Device time of the file's time 0.
         interval_ns: Time between two frames.
-        duration_ns: From the file's time 0 to its last frame; 0 where the file was never closed.
-        calibration: The cameras' calibration, in these modes.
-        calibration_json: The same as the sensor stores it, for the SDK.
+        duration_ns: Time from the start of the file to its last frame; 0 if the file was never closed.
+        calibration: Calibration of the cameras in these modes.
+        calibration_json: The JSON that the sensor stores, for the SDK.
     """
 
     serial: str
@@ -72,22 +72,22 @@ class MkvInfo:
 
 
 class MkvRecording:
-    """A recorded Azure Kinect: a :class:`~devices.sensor.Sensor` without people in its frames.
+    """A recording of an Azure Kinect: a :class:`~devices.sensor.Sensor` whose frames have no people.
 
     Attributes:
         name: The file's name.
-        body: The Azure Kinect's body: what a body tracker makes of these frames.
-        intrinsics: Of the depth camera; None before opening.
-        info: What the recording says about itself; None before opening.
-        warnings: What is wrong with the file although frames could be read: cut off, damaged frames.
+        body: The joints that a body tracker finds in these frames: the Azure Kinect's.
+        intrinsics: Intrinsics of the depth camera; None before opening.
+        info: Metadata of the recording; None before opening.
+        warnings: Faults of a file that is still readable: cut off, damaged frames.
     """
 
     def __init__(self, path: Path | str, color: bool = True) -> None:
-        """Names the file; opens nothing.
+        """Stores the path without opening the file.
 
         Args:
-            path: The recording.
-            color: Whether to give colour images.
+            path: Path of the recording.
+            color: Whether frames include colour images.
         """
         self.path = Path(path)
         self.name = self.path.name
@@ -100,7 +100,7 @@ class MkvRecording:
         self._begun, self._described = False, 0
 
     def __enter__(self) -> MkvRecording:
-        """Opens the recording and reads what it says about itself.
+        """Opens the recording and reads its metadata.
 
         Raises:
             DeviceError: No such file, no Azure Kinect recording, or an unsupported depth mode.
@@ -123,17 +123,17 @@ class MkvRecording:
             self._container = None
 
     def frames(self) -> Iterator[SensorFrame]:
-        """The recorded frames in capture order: depth with its infrared image and the nearest colour image.
+        """Yields the recorded frames in capture order: depth, infrared and the nearest colour image.
 
-        A file cut off by a crash gives the complete frames it has; what is missing is in ``warnings``. Each
-        call starts at the first frame.
+        If a crash cut the file off, its complete frames are yielded and ``warnings`` states what is missing.
+        Each call starts at the first frame.
 
         Raises:
-            DeviceError: The recording is not open, or holds not one complete frame.
+            DeviceError: The recording is not open, or has no complete frame.
         """
         if self._container is None or self.info is None:
             raise DeviceError(f"{self.name} is not open: use it in a with statement.")
-        if self._begun:  # one that is under way keeps the file that it reads
+        if self._begun:  # an iterator that is still in use keeps its own open file
             self._container = self._open()
             del self.warnings[self._described :]
         self._begun = True
@@ -146,13 +146,13 @@ class MkvRecording:
         self._judge(given, last_ns, missing, info)
 
     def imu(self) -> Iterator[ImuSample]:
-        """The samples of the inertial unit, in a pass of its own over the file; none if it was off."""
+        """Yields the IMU samples in a separate pass over the file; none if the IMU was off."""
         container = self._open()
         try:
             for _, _, data in self._packets({"IMU"}, container):
                 if len(data) >= _IMU_SAMPLE.size:
-                    at, ax, ay, az, gyro_at, gx, gy, gz = _IMU_SAMPLE.unpack_from(data)
-                    yield ImuSample(at, (ax, ay, az), gyro_at, (gx, gy, gz))
+                    time_ns, ax, ay, az, gyro_time_ns, gx, gy, gz = _IMU_SAMPLE.unpack_from(data)
+                    yield ImuSample(time_ns, (ax, ay, az), gyro_time_ns, (gx, gy, gz))
         finally:
             container.close()
 
@@ -183,7 +183,7 @@ class MkvRecording:
         depth = tags["K4A_DEPTH_MODE"]
         mode = depth_mode(depth)
         stream = streams["DEPTH"]
-        # A stream whose head is damaged has no size at all.
+        # A stream with a damaged header has no size.
         width, height = getattr(stream, "width", 0), getattr(stream, "height", 0)
         if (width, height) != (mode.width, mode.height):
             raise DeviceError(
@@ -222,7 +222,7 @@ class MkvRecording:
         )
 
     def _images(self, info: MkvInfo) -> Iterator[tuple[str, int, bytes]]:
-        """The packets of the cameras that hold a whole image."""
+        """Yields the packets of the cameras that contain a whole image."""
         mode = depth_mode(info.depth_mode)
         whole = 2 * mode.width * mode.height
         wanted = {"COLOR", "DEPTH", "IR"} if info.color_mode is not None else {"DEPTH", "IR"}
@@ -231,7 +231,7 @@ class MkvRecording:
                 yield title, at_ns, data
 
     def _packets(self, titles: set[str], container: Any = None) -> Iterator[tuple[str, int, bytes]]:
-        """(stream title, ns from the file's start, content), as far as the file can be read."""
+        """Yields (stream title, ns from the file's start, content) up to the first unreadable packet."""
         import av
 
         container = self._container if container is None else container
@@ -265,7 +265,7 @@ class MkvRecording:
             )
         if missing:
             self.warnings.append(f"{self.name}: {missing} of {given} frames lack their infrared image.")
-        # The length is written when a recording is closed, so a file cut off says more, or nothing.
+        # Closing a recording writes its duration: 0 means never closed, too long means truncated later.
         if info.duration_ns == 0 or info.duration_ns - last_ns > 1.5 * info.interval_ns:
             said = f" of {info.duration_ns / 1e9:.1f} s" if info.duration_ns else ""
             self.warnings.append(

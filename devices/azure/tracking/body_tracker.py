@@ -1,7 +1,7 @@
-"""Microsoft's body tracker, libk4abt 1.1, by its C interface.
+"""Calls Microsoft's body tracker, libk4abt 1.1, through its C interface.
 
-The tracker works on captures of its own process's libk4a, given as pointers: those of pyk4a for a live
-sensor (``devices.azure.kinect``), or made from a recording's images
+The tracker takes pointers to captures of the libk4a in the same process. For a live sensor they come from
+pyk4a (``devices.azure.kinect``); for a recording they are made from its images
 (``devices.azure.tracking.recorded_captures``).
 """
 
@@ -29,7 +29,7 @@ _ORIENTATIONS = {"default": 0, "clockwise90": 1, "counterclockwise90": 2, "flip1
 _SUCCEEDED, _TIMEOUT = 0, 2
 _NO_BODY = 0xFFFFFFFF
 _JOINT = np.dtype([("position", "<f4", 3), ("orientation", "<f4", 4), ("confidence", "<i4")])
-# Confidence none, low, medium, high; none is out of range, low is predicted and not observed.
+# Confidence none, low, medium, high: none is out of range; low is predicted, not observed.
 _STATES = np.array(
     [TrackingState.NOT_TRACKED, TrackingState.INFERRED, *[TrackingState.TRACKED] * 2], np.uint8
 )
@@ -37,16 +37,17 @@ _STATES = np.array(
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """How the body tracker runs.
+    """Settings of the body tracker.
 
     Attributes:
-        processing: Where its network runs. CPU gives about one frame a second.
-        gpu: Which GPU, where there are several.
-        smoothing: Temporal smoothing 0..1. 0 leaves the skeletons as they are, which fusion needs.
+        processing: Where the network runs. On a CPU it processes about one frame per second.
+        gpu: Index of the GPU, if there are several.
+        smoothing: Temporal smoothing 0..1. Fusion needs 0, which leaves the skeletons unchanged.
         orientation: How the sensor is mounted.
-        model: Its network's file; the tracker's own choice where None.
-        library: libk4abt itself; the system's where None.
-        timeout_s: How long one frame may take. The first may take ten times as long, as it loads the network.
+        model: File of the network; the tracker's default if None.
+        library: File of libk4abt; found by the system if None.
+        timeout_s: Longest time for one frame. The first frame may take ten times as long, because the
+            network is loaded.
     """
 
     processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
@@ -60,10 +61,10 @@ class TrackerSettings:
 
 @dataclass(frozen=True)
 class TrackedBodies:
-    """What the tracker found in one capture.
+    """The people that the tracker found in one capture.
 
     Attributes:
-        time_ns: Capture time of its depth image, on the sensor's clock.
+        time_ns: Capture time of the depth image, on the sensor's clock.
         people: Skeletons by body id.
     """
 
@@ -81,10 +82,10 @@ class _Configuration(ctypes.Structure):
 
 
 class BodyTracker:
-    """One tracker for one sensor: captures go in, bodies come out, in order.
+    """A tracker for one sensor. It returns the bodies of each capture, in the order of the captures.
 
-    Building one opens nothing. Use it from one thread at a time; its waits are finite, and other threads run
-    meanwhile.
+    The constructor opens nothing. Use a tracker from one thread at a time. Each wait has a timeout and
+    releases the GIL.
     """
 
     def __init__(self, settings: TrackerSettings | None = None) -> None:
@@ -94,13 +95,15 @@ class BodyTracker:
         self._results = 0
 
     def open(self, calibration: int) -> None:
-        """Starts the tracker; loading its network takes seconds, with TensorRT minutes the first time.
+        """Starts the tracker and loads its network.
+
+        Loading takes seconds; the first time with TensorRT, minutes.
 
         Args:
             calibration: Address of the sensor's ``k4a_calibration_t`` (1032 bytes).
 
         Raises:
-            DeviceError: No library, no network, no GPU, or settings out of range.
+            DeviceError: The library, network or GPU is missing, or a setting is out of range.
         """
         self.close()
         settings = self.settings
@@ -129,13 +132,13 @@ class BodyTracker:
         self._library, self._tracker, self._results = library, tracker, 0
 
     def enqueue(self, capture: int) -> None:
-        """Gives the tracker a capture; it keeps a reference of its own.
+        """Passes a capture to the tracker, which takes its own reference.
 
         Args:
             capture: A ``k4a_capture_t`` with depth and infrared.
 
         Raises:
-            DeviceError: The tracker is closed, refuses the capture, or has taken none for ``timeout_s``.
+            DeviceError: The tracker is closed, rejects the capture, or accepts none within ``timeout_s``.
         """
         library = self._opened()
         status = library.k4abt_tracker_enqueue_capture(self._tracker, capture, self._timeout_ms())
@@ -148,13 +151,13 @@ class BodyTracker:
             )
 
     def pop(self, wait_s: float | None = None) -> TrackedBodies | None:
-        """The next capture's bodies.
+        """Returns the bodies of the next capture.
 
         Args:
-            wait_s: How long to wait before giving None; where None, ``timeout_s``, and then an error.
+            wait_s: Longest wait, after which None is returned. None: wait ``timeout_s``, then raise.
 
         Raises:
-            DeviceError: The tracker is closed, failed, or stalls.
+            DeviceError: The tracker is closed, has failed, or stalls.
         """
         library, frame = self._opened(), c_void_p()
         wait_ms = self._timeout_ms() if wait_s is None else round(wait_s * 1000)
@@ -189,7 +192,7 @@ class BodyTracker:
 
     @property
     def patience_s(self) -> float:
-        """How long the next result may take before the tracker counts as stalled."""
+        """Time without a result after which the tracker counts as stalled."""
         return self.settings.timeout_s * (1 if self._results else 10)
 
     def _timeout_ms(self) -> int:
@@ -203,10 +206,10 @@ class BodyTracker:
 
 
 def check_smoothing(smoothing: float) -> None:
-    """Finds out whether the tracker takes this temporal smoothing.
+    """Checks that temporal smoothing is within the range of the tracker.
 
     Raises:
-        DeviceError: It does not.
+        DeviceError: It is outside 0..1.
     """
     if not 0.0 <= smoothing <= 1.0:
         raise DeviceError(f"Smoothing is 0 to 1, not {smoothing}. 0 leaves skeletons as they are.")

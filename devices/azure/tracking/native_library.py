@@ -1,4 +1,4 @@
-"""Finding a vendor's C library."""
+"""Finds and loads the C libraries of a vendor."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _LINUX_NAMES = {
 
 
 def load_library(name: str, path: Path | None, advice: str) -> ctypes.CDLL:
-    """Loads a library from the path given, or by the system's own rules.
+    """Loads a library from a path, or from where the system finds it.
 
     Args:
         name: ``k4abt`` or ``k4a``.
-        path: The file; None for the system's search (on Windows also the SDKs' own folders).
-        advice: The way out, for the message.
+        path: The file. None: search as the system does, on Windows also in the folders of the SDKs.
+        advice: What the user can do; appended to the error message.
 
     Raises:
-        DeviceError: There is none, or it cannot be loaded: a library it needs is missing, for instance.
+        DeviceError: The library is missing or cannot be loaded, e.g. because a dependency is missing.
     """
     if path is not None and not path.is_file():
         raise DeviceError(f"No library at {path}. {advice}")
@@ -46,7 +46,10 @@ def load_library(name: str, path: Path | None, advice: str) -> ctypes.CDLL:
 
 
 def loaded_file(name: str) -> Path | None:
-    """Where a library lies that this process has loaded; None if it has not, or the system does not say."""
+    """Returns the path of a library that this process has loaded.
+
+    None if it is not loaded, or if the system has no ``/proc/self/maps``.
+    """
     try:
         lines = Path("/proc/self/maps").read_text(errors="replace").splitlines()
     except OSError:

@@ -1,6 +1,6 @@
-"""Recorded images as captures of libk4a, which is what the body tracker takes.
+"""Converts recorded images to captures of libk4a, the input of the body tracker.
 
-Only for recordings: a live sensor's captures come from pyk4a.
+Only recordings need this: the captures of a live sensor come from pyk4a.
 """
 
 from __future__ import annotations
@@ -28,17 +28,19 @@ class CaptureMaker:
     """Makes captures of libk4a from images.
 
     Raises:
-        DeviceError: On building, when there is no libk4a.
+        DeviceError: The constructor finds no libk4a.
     """
 
     def __init__(self, library: Path | None = None) -> None:
         self._library = _declare(load_library("k4a", library, _INSTALL))
 
     def calibration(self, text: bytes, depth_mode: str) -> ctypes.Array[ctypes.c_char]:
-        """The ``k4a_calibration_t`` of a sensor's calibration JSON; keep it while its address is in use.
+        """Converts a sensor's calibration JSON to a ``k4a_calibration_t``.
+
+        Keep the returned buffer alive while its address is in use.
 
         Raises:
-            DeviceError: The SDK refuses it.
+            DeviceError: The SDK rejects the calibration.
         """
         result = ctypes.create_string_buffer(CALIBRATION_SIZE)
         raw = text.rstrip(b"\0") + b"\0"
@@ -53,10 +55,10 @@ class CaptureMaker:
 
     @contextmanager
     def capture(self, frame: SensorFrame) -> Iterator[int]:
-        """A ``k4a_capture_t`` with a frame's depth and infrared, released when the block ends.
+        """Yields a ``k4a_capture_t`` with a frame's depth and infrared; releases it at the end of the block.
 
         Raises:
-            DeviceError: The frame lacks one of the two, or memory ran out.
+            DeviceError: The frame lacks one of the two images, or memory ran out.
         """
         if frame.depth is None or frame.ir is None:
             raise DeviceError("The body tracker needs depth and infrared; this frame lacks one of them.")
@@ -80,7 +82,7 @@ class CaptureMaker:
         height, width = image.shape
         _must(library.k4a_image_create(kind, width, height, 2 * width, byref(handle)))
         whole = np.ascontiguousarray(image, dtype=np.uint16)
-        # Copied, so that the tracker may keep the image longer than we keep the array.
+        # A copy, because the tracker may keep the image longer than the array exists.
         ctypes.memmove(library.k4a_image_get_buffer(handle), whole.ctypes.data, whole.nbytes)
         library.k4a_image_set_device_timestamp_usec(handle, time_ns // 1000)
         return handle

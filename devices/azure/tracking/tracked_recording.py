@@ -1,4 +1,4 @@
-"""Recorded sensors with people: the body tracker runs over their frames, or saved skeletons join them."""
+"""Recordings with people in their frames: found by the body tracker, or read from saved skeletons."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from fusion.intrinsics import Intrinsics
 
 
 class TrackedRecording:
-    """A recording and libk4abt over it: a :class:`~devices.sensor.Sensor`.
+    """A recording tracked by libk4abt: a :class:`~devices.sensor.Sensor`.
 
-    Every frame is tracked, at the tracker's pace. A frame without infrared comes without people.
+    Every frame is tracked, at the tracker's speed. A frame without infrared has no people.
 
     Attributes:
         name, body, intrinsics, warnings: The recording's.
@@ -29,12 +29,12 @@ class TrackedRecording:
     def __init__(
         self, recording: MkvRecording, settings: TrackerSettings | None = None, libk4a: Path | None = None
     ) -> None:
-        """Names what to track; opens nothing.
+        """Stores the recording without opening it.
 
         Args:
-            recording: The frames.
-            settings: How the tracker runs.
-            libk4a: The Sensor SDK's library; the system's where None.
+            recording: The recording to track.
+            settings: Settings of the tracker.
+            libk4a: File of the Sensor SDK's library; found by the system if None.
         """
         self.recording = recording
         self.name: str = recording.name
@@ -50,7 +50,7 @@ class TrackedRecording:
         """Opens the recording, then the tracker.
 
         Raises:
-            DeviceError: Either cannot be opened.
+            DeviceError: One of them cannot be opened.
         """
         self.recording.__enter__()
         try:
@@ -72,10 +72,10 @@ class TrackedRecording:
         self.recording.__exit__(*exc_info)
 
     def frames(self) -> Iterator[SensorFrame]:
-        """The recording's frames with the people in them, in capture order.
+        """Yields the frames of the recording with the people in them, in capture order.
 
         Raises:
-            DeviceError: The tracker or the recording failed; frames before the failure were given.
+            DeviceError: The tracker or the recording failed, after the frames before the failure.
         """
         if self._maker is None:
             raise DeviceError(f"{self.name} is not open: use it in a with statement.")
@@ -92,15 +92,15 @@ class TrackedRecording:
 
 
 class RecordingWithSkeletons:
-    """A recording's images and skeletons saved before, joined by capture time: a Sensor.
+    """A recording whose images are joined with saved skeletons by capture time: a Sensor.
 
     Attributes:
         name, intrinsics: The recording's.
-        warnings: The recording's, and how many frames found no skeleton of their time.
+        warnings: The recording's, and the number of frames without a saved skeleton.
     """
 
     def __init__(self, recording: MkvRecording, skeletons: Sensor) -> None:
-        """Names the two sources; opens nothing. Their times must be on the same clock: the sensor's."""
+        """Stores the two sources without opening them; the times of both must be on the sensor's clock."""
         self.recording, self.skeletons = recording, skeletons
         self.name: str = recording.name
         self.intrinsics: Intrinsics | None = None
@@ -108,14 +108,14 @@ class RecordingWithSkeletons:
 
     @property
     def body(self) -> Body:
-        """The saved skeletons'; known once it is open."""
+        """The body of the saved skeletons; known after opening."""
         return self.skeletons.body
 
     def __enter__(self) -> RecordingWithSkeletons:
-        """Opens both.
+        """Opens both sources.
 
         Raises:
-            DeviceError: Either cannot be opened.
+            DeviceError: One of them cannot be opened.
         """
         self.recording.__enter__()
         try:
@@ -127,15 +127,15 @@ class RecordingWithSkeletons:
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        """Closes both."""
+        """Closes both sources."""
         self.skeletons.__exit__(*exc_info)
         self.recording.__exit__(*exc_info)
 
     def frames(self) -> Iterator[SensorFrame]:
-        """The recording's frames, each with the people saved nearest to its time, within half a frame.
+        """Yields each frame with the saved people nearest in time, at most half a frame interval away.
 
         Raises:
-            DeviceError: Either source failed, or not one frame found its skeletons: another recording's.
+            DeviceError: A source failed, or no frame has saved skeletons: they are of another recording.
         """
         saved = sorted(self.skeletons.frames(), key=lambda frame: frame.time_ns)
         times = [frame.time_ns for frame in saved]
@@ -156,7 +156,7 @@ class RecordingWithSkeletons:
         if found == 0:
             raise DeviceError(
                 f"No skeleton of {self.skeletons.name} falls on a frame of {self.name}: the saved skeletons "
-                f"are of another recording, or timed by another clock. Name the files that belong together."
+                f"are of another recording or on another clock. Name the files that belong together."
             )
         if found < total:
-            self.warnings.append(f"{self.name}: {total - found} of {total} frames found no saved skeleton.")
+            self.warnings.append(f"{self.name}: {total - found} of {total} frames have no saved skeleton.")

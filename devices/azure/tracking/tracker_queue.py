@@ -1,4 +1,4 @@
-"""The queue of frames in the body tracker."""
+"""The queue of frames that the body tracker is processing."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from dataclasses import replace
 from devices.azure.tracking.body_tracker import BodyTracker
 from devices.sensor import SensorFrame
 
-_AT_WORK = 2  # frames in the tracker: it runs the network on one while it fits the skeletons of the other
+_AT_WORK = 2  # frames in the tracker: the network runs on one while skeletons are fitted to the other
 
 
 class TrackerQueue:
     """Joins each frame with the people that the tracker finds in it.
 
-    The tracker works on its own threads. If it needs longer than ``wait_s``, frames come out one or two
-    captures later; otherwise at once.
+    The tracker works on its own threads. If it needs longer than ``wait_s``, a frame is yielded one or two
+    captures later.
     """
 
     def __init__(
@@ -27,25 +27,25 @@ class TrackerQueue:
         took: Callable[[int], object] = lambda _: None,
         clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
-        """Joins one sensor's frames with an open tracker's results.
+        """Makes an empty queue for the frames of one sensor.
 
         Args:
-            tracker: Open; nothing enqueued but what goes through here.
-            wait_s: How long to wait for the newest frame's people before going on to the next frame.
-            took: Told how long the tracker worked on each frame, in ns: since the frame went in, or since
-                the result before it where that came later.
-            clock: Nanoseconds; tests put their own.
+            tracker: An open tracker that gets captures from this queue only.
+            wait_s: Longest wait for the people of the newest frame.
+            took: Called with the tracker's processing time of each frame, ns. It is counted from the frame's
+                entry or from the previous result, whichever is later.
+            clock: Returns nanoseconds; tests inject their own.
         """
         self._tracker = tracker
         self._wait_s = wait_s
         self._took, self._clock = took, clock
-        self._inside: OrderedDict[int, tuple[SensorFrame, int]] = OrderedDict()  # with the time of entry
+        self._inside: OrderedDict[int, tuple[SensorFrame, int]] = OrderedDict()  # frame and time of entry, ns
         self._result_ns: int | None = None
-        self._waited_s = 0.0  # for the oldest frame, in waits that ended without a result
+        self._waited_s = 0.0  # total wait for the oldest frame without a result
 
     @property
     def empty(self) -> bool:
-        """Whether the tracker has nothing to work on."""
+        """Whether the tracker has no frames to process."""
         return not self._inside
 
     @property
@@ -54,17 +54,19 @@ class TrackerQueue:
         return len(self._inside) >= _AT_WORK
 
     def put(self, frame: SensorFrame, capture: int) -> None:
-        """Gives the tracker a frame's capture (a ``k4a_capture_t``).
+        """Passes the capture of a frame (a ``k4a_capture_t``) to the tracker.
 
         Raises:
-            DeviceError: The tracker refuses it or stalls.
+            DeviceError: The tracker rejects the capture or stalls.
         """
         self._tracker.enqueue(capture)
-        # The tracker knows times in whole microseconds.
+        # The tracker stores times in whole microseconds.
         self._inside[frame.time_ns // 1000] = frame, self._clock()
 
     def done(self) -> Iterator[SensorFrame]:
-        """The frames whose people are found; waits for one only while more than two are at work.
+        """Yields the frames whose people are known.
+
+        It waits longer than ``wait_s`` only while the tracker holds more than two frames.
 
         Raises:
             DeviceError: The tracker failed or stalls.
@@ -76,7 +78,7 @@ class TrackerQueue:
                 return
 
     def flush(self) -> Iterator[SensorFrame]:
-        """The rest of the frames, waiting for each.
+        """Yields the remaining frames and waits for each.
 
         Raises:
             DeviceError: The tracker failed or stalls.
@@ -92,7 +94,7 @@ class TrackerQueue:
         self._waited_s = 0.0
         time_us = bodies.time_ns // 1000
         if time_us not in self._inside:
-            return True  # a result from before a restart
+            return True  # a result of a frame from before a restart
         while self._inside:
             at_us, (frame, went_in_ns) = self._inside.popitem(last=False)
             if at_us == time_us:

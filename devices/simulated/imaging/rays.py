@@ -1,7 +1,6 @@
-"""Rays from a sensor to capsules: the compiled loops of rendering and visibility.
+"""Casts rays from a sensor to capsules: the compiled loops of rendering and visibility.
 
-They stand in one file because numba's cache of a compiled function does not notice that another file,
-whose function it calls, has changed.
+They are in one file because numba's cache does not detect a change in another file whose function it calls.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from fusion.compiling.kernels import njit
 
 @njit()
 def capsule_depth(dx, dy, dz, s):  # type: ignore[no-untyped-def]
-    """Where the ray t·d from the origin first meets capsule s, in t; infinity where it does not."""
+    """Returns the smallest t at which the ray t·d hits capsule s; infinity if it misses."""
     bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
     dd = dx * dx + dy * dy + dz * dz
     bb = bx * bx + by * by + bz * bz
@@ -44,7 +43,7 @@ def capsule_depth(dx, dy, dz, s):  # type: ignore[no-untyped-def]
 
 @njit()
 def share_seen(joints, shapes, flesh):  # type: ignore[no-untyped-def]
-    """(J,) share of nine rays to and about each joint that meet no surface well before it; see flesh."""
+    """Returns (J,) the share of nine rays around each joint that hit no surface far before it; see flesh."""
     rays = 9
     seen = np.zeros(len(joints))
     for j in range(len(joints)):
@@ -52,7 +51,7 @@ def share_seen(joints, shapes, flesh):  # type: ignore[no-untyped-def]
         distance = np.sqrt(x * x + y * y + z * z)
         if z <= 0.0:
             continue
-        # Two directions across the ray.
+        # Two directions perpendicular to the ray.
         ux, uz = z / np.sqrt(x * x + z * z), -x / np.sqrt(x * x + z * z)
         vx, vy, vz = y * uz / distance, (z * ux - x * uz) / distance, -y * ux / distance
         before = 1.0 - (1.4 * flesh[j] + 0.03) / distance
@@ -73,7 +72,7 @@ def share_seen(joints, shapes, flesh):  # type: ignore[no-untyped-def]
 
 @njit()
 def _span(x, z, r, f, c, size):  # type: ignore[no-untyped-def]
-    """Pixels that a sphere can touch along one axis of the image."""
+    """Returns the first and last pixel that a sphere can cover along one axis of the image."""
     if z - r <= 0.05:
         return 0, size - 1
     low, high = x - r, x + r
@@ -84,7 +83,7 @@ def _span(x, z, r, f, c, size):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def cast(shapes, planes, fx, fy, cx, cy, z, label, cosine):  # type: ignore[no-untyped-def]
-    """Fills z, label and cosine with what each pixel's ray meets first; see rendering.surface."""
+    """Fills z, label and cosine with the first hit of each pixel's ray; see rendering.surface."""
     height, width = z.shape
     for k in range(len(shapes)):
         s = shapes[k]

@@ -1,4 +1,4 @@
-"""Depth images of a person, a floor and a wall, as a time-of-flight sensor gives them."""
+"""Renders depth images of a person, a floor and a wall, with the errors of a time-of-flight sensor."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 
 WALL_Z = 1.5
-"""The wall stands behind the person: the plane z = 1.5 m of the world. The floor is y = 0."""
+"""The wall behind the person is the plane z = 1.5 m of the world. The floor is y = 0."""
 BACKGROUND = -1
-"""The label of a pixel that shows no capsule."""
+"""Label of a pixel without a capsule."""
 
 
 @dataclass(frozen=True)
 class DepthErrors:
-    """How a depth image differs from the surface.
+    """The errors of a depth image.
 
     Attributes:
         noise: Standard deviation of a pixel at 0 m, metres.
-        noise_growth: What is added to it per square metre of distance.
-        grazing: A surface seen at less than this cosine gives no reading.
-        edge_loss: Share of pixels without a reading where the depth jumps.
-        nearest, farthest: Range of readings, metres. The sensor is specified to 3.86 m but reads bright
-            surfaces farther out.
+        noise_growth: Growth of the noise with the square of the distance, metres per square metre.
+        grazing: Smallest cosine between ray and surface normal at which there is a reading.
+        edge_loss: Share of pixels without a reading at depth discontinuities.
+        nearest, farthest: Range of readings, metres. The specified range ends at 3.86 m, but the sensor
+            measures bright surfaces farther away.
     """
 
     noise: float = 0.0008
@@ -41,12 +41,12 @@ class DepthErrors:
 
     @staticmethod
     def none() -> DepthErrors:
-        """Every surface where it is, to the millimetre of the image."""
+        """Returns no errors but the rounding of the image to millimetres."""
         return DepthErrors(0.0, 0.0, 0.0, 0.0, 0.0, 65.0)
 
 
 def halved(intrinsics: Intrinsics) -> Intrinsics:
-    """The same camera with two by two pixels made one."""
+    """Returns the intrinsics of the same camera with 2 × 2 binning."""
     return replace(
         intrinsics,
         width=intrinsics.width // 2,
@@ -61,19 +61,19 @@ def halved(intrinsics: Intrinsics) -> Intrinsics:
 def surface(
     shapes: Array, sensor_from_world: RigidTransform, intrinsics: Intrinsics
 ) -> tuple[NDArray[np.float32], NDArray[np.int8], NDArray[np.float32]]:
-    """What each pixel's ray meets first.
+    """Computes the first surface on each pixel's ray.
 
     Args:
-        shapes: (K, 7) capsules in the sensor's frame, as ``flesh.capsules``.
-        sensor_from_world: Where the floor and the wall are.
-        intrinsics: An ideal lens: distortion is left out.
+        shapes: (K, 7) capsules in the sensor's frame; see ``body_surface.capsules``.
+        sensor_from_world: Transform that places the floor and the wall.
+        intrinsics: Intrinsics of the camera; distortion is ignored.
 
     Returns:
-        (height, width) depth z in metres, infinite where there is nothing; the index of the capsule, or
-        BACKGROUND; and the cosine between ray and surface normal.
+        Three (height, width) arrays: depth z in metres, infinite without a surface; the index of the capsule,
+        or BACKGROUND; and the cosine between ray and surface normal.
     """
     R, t = sensor_from_world.rotation, sensor_from_world.translation
-    # A plane n·x = h of the sensor's frame: the floor's normal is the world's y, the wall's is z.
+    # Planes n·x = h in the sensor's frame: the normal is the world's y for the floor and z for the wall.
     planes = np.array([(*R[:, 1], R[:, 1] @ t), (*R[:, 2], R[:, 2] @ t + WALL_Z)])
     size = (intrinsics.height, intrinsics.width)
     z, label = np.full(size, np.inf, dtype=np.float32), np.full(size, BACKGROUND, dtype=np.int8)
@@ -86,7 +86,7 @@ def surface(
 def depth_image(
     z: NDArray[np.float32], cosine: NDArray[np.float32], errors: DepthErrors, random: np.random.Generator
 ) -> NDArray[np.uint16]:
-    """(height, width) uint16 millimetres, 0 where there is no reading, from what :func:`surface` gave."""
+    """Converts the result of :func:`surface` to (height, width) uint16 millimetres; 0 without a reading."""
     normal = random.standard_normal(z.shape, dtype=np.float32)
     uniform = random.random(z.shape, dtype=np.float32)
     image = np.zeros(z.shape, dtype=np.uint16)

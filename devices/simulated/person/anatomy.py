@@ -1,11 +1,11 @@
-"""One person's rigid segments and landmarks, from which every Kinect body is taken.
+"""The rigid segments and landmarks of a person, which include the joints of every Kinect body.
 
-World frame: x to the person's left when the heading is zero, y down, z backwards; the floor is y = 0.
-A sensor that looks along +z at a person of heading zero has the same axes. At rest every segment's
-rotation is the identity: standing upright, arms hanging, palms inwards.
+World frame: x to the person's left at heading zero, y down, z backwards; the floor is y = 0. A sensor that
+looks along +z at a person of heading zero has the same axes. At rest every segment has the identity rotation:
+the person stands upright with hanging arms and palms inwards.
 
-Segments turn only about joints that all three bodies share, so that every bone of every body has
-exactly one length: the upper trunk, from the navel to the shoulders and the neck, is one segment.
+Segments rotate only about joints that all three bodies have. Every bone of every body therefore has a
+constant length. The upper trunk, from the navel to the shoulders and the neck, is one segment.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from fusion.body import Body
 Array = NDArray[np.float64]
 
 REFERENCE_HEIGHT = 1.75
-"""The stature, in metres, that the tables of this package are written for; a person scales them."""
+"""The stature, in metres, of the tables in this package. They are scaled to the stature of a person."""
 
-# segment: (parent segment, landmark it turns about)
+# segment: (parent segment, landmark that it rotates about)
 _SEGMENTS: dict[str, tuple[str, str]] = {
     "pelvis": ("", "PELVIS"),
     "trunk": ("pelvis", "SPINE_NAVEL"),
@@ -87,9 +87,9 @@ _LANDMARKS = _landmark_table()
 LANDMARKS = tuple(_LANDMARKS)
 INDEX = {name: i for i, name in enumerate(LANDMARKS)}
 FOOT_HEIGHT = 0.020
-"""How high the FOOT landmark stands over the floor when the foot is flat, metres at reference height."""
+"""Height of the FOOT landmark above the floor when the foot is flat, metres at reference height."""
 
-# Only the joints that are not spelled as Azure spells them, case and underscores aside.
+# Only joints whose spelling differs from Azure's by more than case and underscores.
 _SYNONYMS = {
     "hipcenter": "PELVIS",
     "spine": "SPINE_NAVEL",
@@ -102,19 +102,19 @@ _SYNONYMS = {
 
 @cache
 def landmarks_of(body: Body) -> NDArray[np.int64]:
-    """(J,) which landmark each joint of the body is."""
+    """Returns (J,) the landmark index of each joint."""
     plain = {name.replace("_", "").lower(): i for name, i in INDEX.items()}
     plain |= {synonym: INDEX[name] for synonym, name in _SYNONYMS.items()}
     return np.array([plain[joint.replace("_", "").lower()] for joint in body.joints], dtype=np.int64)
 
 
 def offset(name: str) -> Array:
-    """(3,) a landmark's offset at rest from the landmark it is measured from, metres."""
+    """Returns (3,) a landmark's rest offset from its reference landmark, metres."""
     return np.array(_LANDMARKS[name][2])
 
 
 def length(name: str) -> float:
-    """The distance of a landmark from the landmark it is measured from, metres."""
+    """Returns the distance of a landmark from its reference landmark, metres."""
     return float(np.linalg.norm(offset(name)))
 
 
@@ -123,15 +123,15 @@ class Pose:
     """T poses of one person at reference height.
 
     Attributes:
-        pelvis: (T, 3) the pelvis in the world.
-        rotations: Per segment (T, 3, 3) ``world_from_segment``.
+        pelvis: (T, 3) positions of the pelvis in the world, metres.
+        rotations: (T, 3, 3) ``world_from_segment`` of each segment.
     """
 
     pelvis: Array
     rotations: dict[str, Array]
 
     def landmarks(self, names: tuple[str, ...] = LANDMARKS) -> Array:
-        """(T, N, 3) the landmarks in the world, metres, each carried by its segment."""
+        """Returns (T, N, 3) the landmarks in the world, metres."""
         at: dict[str, Array] = {"PELVIS": self.pelvis}
         for name, (segment, origin, rest) in _LANDMARKS.items():
             if name != "PELVIS" and origin in at and segment in self.rotations:
@@ -139,23 +139,23 @@ class Pose:
         return np.stack([at[name] for name in names], axis=1)
 
 
-# --- rotations: (T,) angles to (T, 3, 3), in the frame of the module's first lines ---
+# --- rotations: (T,) angles to (T, 3, 3), in the world frame of the module docstring ---
 
 
 def turn(left: Array) -> Array:
-    """Turned to the person's left by an angle."""
+    """Returns rotations to the person's left by an angle."""
     c, s, o, i = np.cos(left), np.sin(left), np.zeros_like(left), np.ones_like(left)
     return _matrix((c, o, -s), (o, i, o), (s, o, c))
 
 
 def bow(forward: Array) -> Array:
-    """The upper end leaning forwards by an angle (of a foot: toes down)."""
+    """Returns rotations that move the upper end forwards by an angle (of a foot: toes down)."""
     c, s, o, i = np.cos(forward), np.sin(forward), np.zeros_like(forward), np.ones_like(forward)
     return _matrix((i, o, o), (o, c, -s), (o, s, c))
 
 
 def lean(left: Array) -> Array:
-    """The upper end leaning to the person's left by an angle."""
+    """Returns rotations that move the upper end to the person's left by an angle."""
     c, s, o, i = np.cos(left), np.sin(left), np.zeros_like(left), np.ones_like(left)
     return _matrix((c, -s, o), (s, c, o), (o, o, i))
 
@@ -165,30 +165,31 @@ def _matrix(*rows: tuple[Array, Array, Array]) -> Array:
 
 
 def unit(vectors: Array) -> Array:
-    """(…, 3) vectors of length one."""
+    """Returns (…, 3) the vectors normalized to length one."""
     norms: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.maximum(norms, 1e-12)
 
 
 def along(down: Array, back: Array) -> Array:
-    """(T, 3, 3) rotation of a segment with its long axis (y) along ``down`` and z nearest to ``back``."""
+    """Returns (T, 3, 3) rotations with the long axis (y) along ``down`` and z closest to ``back``."""
     y = unit(down)
     z = unit(back - y * np.sum(back * y, axis=-1, keepdims=True))
     return np.stack((np.cross(y, z), y, z), axis=-1)
 
 
 def two_bones(target: Array, pole: Array, first: float, second: float) -> tuple[Array, Array, Array]:
-    """Two bones from the origin towards a target, bent towards the pole (law of cosines).
+    """Solves the inverse kinematics of two bones from the origin to a target (law of cosines).
 
-    The reach saturates smoothly below the stretched limb: at full stretch the bend would change
-    infinitely fast with the distance.
+    The reach saturates smoothly below the length of the straight limb, because the derivative of the bend by
+    the distance is infinite at full stretch.
 
     Args:
-        target, pole: (T, 3) end of the second bone, and the side on which the middle joint lies.
-        first, second: The bones' lengths.
+        target: (T, 3) desired end of the second bone.
+        pole: (T, 3) direction towards which the middle joint bends.
+        first, second: Lengths of the bones.
 
     Returns:
-        (T, 3) the middle joint, (T, 3) the end, and (T, 3) the unit axis that the middle joint bends about.
+        (T, 3) the middle joint, (T, 3) the end, and (T, 3) the unit rotation axis of the middle joint.
     """
     reach = first + second
     soft, hard = 0.97 * reach, 0.998 * reach

@@ -1,4 +1,4 @@
-"""The person's surface: capsules over the skeleton, and which joints a sensor can see past them."""
+"""The person's surface as capsules, and the visibility of joints behind it."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ _RADIUS = np.array([row[3] for row in _ROWS])
 
 
 def capsules(landmarks: Array, height: float = REFERENCE_HEIGHT) -> Array:
-    """The person's surface.
+    """Computes the capsules of the person's surface.
 
     Args:
-        landmarks: (N, 3) in any frame, metres.
+        landmarks: (N, 3) landmarks in any frame, metres.
         height: The person's stature, metres.
 
     Returns:
-        (K, 7) a capsule a row: both ends and the radius, metres, in the landmarks' frame.
+        (K, 7) one capsule per row: both ends and the radius, metres, in the frame of the landmarks.
     """
     ends = landmarks[_FROM] + _SHARE[:, None] * (landmarks[_TO] - landmarks[_FROM])
     radii = _RADIUS[:, None] * (height / REFERENCE_HEIGHT)
@@ -68,10 +68,10 @@ def capsules(landmarks: Array, height: float = REFERENCE_HEIGHT) -> Array:
 
 @cache
 def flesh_over(body: Body) -> Array:
-    """(J,) how deep each joint lies under the skin at reference height, metres; at least 15 mm.
+    """Returns (J,) the depth of each joint under the skin at reference height, metres; at least 15 mm.
 
-    Measured as a sensor would: on the start-up pose, from in front and up to 60 degrees from either side,
-    the lower quartile of what lies before the joint.
+    It is the lower quartile of the depth along the rays of a sensor: in the start-up pose, from in front and
+    up to 60 degrees from either side.
     """
     standing = MOTIONS["startup"].landmarks(0.0)[0]
     joints, shapes = standing[anatomy.landmarks_of(body)], capsules(standing)
@@ -90,16 +90,17 @@ _AFAR = 3.0  # metres
 
 
 def visibility(joints: Array, shapes: Array, flesh: Array, intrinsics: Intrinsics) -> NDArray[np.float64]:
-    """How much of each joint's surface a sensor sees, without rendering an image.
+    """Computes the visible share of each joint's surface without rendering an image.
 
-    Rays go from the sensor to a disc about the joint; one sees the joint when the first surface it meets
-    is the joint's own skin: not farther before the joint than the flesh over it is thick, and some.
+    Rays are cast from the sensor to a disc around the joint. A ray sees the joint if the first surface that
+    it hits is the skin over the joint: the distance from there to the joint is at most the depth of the
+    joint under the skin plus a margin.
 
     Args:
-        joints: (J, 3) in the sensor's frame, metres.
+        joints: (J, 3) joints in the sensor's frame, metres.
         shapes: (K, 7) the person's capsules in the sensor's frame.
-        flesh: (J,) how deep each joint lies under the skin, metres.
-        intrinsics: A joint outside the image is not seen.
+        flesh: (J,) depth of each joint under the skin, metres.
+        intrinsics: Intrinsics of the camera; a joint outside the image is not visible.
 
     Returns:
         (J,) share of the rays that see the joint, 0 to 1.

@@ -1,8 +1,8 @@
-"""Motion capture from a BVH file, carried by the simulated person's segments.
+"""Applies motion capture from a BVH file to the segments of the simulated person.
 
-The file's skeleton gives the direction of every segment and the lengths of the limbs are the simulated
-person's own, so that the bones of all three bodies are exact, whatever the file's spine and collars do.
-Joints that motion capture has not (hand tips, thumbs, nose, eyes, ears) ride on their segments.
+The directions of the segments come from the file. The lengths of the limbs are those of the simulated person,
+so that the bone lengths of all three bodies are exact for any spine and collars in the file. Joints that
+motion capture lacks (hand tips, thumbs, nose, eyes, ears) are fixed to their segments.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from fusion.body import Body
 
 _BLEND_SECONDS = 1.5
 
-# What we need of a file's skeleton, by the names of the common rigs (CMU, Mixamo, Rokoko, Xsens), best first.
+# Required joints, by their names in common rigs (CMU, Mixamo, Rokoko, Xsens), in order of preference.
 _NAMES = {"root": ("hips", "hip", "pelvis", "root"), "neck": ("neck", "neck1"), "head": ("head",)}
 _SIDED_NAMES = {
     "shoulder": ("shldr", "arm", "upperarm", "uparm", "shoulder"),
@@ -45,11 +45,11 @@ _OPTIONAL = {
 
 @dataclass(frozen=True, eq=False)
 class CapturedMotion:
-    """Where every joint of a captured person is at any time; after the file's end it stands still.
+    """The joints of a captured person as a function of time; after the end of the file they stand still.
 
     Attributes:
         name: The file's name.
-        seconds: Length, the start-up pose included.
+        seconds: Duration, including the start-up pose.
     """
 
     name: str
@@ -59,7 +59,7 @@ class CapturedMotion:
     _axes: CubicSpline
 
     def landmarks(self, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
-        """(T, N, 3) all landmarks in the world, metres, of a person of this stature."""
+        """Returns (T, N, 3) all landmarks in the world, metres, of a person of this stature."""
         t = np.atleast_1d(np.asarray(times, dtype=np.float64))
         captured = np.clip(t - self._begins, 0.0, self._pelvis.x[-1])
         axes = self._axes(captured).reshape(len(t), len(_AXES), 2, 3)
@@ -76,7 +76,7 @@ class CapturedMotion:
         return marks * (height / anatomy.REFERENCE_HEIGHT)
 
     def joints(self, body: Body, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
-        """(T, J, 3) the joints of one body in the world, metres."""
+        """Returns (T, J, 3) the joints of one body in the world, metres."""
         return self.landmarks(times, height)[:, anatomy.landmarks_of(body)]
 
 
@@ -84,14 +84,16 @@ _AXES = anatomy.SEGMENTS
 
 
 def read_bvh(path: Path, *, startup: bool = True) -> CapturedMotion:
-    """A movement from a BVH file (y up, facing z, any unit: the legs are scaled to the simulated person's).
+    """Reads a movement from a BVH file (y up, facing z).
+
+    The file may use any unit: it is scaled so that its legs match those of the simulated person.
 
     Args:
-        path: The file.
-        startup: Begin with the start-up pose, and pass from it into the captured movement.
+        path: The BVH file.
+        startup: Whether to begin with the start-up pose and blend into the captured movement.
 
     Raises:
-        DeviceError: The file cannot be read, or its skeleton lacks a limb we need.
+        DeviceError: The file cannot be read, or its skeleton lacks a required joint.
     """
     skeleton = _read(path)
     frames, middle = _segments(skeleton, path)
@@ -99,13 +101,13 @@ def read_bvh(path: Path, *, startup: bool = True) -> CapturedMotion:
     first = _first_frame(axes)
     axes, middle = axes[first:], middle[first:]
     frames = {segment: (y[first:], z[first:]) for segment, (y, z) in frames.items()}
-    # The person first faces between the sensors, and the middle of the way is the world's origin.
+    # At first the person faces the middle between the sensors. The centre of the path is the world's origin.
     ahead = -along(*frames["pelvis"])[0, :, 2]
     back = anatomy.turn(np.array([-np.arctan2(ahead[0], -ahead[2])]))[0]
     axes, middle = axes @ back.T, middle @ back.T
     middle -= 0.5 * (middle.min(axis=0) + middle.max(axis=0)) * (1.0, 0.0, 1.0)
     rotations = {s: along(axes[:, k, 0], axes[:, k, 1]) for k, s in enumerate(_AXES)}
-    # Our pelvis stands over the file's hips: its own root may lie anywhere near them.
+    # Place our pelvis at the file's hips, because the file's root may lie anywhere near them.
     pelvis = middle - rotations["pelvis"] @ (0.5 * (offset("HIP_LEFT") + offset("HIP_RIGHT")))
     lowest = Pose(pelvis, rotations).landmarks()[:, _TOES, 1].max(axis=1)
     pelvis[:, 1] -= np.percentile(lowest, 95) + anatomy.FOOT_HEIGHT
@@ -124,7 +126,7 @@ _TOES = [anatomy.INDEX["FOOT_LEFT"], anatomy.INDEX["FOOT_RIGHT"]]
 
 
 def _first_frame(axes: Array) -> int:
-    """Where the movement begins: many files come from the rig's rest pose within their first frames."""
+    """Returns the first frame of the movement, after the rest pose in which many files begin."""
     changes = np.abs(np.diff(axes, axis=0)).mean(axis=(1, 2, 3))
     jumps = changes[:10] > 3.0 * np.percentile(changes, 90)
     return int(np.argmin(jumps)) if not jumps.all() else 0
@@ -136,7 +138,7 @@ class _Captured:
 
     positions: dict[str, Array]
     rotations: dict[str, Array]
-    ends: dict[str, Array]  # the first child's position, or the end site's
+    ends: dict[str, Array]  # position of the first child, or of the end site
     frame_seconds: float
 
 
@@ -148,14 +150,14 @@ def _read(path: Path) -> _Captured:
     try:
         _check_whole(path.read_text(encoding="utf-8"))
         container = bvhio.readAsBvh(str(path))
-    except Exception as error:  # whatever its parser met
+    except Exception as error:  # the parser raises errors of many types
         raise DeviceError(
             f"{path} cannot be read as BVH: {str(error)[:200]}. Choose another file."
         ) from error
     if container.FrameCount < 4:
         raise DeviceError(f"{path} has {container.FrameCount} frames; a movement needs at least 4.")
     if not 0.0 < float(container.FrameTime) < 1.0:
-        raise DeviceError(f"{path} has {container.FrameTime} s a frame; it must be above 0 and below 1.")
+        raise DeviceError(f"{path} has {container.FrameTime} s per frame; it must be above 0 and below 1.")
     found = _Captured({}, {}, {}, float(container.FrameTime))
     ours = np.array((1.0, -1.0, -1.0))  # y up, left +x, front +z → y down, left +x, front −z
 
@@ -182,7 +184,7 @@ def _read(path: Path) -> _Captured:
 
 
 def _check_whole(text: str) -> None:
-    """The reader waits for ever for what a file lacks that is cut off."""
+    """Rejects a file that is cut off, because bvhio would wait forever for its missing part."""
     skeleton, _, motion = text.partition("MOTION")
     if not skeleton.strip() or skeleton.count("{") != skeleton.count("}"):
         raise ValueError("its skeleton is cut off")
@@ -192,7 +194,7 @@ def _check_whole(text: str) -> None:
 
 
 def _segments(skeleton: _Captured, path: Path) -> tuple[dict[str, tuple[Array, Array]], Array]:
-    """Per segment its long axis and its back, each (T, 3); and the middle of the hips, (T, 3) metres."""
+    """Returns the long axis and back of each segment, each (T, 3), and the hip centre, (T, 3) metres."""
     names = {key: _find(skeleton, path, key, alternatives) for key, alternatives in _NAMES.items()}
     for side, prefixes in (("LEFT", ("left", "l")), ("RIGHT", ("right", "r"))):
         for key, alternatives in (_SIDED_NAMES | _OPTIONAL).items():
@@ -232,7 +234,7 @@ def _segments(skeleton: _Captured, path: Path) -> tuple[dict[str, tuple[Array, A
         )
         ankle = names[f"ankle_{side}"]
         toes_back = joint[f"ankle_{side}"] - skeleton.ends[ankle]
-        # The ankle-to-toes line of our foot slopes by this much when the foot is flat.
+        # The slope of our ankle-to-toes line when the foot is flat.
         flat = np.cross(toes_back, np.cross(skeleton.rotations[ankle] @ down, toes_back))
         frames |= {
             f"upper_arm_{side}": (unit(upper), edge),
@@ -249,7 +251,7 @@ def _segments(skeleton: _Captured, path: Path) -> tuple[dict[str, tuple[Array, A
 
 
 def _level(down: Array, back: Array) -> tuple[Array, Array]:
-    """The foot's axes, from the perpendicular of the ankle-to-toes line and that line."""
+    """Returns the axes of the foot from the ankle-to-toes line and its perpendicular."""
     _, drop, ahead = offset("FOOT_LEFT")
     slope = np.arctan2(drop, -ahead)
     return np.cos(slope) * down - np.sin(slope) * back, np.cos(slope) * back + np.sin(slope) * down

@@ -1,4 +1,4 @@
-"""Walking along a closed path: footsteps planted on it, the pelvis above them, arms against legs."""
+"""Walking along a closed path: footsteps on the path, the pelvis above them, arms opposite to the legs."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from devices.simulated.person.footsteps import FEET_APART, FEET_AT_EASE, Footste
 from devices.simulated.person.motion import CHANNELS, STANDING, Motion, channels
 
 _STRIDE_SECONDS = 1.15  # two steps
-_SWING = 0.38  # share of a stride that a foot is off the floor
-_FIRST_STANCE = 0.44  # seconds until the body stands over the left foot; the right is about to leave
-_HALF_WIDTH = 0.075  # of the track, metres
+_SWING = 0.38  # share of a stride in which a foot is off the floor
+_FIRST_STANCE = 0.44  # seconds until the body is above the left foot and the right foot leaves the floor
+_HALF_WIDTH = 0.075  # half the distance between the feet, metres
 
 
 def walking(name: str, length: float, strides: int) -> Motion:
-    """Walking a loop to the left and one to the right, each through every heading.
+    """Makes a walk of a loop to the left and a loop to the right, each through all headings.
 
     Args:
-        name: What to call it.
-        length: Of a round, both loops together, metres.
-        strides: How many to a round.
+        name: Name of the movement.
+        length: Length of both loops together, metres.
+        strides: Number of strides in both loops.
     """
     path, heading = _two_loops(length, strides * _STRIDE_SECONDS)
     period = strides * _STRIDE_SECONDS
 
     def stance(step: int) -> Stance:
-        """Where step number ``step`` is planted: beside the path at the middle of its stance phase."""
+        """Returns the stance of step number ``step``: beside the path at the middle of its stance phase."""
         time = _middle_of_stance(step)
         at, facing = path(np.mod(time, period)), float(heading(time))
         aside = _HALF_WIDTH * (1.0 if step % 2 == 0 else -1.0)
-        ahead = 0.13  # the toes stand before the ankle, which stands below the pelvis
+        ahead = 0.13  # distance of the toes in front of the ankle, which is below the pelvis
         x = at[0] + aside * np.cos(facing) + ahead * np.sin(facing)
         z = at[1] + aside * np.sin(facing) - ahead * np.cos(facing)
         return Stance(float(x), float(z), facing + (0.1 if step % 2 == 0 else -0.1))
@@ -44,7 +44,7 @@ def walking(name: str, length: float, strides: int) -> Motion:
     def loop(phase: Array) -> Array:
         rows = np.tile(channels(STANDING), (len(phase), 1))
         going = smooth(phase / 0.8)
-        beat = 2.0 * np.pi * (phase - _FIRST_STANCE) / _STRIDE_SECONDS  # left mid-stance at 0
+        beat = 2.0 * np.pi * (phase - _FIRST_STANCE) / _STRIDE_SECONDS  # 0 at the middle of the left stance
         facing = heading(phase)
         sway = 0.022 * going * np.cos(beat)
         along_path = path(np.mod(phase, period))
@@ -66,7 +66,7 @@ def walking(name: str, length: float, strides: int) -> Motion:
 
     numbers = range(-2, 2 * strides + 3)
     every = Footsteps((stance(-4), stance(-3)), tuple(footstep(k) for k in numbers))
-    # The first round starts from standing: its first steps are those that leave the floor after phase 0.
+    # The first round starts from standing, with the first steps that leave the floor after phase 0.
     first = tuple(s for s in map(footstep, numbers) if s.start - 0.4 * (s.end - s.start) > 0.0)
     begin = (stance(0), FEET_AT_EASE[1])
     arrive = Footsteps(
@@ -76,15 +76,15 @@ def walking(name: str, length: float, strides: int) -> Motion:
 
 
 def _middle_of_stance(step: int) -> float:
-    """When the body passes over step number ``step``; even steps are left."""
+    """Returns the time at which the body passes above step number ``step``; even steps are left."""
     return 0.5 * step * _STRIDE_SECONDS + _FIRST_STANCE
 
 
 def _two_loops(length: float, period: float) -> tuple[CubicSpline, CubicSpline]:
-    """The path (x, z) and the heading to the left over time, at constant speed, heading 0 at time 0.
+    """Computes the path (x, z) and the heading to the left over time, at constant speed, heading 0 at time 0.
 
-    One oval loop to the left, then its mirror image to the right. With θ the share of a loop times 2π, the
-    heading is θ − ½ sin 2θ: no curvature where the loops touch, and any such loop closes.
+    The path is an oval loop to the left, then its mirror image to the right. With θ the share of a loop times
+    2π, the heading is θ − ½ sin 2θ. This loop is closed, and its curvature is zero where the loops touch.
     """
     share = np.linspace(0.0, 1.0, 2001)
     theta = 2.0 * np.pi * np.where(share < 0.5, 2.0 * share, 2.0 - 2.0 * share)

@@ -1,8 +1,8 @@
-"""A person's movement as a function of time: controls, keyframes and footsteps, and the limbs that follow.
+"""A person's movement as a function of time: control channels, keyframes, footsteps and inverse kinematics.
 
-A movement says where the pelvis, the trunk, the head, the wrists and the toes go; elbows and knees follow
-(two bones each). Toes stay where they are planted, so feet do not slide. Every movement begins with the
-start-up pose, standing still, so that the program can calibrate, and then repeats its loop for ever.
+A movement defines the pelvis, the trunk, the head, the wrists and the toes. Elbows and knees follow by
+inverse kinematics of two bones. Toes stay where they are planted, so feet do not slide. Every movement begins
+with the start-up pose, standing still, so that the program can calibrate. Then it repeats its loop.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from devices.simulated.person.footsteps import ARRIVE_AT_EASE, Footsteps, smooth
 from fusion.body import Body
 
 STARTUP_SECONDS = 2.5
-"""How long the start-up pose is held."""
+"""Duration of the start-up pose."""
 _BLEND_SECONDS = 1.2
 
 # name: (first channel, number of channels)
 _WIDTHS = {
-    "place": 2,  # pelvis in the plane: to the left and to the back of the world, metres
-    "height": 1,  # pelvis over the floor, metres
+    "place": 2,  # position of the pelvis on the floor: left and back in the world, metres
+    "height": 1,  # height of the pelvis above the floor, metres
     "heading": 1,  # turned to the left, radians
     "pelvis": 2,  # pelvis bowed forwards, leaning to the left, radians
     "spine": 3,  # trunk against pelvis: bowed, leaning left, turned left
-    "head": 3,  # head against trunk: the same
+    "head": 3,  # head against trunk: bowed, leaning left, turned left
     "left": 3,  # wrist from shoulder: out, up, front, in arm lengths
     "right": 3,
-    "left_elbow": 3,  # where the elbow points: out, up, front
+    "left_elbow": 3,  # direction of the elbow: out, up, front
     "right_elbow": 3,
     "wrists": 2,  # left and right hand bent towards the palm, radians
-    "hop": 1,  # how far both feet are off the floor, metres
+    "hop": 1,  # height of both feet above the floor, metres
 }
 CHANNELS: dict[str, slice] = {}
 for _name, _width in _WIDTHS.items():
@@ -52,25 +52,25 @@ STANDING: dict[str, ArrayLike] = {
     "left_elbow": (0.35, 0.0, -1.0), "right_elbow": (0.35, 0.0, -1.0),
     "wrists": (0.1, 0.1), "hop": 0.0,
 }  # fmt: skip
-"""Standing at ease, arms hanging."""
+"""Standing at ease with hanging arms."""
 STARTUP: dict[str, ArrayLike] = STANDING | {
     "height": 0.905,
     "left": (0.72, -0.62, 0.10), "right": (0.72, -0.62, 0.10),
     "left_elbow": (0.1, -0.4, -1.0), "right_elbow": (0.1, -0.4, -1.0), "wrists": (0.0, 0.0),
 }  # fmt: skip
-"""Arms and legs apart: every joint in the open (eq. 13 is measured here)."""
+"""Arms and legs apart: every joint is visible. The bone lengths of eq. 13 are measured in this pose."""
 
 
 Frame = dict[str, ArrayLike]
 
 
 def both_arms(hands: ArrayLike, elbows: ArrayLike = (0.35, 0.0, -1.0), **others: Any) -> Frame:
-    """Channels that are the same for either arm, and others."""
+    """Returns channel values with the same values for both arms, and others."""
     return {"left": hands, "right": hands, "left_elbow": elbows, "right_elbow": elbows, **others}
 
 
 def channels(values: Values) -> Array:
-    """(C,) one row of channels from named values; all must be given."""
+    """Converts named values to (C,) channels; all names are required."""
     row = np.empty(sum(_WIDTHS.values()))
     for name, where in CHANNELS.items():
         row[where] = values[name]
@@ -78,11 +78,11 @@ def channels(values: Values) -> Array:
 
 
 def keyframes(period: float, *frames: tuple[float, Values]) -> Callable[[Array], Array]:
-    """A periodic movement through keyframes, twice continuously differentiable.
+    """Makes a periodic movement through keyframes, twice continuously differentiable.
 
     Args:
-        period: Seconds; the first keyframe returns then.
-        frames: (time, what differs from STANDING), the first at time 0.
+        period: Time until the first keyframe repeats, seconds.
+        frames: (time, values that differ from STANDING); the first is at time 0.
     """
     times = [time for time, _ in frames]
     rows = [channels(STANDING | dict(values)) for _, values in frames]
@@ -92,17 +92,18 @@ def keyframes(period: float, *frames: tuple[float, Values]) -> Callable[[Array],
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Where every joint of one person is at any time.
+    """The joints of one person as a function of time.
 
     Attributes:
-        name: What to call it.
-        period: Length of the loop, seconds.
-        loop: (T,) seconds since the loop's first start → (T, C) channels; periodic but for its start.
-        footsteps: Of the loop; they end where they began.
-        first_footsteps: Of the loop's first round, where it differs.
-        arrive: From the start-up stance to the loop's, in seconds since the end of the start-up pose.
-        startup: Whether it begins with the start-up pose.
-        speeds_up: Whether the loop starts from rest, its time running slowly at first.
+        name: Name of the movement.
+        period: Duration of the loop, seconds.
+        loop: (T,) seconds since the first start of the loop → (T, C) channels; periodic except at its start.
+        footsteps: Footsteps of the loop; they end at their initial stance.
+        first_footsteps: Footsteps of the first round of the loop, if they differ.
+        arrive: Steps from the start-up stance to that of the loop, in seconds since the end of the start-up
+            pose.
+        startup: Whether the movement begins with the start-up pose.
+        speeds_up: Whether the loop starts from rest: its time advances slowly at first.
     """
 
     name: str
@@ -116,20 +117,20 @@ class Motion:
 
     @property
     def begins(self) -> float:
-        """When the loop begins, in seconds."""
+        """Start time of the loop, seconds."""
         return STARTUP_SECONDS + _BLEND_SECONDS if self.startup else 0.0
 
     def landmarks(self, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
-        """(T, N, 3) all landmarks in the world, metres, of a person of this stature."""
+        """Returns (T, N, 3) all landmarks in the world, metres, of a person of this stature."""
         t = np.atleast_1d(np.asarray(times, dtype=np.float64))
         return self.pose(t).landmarks() * (height / anatomy.REFERENCE_HEIGHT)
 
     def joints(self, body: Body, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
-        """(T, J, 3) the joints of one body in the world, metres."""
+        """Returns (T, J, 3) the joints of one body in the world, metres."""
         return self.landmarks(times, height)[:, anatomy.landmarks_of(body)]
 
     def pose(self, t: Array) -> Pose:
-        """(T,) seconds → the pose at reference height."""
+        """Converts (T,) seconds to poses at reference height."""
         c = self.loop(self._phase(t))
         if self.startup:
             moving = smooth((t - STARTUP_SECONDS) / _BLEND_SECONDS)[:, None]
@@ -137,7 +138,7 @@ class Motion:
         return follow(c + _sway(t), *self.feet(t))
 
     def feet(self, t: Array) -> tuple[Array, Array, Array]:
-        """(T,) seconds → toes, yaw and pitch of both feet, as :func:`walk_feet`."""
+        """Converts (T,) seconds to toes, yaw and pitch of both feet; see :func:`walk_feet`."""
         phase = self._phase(t)
         rounds = [
             (t < self.begins, self.arrive, t - STARTUP_SECONDS),
@@ -162,7 +163,7 @@ class Motion:
 
 
 def _sway(t: Array) -> Array:
-    """(T, C) breathing and balance: a few millimetres at frequencies without a common period."""
+    """Returns (T, C) breathing and balance: a few millimetres at frequencies without a common period."""
     c = np.zeros((len(t), sum(_WIDTHS.values())))
     c[:, CHANNELS["place"]] = np.stack(
         (0.004 * np.sin(2.1 * t) + 0.003 * np.sin(0.83 * t), 0.004 * np.sin(1.7 * t + 1)), axis=1
@@ -179,11 +180,11 @@ def _sway(t: Array) -> Array:
 
 
 def follow(c: Array, toes: Array, yaw: Array, pitch: Array) -> Pose:
-    """The pose that follows from channels and feet.
+    """Computes poses from channels and feet.
 
     Args:
         c: (T, C) channels.
-        toes, yaw, pitch: As :func:`walk_feet` gives them.
+        toes, yaw, pitch: Feet as returned by :func:`walk_feet`.
     """
 
     def of(name: str) -> Array:
@@ -227,7 +228,7 @@ def _bend_arm(rotations: dict[str, Array], side: str, sign: float, c: Array) -> 
     pole = anatomy.unit(c[:, CHANNELS[f"{side.lower()}_elbow"]] * to_trunk)
     elbow, wrist, axis = two_bones(target, pole, upper, fore)
     trunk = rotations["trunk"]
-    # The back of the hand's edge follows the bend: it never meets the forearm's direction.
+    # The reference axis rotates with the bend, so it is never parallel to the forearm.
     rotations[f"upper_arm_{side}"] = trunk @ along(elbow, np.cross(axis, elbow))
     rotations[f"forearm_{side}"] = trunk @ along(wrist - elbow, np.cross(axis, wrist - elbow))
     bent = c[:, CHANNELS["wrists"]][:, 0 if side == "LEFT" else 1]
@@ -235,14 +236,14 @@ def _bend_arm(rotations: dict[str, Array], side: str, sign: float, c: Array) -> 
 
 
 def _within_reach(pelvis: Array, rotation: Array, ankles: list[Array]) -> NDArray[np.float64]:
-    """(T,) the pelvis's y, let down smoothly so far that both planted feet can be reached."""
+    """Returns (T,) the pelvis's y, lowered smoothly until the legs reach both planted feet."""
     lowest = [pelvis[:, 1]]
     for ankle, side in zip(ankles, ("LEFT", "RIGHT"), strict=True):
         reach = 0.985 * (length(f"KNEE_{side}") + length(f"ANKLE_{side}"))
         hip = rotation @ offset(f"HIP_{side}")
         across = np.sum((ankle - pelvis - hip)[:, (0, 2)] ** 2, axis=1)
         lowest.append(ankle[:, 1] - hip[:, 1] - np.sqrt(np.maximum(reach**2 - across, 0.01)))
-    sharpness = 0.012  # metres over which the limits are rounded off
+    sharpness = 0.012  # metres over which the limits are smoothed
     y = np.stack(lowest)
     top = y.max(axis=0)
     return np.asarray(top + sharpness * np.log(np.exp((y - top) / sharpness).sum(axis=0)))

@@ -1,4 +1,4 @@
-"""The movements by name. Each is a table of keyframes and footsteps; what they mean says ``motion``.
+"""The movements by name. Each is a table of keyframes and footsteps; see ``motion`` for their meaning.
 
 Wrists and elbows are (out, up, front) from the shoulder in arm lengths; angles are radians.
 """
@@ -23,7 +23,7 @@ def _startup() -> Motion:
 
 
 def _idle() -> Motion:
-    """A minute of waiting: weight on one leg and the other, looks around, folded arms, a scratched ear."""
+    """A minute of waiting: shifting weight, looking around, folding the arms, scratching an ear."""
     left_leg: Frame = {"place": (0.05, 0.0), "pelvis": (0.02, 0.06), "spine": (0.02, -0.08, 0.0)}
     right_leg: Frame = {"place": (-0.05, 0.0), "pelvis": (0.02, -0.06), "spine": (0.02, 0.08, 0.0)}
     folded: Frame = {
@@ -44,7 +44,7 @@ def _idle() -> Motion:
 
 
 def _turn() -> Motion:
-    """Turning on the spot, once round to the left and once back, in eighths."""
+    """Turning on the spot in eighths: one full turn to the left, then one back."""
     seconds, eighth = 0.62, np.pi / 4
     frames: list[tuple[float, Frame]] = [(0.0, {}), (0.5, {})]
     steps: list[Step] = []
@@ -64,7 +64,7 @@ def _turn() -> Motion:
 
 
 def _steps() -> Motion:
-    """Steps to the sides, to the front and back, facing the same way."""
+    """Steps to the sides, to the front and to the back, at a constant heading."""
     offsets = [
         (0.0, 0.0),
         (0.45, 0.0),
@@ -135,7 +135,7 @@ def _arms() -> Motion:
 
 
 def _squat() -> Motion:
-    """A squat every four seconds, arms to the front; every second one deep."""
+    """A squat every four seconds with the arms to the front; every second squat is deep."""
 
     def down(height: float, bowed: float) -> Frame:
         return both_arms(
@@ -155,7 +155,7 @@ def _squat() -> Motion:
 
 
 def _sit() -> Motion:
-    """Sitting down on a stool of 0.46 m, hands on the thighs, looking round, and standing up again."""
+    """Sitting down on a stool of 0.46 m, looking around with the hands on the thighs, standing up."""
     bent: Frame = both_arms(
         (0.05, -0.60, 0.60), (0.6, -0.2, -1.0), height=0.72, pelvis=(0.6, 0.0), spine=(0.35, 0.0, 0.0),
         place=(0.0, 0.16), head=(-0.5, 0.0, 0.0),

@@ -1,4 +1,4 @@
-"""Sports: badminton, basketball, boxing. What the tables mean says ``movements``."""
+"""Sports: badminton, basketball, boxing. See ``movements`` for the meaning of the tables."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from devices.simulated.person.motion import Frame, Motion, both_arms, keyframes
 
 
 def badminton() -> Motion:
-    """Ready, an overhead clear, ready, a lunge to the net, a backhand. The racket is in the right hand."""
+    """Ready, overhead clear, ready, lunge to the net, backhand. The racket is in the right hand."""
     ready: Frame = {
         "height": 0.80, "spine": (0.22, 0.0, 0.0), "pelvis": (0.12, 0.0), "head": (-0.15, 0.0, 0.0),
         "right": (0.10, -0.22, 0.62), "left": (0.12, -0.32, 0.52),
@@ -68,7 +68,7 @@ def badminton() -> Motion:
 
 
 def basketball() -> Motion:
-    """Dribble at the right hand, change to the left, gather, jump shot."""
+    """Dribble with the right hand, change to the left, gather, jump shot."""
     low: Frame = {
         "height": 0.78, "pelvis": (0.22, 0.0), "spine": (0.28, 0.0, 0.05), "head": (-0.35, 0.0, 0.0),
         "left": (0.30, -0.55, 0.45), "right": (0.22, -0.60, 0.50),
@@ -114,7 +114,7 @@ def basketball() -> Motion:
 
 
 def boxing() -> Motion:
-    """Guard, jab, cross, hook, a duck."""
+    """Guard, jab, cross, hook, duck."""
     guard: Frame = {
         "height": 0.83, "heading": -0.55, "pelvis": (0.06, 0.0), "spine": (0.18, 0.0, -0.1),
         "head": (0.0, 0.0, 0.55),

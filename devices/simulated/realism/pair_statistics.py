@@ -1,7 +1,7 @@
-"""How two sensors' skeletons of one person err, in figures that real and simulated pairs share.
+"""Error statistics of two views of one person, for real and simulated recordings.
 
-None of them needs the truth: they compare the views with each other, a joint with itself and a bone with
-its own mean. So they can be had from a real recording, and the simulator can be held against it.
+They need no ground truth: they compare the views with each other, a joint with its own mean over time and a
+bone with its mean length. The simulator can therefore be compared with real recordings.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from fusion.skeleton import Skeleton, TrackingState
 
 Array = NDArray[np.float64]
 
-_WARM_UP = 15  # frames: a tracker's first ones hold its own start-up errors
-_WINDOW = 30  # frames over which jitter is one figure
-_SMOOTH = 5  # frames of the moving mean that jitter is measured against
+_WARM_UP = 15  # frames: a tracker's first frames have start-up errors
+_WINDOW = 30  # frames of one jitter value
+_SMOOTH = 5  # frames of the moving mean from which jitter is measured
 
 
 @dataclass(frozen=True)
 class PairStatistics:
-    """The figures of one pair of recordings. Lengths are metres.
+    """The statistics of one pair of recordings. Lengths are metres.
 
     Attributes:
-        view_rms, view_median: Distance of a joint in one view from itself in the other, after the best
-            rigid fit over the whole recording (Kabsch, all joints that both views have).
+        view_rms, view_median: Distance between the two views of a joint, after the best rigid fit over the
+            whole recording (Kabsch, all joints that both views have).
         bone_deviation: Standard deviation of a bone's length in one view; median over bones and views.
         bone_deviation_share: The same as a share of the bone's mean length.
         jitter: By kind of joint, its distance from its moving mean over 5 frames: RMS over each second,
-            median over seconds, joints and views. A figure of noise only while the person stands still.
+            median over seconds, joints and views. It measures noise only while the person stands still.
         inferred, not_tracked: Share of joints in that state.
-        hands_unsure, feet_unsure: Share of hands, tips and thumbs (of feet) that are not tracked surely.
+        hands_unsure, feet_unsure: Share of hands, tips and thumbs (of feet) in a state other than tracked.
         swapped: Share of frames in which one view fits the other better with left and right exchanged.
-        swap_frames: Mean length of a run of such frames; NaN where there is none.
+        swap_frames: Mean length of a run of such frames; NaN if there is none.
         tracked_change, tracked_change_p99: Second difference of a joint between frames, while tracked in
             all three: median and 99th percentile.
-        inferred_change, inferred_change_p99: The same where one of the three is inferred; NaN if none is.
-        stale: Share of frames that repeat the one before.
+        inferred_change, inferred_change_p99: The same if one of the three is inferred; NaN if none is.
+        stale: Share of frames that repeat the previous frame.
     """
 
     view_rms: float
@@ -67,10 +67,10 @@ class PairStatistics:
 
 
 def statistics(a: Sequence[Skeleton | None], b: Sequence[Skeleton | None]) -> PairStatistics:
-    """The figures of one pair of recordings.
+    """Computes the statistics of one pair of recordings.
 
     Args:
-        a, b: The two views' skeletons, paired: of equal length, None where a sensor saw no one.
+        a, b: Paired skeletons of the two views, of equal length; None where a sensor saw no person.
 
     Raises:
         DeviceError: The lengths differ, or fewer than 60 frames have both skeletons.
@@ -119,7 +119,7 @@ def _positions(skeletons: Sequence[Skeleton]) -> Array:
 
 
 def _views_apart(a: Array, b: Array, body: Body) -> tuple[Array, Array]:
-    """(T, J) distances between the views after the fit, as they are and with B's left and right exchanged."""
+    """Returns (T, J) distances between the fitted views, as reported and with B's sides exchanged."""
     known = np.isfinite(a).all(axis=2) & np.isfinite(b).all(axis=2)
     b_in_a = fit_rigid(a[known], b[known]).apply(b)
     return np.linalg.norm(b_in_a - a, axis=2), np.linalg.norm(b_in_a[:, body.mirror] - a, axis=2)
@@ -149,7 +149,7 @@ def _median(values: Array) -> float:
 
 
 def _changes(at: Array, states: NDArray[np.uint8]) -> tuple[Array, NDArray[np.bool_]]:
-    """(T-2, J) second differences, and whether the joint was tracked in all three frames."""
+    """Returns (T-2, J) second differences, and whether the joint is tracked in all three frames."""
     sure = states == TrackingState.TRACKED
     change: Array = np.linalg.norm(at[2:] - 2.0 * at[1:-1] + at[:-2], axis=2)
     return change, sure[2:] & sure[1:-1] & sure[:-2]
@@ -161,6 +161,6 @@ def _stale(view: Sequence[Skeleton | None]) -> float:
 
 
 def run_lengths(flags: NDArray[np.bool_]) -> list[int]:
-    """How long each run of True is."""
+    """Returns the length of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
     return list(np.diff(edges)[::2])

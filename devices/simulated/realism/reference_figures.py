@@ -1,4 +1,4 @@
-"""The simulator held against real sensors: the same figures, real beside simulated."""
+"""Compares the simulator with real sensors: the same statistics, real and simulated."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.skeleton import Skeleton
 
 TUNING_SEEDS = range(1000, 1020)
-"""The seeds that the defaults of TrackerErrors were fitted on. No accuracy is reported on these."""
+"""The seeds to which the defaults of TrackerErrors were fitted. No accuracy is reported on these seeds."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A simulated recording like a real one: the movement, and how it was watched.
+    """The movement and the set-up of a simulated recording that corresponds to a real one.
 
     Attributes:
-        motion: A movement by name.
-        body: What the trackers report.
-        angle_deg: Between the sensors.
-        seconds: How long.
+        motion: Name of the movement.
+        body: Body that the trackers report.
+        angle_deg: Angle between the sensors, degrees.
+        seconds: Duration.
         standing: Share of that time in which the person stands between the sensors and faces them.
     """
 
@@ -42,8 +42,8 @@ COUNTERPARTS = {
     "kinect_v2_90deg_walk": Setting("walk", KINECT_V2, 90.0, 30.0, standing=0.4),
     "azure_squat": Setting("squat", AZURE_KINECT, 45.0, 24.0),
 }
-"""Which setting each real recording is compared with, by its name. On seven real walks the trunk is
-slower than 0.2 m/s in 30 to 48 % of the frames, mean 41 %, and then the person faces the sensors."""
+"""The setting that each real recording is compared with, by its name. On seven real walks the trunk is
+slower than 0.2 m/s in 30 to 48 % of the frames (mean 41 %), in which the person faces the sensors."""
 
 PUBLISHED: dict[str, dict[str, tuple[float, float]]] = {
     "kinect_v2_90deg_stationary": {
@@ -76,9 +76,9 @@ PUBLISHED: dict[str, dict[str, tuple[float, float]]] = {
         "stale": (0.03, 0.10),
     },
 }
-"""By setting, what many real recordings showed: the range over the trials or joints, or one figure for all.
-The squats are 87 trials before two Azure Kinects, 38 to 54 degrees apart; the others are of Kinects v2, 90
-degrees apart. Most of these recordings are not at hand."""
+"""Figures of many real recordings by setting: the range over trials or joints, or one figure for all.
+The squats are 87 trials with two Azure Kinects, 38 to 54 degrees apart. The others are with Kinects v2, 90
+degrees apart. Most of these recordings are not available to this project."""
 
 _FITTED = "the simulator is fitted to the one recording at hand"
 REASONS = {
@@ -86,11 +86,11 @@ REASONS = {
     ("kinect_v2_90deg_stationary", "jitter_spine"): f"{_FITTED}, whose spine trembles more than most do",
     ("kinect_v2_90deg_walk", "swapped"): f"{_FITTED}, with more than the mean; the worst trial had 16 %",
 }
-"""Why a published figure is not met, by setting and figure."""
+"""Reasons why the simulator does not reproduce a published figure, by setting and figure."""
 
 _UNITS = {"bone_deviation_share": "%", "swap_frames": "frames"}
 _ABSENT = {"%": 0.01, "mm": 0.001, "frames": 1.0}
-"""Where the real figure is 0, by unit: the simulated one may be so large (SI)."""
+"""Largest simulated value if the real value is 0, by unit (SI)."""
 _OF_STATES = (
     "inferred",
     "not_tracked",
@@ -104,13 +104,13 @@ _SHARES = ("inferred", "not_tracked", "hands_unsure", "feet_unsure", "swapped", 
 
 @dataclass(frozen=True)
 class Figure:
-    """One statistic, real beside simulated, in SI.
+    """A real and a simulated value of one statistic, in SI.
 
     Attributes:
         name: As in PairStatistics; ``jitter_<kind>`` for jitter.
-        low, high: The real figure: a range, or twice the same; NaN where it is not known.
-        simulated: The simulated one; NaN where there is none.
-        reason: Why there is no ratio, or why it is far from 1; may be empty.
+        low, high: Range of the real value; equal for a single value, NaN if unknown.
+        simulated: The simulated value; NaN if there is none.
+        reason: Reason why there is no ratio, or why it is far from 1; may be empty.
     """
 
     name: str
@@ -121,33 +121,33 @@ class Figure:
 
     @property
     def known(self) -> bool:
-        """Whether both sides say something."""
+        """Whether both values are known."""
         return bool(np.isfinite([self.low, self.high, self.simulated]).all())
 
     @property
     def ratio(self) -> float:
-        """Simulated to real, to the nearer end of a range; 1 within it; NaN where there is none."""
+        """Simulated value divided by the nearer end of the real range; 1 within the range; NaN if unknown."""
         nearest = min(max(self.simulated, self.low), self.high)
         return self.simulated / nearest if self.known and nearest > 0.0 else float("nan")
 
     @property
     def limit(self) -> float:
-        """How large the simulated figure may be where the real one is 0."""
+        """Largest simulated value if the real value is 0."""
         return _ABSENT[self.unit]
 
     def within(self, factor: float) -> bool:
-        """Whether the simulated figure is the real one within a factor; where that is 0, below the limit."""
+        """Whether the values agree within a factor; if the real value is 0, whether the limit is kept."""
         if self.known and self.high == 0.0:
             return self.simulated <= self.limit
         return bool(1.0 / factor <= self.ratio <= factor)
 
     @property
     def unit(self) -> str:
-        """What it is printed in: mm, %, or frames."""
+        """Unit for printing: mm, % or frames."""
         return _UNITS.get(self.name, "%" if self.name in _SHARES else "mm")
 
     def printed(self) -> tuple[str, str, str, str]:
-        """Name, real, simulated and ratio as text, in the unit; "–" for what there is not."""
+        """Name, real, simulated and ratio as text, in the unit; "–" for an unknown value."""
         scale = {"mm": 1e3, "%": 1e2, "frames": 1.0}[self.unit]
         real = _text(self.low * scale, 1)
         if self.high != self.low and self.known:
@@ -161,12 +161,12 @@ def _text(value: float, digits: int) -> str:
 
 
 def figures(real: PairStatistics, simulated: PairStatistics, *, standing: bool) -> list[Figure]:
-    """Real beside simulated; a figure that one of them does not tell has the reason.
+    """Pairs real with simulated statistics; a statistic that one of them lacks states the reason.
 
     Args:
-        real: Of a recording.
-        simulated: Of its counterpart.
-        standing: Whether the person stands still: only then is jitter one of the figures.
+        real: Statistics of a recording.
+        simulated: Statistics of its simulated counterpart.
+        standing: Whether the person stands still; otherwise jitter is left out.
     """
     pairs = {
         name: (value, getattr(simulated, name)) for name, value in asdict(real).items() if name != "jitter"
@@ -194,7 +194,7 @@ def _beside(name: str, real: float, simulated: float, stateless: bool) -> Figure
 
 
 def published_figures(name: str, simulated: PairStatistics) -> list[Figure]:
-    """A simulated setting, by its name, beside what was published of many recordings like it."""
+    """Pairs the statistics of a simulated setting, by its name, with published figures."""
     found = asdict(simulated) | {f"jitter_{kind}": value for kind, value in simulated.jitter.items()}
     return [
         Figure(figure, low, high, found[figure], REASONS.get((name, figure), ""))
@@ -205,12 +205,12 @@ def published_figures(name: str, simulated: PairStatistics) -> list[Figure]:
 def simulated_statistics(
     setting: Setting, seeds: Iterable[int] = TUNING_SEEDS, errors: TrackerErrors | None = None
 ) -> PairStatistics:
-    """The figures of a simulated recording, each the median over the seeds.
+    """Computes the statistics of a simulated setting, each the median over the seeds.
 
     Args:
-        setting: What is simulated; the start-up pose is left out.
-        seeds: One recording each.
-        errors: Of the trackers; the body's own where None.
+        setting: The setting; its start-up pose is left out.
+        seeds: Seeds, one recording each.
+        errors: Errors of the trackers; None: those of the body.
     """
     found = []
     for seed in seeds:
@@ -228,7 +228,7 @@ def simulated_statistics(
 def _reported(
     setting: Setting, motion: str, share: float, seed: int, errors: TrackerErrors | None
 ) -> list[list[Skeleton | None]]:
-    """Both views' skeletons of one movement that takes a share of the time, without the start-up pose."""
+    """Returns both views of a movement that takes a share of the time, without the start-up pose."""
     a, b, truth = simulated_pair(
         motion=motion,
         body=setting.body,

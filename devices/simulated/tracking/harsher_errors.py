@@ -1,7 +1,7 @@
-"""Trackers that nothing in the program was fitted to: larger errors, and errors of another shape.
+"""Tracker errors that the program was not fitted to: larger errors, and errors of another distribution.
 
-A method that was developed on the simulator must hold on these, too. ``duplex bench accuracy`` uses them with
-``--errors`` and ``--tracker-errors``.
+They test whether a method that was developed on the simulator generalizes. ``duplex bench accuracy`` uses
+them with ``--errors`` and ``--tracker-errors``.
 """
 
 from __future__ import annotations
@@ -17,14 +17,16 @@ from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
 SIZES = frozenset(
     {"view_bias", "skin", "inferred_error", "outlier_size", "rescale", "jitter", "moving_jitter", "tail"}
 )
-"""Knobs that say how large an error is: multiplied."""
+"""Knobs for the size of an error; they are multiplied."""
 SHARES = frozenset(
     {
         "unsure", "not_tracked", "mistracked", "snap", "stretch", "outliers", "mirroring", "swapped", "stale",
         "lost",
     }
 )  # fmt: skip
-"""Knobs that say how often an error occurs: multiplied, up to LARGEST_SHARE (never above what they were).
+"""Knobs for the frequency of an error; they are multiplied, up to LARGEST_SHARE.
+
+A value that is already above LARGEST_SHARE stays unchanged.
 
 Of ``mirroring`` it is ``back``.
 """
@@ -32,16 +34,16 @@ SHAPES = frozenset({
     "seen_share", "inferred_jitter", "jitter_memory", "rescale_seconds", "swap_seconds", "lost_seconds",
     "tail_spread",
 })  # fmt: skip
-"""Knobs that say what an error looks like: unchanged."""
+"""Knobs for the form of an error; they are unchanged."""
 LARGEST_SHARE = 0.95
 
 
 def scaled(errors: TrackerErrors, factor: float) -> TrackerErrors:
-    """All errors larger, and more frequent, by a factor; their durations and thresholds stay.
+    """Multiplies the size and frequency of all errors; durations and thresholds stay unchanged.
 
     Args:
-        errors: Of a tracker.
-        factor: 1 changes nothing.
+        errors: Errors of a tracker.
+        factor: The factor; 1 changes nothing.
     """
     larger: dict[str, Any] = {
         knob.name: _times(getattr(errors, knob.name), factor, share=knob.name in SHARES)
@@ -52,16 +54,17 @@ def scaled(errors: TrackerErrors, factor: float) -> TrackerErrors:
 
 
 def heavy_tailed(errors: TrackerErrors) -> TrackerErrors:
-    """Another tracker's errors: trunk and legs calm and good to 1–2 cm, hands at times off by half a metre.
+    """Returns heavy-tailed errors: 1–2 cm at trunk and legs, at times half a metre at the hands.
 
-    The sizes follow one Kinect v2 view against optical motion capture: 59 recordings of a seated person, each
-    joint's constant offset removed. Median, 90 % and 99 % in mm, ranges over three exercises: spine base
-    13–24, 30–70, 51–97; head 12–31, 33–245, 69–273; knee 5–15, 16–33, 21–55; hands 18–38, 84–775, 279–1139.
+    The sizes are those of one Kinect v2 against optical motion capture: 59 recordings of a seated person,
+    with the constant offset of each joint removed. Median, 90 % and 99 % in mm, ranges over three exercises:
+    spine base 13–24, 30–70, 51–97; head 12–31, 33–245, 69–273; knee 5–15, 16–33, 21–55; hands 18–38, 84–775,
+    279–1139.
     Jitter of trunk and legs 0.2–0.6 mm, of hands 2.3 mm. Elbows and wrists are interpolated between shoulder
-    and hand: an assumption. What happens to hidden joints, turned backs and lost persons stays as it was.
+    and hand: an assumption. The errors of hidden joints, turned backs and lost persons stay unchanged.
 
     Args:
-        errors: Of the tracker whose other errors are kept.
+        errors: Errors of the tracker; errors of other kinds are kept.
     """
     return replace(
         errors,

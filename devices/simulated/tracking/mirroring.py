@@ -1,9 +1,9 @@
-"""A person with the back turned to the sensor, reported mirrored: sides exchanged, facing the sensor.
+"""Mirroring: the tracker reports a person whose back is turned as facing the sensor, with sides exchanged.
 
-A Kinect v2's tracker assumes that the person faces it. Joints stay where depth shows them; their labels are
-exchanged, and what depth hardly shows is placed by the wrong belief: feet point to the sensor. The tracker
-changes over while the person passes through profile, smoothly: left and right joints pass through each other
-within some tenths of a second, the legs often later than the trunk.
+The tracker of a Kinect v2 assumes that the person faces it. Joints stay where the depth image shows them, but
+their labels are exchanged. Joints that depth hardly shows follow the wrong facing: feet point to the sensor.
+The tracker changes its labels smoothly while the person turns through profile. Left and right joints move
+through each other within some tenths of a second, the legs often later than the trunk.
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ from fusion.body import Body
 
 @dataclass(frozen=True)
 class Mirroring:
-    """How often, and how, a tracker reports a person mirrored. The default never does.
+    """The frequency and form of mirroring. The default has no mirroring.
 
-    The Kinect v2's values are those of five real walks of three people, judged by
-    ``python -m tests.campaigns.facing``: by the cosine between the person's front and the direction to the
-    sensor 0 % of the frames are mirrored above 0, 2 % at −0.1, 16 % at −0.4, 63 % at −0.6, 93 % at −0.8 and
-    99 % at −1. No recording with turned backs is at hand for the Azure Kinect: its share is assumed.
+    The values for the Kinect v2 were measured on five real walks of three people with
+    ``python -m tests.campaigns.facing``. The share of mirrored frames depends on the cosine between the
+    person's front and the direction to the sensor: 0 % above 0, 2 % at −0.1, 16 % at −0.4, 63 % at −0.6,
+    93 % at −0.8 and 99 % at −1. The share for the Azure Kinect is an assumption, for lack of recordings with
+    turned backs.
 
     Attributes:
-        back: Share of frames mirrored with the back turned.
-        centre, width: Cosine at which the share is half of that, and the width of the logistic step.
+        back: Share of mirrored frames when the back is turned.
+        centre, width: Cosine at which the share is half of ``back``, and width of the logistic step.
         seconds: Time constant with which the share is reached.
-        crossing_seconds: How long a change-over takes.
-        legs_later: The legs follow the trunk by up to this many seconds, uniformly drawn.
-        believed: Share of a joint's offset to the front of the one before it that is turned to the back, for
+        crossing_seconds: Duration of a change of labels.
+        legs_later: Largest delay of the legs after the trunk, seconds; drawn uniformly.
+        believed: Share of a joint's offset from its parent, along the front, that is turned to the back; for
             feet, face, thumb, hand, wrist, elbow and knee.
     """
 
@@ -45,7 +46,7 @@ class Mirroring:
     believed: tuple[float, float, float, float, float, float, float] = (0.9, 0.9, 0.6, 0.3, 0.5, 0.35, 0.1)
 
     def share(self, cosine: float) -> float:
-        """Share of frames mirrored at this cosine between the person's front and the way to the sensor."""
+        """Returns the share of mirrored frames; ``cosine`` is between front and direction to the sensor."""
         return float(self.back / (1.0 + np.exp((cosine - self.centre) / self.width)))
 
 
@@ -53,13 +54,13 @@ _BELIEVED_NAMES = ("foot", "nose eye ear", "thumb", "hand", "wrist", "elbow", "k
 
 
 class MirroringTracker:
-    """Exchanges one tracker's labels frame after frame.
+    """Applies mirroring to the frames of one tracker.
 
     Args:
-        body: Its joints.
-        mirroring: How.
-        frame_seconds: Between two frames.
-        random: Its own generator; every frame draws as many values.
+        body: Body of the tracker.
+        mirroring: Frequency and form of mirroring.
+        frame_seconds: Frame interval.
+        random: A separate generator; every frame draws the same number of values.
     """
 
     def __init__(
@@ -72,18 +73,18 @@ class MirroringTracker:
             self._believed[[any(part in name for part in parts.split()) for name in plain]] = share
         self._legs = np.array([any(part in name for part in ("knee", "ankle", "foot")) for name in plain])
         self._mirrored = False
-        self._crossed = np.zeros(2)  # how far the trunk's and the legs' labels are exchanged, 0 to 1
+        self._crossed = np.zeros(2)  # progress of the exchange of the trunk's and the legs' labels, 0 to 1
         self._legs_wait = 0.0
 
     def apply(
         self, at: Array, states: NDArray[np.uint8], front: Array, cosine: float
     ) -> tuple[Array, NDArray[np.uint8]]:
-        """The frame as the tracker labels it.
+        """Returns the frame with the labels of the tracker.
 
         Args:
-            at, states: (J, 3), (J,) with the right labels.
-            front: (3,) horizontal unit vector in which the person faces.
-            cosine: Between that and the direction to the sensor.
+            at, states: (J, 3) positions and (J,) states with correct labels.
+            front: (3,) horizontal unit vector of the direction that the person faces.
+            cosine: Cosine between ``front`` and the direction to the sensor.
         """
         m = self._mirroring
         if m.back <= 0.0:
@@ -109,7 +110,7 @@ class MirroringTracker:
         return blended, np.where(weight > 0.5, states[self._body.mirror], states)
 
     def _turn_believed(self, at: Array, front: Array, weight: Array) -> Array:
-        """(J, 3) the joints with the offsets to the front that the tracker believes."""
+        """Returns (J, 3) the joints with their offsets along the front turned as the tracker assumes."""
         turned = at.copy()
         for joint in self._body.order[1:]:
             parent = self._body.parents[joint]

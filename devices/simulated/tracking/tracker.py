@@ -1,9 +1,8 @@
-"""What a Kinect's body tracker reports of a person, with the errors of ``tracker_errors``.
+"""Simulates the reports of a Kinect's body tracker, with the errors of ``tracker_errors``.
 
-The errors, in the order in which they befall a joint: a bias that depends on the view; its place under the
-skin; a guess where it is hidden, or the place of the joint that covers it (sec. 3); an outlier or a
-heavy-tailed error of its limb; the whole skeleton's scale; jitter; a back taken for a front; a frame
-delivered twice; a person lost.
+The errors are applied in this order: a bias that depends on the view; a shift towards the skin; for a hidden
+joint, a guess or the position of the joint that covers it (sec. 3); an outlier or a heavy-tailed error of the
+limb; the scale of the whole skeleton; jitter; mirroring; a repeated frame; a lost person.
 """
 
 from __future__ import annotations
@@ -22,25 +21,25 @@ from fusion.compiling.kernels import njit
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton, TrackingState
 
-# How much larger than the median the bias of a kind of joint is: limbs' ends are placed worse.
+# Bias of each kind of joint as a multiple of the median: it is larger at the ends of limbs.
 _BIAS = JointGroups(0.7, 0.9, 0.9, 1.1, 1.1, 1.1, 1.2, 1.3, 0.9, 1.0, 1.2, 0.9)
-_HIDING_SECONDS = 0.08  # how fast a guess takes over from what was seen
-_GUESS_SECONDS = 0.6  # how long a guess errs to the same side
+_HIDING_SECONDS = 0.08  # time constant of the transition from observation to guess
+_GUESS_SECONDS = 0.6  # correlation time of the error of a guess
 _UNSURE_SECONDS = 0.4
 _OUTLIER_SECONDS = 0.12
 _BACK_TURNED = -0.3  # cosine between the person's front and the direction to the sensor
 
 
 class Tracker:
-    """One sensor's body tracker: reports frame after frame, in order. The same seed reports the same.
+    """The body tracker of one sensor. The same seed gives the same reports.
 
     Args:
-        body: What it reports.
-        errors: Its errors.
-        flesh: (J,) how deep each joint lies under the skin, metres.
-        intrinsics: Where joints cover each other.
-        frame_seconds: Between two frames.
-        random: Its own generator; every frame draws the same number of values, whatever happens in it.
+        body: The body that it reports.
+        errors: Errors of the tracker.
+        flesh: (J,) depth of each joint under the skin, metres.
+        intrinsics: Intrinsics of the camera, which determine the joints that cover each other.
+        frame_seconds: Frame interval.
+        random: A separate generator; every frame draws the same number of values.
     """
 
     def __init__(
@@ -57,16 +56,16 @@ class Tracker:
         count = len(body)
         self._jitter_size, self._unsure_share = errors.jitter.of(body), errors.unsure.of(body)
         self._corners = [body.joint(n) for n in ("ShoulderLeft", "HipLeft", "ShoulderRight", "HipRight")]
-        # Coefficients of 1, cos and sin of the view's azimuth: a bias of every view, changing smoothly.
+        # Coefficients of 1, cos and sin of the view's azimuth: the bias changes smoothly with the view.
         spread = errors.view_bias * _BIAS.of(body)[:, None, None] / np.sqrt(2.0)
         self._bias = random.standard_normal((count, 3, 3)) * spread
-        # A generator of its own, so that no other error depends on whether there are tails.
+        # A separate generator, so that the other errors do not depend on heavy tails.
         tails = errors.tail.of(body).any()
         self._tails = HeavyTails(body, errors, frame_seconds, random.spawn(1)[0]) if tails else None
         self._jitter = random.standard_normal((count, 3))
         self._guess = random.standard_normal((count, 3))
         self._scale = float(random.standard_normal())
-        self._hiding = np.zeros(count)  # 0 seen … 1 hidden, smoothed
+        self._hiding = np.zeros(count)  # 0 visible … 1 hidden, smoothed
         self._was_hidden = np.zeros(count, dtype=bool)
         self._unsure = np.zeros(count, dtype=bool)
         self._spell = np.full(count, int(TrackingState.INFERRED))
@@ -78,15 +77,15 @@ class Tracker:
         self._last: tuple[NDArray[np.float64], NDArray[np.uint8]] | None = None
 
     def report(self, joints: Array, visible: Array, time_ns: int) -> Skeleton | None:
-        """The next frame's skeleton.
+        """Reports the skeleton of the next frame.
 
         Args:
-            joints: (J, 3) where the joints are, in the sensor's frame.
-            visible: (J,) share of each joint's surface that is seen.
-            time_ns: When, on the sensor's clock.
+            joints: (J, 3) true joints in the sensor's frame, metres.
+            visible: (J,) visible share of each joint's surface.
+            time_ns: Capture time on the sensor's clock.
 
         Returns:
-            What the tracker says; None where it has lost the person.
+            The reported skeleton; None while the person is lost.
         """
         e, body = self._errors, self._body
         normal = self._random.standard_normal((2 * len(body) + 1, 3))
@@ -130,7 +129,7 @@ class Tracker:
         return Skeleton.of(body, reported, states, time_ns)
 
     def _wander(self, normal: Array) -> None:
-        """The errors that go on from frame to frame: first-order autoregressive, of unit variance."""
+        """Advances the correlated errors: first-order autoregressive, unit variance."""
         count = len(self._body)
         for name, memory, noise in (
             ("_jitter", self._errors.jitter_memory, normal[:count]),
@@ -140,7 +139,7 @@ class Tracker:
             setattr(self, name, memory * getattr(self, name) + np.sqrt(1.0 - memory**2) * noise)
 
     def _hide(self, joints: Array, visible: Array, uniform: Array) -> NDArray[np.bool_]:
-        """(J,) which joints are hidden in this frame; what becomes of one is drawn when it disappears."""
+        """Returns (J,) whether each joint is hidden; how it is reported is drawn when it disappears."""
         e = self._errors
         start, stop = self._rates(self._unsure_share, _UNSURE_SECONDS)
         self._unsure = np.where(self._unsure, uniform[0] >= stop, uniform[0] < start)
@@ -159,7 +158,7 @@ class Tracker:
         return hidden
 
     def _hold_bones(self, at: Array, joints: Array) -> Array:
-        """(J, 3) the joints with their bones nearly of their length, from the root outwards."""
+        """Returns (J, 3) the joints with bone lengths nearly restored, from the root outwards."""
         if self._errors.stretch == 1.0:
             return at
         held = at.copy()
@@ -167,7 +166,7 @@ class Tracker:
         return held
 
     def _outliers(self, uniform: Array) -> Array:
-        """(J, 3) how far the joints stand elsewhere for a moment, uniformly drawn."""
+        """Returns (J, 3) the outlier errors of one frame, drawn uniformly."""
         start, stop = self._rates(self._errors.outliers, _OUTLIER_SECONDS)
         keeps = self._away.any(axis=1) & (uniform[0] >= stop)
         leaves = ~keeps & (uniform[0] < start)
@@ -176,14 +175,14 @@ class Tracker:
         return self._away
 
     def _speed(self, joints: Array) -> Array:
-        """(J,) how fast each joint moves, metres a second."""
+        """Returns (J,) the speed of each joint, m/s."""
         before = joints if self._before is None else self._before
         self._before = joints
         speed: Array = np.linalg.norm(joints - before, axis=1) / self._dt
         return speed
 
     def _covering(self, joints: Array, visible: Array) -> NDArray[np.int64]:
-        """(J,) the joint that covers each: nearest in the image, before it, no neighbour; or itself."""
+        """(J,) The joint that covers each: nearest in the image, in front, no neighbour; or itself."""
         pixels = self._intrinsics.project(joints)
         apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
         nearer = joints[None, :, 2] < joints[:, None, 2] - 0.05
@@ -195,14 +194,14 @@ class Tracker:
         return np.where(near, nearest, itself)
 
     def _view_bias(self, joints: Array) -> Array:
-        """(J, 3) this view's bias of every joint."""
+        """Returns (J, 3) the bias of each joint in this view."""
         front, side = self._facing(joints), self._facing(joints, sideways=True)
         norm = max(np.hypot(front, side), 1e-9)
         bias: Array = self._bias @ np.array((1.0, front / norm, side / norm))
         return bias
 
     def _facing(self, joints: Array, *, sideways: bool = False) -> float:
-        """Cosine between the person's front (or left) and the direction to the sensor, seen from above."""
+        """Returns the cosine between front (or left) and the direction to the sensor, seen from above."""
         l1, l2, r1, r2 = joints[self._corners]
         left = (l1 - r1) + (l2 - r2)
         direction = left if sideways else np.array((-left[2], 0.0, left[0])) * -1.0
@@ -211,14 +210,14 @@ class Tracker:
         return float((direction[0] * to_sensor[0] + direction[2] * to_sensor[2]) / max(across, 1e-9))
 
     def _front(self, joints: Array) -> Array:
-        """(3,) horizontal unit vector in which the person faces."""
+        """Returns (3,) the horizontal unit vector of the direction that the person faces."""
         l1, l2, r1, r2 = joints[self._corners]
         left = (l1 - r1) + (l2 - r2)
         front = np.array((left[2], 0.0, -left[0]))
         return np.asarray(front / max(float(np.linalg.norm(front)), 1e-9))
 
     def _rates(self, share: Array | float, seconds: float) -> tuple[Array, float]:
-        """Chances a frame that a spell starts and ends, for spells of this length that fill this share."""
+        """Returns the probabilities per frame that a spell starts and ends, from its share and length."""
         stop = min(1.0, self._dt / max(seconds, self._dt))
         share = np.minimum(np.asarray(share), 0.99)
         return np.asarray(stop * share / (1.0 - share)), stop

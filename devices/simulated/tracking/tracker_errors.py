@@ -1,4 +1,4 @@
-"""The errors of a Kinect's body tracker, each one a knob that can be turned off."""
+"""The errors of a Kinect's body tracker. Each error is a knob that can be turned off."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class JointGroups:
 
     @staticmethod
     def group(joint: str) -> str:
-        """The kind of a joint, by its name in any body's spelling."""
+        """Returns the kind of a joint, from its name in the spelling of any body."""
         name = joint.replace("_", "").lower()
         for key, group in _GROUP_OF.items():
             if key in name:
@@ -39,7 +39,7 @@ class JointGroups:
         return "spine"
 
     def of(self, body: Body) -> Array:
-        """(J,) the value of each joint."""
+        """Returns (J,) the value of each joint."""
         return np.array([getattr(self, self.group(joint)) for joint in body.joints])
 
 
@@ -59,33 +59,34 @@ class TrackerErrors:
     ``devices.simulated.realism.pair_statistics``.
 
     Attributes:
-        view_bias: Standard deviation of a joint's constant error, which changes with the view, an axis.
-        skin: Share of the flesh over a joint by which it is moved along the ray, towards the sensor.
-        seen_share: A joint is hidden when less of its surface is seen.
-        unsure: Share of time in which a joint counts as hidden although it is not, by kind.
-        inferred_error: Standard deviation of the guess for a hidden joint, an axis.
-        inferred_jitter: How many times more a hidden joint jitters.
-        not_tracked: Share of hidden spells in which the joint has no position at all.
-        mistracked: Share of hidden spells in which the joint is reported as tracked all the same.
-        snap: How far towards the joint that covers it a mis-tracked joint is moved, 0 to 1.
-        stretch: Share of a bone's error in length that stays: a tracker's own model of the body holds bones
-            nearly to their length, so that an error moves all that hangs on the joint. 1 lets every joint err
-            by itself.
-        outliers: Share of frames in which a joint stands somewhere else for a moment, though tracked.
-        outlier_size: How far away at most, an axis.
+        view_bias: Standard deviation per axis of a joint's bias, which is constant in time and depends on the
+            view.
+        skin: Shift of a joint along the ray towards the sensor, as a share of its depth under the skin.
+        seen_share: Visible share of a joint's surface below which it is hidden.
+        unsure: Share of time in which a visible joint counts as hidden, by kind.
+        inferred_error: Standard deviation per axis of the guess for a hidden joint.
+        inferred_jitter: Factor of the jitter of a hidden joint.
+        not_tracked: Share of hidden spells in which the joint has no position.
+        mistracked: Share of hidden spells in which the joint is still reported as tracked.
+        snap: Shift of such a joint towards the joint that covers it, as a share of their distance, 0 to 1.
+        stretch: Share of a bone's length error that remains. The body model of a tracker keeps bone lengths
+            nearly constant, so that an error of a joint also moves the joints below it. With 1 the errors of
+            joints are independent.
+        outliers: Share of frames in which a tracked joint has an outlier.
+        outlier_size: Largest size of an outlier per axis.
         rescale: Standard deviation of the skeleton's scale.
-        rescale_seconds: How long a scale lasts.
-        jitter: Standard deviation of a joint's jitter an axis, by kind.
-        moving_jitter: What is added to that an axis, for each metre a second that the joint moves.
-        jitter_memory: Correlation of the jitter of one frame with the next.
-        mirroring: How often a person whose back is turned is reported mirrored.
-        swapped: Share of frames with left and right swapped at random moments while the back is turned: what
-            version 0.1 assumed instead of mirroring; see :meth:`with_random_swaps`.
-        swap_seconds: How long a swap lasts.
-        stale: Share of frames that repeat the skeleton before.
+        rescale_seconds: Duration of a scale.
+        jitter: Standard deviation of a joint's jitter per axis, by kind.
+        moving_jitter: Increase of ``jitter`` per axis for each m/s of the joint's speed.
+        jitter_memory: Correlation of the jitter of successive frames.
+        mirroring: Frequency and form of mirroring: a person whose back is turned is reported mirrored.
+        swapped: Share of frames with left and right swapped at random moments while the back is turned.
+            Version 0.1 assumed this instead of mirroring; see :meth:`with_random_swaps`.
+        swap_seconds: Duration of a swap.
+        stale: Share of frames that repeat the previous skeleton.
         lost: Share of frames in which the person is lost.
-        lost_seconds: How long the person is lost.
-        tail: Median size of heavy-tailed errors an axis, by kind; see ``heavy_tails``.
+        lost_seconds: Duration of a loss.
+        tail: Median size of heavy-tailed errors per axis, by kind; see ``heavy_tails``.
         tail_spread: Standard deviation of the logarithm of their size, by kind.
     """
 
@@ -117,28 +118,28 @@ class TrackerErrors:
 
     @staticmethod
     def none() -> TrackerErrors:
-        """A perfect tracker: every joint tracked, where it is."""
+        """Returns the errors of a perfect tracker: every joint is tracked at its true position."""
         return TrackerErrors()
 
     @staticmethod
     def of(body: Body) -> TrackerErrors:
-        """The errors of the body's own tracker."""
+        """Returns the errors of the tracker that reports this body."""
         return _AZURE if body is AZURE_KINECT else _KINECT_V2
 
     @staticmethod
     def with_random_swaps(body: Body) -> TrackerErrors:
-        """The errors of version 0.1: sides swapped at random moments while the back is turned."""
+        """Returns the errors of version 0.1: sides swapped at random moments while the back is turned."""
         return replace(
             TrackerErrors.of(body), mirroring=Mirroring(), swapped=0.18 if body is AZURE_KINECT else 0.34
         )
 
     def only(self, *knobs: str) -> TrackerErrors:
-        """These errors with all but the named knobs turned off."""
+        """Returns these errors with all but the named knobs turned off."""
         return replace(TrackerErrors.none(), **{knob: getattr(self, knob) for knob in knobs})
 
     @staticmethod
     def knobs() -> tuple[str, ...]:
-        """The names of all knobs."""
+        """Returns the names of all knobs."""
         return tuple(f.name for f in fields(TrackerErrors))
 
 

@@ -120,8 +120,8 @@ def test_a_file_that_is_no_bvh_is_refused(tmp_path: Path) -> None:
         (lambda text: "", "skeleton is cut off"),
         (lambda text: text[:300], "skeleton is cut off"),
         (lambda text: text[:-1500], "frames are cut off"),
-        (lambda text: text.replace("Time: 0.033333", "Time: 0"), "s a frame"),
-        (lambda text: text.replace("Time: 0.033333", "Time: nan"), "s a frame"),
+        (lambda text: text.replace("Time: 0.033333", "Time: 0"), "s per frame"),
+        (lambda text: text.replace("Time: 0.033333", "Time: nan"), "s per frame"),
         (lambda text: text.replace("0 8.7 0", "0 nan 0"), "not finite"),
     ],
 )
