@@ -74,7 +74,7 @@ def depth_mode(name: str) -> CameraMode:
     if mode is None:
         raise DeviceError(
             f"Depth mode {name or 'unnamed'} is not supported. Supported: {', '.join(DEPTH_MODES)}; "
-            f"Record in NFOV_UNBINNED."
+            f"record in NFOV_UNBINNED."
         )
     return mode
 
