@@ -19,6 +19,7 @@ from fusion.calibration.learner import CalibrationChange
 from fusion.calibration.recording_learner import LearnedCalibration, learn_from_recording
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
+from fusion.facing.model import WHOLE
 from fusion.facing.sequence import relabel_sequence
 from fusion.registration.clock_offset import ClockOffset
 from fusion.setup import FuserSettings
@@ -86,7 +87,7 @@ def plan_recording(
             learned = learn_from_recording(
                 body,
                 pairs,
-                [(int(a) & _LIMBS, int(b) & _LIMBS) for a, b in views.labels(segments)],
+                [(int(a) & WHOLE, int(b) & WHOLE) for a, b in views.labels(segments)],
                 calibration,
                 skews_ns=[pair.skew_ns for pair in pairs],
             )
@@ -100,9 +101,6 @@ def plan_recording(
         () if learned is None else learned.events,
         None if learned is None else learned.clock,
     )
-
-
-_LIMBS = 3  # arms and legs of an exchange code
 
 
 class _Views:

@@ -11,6 +11,7 @@ from devices.sensor import Sensor
 from fusion.calibration.calibration import nominal_calibration
 from fusion.calibration.calibrator import Calibrator
 from fusion.calibration.learner import CalibrationChange, CalibrationLearner
+from fusion.facing.model import WHOLE
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings.fusing.exchanged_sides import ExchangedSides, Told
@@ -73,7 +74,7 @@ class LiveFusion:
         self._told = self._sides.observe(frame.fused)
         if self._learner is not None and self.calibrator.settled:
             fused = frame.fused
-            codes = fused.exchanged_a & _LIMBS, fused.exchanged_b & _LIMBS
+            codes = fused.exchanged_a & WHOLE, fused.exchanged_b & WHOLE
             stale = fused.stale_a, fused.stale_b
             changes = self._learner.observe(pair.skeletons, codes, stale, pair.skeletons.skew_ns)
             self._changes += changes
@@ -85,9 +86,6 @@ class LiveFusion:
     def told(self) -> list[Told]:
         """Returns the events of the last pair: sides exchanged, calibration refined, sensor moved."""
         return self._told
-
-
-_LIMBS = 3  # arms and legs of an exchange code
 
 
 def fuse_live(a: Sensor, b: Sensor, setup: FusionSetup | None = None) -> Iterator[RecordedFrame]:
