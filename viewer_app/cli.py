@@ -10,17 +10,17 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
-from viewer_app.options import (
-    BenchAccuracyOptions,
-    BenchRealOptions,
-    BenchSpeedOptions,
-    CompareOptions,
+from viewer_app.options.bench import BenchAccuracyOptions, BenchRealOptions, BenchSpeedOptions
+from viewer_app.options.sensing import (
     DemoOptions,
     DoctorOptions,
-    ExportOptions,
     FuseOptions,
-    InfoOptions,
     LiveOptions,
+)
+from viewer_app.options.sessions import (
+    CompareOptions,
+    ExportOptions,
+    InfoOptions,
     ReplayOptions,
     ReviewOptions,
     TrimOptions,

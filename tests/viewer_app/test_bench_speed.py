@@ -27,7 +27,7 @@ from viewer_app.bench import update_cost as bench_update
 from viewer_app.bench.solvers import Timing, random_frames, time_solvers
 from viewer_app.bench.update_cost import UpdateTiming
 from viewer_app.errors import UsageError
-from viewer_app.options import BenchSpeedOptions
+from viewer_app.options.bench import BenchSpeedOptions
 
 
 def test_every_solver_solves_the_same_problem() -> None:

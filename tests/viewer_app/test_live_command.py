@@ -37,7 +37,7 @@ from tests.helpers.standin_pyk4a import JPEG, Bus, Device, make_module
 from tests.helpers.usb_tree import furnish, plug_in
 from viewer_app.commands import live as live_command
 from viewer_app.commands.live import two_kinects
-from viewer_app.options import LiveOptions
+from viewer_app.options.sensing import LiveOptions
 from viewer_app.report.figures import FusionResult
 from viewer_app.report.figures import report as report_of
 from viewer_app.viewer import display

@@ -30,7 +30,7 @@ from viewer_app.bench.accuracy_picture import draw
 from viewer_app.bench.accuracy_tables import said_of_losses, table_by, tables_of_methods
 from viewer_app.bench.accuracy_trials import Outcome, Simulation, Trial, chosen_methods, run_trials
 from viewer_app.errors import UsageError
-from viewer_app.options import BenchAccuracyOptions
+from viewer_app.options.bench import BenchAccuracyOptions
 from viewer_app.output_files import check_writable, whole_file
 
 

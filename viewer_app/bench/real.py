@@ -25,7 +25,7 @@ from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 from recordings.fusing.recorded import fuse_segments, setups_of
 from viewer_app.bench.real_tables import real_tables
 from viewer_app.errors import UsageError
-from viewer_app.options import BenchRealOptions
+from viewer_app.options.bench import BenchRealOptions
 from viewer_app.output_files import check_writable, whole_file
 
 FAULTY_FRAMES = 20

@@ -38,7 +38,7 @@ from viewer_app.bench.update_cost import (
     warm_frames,
 )
 from viewer_app.errors import UsageError
-from viewer_app.options import BenchSpeedOptions
+from viewer_app.options.bench import BenchSpeedOptions
 from viewer_app.output_files import check_writable, whole_file
 
 _COLD_FRAMES = 1000

@@ -12,7 +12,7 @@ from recordings.session import Session
 from recordings.session_comparison import DIFFERENCE, LARGEST, Comparison, record_comparison
 from recordings.writing.session_writer import whole_recording
 from viewer_app.errors import UsageError
-from viewer_app.options import CompareOptions
+from viewer_app.options.sessions import CompareOptions
 from viewer_app.output_files import check_outputs
 from viewer_app.report.numbers_in_words import in_mm
 from viewer_app.report.session_notes import print_damage

@@ -29,7 +29,7 @@ from viewer_app.loop.interruption import CtrlC
 from viewer_app.loop.live_loop import run_live
 from viewer_app.loop.live_summary import check_saved, print_saved, print_session
 from viewer_app.loop.status_line import LiveDisplay
-from viewer_app.options import DemoOptions
+from viewer_app.options.sensing import DemoOptions
 from viewer_app.output_files import check_writable, free_name, warn_of_little_room
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import session_blueprint

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from devices.azure.checks import Check, device_checks
 from devices.azure.tracking.body_tracker import TrackerSettings
-from viewer_app.options import DoctorOptions
+from viewer_app.options.sensing import DoctorOptions
 from viewer_app.viewer.display import why_no_window, why_no_x
 
 _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program from a slow disk

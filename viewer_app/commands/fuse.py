@@ -36,7 +36,7 @@ from viewer_app.coach.setup_coach import Situation
 from viewer_app.errors import UsageError
 from viewer_app.loop.fusing import warm_up
 from viewer_app.method_options import check_paper_options
-from viewer_app.options import FuseOptions
+from viewer_app.options.sensing import FuseOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import FusionResult, print_summary, report, report_to_json, say_saved
 from viewer_app.sinks.shown_images import ShownImages

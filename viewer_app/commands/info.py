@@ -11,7 +11,7 @@ from rich.table import Table
 from recordings import layout
 from recordings.images.session_images import Images
 from recordings.session import Session
-from viewer_app.options import InfoOptions
+from viewer_app.options.sessions import InfoOptions
 from viewer_app.report.figures import calibration_in_words
 
 

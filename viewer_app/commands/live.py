@@ -37,7 +37,7 @@ from viewer_app.loop.live_loop import Status, run_live
 from viewer_app.loop.live_summary import check_saved, print_saved, print_session, session_report
 from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.method_options import check_paper_options
-from viewer_app.options import LiveOptions
+from viewer_app.options.sensing import LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
 from viewer_app.report.figures import report_to_json
 from viewer_app.sinks.live_session import LiveSession

@@ -22,7 +22,7 @@ from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.session_writer import write_session
 from viewer_app.errors import UsageError
 from viewer_app.method_options import check_paper_options
-from viewer_app.options import ReplayOptions
+from viewer_app.options.sessions import ReplayOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import FusionResult, print_summary, report, report_to_json
 from viewer_app.report.session_notes import print_damage, print_damaged_images

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 
 from recordings.session import Session
-from viewer_app.options import ReviewOptions
+from viewer_app.options.sessions import ReviewOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import FusionResult, print_summary, report
 from viewer_app.report.session_notes import print_damage

@@ -8,7 +8,7 @@ from rich.console import Console
 from recordings.session import Session
 from recordings.writing.session_writer import write_session
 from viewer_app.errors import UsageError
-from viewer_app.options import TrimOptions
+from viewer_app.options.sessions import TrimOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.session_notes import print_damage, print_damaged_images
 from viewer_app.viewer.blueprint import inspect_blueprint

@@ -1,0 +1,107 @@
+"""Options of the commands that fuse what sensors report: demo, fuse, live, doctor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from viewer_app.options.shared import (
+    MethodOptions,
+    OutputOptions,
+    SensorOptions,
+    TerminalOptions,
+    TrackerOptions,
+    ViewerOptions,
+)
+
+
+@dataclass(frozen=True)
+class FuseOptions(TrackerOptions, MethodOptions, ViewerOptions, OutputOptions):
+    """Fuse two recorded skeleton streams into one skeleton with bones of constant length.
+
+    Recordings are .csv (time_us,body,joint,x,y,z[,state]; metres), .json (Microsoft's offline_processor),
+    .skeleton (NTU RGB+D), or .mkv of an Azure Kinect, on which the body tracker is run.
+    """
+
+    a: Positional[Path] = field(kw_only=True)
+    """Recording of the principal sensor K_A; S* is in its frame."""
+    b: Positional[Path] = field(kw_only=True)
+    """Recording of the secondary sensor K_B."""
+    calibrate: str = "auto"
+    """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
+    refine: bool = True
+    """Refine the calibration, unless it is from a file, over the whole recording; of the method duplex."""
+    smooth: Literal["off", "whole"] = "off"
+    """whole: each frame counts what comes after it as well; no lag, and calmer. Of the method duplex."""
+    person_a: str | None = None
+    """Id of the person in A; the one seen longest if not given."""
+    person_b: str | None = None
+    """Id of the person in B; the one seen longest if not given."""
+    skeletons_a: Path | None = None
+    """For an .mkv: a file of saved skeletons of A, instead of the body tracker."""
+    skeletons_b: Path | None = None
+    """For an .mkv: a file of saved skeletons of B, instead of the body tracker."""
+    depth: Literal["none", "half", "full"] = "full"
+    """For an .mkv: its depth images in the session: none, every second pixel in both directions, or all."""
+
+
+@dataclass(frozen=True)
+class DemoOptions(TerminalOptions, ViewerOptions):
+    """Run the whole program without a sensor: two simulated Kinects watch one person.
+
+    The person's true joints are logged too, as a fourth skeleton (hidden at first).
+    """
+
+    motion: str = "badminton"
+    """A movement of the library (duplex demo --motion list names them), or a BVH file."""
+    seconds: float = 30.0
+    """How long."""
+    seed: int = 0
+    """Seed of the simulated sensors' errors; the same seed gives the same skeletons."""
+    angle: float = 90.0
+    """Degrees between the two sensors."""
+    body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
+    """Whose body tracker is simulated."""
+    depth: Literal["none", "half", "full"] = "half"
+    """Depth images: none, half the sensor's resolution, or full. If the machine is too slow, as most are for
+    full, images are dropped, skeletons never."""
+    save: Path | None = None
+    """Keep the session as an .rrd file; without a display demo.rrd if not given."""
+    force: bool = False
+    """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
+class LiveOptions(
+    TrackerOptions, MethodOptions, TerminalOptions, ViewerOptions, OutputOptions, SensorOptions
+):
+    """Fuse two Azure Kinects (or Orbbec Femto Bolt / Mega) live.
+
+    Ctrl-C ends the command and saves everything. duplex doctor shows what this machine lacks.
+    """
+
+    layout: Literal["setup", "inspect", "report"] = "setup"
+    """Which of the viewer's tabs is open at first."""
+    seconds: float | None = None
+    """End after this many seconds; if not given, end with Ctrl-C."""
+    depth: Literal["none", "half", "full"] = "half"
+    """Depth images shown and saved: none, every second pixel in both directions, or all."""
+    depth_mode: Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"] = "NFOV_UNBINNED"
+    """Narrow and far, or wide and near."""
+    fps: Literal[5, 15, 30] = 30
+    """Frames per second."""
+    color: Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"] = "off"
+    """Colour images, and at which resolution."""
+    tracker_smoothing: float = 0.0
+    """Temporal smoothing of the body tracker, 0 to 1; fusion needs 0."""
+
+
+@dataclass(frozen=True)
+class DoctorOptions(TrackerOptions, SensorOptions):
+    """Check live capture on this machine, and show how to fix what does not work.
+
+    The exit code is 0 if duplex live could start, 1 if not.
+    """
