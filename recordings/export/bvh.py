@@ -3,10 +3,10 @@
 S* has constant bone lengths, so BVH represents it exactly. BVH needs an even frame rate: a recorded frame may
 be repeated or dropped, but frames are never interpolated. BVH stores one length per bone (programs disagree
 on position channels of inner joints), but a new calibration changes the lengths. Therefore only the frames of
-the last calibration are written, and the number of omitted frames is reported. If several bones leave a
-joint, their angles vary and one rotation cannot represent all of them. The joint then gets the best-fitting
-rotation, as animators expect for a pelvis, and each bone gets an extra joint at the same position for the
-remaining rotation. Centimetres, y up.
+the last calibration are written, and the number of omitted frames is reported. Rotations are those of
+:mod:`fusion.joint_rotations`. If several bones leave a joint, their angles vary and one rotation cannot
+represent all of them. The joint then gets the rotation of the pelvis, the trunk, the head, the hand or the foot,
+and each bone gets an extra joint at the same position for the remaining rotation. Centimetres, y up.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
+from fusion.joint_rotations import joint_bones, rotations_of
 from recordings.errors import RecordingError
-from recordings.export.even_frames import at_even_frames, even_frames, y_up
+from recordings.export.even_frames import at_even_frames, even_frames, y_up, y_up_rotations
 from recordings.session import Session
 
 _CM = 100.0
@@ -35,7 +36,7 @@ class _Node:
     name: str
     depth: int
     offset: NDArray[np.float64]  # (3,) metres, from the parent node, in the rest pose
-    turns: tuple[int, ...]  # child joints of the bones that start here
+    bone: int  # the bone whose rotation it shows, by its end joint; -1: a last joint, which does not turn
     above: int  # index of the parent node; -1 for the root
     end: NDArray[np.float64] | None  # (3,) metres, end site of a last joint
 
@@ -61,9 +62,9 @@ def write_bvh(session: Session, path: Path) -> str:
     held[held < 0] = int(np.argmax(present))
     positions = positions[held]
     body = session.body
-    rest = _rest(body, session.calibration.bone_lengths)
-    nodes = list(_nodes(body, rest))
-    rotations = _rotations(body, nodes, positions, rest)
+    nodes = list(_nodes(body, _rest(body, session.calibration.bone_lengths)))
+    moments = (np.arange(len(positions)) * (1e9 / even.rate)).astype(np.int64)
+    rotations = _rotations(nodes, y_up_rotations(rotations_of(body, y_up(positions), moments)))
     motion = np.concatenate([positions[:, body.root] * _CM, *(_degrees(r) for r in rotations)], axis=1)
     lines = [*_hierarchy(nodes), "MOTION", f"Frames: {len(positions)}", f"Frame Time: {1.0 / even.rate:.9f}"]
     lines += [" ".join(f"{v:.6f}" for v in row) for row in motion]
@@ -97,6 +98,7 @@ def _rest(body: Body, lengths: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _nodes(body: Body, rest: NDArray[np.float64]) -> Iterator[_Node]:
     children = [[c for c in range(len(body)) if body.parents[c] == j] for j in range(len(body))]
+    shown = joint_bones(body)
     count = 0
 
     def visit(joint: int, depth: int, above: int) -> Iterator[_Node]:
@@ -104,60 +106,29 @@ def _nodes(body: Body, rest: NDArray[np.float64]) -> Iterator[_Node]:
         bones, offset = tuple(children[joint]), np.zeros(3) if above < 0 else rest[joint]
         end = None if bones else _STUB * rest[joint]
         here, count = count, count + 1
-        yield _Node(body.joints[joint], depth, offset, bones, above, end)
+        yield _Node(body.joints[joint], depth, offset, int(shown[joint]) if bones else -1, above, end)
         for bone in bones:
             if len(bones) == 1:
                 yield from visit(bone, depth + 1, here)
                 continue
             carrier, count = count, count + 1
             name = f"{body.joints[joint]}_to_{body.joints[bone]}"
-            yield _Node(name, depth + 1, np.zeros(3), (bone,), here, None)
+            yield _Node(name, depth + 1, np.zeros(3), bone, here, None)
             yield from visit(bone, depth + 2, carrier)
 
     yield from visit(body.root, 0, -1)
 
 
-def _rotations(
-    body: Body, nodes: list[_Node], at: NDArray[np.float64], rest: NDArray[np.float64]
-) -> list[Rotation]:
-    """Rotations (N,) per node, relative to the parent node."""
+def _rotations(nodes: list[_Node], bones: NDArray[np.float64]) -> list[Rotation]:
+    """Rotations (N,) per node, relative to the parent node, from those of the bones (N, J, 4)."""
     world: list[Rotation] = []
     local: list[Rotation] = []
     for node in nodes:
-        above = Rotation.identity(len(at)) if node.above < 0 else world[node.above]
-        if not node.turns:
-            local.append(Rotation.identity(len(at)))
-            world.append(above)
-            continue
-        bones = np.stack([at[:, c] - at[:, body.parents[c]] for c in node.turns], axis=1)  # (N, K, 3)
-        seen = np.stack([above.inv().apply(bones[:, k]) for k in range(len(node.turns))], axis=1)
-        turn = _turn(seen, rest[list(node.turns)])
-        local.append(turn)
-        world.append(above * turn)
+        above = Rotation.identity(len(bones)) if node.above < 0 else world[node.above]
+        own = above if node.bone < 0 else Rotation.from_quat(bones[:, node.bone])
+        local.append(above.inv() * own)
+        world.append(own)
     return local
-
-
-def _turn(bones: NDArray[np.float64], rest: NDArray[np.float64]) -> Rotation:
-    """Rotations from rest bones (K, 3) to bones (N, K, 3); the smallest rotations if K is 1."""
-    if bones.shape[1] == 1:
-        u = rest[0] / np.linalg.norm(rest[0])
-        v = bones[:, 0] / np.linalg.norm(bones[:, 0], axis=1, keepdims=True)
-        return _shortest(u, v)
-    # orthogonal Procrustes, all frames at once
-    U, _, Vt = np.linalg.svd(np.einsum("nki,kj->nij", bones, rest))
-    U[:, :, 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]
-    return Rotation.from_matrix(U @ Vt)
-
-
-def _shortest(u: NDArray[np.float64], v: NDArray[np.float64]) -> Rotation:
-    """The smallest rotations from a unit vector (3,) to unit vectors (N, 3)."""
-    axis = np.cross(np.broadcast_to(u, v.shape), v)
-    cosine = v @ u
-    quaternion = np.concatenate([axis, 1.0 + cosine[:, None]], axis=1)
-    opposite = cosine < -1.0 + 1e-12  # half a turn, about any axis across u
-    across = np.cross(u, np.eye(3)[np.argmin(np.abs(u))])
-    quaternion[opposite] = np.append(across / np.linalg.norm(across), 0.0)
-    return Rotation.from_quat(quaternion)
 
 
 def _degrees(rotation: Rotation) -> NDArray[np.float64]:

@@ -73,3 +73,8 @@ def at_even_frames(values: NDArray[np.float64], even: EvenFrames) -> NDArray[np.
 def y_up(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """(…, 3) from K_A's frame (x right, y down, z forward) to x right, y up, z towards the sensor."""
     return np.asarray(positions * np.array([1.0, -1.0, -1.0]))
+
+
+def y_up_rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(…, 4) quaternions x, y, z, w of the same rotations, between the axes that :func:`y_up` converts."""
+    return np.asarray(quaternions * np.array([1.0, -1.0, -1.0, 1.0]))

@@ -1,0 +1,300 @@
+"""Rotations of the bones of S*: the swing follows from the joints, the twist from a convention.
+
+Positions do not determine how a bone turns about itself. The convention is:
+
+* **Pelvis and trunk** turn with the line of the hips and with the line of the shoulders.
+* **The head** turns with the line of the ears, if the body has ears, else with the trunk.
+* **Upper arms and thighs**: the axis of the bent elbow or knee is the person's lateral axis at rest. So a
+  forearm turns in the plane of the elbow, a shin in the plane of the knee. A straight limb has no such plane.
+  Its twist then stays, and slowly approaches the twist of the smallest rotation from the trunk.
+* **All other bones** take the smallest rotation from the bone before them.
+
+The rotation of a bone maps its direction at rest (:attr:`fusion.body.Body.rest`: upright, arms hanging,
+facing the sensor) to its direction in S*. So p_child = p_parent + Q_child · (rest_child · length_child) gives
+S* exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.compiling.kernels import inner_kernel, kernel
+
+_FRAME, _SWING, _LIMB = 0, 1, 2
+_STRAIGHT, _BENT = math.sin(math.radians(10.0)), math.sin(math.radians(30.0))
+"""Below the first sine of a joint's angle its plane is noise; above the second the plane alone counts."""
+_TWIST_SPEED = 20.0
+"""rad/s. A faster twist is a jump of the elbow's plane; motions other than throws are slower."""
+_RELAXING = 1.0
+"""1/s, at which the twist of a straight limb approaches that of the smallest rotation."""
+_FORGETTING_S = 0.5
+"""After a gap as long as this, the twist of a straight limb starts anew."""
+_LEFT = np.array([1.0, 0.0, 0.0])  # the person's left at rest, in K_A's frame
+_TINY = 1e-9
+
+
+class _Plan:
+    """How each bone of a body gets its rotation.
+
+    Attributes:
+        kinds: (J,) ``_FRAME``, ``_SWING`` or ``_LIMB``, of the bone that ends in a joint; at the root, of the
+            pelvis.
+        bases: (J,) the bone whose rotation comes first; -1 for none.
+        ends: (J, 2) where the bone begins and ends; for the root, the first bone of the spine.
+        pairs: (J, 2) left and right joint of a frame; the two ends of the lower bone of a limb.
+        signs: (J,) of the cross product of a limb's bones, so that it points to the person's left.
+        rest: (J, 3) unit directions at rest.
+    """
+
+    def __init__(self, body: Body) -> None:
+        J = len(body)
+        self.kinds = np.full(J, _SWING)
+        self.bases = body.parent_indices.copy()
+        self.ends = np.stack([body.parent_indices, np.arange(J)], axis=1)
+        self.pairs = np.full((J, 2), -1)
+        self.signs = np.ones(J)
+        self.rest = np.ascontiguousarray(body.rest)
+        shoulders = body.joint("ShoulderLeft"), body.joint("ShoulderRight")
+        hips = body.joint("HipLeft"), body.joint("HipRight")
+        spine = _common_path(body, *shoulders)
+        self._frame(body.root, hips)
+        if spine:
+            self.ends[body.root] = self.ends[spine[0]]
+            self.rest = self.rest.copy()
+            self.rest[body.root] = body.rest[spine[0]]
+            self._frame(spine[0], hips)
+            self._frame(spine[-1], shoulders)
+        trunk = spine[-1] if spine else body.root
+        head, left_ear, right_ear = (body.find(name) for name in ("Head", "EarLeft", "EarRight"))
+        if head is not None and left_ear is not None and right_ear is not None:
+            self._frame(head, (left_ear, right_ear))
+        for upper, lower, base, sign in (("Elbow", "Wrist", trunk, -1.0), ("Knee", "Ankle", body.root, 1.0)):
+            for side in ("Left", "Right"):
+                bone, end = body.joint(upper + side), body.joint(lower + side)
+                self.kinds[bone], self.bases[bone], self.signs[bone] = _LIMB, base, sign
+                self.pairs[bone] = bone, end
+        self.tables = (body.order, self.kinds, self.bases, self.ends, self.pairs, self.signs, self.rest)
+
+    def _frame(self, bone: int, pair: tuple[int, int]) -> None:
+        self.kinds[bone], self.pairs[bone] = _FRAME, pair
+
+
+_plan = cache(_Plan)
+
+
+def _common_path(body: Body, first: int, second: int) -> list[int]:
+    """The joints that the ways from the root to two joints share, the root left out."""
+    ways = []
+    for joint in (first, second):
+        way = [joint]
+        while body.parents[way[-1]] >= 0:
+            way.append(body.parents[way[-1]])
+        ways.append(way[::-1])
+    return [a for a, b in zip(*ways, strict=False) if a == b][1:]
+
+
+def joint_bones(body: Body) -> NDArray[np.int64]:
+    """(J,) the bone whose rotation a joint shows in formats that have one rotation per joint.
+
+    It is the bone that leaves the joint. If several do, it is the hand at a wrist, the foot at an ankle, and
+    elsewhere the bone that ends in the joint. A last joint shows the bone that ends in it, the root the
+    pelvis.
+    """
+    children = [[c for c in range(len(body)) if body.parents[c] == j] for j in range(len(body))]
+    bones = np.array([own[0] if len(own) == 1 else j for j, own in enumerate(children)], dtype=np.int64)
+    bones[body.root] = body.root
+    for bone in ("Hand", "Foot"):
+        for side in ("Left", "Right"):
+            end = body.find(bone + side)
+            if end is not None:
+                bones[body.parents[end]] = end
+    return bones
+
+
+class JointRotations:
+    """Rotations of all bones, frame by frame; the twist is continuous in time.
+
+    Args:
+        body: The body.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self._tables = _plan(body).tables
+        self._before = np.full((len(body), 4), np.nan)
+        self._time_ns: int | None = None
+
+    def update(self, positions: NDArray[np.float64], time_ns: int) -> NDArray[np.float64]:
+        """The rotations of one frame.
+
+        Args:
+            positions: (J, 3) metres, S* in K_A's frame; NaN where there is no person.
+            time_ns: The frame's time.
+
+        Returns:
+            (J, 4) unit quaternions x, y, z, w in K_A's frame: the rotation from rest of the bone that ends in
+            a joint; at the root, of the pelvis. Signs are continuous in time. NaN where there is no person.
+        """
+        rotations = np.full((len(self.body), 4), np.nan)
+        if not np.isfinite(positions).all():
+            return rotations
+        elapsed = -1.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
+        known = 0.0 <= elapsed < _FORGETTING_S
+        at = np.ascontiguousarray(positions, dtype=np.float64)
+        _rotate(*self._tables, at, self._before, known, max(elapsed, 0.0), rotations)
+        self._before, self._time_ns = rotations, time_ns
+        return rotations.copy()
+
+
+def rotations_of(
+    body: Body, positions: NDArray[np.float64], time_ns: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """(T, J, 4) the rotations of all frames of S* (T, J, 3); see :meth:`JointRotations.update`."""
+    rotations = JointRotations(body)
+    each = [rotations.update(at, int(t)) for at, t in zip(positions, time_ns, strict=True)]
+    return np.array(each).reshape(len(positions), len(body), 4)
+
+
+@kernel
+def _rotate(order, kinds, bases, ends, pairs, signs, rest, at, before, known, elapsed, out):  # type: ignore[no-untyped-def]
+    d, axis, ref = np.empty(3), np.empty(3), np.empty(3)
+    swung, old = np.empty(4), np.empty(4)
+    for k in range(order.shape[0]):
+        j = order[k]
+        first, last = ends[j, 0], ends[j, 1]
+        length = 0.0
+        for c in range(3):
+            d[c] = at[last, c] - at[first, c] if first >= 0 else -rest[j, c]
+            length += d[c] * d[c]
+        length = math.sqrt(length)
+        base = bases[j]
+        for c in range(4):
+            swung[c] = out[base, c] if base >= 0 else (1.0 if c == 3 else 0.0)
+        if length > _TINY:
+            for c in range(3):
+                d[c] /= length
+            cosine = _swing(rest[j], d, swung)
+            if kinds[j] == _FRAME:
+                for c in range(3):
+                    axis[c] = at[pairs[j, 0], c] - at[pairs[j, 1], c]
+                _twist(d, _left_angle(swung, d, axis, ref), swung)
+            elif kinds[j] == _LIMB:
+                for c in range(3):
+                    axis[c] = at[pairs[j, 1], c] - at[pairs[j, 0], c]
+                share = _hinge(d, axis, signs[j])
+                if known:
+                    for c in range(4):
+                        old[c] = before[j, c]
+                    _swing(rest[j], d, old)
+                    _twist_limb(share, 0.5 + 0.5 * cosine, elapsed, d, axis, ref, old, swung)
+                else:
+                    _twist(d, share * _left_angle(swung, d, axis, ref), swung)
+        same = 0.0
+        if known:
+            for c in range(4):
+                same += swung[c] * before[j, c]
+        for c in range(4):
+            out[j, c] = -swung[c] if same < 0.0 else swung[c]
+
+
+@inner_kernel
+def _hinge(d, axis, sign):  # type: ignore[no-untyped-def]
+    """Replaces the lower bone by the axis between it and d; returns how much the axis counts, 0 to 1."""
+    x, y, z = axis[0], axis[1], axis[2]
+    scale = sign / max(math.sqrt(x * x + y * y + z * z), _TINY)
+    axis[0] = scale * (d[1] * z - d[2] * y)
+    axis[1] = scale * (d[2] * x - d[0] * z)
+    axis[2] = scale * (d[0] * y - d[1] * x)
+    bend = math.sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2])
+    share = min(max((bend - _STRAIGHT) / (_BENT - _STRAIGHT), 0.0), 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+@inner_kernel
+def _twist_limb(share, trust, elapsed, d, axis, ref, old, swung):  # type: ignore[no-untyped-def]
+    """Twists a limb from its twist before, `old`: to the hinge where bent, else slowly to that of `swung`.
+
+    `trust` is 0 where the limb is half a turn from rest, where the smallest rotation is undetermined.
+    """
+    to_hinge = _left_angle(old, d, axis, ref)
+    _left_of(swung, axis)
+    to_smallest = _left_angle(old, d, axis, ref)
+    angle = share * to_hinge + (1.0 - share) * min(_RELAXING * elapsed, 1.0) * trust * to_smallest
+    most = _TWIST_SPEED * elapsed
+    _twist(d, min(max(angle, -most), most), old)
+    for c in range(4):
+        swung[c] = old[c]
+
+
+@inner_kernel
+def _left_of(q, out):  # type: ignore[no-untyped-def]
+    """The person's left, rotated by q."""
+    out[0] = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
+    out[1] = 2.0 * (q[0] * q[1] + q[2] * q[3])
+    out[2] = 2.0 * (q[0] * q[2] - q[1] * q[3])
+
+
+@inner_kernel
+def _left_angle(q, d, axis, ref):  # type: ignore[no-untyped-def]
+    """The angle about d from the rotated left to an axis; 0 where the axis lies along d."""
+    _left_of(q, ref)
+    dot_axis, dot_ref = 0.0, 0.0
+    for c in range(3):
+        dot_axis += axis[c] * d[c]
+        dot_ref += ref[c] * d[c]
+    sine, cosine = 0.0, 0.0
+    for c in range(3):
+        e, f = (c + 1) % 3, (c + 2) % 3
+        sine += d[c] * (ref[e] * axis[f] - ref[f] * axis[e])
+        cosine += (ref[c] - dot_ref * d[c]) * (axis[c] - dot_axis * d[c])
+    if abs(sine) + abs(cosine) < _TINY:
+        return 0.0
+    return math.atan2(sine, cosine)
+
+
+@inner_kernel
+def _twist(d, angle, q):  # type: ignore[no-untyped-def]
+    """q ← (rotation about d by the angle) · q."""
+    s, w = math.sin(0.5 * angle), math.cos(0.5 * angle)
+    _multiply(s * d[0], s * d[1], s * d[2], w, q)
+
+
+@inner_kernel
+def _multiply(x, y, z, w, q):  # type: ignore[no-untyped-def]
+    """q ← (x, y, z, w) · q, of unit length."""
+    a = w * q[0] + x * q[3] + y * q[2] - z * q[1]
+    b = w * q[1] - x * q[2] + y * q[3] + z * q[0]
+    c = w * q[2] + x * q[1] - y * q[0] + z * q[3]
+    e = w * q[3] - x * q[0] - y * q[1] - z * q[2]
+    size = math.sqrt(a * a + b * b + c * c + e * e)
+    q[0], q[1], q[2], q[3] = a / size, b / size, c / size, e / size
+
+
+@inner_kernel
+def _swing(rest, d, q):  # type: ignore[no-untyped-def]
+    """q ← (the smallest rotation that takes q's rest direction to d) · q; returns their cosine."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    # u = q rest q⁻¹
+    tx = 2.0 * (y * rest[2] - z * rest[1])
+    ty = 2.0 * (z * rest[0] - x * rest[2])
+    tz = 2.0 * (x * rest[1] - y * rest[0])
+    u0 = rest[0] + w * tx + y * tz - z * ty
+    u1 = rest[1] + w * ty + z * tx - x * tz
+    u2 = rest[2] + w * tz + x * ty - y * tx
+    cosine = u0 * d[0] + u1 * d[1] + u2 * d[2]
+    a, b, c = u1 * d[2] - u2 * d[1], u2 * d[0] - u0 * d[2], u0 * d[1] - u1 * d[0]
+    e = 1.0 + cosine
+    if e < _TINY:  # half a turn, about any axis across u
+        if abs(u0) < 0.7:
+            a, b, c = 0.0, u2, -u1
+        else:
+            a, b, c = -u2, 0.0, u0
+        e = 0.0
+    size = math.sqrt(a * a + b * b + c * c + e * e)
+    _multiply(a / size, b / size, c / size, e / size, q)
+    return cosine
