@@ -5,7 +5,7 @@ be repeated or dropped, but frames are never interpolated. BVH stores one length
 on position channels of inner joints), but a new calibration changes the lengths. Therefore only the frames of
 the last calibration are written, and the number of omitted frames is reported. Rotations are those of
 :mod:`fusion.joint_rotations`. If several bones leave a joint, their angles vary and one rotation cannot
-represent all of them. The joint then gets the rotation of the pelvis, the trunk, the head, the hand or the foot,
+represent all of them. The joint then gets the rotation of the pelvis, trunk, head, hand or foot,
 and each bone gets an extra joint at the same position for the remaining rotation. Centimetres, y up.
 """
 

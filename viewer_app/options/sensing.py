@@ -9,6 +9,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from viewer_app.options.shared import (
+    LiveOutputOptions,
     MethodOptions,
     OutputOptions,
     SensorOptions,
@@ -49,7 +50,7 @@ class FuseOptions(TrackerOptions, MethodOptions, ViewerOptions, OutputOptions):
 
 
 @dataclass(frozen=True)
-class DemoOptions(TerminalOptions, ViewerOptions):
+class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions):
     """Run the whole program without a sensor: two simulated Kinects watch one person.
 
     The person's true joints are logged too, as a fourth skeleton (hidden at first).
@@ -76,7 +77,13 @@ class DemoOptions(TerminalOptions, ViewerOptions):
 
 @dataclass(frozen=True)
 class LiveOptions(
-    TrackerOptions, MethodOptions, TerminalOptions, ViewerOptions, OutputOptions, SensorOptions
+    LiveOutputOptions,
+    TrackerOptions,
+    MethodOptions,
+    TerminalOptions,
+    ViewerOptions,
+    OutputOptions,
+    SensorOptions,
 ):
     """Fuse two Azure Kinects (or Orbbec Femto Bolt / Mega) live.
 

@@ -8,13 +8,11 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from viewer_app.options.shared import (
-    OutputOptions,
-)
+from viewer_app.options.shared import LiveOutputOptions, OutputOptions
 
 
 @dataclass(frozen=True)
-class ReplayOptions(OutputOptions):
+class ReplayOptions(LiveOutputOptions, OutputOptions):
     """Fuse a session's two skeletons again, with its own settings or with others.
 
     With the session's own settings S* is identical bit for bit; --verify checks this.
@@ -37,6 +35,10 @@ class ReplayOptions(OutputOptions):
     """Do not open the viewer."""
     save: Path | None = None
     """Keep the new session, its depth images included, as an .rrd file."""
+    pace: Literal["fast", "live"] = "fast"
+    """fast: as fast as possible. live: at the recorded times, for --vmc and other outputs."""
+    listen: str | None = None
+    """With --websocket or --lsl: the address of this machine to listen on, also for other machines."""
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,8 @@ class ViewerOptions:
     web: bool = False
     """Show the session in a browser instead of a window."""
     listen: str | None = None
-    """With --web: the address of this machine to listen on, also for other machines. Default: this machine
-    only."""
+    """With --web, --websocket or --lsl: the address of this machine to listen on, also for other machines.
+    Default: this machine only."""
     layout: Literal["setup", "inspect", "report"] = "inspect"
     """Which of the viewer's tabs is open at first."""
 
@@ -89,3 +89,25 @@ class SensorOptions:
     """Serial number of the sensor that is K_A, if two are connected; if not given, duplex live asks."""
     sync_master: str | None = None
     """Serial number of the master on the sync cable; needed with Orbbec's wrapper, which cannot detect it."""
+
+
+@dataclass(frozen=True)
+class LiveOutputOptions:
+    """Where S* is sent while the loop runs."""
+
+    vmc: str | None = None
+    """HOST:PORT of a VMC receiver: VSeeFace, Warudo, Unity, Unreal, Blender; usually port 39539."""
+    avatar: Path | None = None
+    """With --vmc: a .vrm, whose proportions are sent instead of the person's."""
+    vrchat: str | None = None
+    """HOST:PORT of VRChat's OSC trackers; usually port 9000."""
+    lsl: str | None = None
+    """Name of a Lab Streaming Layer stream; needs the extra lsl."""
+    websocket: int | None = None
+    """Port of a WebSocket server: JSON, and a page that draws the skeleton."""
+    zenoh: str | None = None
+    """Zenoh key to publish JSON under; needs the extra zenoh."""
+    zenoh_listen: tuple[str, ...] = ()
+    """With --zenoh: addresses to listen on; tcp/127.0.0.1:7447 if none is given."""
+    zenoh_connect: tuple[str, ...] = ()
+    """With --zenoh: addresses of routers or peers to connect to."""

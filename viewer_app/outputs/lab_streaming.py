@@ -1,0 +1,116 @@
+"""Lab Streaming Layer: S* as a stream of type MoCap, events as a stream of type Markers.
+
+Per joint four channels: x, y, z in metres in K_A's frame, and a confidence from 0 to 1. Without a person positions are
+NaN and confidences 0.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.live.host_clock import HostClock
+from fusion.body import Body
+from fusion.fused_frame import FusedFrame
+from viewer_app.errors import UsageError
+from viewer_app.outputs.output import LiveOutput, TimedFrame, TimedNote, confidence
+
+_KEEP = 64  # frames; a recorder wants all of them
+_THIS_MACHINE = "[multicast]\nResolveScope = machine\n"
+_CHANNELS = ("PositionX", "PositionY", "PositionZ", "Confidence")
+
+
+def sample(fused: FusedFrame) -> NDArray[np.float32]:
+    """(4 J,) the channels of one frame."""
+    channels = np.empty((len(fused.positions), 4), dtype=np.float32)
+    channels[:, :3] = fused.positions
+    channels[:, 3] = confidence(fused)
+    return channels.ravel()
+
+
+class LabStreamingOutput(LiveOutput):
+    """Two outlets: ``NAME`` and ``NAME-events``.
+
+    A sample has the time of its capture plus the least delay that a frame had so far, on liblsl's clock. So the
+    stamps are as regular as the sensor.
+
+    Args:
+        name: Name of the stream.
+        body: The body of S*.
+        rate: Nominal frames per second.
+        others: Whether other machines may find the stream. If not, discovery is limited to this machine.
+
+    Raises:
+        UsageError: pylsl is not installed.
+    """
+
+    def __init__(self, name: str, body: Body, rate: float, others: bool = False) -> None:
+        super().__init__(f"LSL stream {name}", keep=_KEEP)
+        pylsl = load_pylsl(others)
+        source = f"duplex-kinects-{name}-{uuid4().hex[:8]}"
+        info = pylsl.StreamInfo(name, "MoCap", 4 * len(body), rate, pylsl.cf_float32, source)
+        _describe(info.desc(), body)
+        events = pylsl.StreamInfo(f"{name}-events", "Markers", 1, 0.0, pylsl.cf_string, f"{source}-events")
+        self._samples, self._events = pylsl.StreamOutlet(info), pylsl.StreamOutlet(events)
+        self._clock_offset = pylsl.local_clock() - time.perf_counter()
+        self._host_clock = HostClock()
+        self._stamp = -np.inf
+        self.start()
+
+    def send_frame(self, frame: TimedFrame) -> int:
+        """Pushes a sample; liblsl buffers it for each receiver."""
+        self._host_clock.observe(frame.time_ns, frame.written_ns)
+        offset_ns = self._host_clock.offset_ns
+        host_ns = frame.written_ns if offset_ns is None else frame.time_ns + offset_ns
+        self._stamp = max(host_ns * 1e-9 + self._clock_offset, self._stamp + 1e-6)
+        self._samples.push_sample(sample(frame.fused), self._stamp)
+        return 1
+
+    def send_note(self, note: TimedNote) -> None:
+        """Pushes an event at the time of the last sample."""
+        if np.isfinite(self._stamp):
+            self._events.push_sample([f"{note.level}: {note.text}"], self._stamp)
+        else:
+            self._events.push_sample([f"{note.level}: {note.text}"])
+
+    def shut(self) -> None:
+        """Removes the streams."""
+        del self._samples, self._events
+
+
+def load_pylsl(others: bool) -> Any:
+    """The module ``pylsl``, with discovery limited to this machine unless `others`.
+
+    Raises:
+        UsageError: It is not installed.
+    """
+    try:
+        import pylsl
+    except (ImportError, RuntimeError, OSError) as fault:
+        raise UsageError("--lsl needs pylsl: pip install 'duplex-kinects[lsl]'.") from fault
+    if not others:
+        pylsl.set_config_content(_THIS_MACHINE)
+    return pylsl
+
+
+def _describe(description: Any, body: Body) -> None:
+    """The meta-data that the XDF specification lists for motion capture."""
+    channels = description.append_child("channels")
+    for joint in body.joints:
+        for kind in _CHANNELS:
+            channel = channels.append_child("channel")
+            channel.append_child_value("label", f"{joint}_{kind}")
+            channel.append_child_value("marker", joint)
+            channel.append_child_value("object", body.name)
+            channel.append_child_value("type", kind)
+            channel.append_child_value("unit", "normalized" if kind == "Confidence" else "meters")
+    acquisition = description.append_child("acquisition")
+    acquisition.append_child_value("manufacturer", "duplex-kinects")
+    acquisition.append_child_value("model", body.name)
+    acquisition.append_child_value("compensated_lag", "0")
+    setup = description.append_child("setup")
+    setup.append_child_value("axes", "x right, y down, z forward, of the first sensor; right-handed")

@@ -1,0 +1,146 @@
+"""Opens the outputs that the options ask for, and reports how they fared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from rich.console import Console
+
+from fusion.body import Body
+from fusion.setup import FusionSetup
+from viewer_app.errors import UsageError
+from viewer_app.options.shared import LiveOutputOptions
+from viewer_app.outputs.osc import Address
+from viewer_app.outputs.output import LiveOutput
+from viewer_app.outputs.vrm import Avatar, read_avatar
+
+_VMC_PORT, _VRCHAT_PORT = 39539, 9000
+
+
+@dataclass(frozen=True)
+class OutputPlan:
+    """The outputs that the options ask for, checked.
+
+    Attributes:
+        options: The options.
+        listen: Address for servers; None for this machine only.
+        vmc, vrchat: Receivers.
+        avatar: Proportions for VMC.
+    """
+
+    options: LiveOutputOptions
+    listen: str | None
+    vmc: Address | None
+    vrchat: Address | None
+    avatar: Avatar | None
+
+    def __bool__(self) -> bool:
+        """Whether there is any output."""
+        wanted = (self.vmc, self.vrchat, self.options.lsl, self.options.websocket, self.options.zenoh)
+        return any(each is not None for each in wanted)
+
+    def warm_up(self, body: Body) -> None:
+        """Compiles what the outputs need before the first frame."""
+        if self:
+            from viewer_app.outputs.unity_pose import UnitySkeleton
+
+            joints = np.zeros((len(body), 3))
+            for joint in body.order[1:]:
+                joints[joint] = joints[body.parents[joint]] + body.nominal_lengths[joint] * body.rest[joint]
+            skeleton = UnitySkeleton(body)
+            skeleton.update(joints, 0)
+
+    @contextmanager
+    def opened(self, setup: FusionSetup, rate: float = 30.0) -> Iterator[Sequence[LiveOutput]]:
+        """Opens the outputs; closes them at the end of the block.
+
+        Args:
+            setup: The setup of the first frames.
+            rate: Nominal frames per second.
+
+        Raises:
+            DeviceError, UsageError: An output cannot start.
+        """
+        self.warm_up(setup.body)
+        with ExitStack() as stack:
+            outputs = []
+            for output in self._open(setup, rate):
+                stack.callback(output.close)
+                outputs.append(output)
+            yield outputs
+
+    def _open(self, setup: FusionSetup, rate: float) -> Iterator[LiveOutput]:
+        options, body = self.options, setup.body
+        if self.vmc is not None:
+            from viewer_app.outputs.vmc import VmcOutput
+
+            yield VmcOutput(self.vmc, body, self.avatar)
+        if self.vrchat is not None:
+            from viewer_app.outputs.vrchat import VRChatOutput
+
+            yield VRChatOutput(self.vrchat, body)
+        if options.lsl is not None:
+            from viewer_app.outputs.lab_streaming import LabStreamingOutput
+
+            yield LabStreamingOutput(options.lsl, body, rate, others=self.listen is not None)
+        if options.websocket is not None:
+            from viewer_app.outputs.websocket import WebSocketOutput
+
+            yield WebSocketOutput(options.websocket, setup, self.listen)
+        if options.zenoh is not None:
+            from viewer_app.outputs.zenoh_topic import ZenohOutput, addresses_of
+
+            addresses = addresses_of(options.zenoh_listen, options.zenoh_connect)
+            yield ZenohOutput(options.zenoh, addresses, setup)
+
+
+def plan_outputs(options: LiveOutputOptions, listen: str | None = None) -> OutputPlan:
+    """Checks the options of the outputs and reads the avatar; opens nothing.
+
+    Raises:
+        DeviceError, UsageError: An option is wrong, or its package is missing.
+    """
+    vmc = None if options.vmc is None else Address.of(options.vmc, "--vmc", _VMC_PORT)
+    vrchat = None if options.vrchat is None else Address.of(options.vrchat, "--vrchat", _VRCHAT_PORT)
+    if options.avatar is not None and vmc is None:
+        raise UsageError("--avatar gives the proportions for --vmc; give both.")
+    if options.websocket is not None and not 0 < options.websocket < 65536:
+        raise UsageError(f"--websocket {options.websocket}: a port is between 1 and 65535.")
+    if options.lsl is not None:
+        from viewer_app.outputs.lab_streaming import load_pylsl
+
+        if not options.lsl.strip():
+            raise UsageError("--lsl needs a name for the stream.")
+        load_pylsl(others=listen is not None)
+    if options.zenoh is not None:
+        from devices.network.zenoh_session import checked_key, load_zenoh
+        from viewer_app.outputs.zenoh_topic import addresses_of
+
+        load_zenoh()
+        checked_key(options.zenoh)
+        addresses_of(options.zenoh_listen, options.zenoh_connect)
+    elif options.zenoh_listen or options.zenoh_connect:
+        raise UsageError("--zenoh-listen and --zenoh-connect are addresses for --zenoh; give its key, too.")
+    avatar = None if options.avatar is None else read_avatar(options.avatar)
+    return OutputPlan(options, listen, vmc, vrchat, avatar)
+
+
+def announce_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:
+    """Prints where S* is sent."""
+    for output in outputs:
+        page = getattr(output, "page", None)
+        where = f"{output.name}; page: {page}" if page else output.name
+        console.print(f"Sending: {where}", highlight=False, markup=False, soft_wrap=True)
+
+
+def print_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:
+    """Prints the counts of each output, and why one stopped."""
+    for output in outputs:
+        counts = output.counts
+        said = f"{output.name}: {counts.sent} frames sent, {counts.dropped} dropped, {counts.late} late."
+        console.print(said, highlight=False, markup=False, soft_wrap=True)
+        if output.failure is not None:
+            console.print(output.failure, style="yellow", highlight=False, markup=False, soft_wrap=True)

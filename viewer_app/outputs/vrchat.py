@@ -1,0 +1,105 @@
+"""VRChat's OSC trackers: eight points of the body and the head, over UDP.
+
+https://docs.vrchat.com/docs/osc-trackers. Unity's axes, metres, Euler angles in degrees that are applied in the
+order z, x, y. ``head`` tells VRChat how this space lies to its own. Without a person nothing is sent.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from viewer_app.outputs.osc import Address, OscMessage, UdpSender, filled, split_bundles
+from viewer_app.outputs.output import LiveOutput, TimedFrame
+from viewer_app.outputs.unity_pose import UnitySkeleton
+
+PORT = 9000
+"""The port on which VRChat listens."""
+
+# slot: (bone whose rotation it has, bone at whose beginning it is)
+TRACKERS = {
+    "1": ("Hips", "Hips"),
+    "2": ("LeftFoot", "LeftFoot"),
+    "3": ("RightFoot", "RightFoot"),
+    "4": ("LeftUpperLeg", "LeftLowerLeg"),
+    "5": ("RightUpperLeg", "RightLowerLeg"),
+    "6": ("Chest", "Chest"),
+    "7": ("LeftUpperArm", "LeftLowerArm"),
+    "8": ("RightUpperArm", "RightLowerArm"),
+    "head": ("Head", "Head"),
+}
+"""What each tracker follows: feet at the ankles, upper legs at the knees, upper arms at the elbows."""
+
+
+class VRChatEncoder:
+    """Frames of S* as datagrams.
+
+    Args:
+        body: The body of S*.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self.skeleton = UnitySkeleton(body)
+        names = self.skeleton.names
+        chest = "Chest" if "Chest" in names else "Spine"
+
+        def index(name: str) -> int:
+            return names.index(chest if name == "Chest" else name)
+
+        self._turns = np.array([index(turn) for turn, _ in TRACKERS.values()])
+        self._places = np.array([index(place) for _, place in TRACKERS.values()])
+        self._bundles = split_bundles(
+            [
+                OscMessage(f"/tracking/trackers/{slot}/{what}", (None, None, None))
+                for slot in TRACKERS
+                for what in ("position", "rotation")
+            ]
+        )
+
+    def encode(self, positions: NDArray[np.float64], time_ns: int) -> list[bytes]:
+        """The datagrams of (J, 3) joints in K_A's frame; none without a person."""
+        pose = self.skeleton.update(positions, time_ns)
+        if pose is None:
+            return []
+        places, turns = pose.positions[self._places], euler_degrees(pose.rotations[self._turns])
+        return filled(self._bundles, np.concatenate([places, turns], axis=1).ravel())
+
+
+def euler_degrees(q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 3) angles about x, y, z in degrees, of R = R_y R_x R_z, from quaternions (N, 4) x, y, z, w."""
+    return np.array([_euler_degrees(*each) for each in q.tolist()])
+
+
+def _euler_degrees(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+    sine = 2.0 * (w * x - y * z)
+    return (
+        math.degrees(math.asin(min(max(sine, -1.0), 1.0))),
+        math.degrees(math.atan2(2.0 * (x * z + w * y), 1.0 - 2.0 * (x * x + y * y))),
+        math.degrees(math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z))),
+    )
+
+
+class VRChatOutput(LiveOutput):
+    """Sends S* to VRChat.
+
+    Raises:
+        UsageError: The host is unknown.
+    """
+
+    def __init__(self, address: Address, body: Body) -> None:
+        super().__init__(f"VRChat at {address}")
+        self._encoder = VRChatEncoder(body)
+        self._udp = UdpSender(address, "--vrchat")
+        self.start()
+
+    def send_frame(self, frame: TimedFrame) -> int | None:
+        """Sends one datagram; none without a person."""
+        datagrams = self._encoder.encode(frame.fused.positions, frame.time_ns)
+        return self._udp.send(datagrams) if datagrams else None
+
+    def shut(self) -> None:
+        """Closes the socket."""
+        self._udp.close()

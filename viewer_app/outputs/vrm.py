@@ -1,0 +1,129 @@
+"""Reads the rest pose of an avatar's bones from a VRM file (GLB with VRM 0.x or 1.0).
+
+Only the JSON part is read. Nothing of the file is executed or drawn.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from viewer_app.errors import UsageError
+
+_LARGEST = 64 << 20  # bytes of JSON
+
+
+@dataclass(frozen=True, eq=False)
+class Avatar:
+    """Where an avatar's bones rest.
+
+    Attributes:
+        translations: (3,) metres in Unity's axes, by Unity's name of a bone: its place relative to the node above it in
+            the file, at rest.
+        hips: (3,) metres, where Hips rest above the floor.
+        above_hips: (3,) metres, the place of the node above Hips.
+    """
+
+    translations: dict[str, NDArray[np.float64]]
+    hips: NDArray[np.float64]
+    above_hips: NDArray[np.float64]
+
+
+def read_avatar(path: Path) -> Avatar:
+    """The rest pose of a VRM.
+
+    Raises:
+        UsageError: The file is missing, damaged, or no VRM.
+    """
+    try:
+        return _avatar(_json_of(path.read_bytes()))
+    except OSError as fault:
+        raise UsageError(f"--avatar {path}: {fault.strerror}.") from fault
+    except (
+        KeyError,
+        IndexError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        struct.error,
+        RecursionError,
+    ) as fault:
+        raise UsageError(f"--avatar {path}: not a readable .vrm ({fault}).") from fault
+
+
+def _json_of(data: bytes) -> dict[str, Any]:
+    magic, version, _, length, kind = struct.unpack_from("<4sII I4s", data)
+    if magic != b"glTF" or version != 2 or kind != b"JSON":
+        raise ValueError("no binary glTF 2.0")
+    if length > min(_LARGEST, len(data) - 20):
+        raise ValueError("cut off")
+    read = json.loads(data[20 : 20 + length])
+    if not isinstance(read, dict):
+        raise ValueError("no glTF")
+    return read
+
+
+def _avatar(gltf: dict[str, Any]) -> Avatar:
+    extensions = gltf.get("extensions", {})
+    if "VRMC_vrm" in extensions:  # VRM 1.0 faces +z; Unity's importer mirrors x
+        bones = {
+            name: bone["node"] for name, bone in extensions["VRMC_vrm"]["humanoid"]["humanBones"].items()
+        }
+        to_unity = np.array([-1.0, 1.0, 1.0])
+    elif "VRM" in extensions:  # VRM 0.x faces −z; Unity's importer mirrors z
+        bones = {bone["bone"]: bone["node"] for bone in extensions["VRM"]["humanoid"]["humanBones"]}
+        to_unity = np.array([1.0, 1.0, -1.0])
+    else:
+        raise ValueError("no VRM extension")
+    nodes = gltf["nodes"]
+    above = {child: k for k, node in enumerate(nodes) for child in node.get("children", ())}
+    places: dict[int, NDArray[np.float64]] = {}
+
+    def place(node: int) -> NDArray[np.float64]:
+        """(4, 4) world matrix; the way to the root must be no longer than there are nodes."""
+        way = [node]
+        while way[-1] in above:
+            way.append(above[way[-1]])
+            if len(way) > len(nodes):
+                raise ValueError("nodes in a circle")
+        matrix = np.eye(4)
+        for each in reversed(way):
+            matrix = matrix @ _matrix(nodes[each])
+        return matrix
+
+    for node in {int(n) for n in bones.values()}:
+        for each in {node, above.get(node, node)}:
+            places[each] = place(each)[:3, 3] * to_unity
+    if not np.isfinite(list(places.values())).all():
+        raise ValueError("a place that is not finite")
+    origin = np.zeros(3)
+    translations = {
+        _unity_name(name): places[int(n)] - (places[above[int(n)]] if int(n) in above else origin)
+        for name, n in bones.items()
+    }
+    hips = int(bones["hips"])
+    if places[hips][1] <= 0.0:
+        raise ValueError("hips that are not above the floor")
+    return Avatar(translations, places[hips], places[above[hips]] if hips in above else origin)
+
+
+def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
+    """(4, 4) the node's own transform."""
+    if "matrix" in node:
+        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+    matrix = np.eye(4)
+    rotation = Rotation.from_quat(node.get("rotation", (0.0, 0.0, 0.0, 1.0))).as_matrix()
+    matrix[:3, :3] = rotation * np.array(node.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64)
+    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return matrix
+
+
+def _unity_name(bone: str) -> str:
+    return bone[:1].upper() + bone[1:]

@@ -1,0 +1,229 @@
+"""A WebSocket server: the JSON of :mod:`viewer_app.outputs.skeleton_json` for browsers and scripts.
+
+The same port serves a page that draws the skeleton. Each client has a slot for the newest frame: one that is slow
+skips frames, one that stands still is disconnected. What clients send is counted and ignored.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import logging
+import threading
+from collections import deque
+from contextlib import suppress
+from http import HTTPStatus
+from importlib import resources
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+from fusion.setup import FusionSetup
+from viewer_app.errors import UsageError
+from viewer_app.outputs.output import LATE_NS, LiveOutput, TimedFrame, TimedNote
+from viewer_app.outputs.skeleton_json import SkeletonJson
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import Server, ServerConnection
+    from websockets.http11 import Request, Response
+
+LOOPBACK = "127.0.0.1"
+_LARGEST = 4096  # bytes of a client's message
+_MOST_CLIENTS = 32
+_PATIENCE = 10.0  # seconds without an answer to a ping
+_OPENS_WITHIN = 10.0
+_WRITE_LIMIT = 32_768  # bytes: some frames
+_SECURITY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self' ws:"
+)
+
+
+class _Client:
+    """What waits for one client: the newest frame and when it was made, and other messages."""
+
+    def __init__(self) -> None:
+        self.frame: tuple[str, int] | None = None
+        self.others: deque[str] = deque(maxlen=64)
+        self.more = asyncio.Event()
+
+
+class WebSocketOutput(LiveOutput):
+    """Serves S* on a port.
+
+    Args:
+        port: The port.
+        setup: The setup of the first frames.
+        listen: Address of this machine to listen on; None for this machine only.
+
+    Raises:
+        UsageError: The port is in use, or the address is not of this machine.
+    """
+
+    def __init__(self, port: int, setup: FusionSetup, listen: str | None = None) -> None:
+        self.host = listen or LOOPBACK
+        super().__init__(f"WebSocket on ws://{_in_url(self.host)}:{port}")
+        self.page = f"http://{_in_url(self.host)}:{port}"
+        self._json = SkeletonJson(setup)
+        self._hello = self._json.hello(setup)
+        self._page = resources.files("viewer_app.outputs").joinpath("templates/skeleton.html").read_bytes()
+        self._clients: set[_Client] = set()
+        self.ignored = 0
+        """Messages of clients."""
+        self._loop = asyncio.new_event_loop()
+        self._serving = threading.Thread(target=self._loop.run_forever, name="websocket", daemon=True)
+        self._serving.start()
+        try:
+            self._server = asyncio.run_coroutine_threadsafe(self._serve(port), self._loop).result()
+        except (OSError, OverflowError) as fault:
+            self._end_loop()
+            reason = getattr(fault, "strerror", None) or fault
+            raise UsageError(
+                f"--websocket {port}: cannot listen on {self.host}:{port} ({reason})."
+            ) from fault
+        self.start()
+
+    def figures(self) -> dict[str, object]:
+        """The counts, and the messages of clients."""
+        return {**super().figures(), "ignored_messages": self.ignored}
+
+    def send_frame(self, frame: TimedFrame) -> int | None:
+        """Encodes a frame, if there is a client, and hands it to the server's thread."""
+        if self._clients:
+            self._publish(self._json.frame(frame), frame.written_ns)
+        return None  # the server's thread counts
+
+    def send_note(self, note: TimedNote) -> None:
+        """Sends an event."""
+        self._publish(self._json.note(note))
+
+    def send_setup(self, setup: FusionSetup) -> None:
+        """Sends the description again."""
+        self._hello = self._json.hello(setup)
+        self._publish(self._hello)
+
+    def shut(self) -> None:
+        """Disconnects all clients and frees the port."""
+        with suppress(TimeoutError):
+            asyncio.run_coroutine_threadsafe(self._stop(), self._loop).result(2.0)
+        self._end_loop()
+
+    def _publish(self, text: str, written_ns: int | None = None) -> None:
+        self._loop.call_soon_threadsafe(self._offer, text, written_ns)
+
+    def _offer(self, text: str, written_ns: int | None) -> None:
+        for client in self._clients:
+            if written_ns is None:
+                client.others.append(text)
+            else:
+                if client.frame is not None:
+                    self._unsent()
+                client.frame = text, written_ns
+            client.more.set()
+
+    async def _serve(self, port: int) -> Server:
+        from websockets.asyncio.server import serve
+
+        # a client that speaks no WebSocket is not worth a traceback
+        logger = logging.Logger("duplex.websocket", logging.CRITICAL + 1)
+        return await serve(
+            self._attend,
+            self.host,
+            port,
+            process_request=self._answer,
+            compression=None,
+            max_size=_LARGEST,
+            max_queue=4,
+            open_timeout=_OPENS_WITHIN,
+            ping_interval=_PATIENCE,
+            ping_timeout=_PATIENCE,
+            close_timeout=1.0,
+            write_limit=_WRITE_LIMIT,
+            server_header=None,
+            logger=logger,
+        )
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Serves the page; refuses pages of other sites, which any browser would let in."""
+        origin, host = request.headers.get("Origin"), request.headers.get("Host", "")
+        if not self._trusts(host, origin):
+            return connection.respond(HTTPStatus.FORBIDDEN, "This site may not read the skeleton.\n")
+        if "websocket" in request.headers.get("Upgrade", "").lower():
+            if len(self._clients) >= _MOST_CLIENTS:
+                return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "Too many clients.\n")
+            return None
+        if urlsplit(request.path).path != "/":
+            return connection.respond(HTTPStatus.NOT_FOUND, "Only / is here.\n")
+        response = connection.respond(HTTPStatus.OK, "")
+        response.body = self._page
+        for name, value in (
+            ("Content-Length", str(len(self._page))),
+            ("Content-Type", "text/html; charset=utf-8"),
+        ):
+            del response.headers[name]
+            response.headers[name] = value
+        response.headers["Content-Security-Policy"] = _SECURITY
+        return response
+
+    def _trusts(self, host: str, origin: str | None) -> bool:
+        """Programs, which send no origin, and pages of this machine or of this server.
+
+        A name that an attacker's DNS turns to this machine must not count as this server.
+        """
+        local = _is_local(self.host)
+        if local and not _is_local(urlsplit(f"//{host}").hostname):
+            return False
+        if origin is None:
+            return True
+        parts = urlsplit(origin)
+        return _is_local(parts.hostname) or (not local and parts.netloc == host)
+
+    async def _attend(self, connection: ServerConnection) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        client = _Client()
+        self._clients.add(client)
+        sending = asyncio.create_task(self._feed(connection, client))
+        try:
+            async for _ in connection:
+                self.ignored += 1
+        except ConnectionClosed:
+            pass
+        finally:
+            self._clients.discard(client)
+            sending.cancel()
+
+    async def _feed(self, connection: ServerConnection, client: _Client) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        with suppress(ConnectionClosed):
+            await connection.send(self._hello)
+            while True:
+                await client.more.wait()
+                client.more.clear()
+                while client.others:
+                    await connection.send(client.others.popleft())
+                if client.frame is not None:
+                    (text, written_ns), client.frame = client.frame, None
+                    await connection.send(text)
+                    self._sent += 1
+                    self._late += self._clock() - written_ns > LATE_NS
+
+    async def _stop(self) -> None:
+        self._server.close()
+        await self._server.wait_closed()
+
+    def _end_loop(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._serving.join(2.0)
+        if not self._serving.is_alive():
+            self._loop.close()
+
+
+def _in_url(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
+
+
+def _is_local(host: str | None) -> bool:
+    try:
+        return host == "localhost" or ipaddress.ip_address(host or "").is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,67 @@
+"""S* over Zenoh: the JSON of :mod:`viewer_app.outputs.skeleton_json` under ``KEY/hello``, ``/frame``, ``/event``."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+from devices.network.zenoh_session import LOOPBACK, ZenohAddresses, checked_key, load_zenoh, zenoh_session
+from fusion.setup import FusionSetup
+from viewer_app.outputs.output import LiveOutput, TimedFrame, TimedNote
+from viewer_app.outputs.skeleton_json import SkeletonJson
+
+_KEEP = 64
+_HELLO_EVERY_NS = 1_000_000_000  # for those who come later
+
+
+def addresses_of(listen: tuple[str, ...], connect: tuple[str, ...]) -> ZenohAddresses:
+    """The addresses; this machine's standard one if none is given.
+
+    Raises:
+        DeviceError: One of them is no address.
+    """
+    return ZenohAddresses(listen if listen or connect else (LOOPBACK,), connect)
+
+
+class ZenohOutput(LiveOutput):
+    """Publishes S*; a message that a congested link does not take at once is dropped by Zenoh.
+
+    Raises:
+        DeviceError: Zenoh is not installed, or an address is busy.
+    """
+
+    def __init__(self, key: str, addresses: ZenohAddresses, setup: FusionSetup) -> None:
+        super().__init__(f"Zenoh key {key}", keep=_KEEP)
+        self._key, self._setup = checked_key(key), setup
+        self._json = SkeletonJson(setup)
+        self._opened = ExitStack()
+        self._fault = load_zenoh().ZError
+        self._session = self._opened.enter_context(zenoh_session(addresses))
+        self._hello_ns = 0
+        self.start()
+
+    def send_frame(self, frame: TimedFrame) -> int:
+        """Publishes a frame, and once a second what describes it."""
+        if frame.time_ns >= self._hello_ns:
+            self._hello_ns = frame.time_ns + _HELLO_EVERY_NS
+            self.send_setup(self._setup)
+        self._put("frame", self._json.frame(frame))
+        return 1
+
+    def send_note(self, note: TimedNote) -> None:
+        """Publishes an event."""
+        self._put("event", self._json.note(note))
+
+    def send_setup(self, setup: FusionSetup) -> None:
+        """Publishes the description."""
+        self._setup = setup
+        self._put("hello", self._json.hello(setup))
+
+    def shut(self) -> None:
+        """Closes the session, unless others use it."""
+        self._opened.close()
+
+    def _put(self, topic: str, text: str) -> None:
+        try:
+            self._session.put(f"{self._key}/{topic}", text.encode())
+        except self._fault as fault:
+            raise OSError(str(fault)) from fault
