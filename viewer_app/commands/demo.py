@@ -31,10 +31,11 @@ from viewer_app.loop.live_summary import check_saved, print_saved, print_session
 from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.options.sensing import DemoOptions
 from viewer_app.output_files import check_writable, free_name, warn_of_little_room
+from viewer_app.outputs.opening import announce_outputs, plan_outputs
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.display import has_display
-from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
+from viewer_app.viewer.viewer_choice import announce, stay_for_visitors, viewing_of
 
 _SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
 
@@ -54,9 +55,8 @@ def run(options: DemoOptions) -> None:
     save = options.save
     if save is None and not (options.no_viewer or options.web or has_display()):
         save = free_name(_SAVED_WITHOUT_DISPLAY)
-    viewing = choose_viewing(
-        no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=save, live=True
-    )
+    viewing = viewing_of(options, save, live=True, served=options.listens)
+    plan = plan_outputs(options, options.listen)
     if save is not None:
         check_writable(save, options.force)
     body = BODIES[options.body]
@@ -81,9 +81,15 @@ def run(options: DemoOptions) -> None:
     announce(viewing, console)
     with CtrlC() as ctrl_c:
         with ExitStack() as stack:
+            outputs = stack.enter_context(plan.opened(nominal))
+            announce_outputs(console, outputs)
             session = stack.enter_context(
                 LiveSession(
-                    nominal, (a.name, b.name), blueprint, file=save, overwrite=options.force, viewing=viewing
+                    *(nominal, (a.name, b.name), blueprint),
+                    file=save,
+                    overwrite=options.force,
+                    viewing=viewing,
+                    others=outputs,
                 )
             )
             sensors = stack.enter_context(TwoSensors(*paced_together(a, b)))
@@ -96,7 +102,7 @@ def run(options: DemoOptions) -> None:
                 again = threading.Event()
                 ctrl_c.calls(again.set)
                 stay_for_visitors(viewing, console, again)
-        print_session(console, setup, frames, sensors)
+        print_session(console, setup, frames, sensors, outputs)
         left_out = a.images_left_out + b.images_left_out
         if left_out:
             received = sensors.a.received + sensors.b.received

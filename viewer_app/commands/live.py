@@ -39,11 +39,12 @@ from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.method_options import check_paper_options
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
+from viewer_app.outputs.opening import announce_outputs, plan_outputs
 from viewer_app.report.figures import report_to_json
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.blueprint import session_blueprint
-from viewer_app.viewer.viewer_choice import announce, choose_viewing
+from viewer_app.viewer.viewer_choice import announce, viewing_of
 
 _PERSON_AT = np.array([0.0, 0.0, 2.5])  # the initial view target, metres in K_A's frame
 
@@ -67,6 +68,7 @@ def check(options: LiveOptions) -> None:
         DeviceError, UsageError: With one line for the person who asked.
     """
     _viewing(options)
+    plan_outputs(options, options.listen)
     check_modes(_settings(options, "", None))
     check_smoothing(options.smoothing)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
@@ -142,8 +144,11 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
     nominal = FusionSetup(calibration or nominal_calibration(a.body), settings)
     warm_up(Fuser(nominal), console)
     watch = _Watch(console)
+    plan = plan_outputs(options, options.listen)
     with CtrlC() as ctrl_c:
         with ExitStack() as opened:
+            outputs = opened.enter_context(plan.opened(nominal, options.fps))
+            announce_outputs(console, outputs)
             console.print(f"Opening {a.name} (A) and {b.name} (B) …", highlight=False, markup=False)
             with ctrl_c.raising():  # a body tracker may take minutes to load its network
                 opened.enter_context(sensors)
@@ -162,6 +167,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                     file=options.save,
                     overwrite=options.force,
                     viewing=viewing,
+                    others=outputs,
                 )
             )
             coach = Coach(a.body, nominal.intrinsics, options.fps, warm_up=WARM_UP)
@@ -181,10 +187,10 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                 )
         for warning in (*a.warnings, *b.warnings):
             console.print(warning, style="yellow", highlight=False, markup=False)
-        print_session(console, setup, frames, sensors)
+        print_session(console, setup, frames, sensors, outputs)
         if options.report is not None:
             with whole_file(options.report) as partial:
-                figures = session_report(setup, frames, sensors)
+                figures = session_report(setup, frames, sensors, outputs)
                 partial.write_text(report_to_json(figures), encoding="utf-8")
         print_saved(console, session.file)
         if options.save_calibration is not None:
@@ -193,9 +199,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
 
 
 def _viewing(options: LiveOptions) -> Viewing | None:
-    return choose_viewing(
-        no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=options.save, live=True
-    )
+    return viewing_of(options, options.save, live=True, served=options.listens)
 
 
 class _Watch:

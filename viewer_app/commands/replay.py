@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from fusion.fuser import Fuser
 from fusion.recording import plan_recording
 from fusion.setup import FusionSetup
 from recordings.events import Event
@@ -21,11 +22,15 @@ from recordings.session import Session
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.session_writer import write_session
 from viewer_app.errors import UsageError
+from viewer_app.loop.fusing import warm_up
+from viewer_app.loop.pacing import played
 from viewer_app.method_options import check_paper_options
 from viewer_app.options.sessions import ReplayOptions
 from viewer_app.output_files import check_outputs, whole_file
+from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_outputs, print_outputs
 from viewer_app.report.figures import FusionResult, print_summary, report, report_to_json
 from viewer_app.report.session_notes import print_damage, print_damaged_images
+from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.blueprint import inspect_blueprint
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
@@ -56,6 +61,7 @@ def run(options: ReplayOptions) -> None:
             "--verify compares with what was recorded, so the settings must be those of the session. "
             "Use `duplex compare` for two fusions with different ones."
         )
+    planned = _planned(options)
     print_damage(console, session)
     window = not options.no_viewer and not options.verify and has_display()
     pairs = list(session.pairs())
@@ -70,16 +76,23 @@ def run(options: ReplayOptions) -> None:
         segments = list(session.setups(settings))
         if settings.hindsight != "none" and session.rows.exchanged is not None:
             codes = session.rows.exchanged.astype(np.int64)
-    frames = list(
-        track(
-            fuse_segments(segments, pairs, codes),
-            "fusing",
-            total=len(pairs),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
+    with planned.opened(segments[0][0]) as outputs:
+        announce_outputs(console, outputs)
+        fused = fuse_segments(segments, pairs, codes)
+        if options.pace == "live":
+            warm_up(Fuser(segments[0][0]), console)
+            setups = {own.start: setup for setup, own in segments}
+            fused = played(fused, FanOut(outputs), setups, session.events)
+        frames = list(
+            track(
+                fused,
+                "fusing",
+                total=len(pairs),
+                console=console,
+                transient=True,
+                disable=not console.is_terminal,
+            )
         )
-    )
     first_ns = pairs[0].time_ns
     events = [_calibrated(setup, session, own) for setup, own in segments]
     events += exchange_events((frame.fused for frame in frames), first_ns)
@@ -98,15 +111,32 @@ def run(options: ReplayOptions) -> None:
     rows = replayed.rows
     result = FusionResult(session.pairing, session.calibration, settings, rows)
     figures = report(result)
+    if outputs:
+        figures["outputs"] = [output.figures() for output in outputs]
     if options.report is not None:
         with whole_file(options.report) as partial:
             partial.write_text(report_to_json(figures), encoding="utf-8")
     print_summary(console, result, figures)
+    print_outputs(console, outputs)
     if options.save is not None:
         console.print(f"Saved {options.save}.", highlight=False, markup=False)
         print_damaged_images(console, damaged)
     if options.verify and not verify(console, session, rows.fused):
         sys.exit(1)
+
+
+def _planned(options: ReplayOptions) -> OutputPlan:
+    """The outputs, which need the recorded pace."""
+    plan = plan_outputs(options, options.listen)
+    if plan and options.pace != "live":
+        raise UsageError("Outputs send S* at the recorded times: add --pace live.")
+    if options.pace == "live" and not plan:
+        raise UsageError("--pace live is for outputs: add one, such as --vmc 127.0.0.1:39539.")
+    if options.listen is not None and not options.listens:
+        raise UsageError(
+            f"--listen {options.listen} is the address of --websocket and --lsl; add one of them."
+        )
+    return plan
 
 
 def _calibrated(setup: FusionSetup, session: Session, own: slice) -> Event:

@@ -10,6 +10,8 @@ from devices.live.sensor_pair import TwoSensors
 from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.errors import UsageError
+from viewer_app.outputs.opening import print_outputs
+from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.figures import Figures, fusion_figures, method_figures, print_method, say_saved
 from viewer_app.sinks.session_file import FileSink
 
@@ -50,7 +52,12 @@ def rows_since_calibration(setup: FusionSetup, frames: Sequence[RecordedFrame]) 
     return SessionArrays.stack(calibration.body, calibration.bone_lengths, last) if last else None
 
 
-def session_report(setup: FusionSetup, frames: Sequence[RecordedFrame], sensors: TwoSensors) -> Figures:
+def session_report(
+    setup: FusionSetup,
+    frames: Sequence[RecordedFrame],
+    sensors: TwoSensors,
+    outputs: Sequence[LiveOutput] = (),
+) -> Figures:
     """The report of a live session: the figures of ``duplex fuse --report`` and the stream counts.
 
     Frames are counted since the start. All other figures cover the last minute; ``seconds`` is its actual
@@ -74,6 +81,8 @@ def session_report(setup: FusionSetup, frames: Sequence[RecordedFrame], sensors:
             "drift_ppm": counted.drift_ppm,
         },
     }
+    if outputs:
+        figures["outputs"] = [output.figures() for output in outputs]
     rows = rows_since_calibration(setup, frames)
     if rows is not None:
         figures["seconds"] = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
@@ -82,10 +91,15 @@ def session_report(setup: FusionSetup, frames: Sequence[RecordedFrame], sensors:
 
 
 def print_session(
-    console: Console, setup: FusionSetup, frames: Sequence[RecordedFrame], sensors: TwoSensors
+    console: Console,
+    setup: FusionSetup,
+    frames: Sequence[RecordedFrame],
+    sensors: TwoSensors,
+    outputs: Sequence[LiveOutput] = (),
 ) -> None:
     """Prints the summary. Frames are counted since the start; the method's figures cover the last minute."""
     print_frames(console, sensors)
+    print_outputs(console, outputs)
     rows = rows_since_calibration(setup, frames)
     if rows is None:
         console.print("No frame was fused.")

@@ -111,3 +111,8 @@ class LiveOutputOptions:
     """With --zenoh: addresses to listen on; tcp/127.0.0.1:7447 if none is given."""
     zenoh_connect: tuple[str, ...] = ()
     """With --zenoh: addresses of routers or peers to connect to."""
+
+    @property
+    def listens(self) -> bool:
+        """Whether one of them waits for receivers on an address of this machine."""
+        return self.websocket is not None or self.lsl is not None

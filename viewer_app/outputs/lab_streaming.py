@@ -1,7 +1,7 @@
 """Lab Streaming Layer: S* as a stream of type MoCap, events as a stream of type Markers.
 
-Per joint four channels: x, y, z in metres in K_A's frame, and a confidence from 0 to 1. Without a person positions are
-NaN and confidences 0.
+Per joint four channels: x, y, z in metres in K_A's frame, and a confidence from 0 to 1. Without a person
+positions are NaN and confidences 0.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from viewer_app.errors import UsageError
 from viewer_app.outputs.output import LiveOutput, TimedFrame, TimedNote, confidence
 
 _KEEP = 64  # frames; a recorder wants all of them
-_THIS_MACHINE = "[multicast]\nResolveScope = machine\n"
+_THIS_MACHINE = "[multicast]\nResolveScope = machine\n[log]\nlevel = -2\n"
 _CHANNELS = ("PositionX", "PositionY", "PositionZ", "Confidence")
 
 
@@ -35,7 +35,7 @@ def sample(fused: FusedFrame) -> NDArray[np.float32]:
 class LabStreamingOutput(LiveOutput):
     """Two outlets: ``NAME`` and ``NAME-events``.
 
-    A sample has the time of its capture plus the least delay that a frame had so far, on liblsl's clock. So the
+    A sample has the time of its capture plus the least delay of the last frames, on liblsl's clock. So the
     stamps are as regular as the sensor.
 
     Args:

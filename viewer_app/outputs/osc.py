@@ -1,7 +1,7 @@
 """Open Sound Control 1.0: messages and bundles of 32-bit arguments, and UDP.
 
-Only what VMC and VRChat need. A bundle is a template that is made once; a frame fills in its floats. That takes
-some microseconds.
+Only what VMC and VRChat need. A bundle is a template that is made once; a frame fills in its floats. That
+takes some microseconds.
 """
 
 from __future__ import annotations

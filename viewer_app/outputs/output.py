@@ -224,8 +224,8 @@ class LiveOutput(Sink):
 def confidence(fused: FusedFrame) -> NDArray[np.float64]:
     """(J,) how far each joint can be trusted, 0 to 1; 0 without a person.
 
-    It is s² / (s² + σ²) with s = 50 mm and the joint's standard deviation σ. Methods without σ have 1 for a joint
-    with data and 0.25 for one without.
+    It is s² / (s² + σ²) with s = 50 mm and the joint's standard deviation σ. Methods without σ have 1 for a
+    joint with data and 0.25 for one without.
     """
     if not fused.has_person:
         return np.zeros(len(fused.positions))

@@ -1,7 +1,8 @@
 """S* as JSON: schema ``duplex-kinects/skeleton``, version 1. ``docs/outputs.md`` documents it.
 
-Three kinds of messages, told apart by ``type``: ``hello`` (body, joints, units; first, and again when the calibration
-changes), ``frame`` and ``event``. A later version of the schema keeps the meaning of a field or drops it.
+Three kinds of messages, told apart by ``type``: ``hello`` (body, joints, units; first, and again when the
+calibration changes), ``frame`` and ``event``. A later version of the schema keeps the meaning of a field or
+drops it.
 """
 
 from __future__ import annotations

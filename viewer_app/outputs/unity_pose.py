@@ -1,9 +1,9 @@
 """S* as a humanoid of Unity: its bones, its axes, its T-pose.
 
-Unity's axes are left-handed: x right, y up, z forward. K_A's are right-handed: x right, y down, z forward. Where
-K_A's p is −p in Unity, all three axes are reversed: a rotation matrix, and so a quaternion, stays the same. A person
-who faces the sensor then faces +z. In Unity's T-pose, which has no rotation anywhere, the arms point sideways
-and the palms down.
+Unity's axes are left-handed: x right, y up, z forward. K_A's are right-handed: x right, y down, z forward.
+Where K_A's p is −p in Unity, all three axes are reversed: a rotation matrix, and so a quaternion, stays the
+same. A person who faces the sensor then faces +z. In Unity's T-pose, which has no rotation anywhere, the arms
+point sideways and the palms down.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ Array = NDArray[np.float64]
 _TOES_DOWN = math.atan2(0.055, 0.150)
 """rad. From the ankle, a standing person's foot joint lies in front and below; at rest it lies in front."""
 _RISES, _SINKS = 0.01, 0.3
-"""m/s. The floor follows the lowest joint: downwards fast, upwards slowly, so that a jump does not lift it."""
+"""m/s. The floor follows the lowest joint: down fast, up slowly, so that a jump does not lift it."""
 
-# name: (parent, joint where the bone begins or None, joint where it ends or None); one of both decides
+# name, parent, names of the joint where the bone begins
 _TRUNK: tuple[tuple[str, str | None, tuple[str, ...]], ...] = (
     ("Hips", None, ()),
     ("Spine", "Hips", ("SpineNavel", "SpineMid", "Spine")),
@@ -34,6 +34,7 @@ _TRUNK: tuple[tuple[str, str | None, tuple[str, ...]], ...] = (
     ("Neck", "Chest", ("Neck",)),
     ("Head", "Neck", ("Head",)),
 )
+# name, parent, joint where the bone ends; each without its side
 _LIMBS = (
     ("Shoulder", "Chest", "Shoulder"),
     ("UpperArm", "Shoulder", "Elbow"),

@@ -1,8 +1,8 @@
 """VMC, the Virtual Motion Capture protocol: an avatar's bones as OSC over UDP.
 
-https://protocol.vmc.info. A frame is one or two bundles: ``/VMC/Ext/OK``, ``/VMC/Ext/T``, ``/VMC/Ext/Root/Pos``
-and a ``/VMC/Ext/Bone/Pos`` per bone, with position and rotation relative to the bone above. Without a person only the
-first two are sent, and an avatar keeps its pose.
+https://protocol.vmc.info. A frame is one or two bundles: ``/VMC/Ext/OK``, ``/VMC/Ext/T``,
+``/VMC/Ext/Root/Pos`` and a ``/VMC/Ext/Bone/Pos`` per bone, with position and rotation relative to the bone
+above. Without a person only the first two are sent, and an avatar keeps its pose.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _HERE = (1, 3, 0)  # loaded; calibrated; in the normal calibration mode
 class VmcEncoder:
     """Frames of S* as datagrams.
 
-    Without an avatar the positions are those of S*, so a receiver that applies them shows S* itself. With an avatar
-    they are the avatar's own; Hips alone move, scaled by the leg lengths of both.
+    Without an avatar the positions are those of S*, so a receiver that applies them shows S* itself. With an
+    avatar they are the avatar's own; Hips alone move, scaled by the leg lengths of both.
 
     Args:
         body: The body of S*.

@@ -25,8 +25,8 @@ class Avatar:
     """Where an avatar's bones rest.
 
     Attributes:
-        translations: (3,) metres in Unity's axes, by Unity's name of a bone: its place relative to the node above it in
-            the file, at rest.
+        translations: (3,) metres in Unity's axes, by Unity's name of a bone: its place at rest relative to
+            the node above it in the file.
         hips: (3,) metres, where Hips rest above the floor.
         above_hips: (3,) metres, the place of the node above Hips.
     """

@@ -1,7 +1,7 @@
 """A WebSocket server: the JSON of :mod:`viewer_app.outputs.skeleton_json` for browsers and scripts.
 
-The same port serves a page that draws the skeleton. Each client has a slot for the newest frame: one that is slow
-skips frames, one that stands still is disconnected. What clients send is counted and ignored.
+The same port serves a page that draws the skeleton. Each client has a slot for the newest frame: one that is
+slow skips frames, one that stands still is disconnected. What clients send is counted and ignored.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from fusion.setup import FusionSetup
+from recordings.session_arrays import RecordedFrame
 from viewer_app.errors import UsageError
 from viewer_app.outputs.output import LATE_NS, LiveOutput, TimedFrame, TimedNote
 from viewer_app.outputs.skeleton_json import SkeletonJson
@@ -84,6 +85,13 @@ class WebSocketOutput(LiveOutput):
     def figures(self) -> dict[str, object]:
         """The counts, and the messages of clients."""
         return {**super().figures(), "ignored_messages": self.ignored}
+
+    def write(self, frame: RecordedFrame) -> None:
+        """Takes a frame, if there is a client."""
+        if self._clients or self._start_ns is None:
+            super().write(frame)
+        else:
+            self._number += 1
 
     def send_frame(self, frame: TimedFrame) -> int | None:
         """Encodes a frame, if there is a client, and hands it to the server's thread."""

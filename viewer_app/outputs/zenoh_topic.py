@@ -1,4 +1,4 @@
-"""S* over Zenoh: the JSON of :mod:`viewer_app.outputs.skeleton_json` under ``KEY/hello``, ``/frame``, ``/event``."""
+"""S* over Zenoh: :mod:`viewer_app.outputs.skeleton_json` under ``KEY/hello``, ``KEY/frame``, ``KEY/event``."""
 
 from __future__ import annotations
 

@@ -10,19 +10,21 @@ from pathlib import Path
 from rich.console import Console
 
 from viewer_app.errors import UsageError
+from viewer_app.options.shared import ViewerOptions
 from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.display import has_display, why_no_window
 from viewer_app.viewer.rerun_process import Hub
 
 
 def choose_viewing(
-    *, no_viewer: bool, web: bool, listen: str | None, save: Path | None, live: bool
+    *, no_viewer: bool, web: bool, listen: str | None, save: Path | None, live: bool, served: bool = False
 ) -> Viewing | None:
     """The viewer that the options ask for.
 
     Args:
         no_viewer, web, listen, save: As the options of that name.
         live: Whether a loop runs at its own pace; then a window that is closed can be opened again.
+        served: Whether an output listens on the address, too.
 
     Returns:
     None if no viewer is wanted. If none can open, a value that states the reason.
@@ -30,7 +32,7 @@ def choose_viewing(
     Raises:
         UsageError: The options contradict each other, or there is neither a display nor a file.
     """
-    if listen is not None and not web:
+    if listen is not None and not (web or served):
         raise UsageError(f"--listen {listen} is the address of --web; give both.")
     if no_viewer:
         if web:
@@ -47,6 +49,20 @@ def choose_viewing(
             "it in a browser, or --no-viewer for the summary alone."
         )
     return Viewing(why_not=why_not)
+
+
+def viewing_of(
+    options: ViewerOptions, save: Path | None, *, live: bool, served: bool = False
+) -> Viewing | None:
+    """:func:`choose_viewing` with a command's options."""
+    return choose_viewing(
+        no_viewer=options.no_viewer,
+        web=options.web,
+        listen=options.listen,
+        save=save,
+        live=live,
+        served=served,
+    )
 
 
 def announce(viewing: Viewing | None, console: Console) -> None:
