@@ -29,7 +29,7 @@ _FRAME, _SWING, _LIMB = 0, 1, 2
 _STRAIGHT, _BENT = math.sin(math.radians(10.0)), math.sin(math.radians(30.0))
 """Below the first sine of a joint's angle its plane is noise; above the second the plane alone counts."""
 _TWIST_SPEED = 20.0
-"""rad/s. A faster twist is a jump of the elbow's plane; motions other than throws are slower."""
+"""rad/s. A faster twist is a jump of a plane or past a half turn; motions other than throws are slower."""
 _RELAXING = 1.0
 """1/s, at which the twist of a straight limb approaches that of the smallest rotation."""
 _FORGETTING_S = 0.5
@@ -188,12 +188,13 @@ def _rotate(order, kinds, bases, ends, pairs, signs, rest, at, before, known, el
                     axis[c] = at[pairs[j, 1], c] - at[pairs[j, 0], c]
                 share = _hinge(d, axis, signs[j])
                 if known:
-                    for c in range(4):
-                        old[c] = before[j, c]
-                    _swing(rest[j], d, old)
-                    _twist_limb(share, 0.5 + 0.5 * cosine, elapsed, d, axis, ref, old, swung)
+                    _twist_limb(
+                        share, 0.5 + 0.5 * cosine, elapsed, rest[j], before[j], d, axis, ref, old, swung
+                    )
                 else:
                     _twist(d, share * _left_angle(swung, d, axis, ref), swung)
+            if known:
+                _limit_twist(rest[j], before[j], d, _TWIST_SPEED * elapsed, old, swung)
         same = 0.0
         if known:
             for c in range(4):
@@ -216,19 +217,39 @@ def _hinge(d, axis, sign):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _twist_limb(share, trust, elapsed, d, axis, ref, old, swung):  # type: ignore[no-untyped-def]
-    """Twists a limb from its twist before, `old`: to the hinge where bent, else slowly to that of `swung`.
+def _twist_limb(share, trust, elapsed, rest, before, d, axis, ref, old, swung):  # type: ignore[no-untyped-def]
+    """Twists a limb from its twist before: to the hinge where bent, else slowly to that of `swung`.
 
     `trust` is 0 where the limb is half a turn from rest, where the smallest rotation is undetermined.
     """
+    for c in range(4):
+        old[c] = before[c]
+    _swing(rest, d, old)
     to_hinge = _left_angle(old, d, axis, ref)
     _left_of(swung, axis)
     to_smallest = _left_angle(old, d, axis, ref)
-    angle = share * to_hinge + (1.0 - share) * min(_RELAXING * elapsed, 1.0) * trust * to_smallest
-    most = _TWIST_SPEED * elapsed
-    _twist(d, min(max(angle, -most), most), old)
+    _twist(d, share * to_hinge + (1.0 - share) * min(_RELAXING * elapsed, 1.0) * trust * to_smallest, old)
     for c in range(4):
         swung[c] = old[c]
+
+
+@inner_kernel
+def _limit_twist(rest, before, d, most, old, swung):  # type: ignore[no-untyped-def]
+    """Limits the twist from the rotation before, which first swings the shortest way to d."""
+    for c in range(4):
+        old[c] = before[c]
+    _swing(rest, d, old)
+    # swung · old⁻¹ turns about d
+    along, w = 0.0, old[3] * swung[3]
+    for c in range(3):
+        e, f = (c + 1) % 3, (c + 2) % 3
+        along += d[c] * (old[3] * swung[c] - swung[3] * old[c] - swung[e] * old[f] + swung[f] * old[e])
+        w += old[c] * swung[c]
+    angle = 2.0 * math.atan2(-along if w < 0.0 else along, abs(w))
+    if abs(angle) > most:
+        _twist(d, math.copysign(most, angle), old)
+        for c in range(4):
+            swung[c] = old[c]
 
 
 @inner_kernel

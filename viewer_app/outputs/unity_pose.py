@@ -54,7 +54,7 @@ class UnityPose:
     Attributes:
         positions: (N, 3) metres, where each bone begins.
         rotations: (N, 4) x, y, z, w, of each bone from the T-pose.
-        local: (N, 7) position and rotation of each bone relative to its parent; of Hips relative to the floor.
+        local: (N, 7) position and rotation of each bone relative to its parent; of Hips to the floor.
         leg: Metres from hip to sole.
     """
 

@@ -1,4 +1,4 @@
-"""S* over Zenoh: :mod:`viewer_app.outputs.skeleton_json` under ``KEY/hello``, ``KEY/frame``, ``KEY/event``."""
+"""S* over Zenoh: the JSON of the WebSocket under ``KEY/hello``, ``KEY/frame`` and ``KEY/event``."""
 
 from __future__ import annotations
 

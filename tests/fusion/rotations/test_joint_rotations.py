@@ -1,0 +1,151 @@
+"""Rotations of the bones: exact swing, twist by the stated convention, continuous in time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fusion.body import AZURE_KINECT, BODIES, KINECT_V2, Body
+from fusion.joint_rotations import JointRotations, joint_bones, rotations_of
+from tests.helpers.poses import BACK, FRONT, LEFT, posed, turned_about
+from tests.helpers.two_views import FRAME_NS, moving, standing
+
+ROUNDING = 1e-12  # some hundred operations on numbers of size 1
+
+
+def angle(p: NDArray[np.float64], q: NDArray[np.float64]) -> float:
+    """Between two quaternions, radians."""
+    return float((Rotation.from_quat(p).inv() * Rotation.from_quat(q)).magnitude())
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_forward_kinematics_reproduces_every_joint(body: Body) -> None:
+    joints = moving(body, 90)
+    rotations = rotations_of(body, joints, np.arange(90) * FRAME_NS)
+    for j in body.bone_joints:
+        bones = joints[:, j] - joints[:, body.parents[j]]
+        length = np.linalg.norm(bones, axis=1, keepdims=True)
+        made = Rotation.from_quat(rotations[:, j]).apply(body.rest[j]) * length
+        np.testing.assert_allclose(made, bones, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_at_rest_nothing_is_rotated_and_a_turned_person_is_turned_as_a_whole(body: Body) -> None:
+    rest = posed(body, {})
+    np.testing.assert_allclose(
+        JointRotations(body).update(rest, 0), [[0, 0, 0, 1]] * len(body), atol=ROUNDING
+    )
+    turn = Rotation.from_rotvec([0.3, -2.5, 0.4])
+    rotations = JointRotations(body).update(turned_about(rest, turn, body.root), 0)
+    for each in rotations:
+        assert angle(each, turn.as_quat()) < 1e-7  # the arc cosine near 1 halves the digits
+
+
+def test_a_forearm_bent_forward_or_sideways_twists_the_upper_arm() -> None:
+    # The elbow's axis is the person's left at rest. A hanging arm whose forearm points to the front has that
+    # axis. If it points to the left, the axis has turned by a quarter turn about the upper arm: left → back.
+    body = AZURE_KINECT
+    elbow, wrist = body.joint("ElbowLeft"), body.joint("WristLeft")
+    bent = JointRotations(body).update(posed(body, {"WristLeft": FRONT}), 0)
+    assert angle(bent[elbow], np.array([0.0, 0.0, 0.0, 1.0])) < 1e-7
+    np.testing.assert_allclose(Rotation.from_quat(bent[wrist]).apply(LEFT), LEFT, atol=ROUNDING)
+    bent = JointRotations(body).update(posed(body, {"WristLeft": LEFT}), 0)
+    np.testing.assert_allclose(Rotation.from_quat(bent[elbow]).apply(LEFT), BACK, atol=ROUNDING)
+    np.testing.assert_allclose(Rotation.from_quat(bent[wrist]).apply(LEFT), BACK, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("side", ["Left", "Right"])
+def test_a_bent_knee_has_the_person_s_left_as_its_axis(side: str) -> None:
+    body = KINECT_V2
+    knee, ankle = body.joint(f"Knee{side}"), body.joint(f"Ankle{side}")
+    bent = JointRotations(body).update(posed(body, {f"Ankle{side}": BACK}), 0)
+    for joint in (knee, ankle):
+        np.testing.assert_allclose(Rotation.from_quat(bent[joint]).apply(LEFT), LEFT, atol=ROUNDING)
+
+
+def test_the_head_turns_with_the_ears() -> None:
+    body = AZURE_KINECT
+    yaw = Rotation.from_rotvec([0.0, 0.6, 0.0])
+    joints = posed(body, {})
+    head = body.joint("Head")
+    for name in ("Nose", "EyeLeft", "EyeRight", "EarLeft", "EarRight"):
+        j = body.joint(name)
+        joints[j] = joints[head] + yaw.apply(joints[j] - joints[head])
+    rotations = JointRotations(body).update(joints, 0)
+    assert angle(rotations[head], yaw.as_quat()) < 1e-7
+    assert angle(rotations[body.joint("Neck")], np.array([0.0, 0.0, 0.0, 1.0])) < 1e-7
+
+
+def test_the_twist_of_a_straight_arm_ignores_the_noise_of_its_plane() -> None:
+    body = KINECT_V2
+    rng = np.random.default_rng(5)
+    rotations = JointRotations(body)
+    elbow = body.joint("ElbowLeft")
+    still = standing(body)
+    before = rotations.update(still, 0)[elbow]
+    for k in range(1, 60):
+        joints = still.copy()
+        # 20 mm across a forearm of 250 mm: below the 10 degrees from which on its plane counts
+        joints[body.joint("WristLeft")] += rng.uniform(-0.02, 0.02, 3)
+        now = rotations.update(joints, k * FRAME_NS)[elbow]
+        assert angle(before, now) < 1e-6
+        before = now
+
+
+def test_an_elbow_s_plane_that_flips_turns_the_arm_at_a_limited_speed() -> None:
+    body = KINECT_V2
+    rotations = JointRotations(body)
+    elbow = body.joint("ElbowLeft")
+    rotations.update(posed(body, {"WristLeft": FRONT}), 0)
+    flipped = posed(body, {"WristLeft": BACK})
+    steps = []
+    before = rotations.update(posed(body, {"WristLeft": FRONT}), FRAME_NS)[elbow]
+    for k in range(2, 12):
+        now = rotations.update(flipped, k * FRAME_NS)[elbow]
+        steps.append(angle(before, now))
+        before = now
+    assert max(steps) <= 20.0 * FRAME_NS * 1e-9 + 1e-9
+    assert sum(steps) == pytest.approx(np.pi, abs=1e-6)  # and arrives
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_signs_and_rotations_are_continuous_in_time(body: Body) -> None:
+    joints = moving(body, 240)
+    rotations = rotations_of(body, joints, np.arange(240) * FRAME_NS)
+    cosine = np.einsum("tjc,tjc->tj", rotations[1:], rotations[:-1])
+    directions = joints - joints[:, body.parent_indices]
+    directions /= np.maximum(np.linalg.norm(directions, axis=2, keepdims=True), 1e-9)
+    swing = np.arccos(np.clip(np.einsum("tjc,tjc->tj", directions[1:], directions[:-1]), -1.0, 1.0))
+    step = 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
+    # a rotation is the bone's own swing after a twist of 20 rad/s at most; the arc cosine has 1e-7
+    spine = step[:, body.root] <= 20.0 * FRAME_NS * 1e-9 + swing.max(axis=1) + 1e-6
+    assert spine.all()
+    each = swing[:, body.bone_joints] + 20.0 * FRAME_NS * 1e-9 + 1e-6
+    assert (step[:, body.bone_joints] <= each).all()
+    assert (cosine > 0.0).all()
+
+
+def test_without_a_person_there_are_no_rotations_and_the_twist_outlasts_a_short_gap() -> None:
+    body = KINECT_V2
+    rotations = JointRotations(body)
+    elbow = body.joint("ElbowLeft")
+    twisted = rotations.update(posed(body, {"WristLeft": LEFT}), 0)[elbow]
+    nobody = np.full((len(body), 3), np.nan)
+    assert np.isnan(rotations.update(nobody, FRAME_NS)).all()
+    straight = posed(body, {})
+    assert angle(rotations.update(straight, 2 * FRAME_NS)[elbow], twisted) < 0.2  # 1/s over 67 ms of 1.6 rad
+    rotations.update(nobody, 3 * FRAME_NS)
+    later = rotations.update(straight, 3 * FRAME_NS + 600_000_000)[elbow]
+    assert angle(later, np.array([0.0, 0.0, 0.0, 1.0])) < 1e-7
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_each_joint_shows_one_bone(body: Body) -> None:
+    shown = joint_bones(body)
+    assert shown[body.root] == body.root
+    assert shown[body.joint("ElbowLeft")] == body.joint("WristLeft")
+    assert shown[body.joint("WristLeft")] == body.joint("HandLeft")
+    assert shown[body.joint("AnkleRight")] == body.joint("FootRight")
+    assert shown[body.joint("Head")] == body.joint("Head")

@@ -1,0 +1,274 @@
+"""VMC: read back by python-osc, and forward kinematics in Unity's left-handed axes."""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fusion.body import AZURE_KINECT, BODIES, KINECT_V2, Body
+from fusion.fuser import Fuser
+from tests.helpers.live_frames import frames
+from tests.helpers.poses import BACK, FRONT, T_POSE, posed, turned_about, world_of_local
+from tests.helpers.two_views import FRAME_NS, moving
+from viewer_app.errors import UsageError
+from viewer_app.outputs.osc import Address
+from viewer_app.outputs.vmc import VmcEncoder, VmcOutput
+from viewer_app.outputs.vrm import read_avatar
+
+osc_packet = pytest.importorskip("pythonosc.osc_packet", reason="no python-osc: pip install -e '.[dev]'")
+
+FLOAT32 = 1e-6  # of values up to 3 m, a few roundings
+PARENTS = {
+    "Spine": "Hips", "Chest": "Spine", "Neck": "Chest", "Head": "Neck",
+    **{s + b: (s if a not in ("Chest", "Hips") else "") + a for s in ("Left", "Right") for b, a in (
+        ("Shoulder", "Chest"), ("UpperArm", "Shoulder"), ("LowerArm", "UpperArm"), ("Hand", "LowerArm"),
+        ("UpperLeg", "Hips"), ("LowerLeg", "UpperLeg"), ("Foot", "LowerLeg"), ("Toes", "Foot"),
+    )},
+}  # fmt: skip
+"""Unity's humanoid, as its manual shows it."""
+BEGINS = {
+    "LeftUpperArm": "ShoulderLeft", "LeftLowerArm": "ElbowLeft", "LeftHand": "WristLeft",
+    "RightUpperArm": "ShoulderRight", "RightLowerArm": "ElbowRight", "RightHand": "WristRight",
+    "LeftUpperLeg": "HipLeft", "LeftLowerLeg": "KneeLeft", "LeftFoot": "AnkleLeft", "LeftToes": "FootLeft",
+    "RightUpperLeg": "HipRight", "RightLowerLeg": "KneeRight", "RightFoot": "AnkleRight",
+    "RightToes": "FootRight", "Head": "Head",
+}  # fmt: skip
+"""Where a bone begins, in every body."""
+Bones = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+
+def messages(datagrams: list[bytes]) -> list[tuple[str, list[object]]]:
+    """Address and arguments, as python-osc reads them."""
+    read = [m.message for d in datagrams for m in osc_packet.OscPacket(d).messages]
+    return [(message.address, list(message.params)) for message in read]
+
+
+def bones(datagrams: list[bytes]) -> Bones:
+    found: Bones = {}
+    for address, arguments in messages(datagrams):
+        if address == "/VMC/Ext/Bone/Pos":
+            name, *values = arguments
+            found[str(name)] = np.array(values[:3]), np.array(values[3:])
+    return found
+
+
+def world(sent: Bones) -> tuple[dict[str, NDArray[np.float64]], dict[str, Rotation]]:
+    """What Unity makes of local positions and rotations; a bone that is not sent has neither."""
+    order = list(sent)
+    parents = []
+    for name in order:
+        above = PARENTS.get(name)
+        while above is not None and above not in sent:
+            above = PARENTS[above]
+        parents.append(-1 if above is None else order.index(above))
+    assert all(above < n for n, above in enumerate(parents))
+    at, turns = world_of_local(parents, *(np.array([sent[n][k] for n in order]) for k in (0, 1)))
+    return dict(zip(order, at, strict=True)), dict(zip(order, turns, strict=True))
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_a_receiver_s_forward_kinematics_gives_the_joints_of_s(body: Body) -> None:
+    encoder = VmcEncoder(body)
+    for t, joints in enumerate(moving(body, 120)[::4]):
+        at, _ = world(bones(encoder.encode(joints, t * 4 * FRAME_NS)))
+        offset = at["Hips"] + joints[body.root]  # the place of the origin, the same for all joints
+        for name, joint in BEGINS.items():
+            np.testing.assert_allclose(at[name], offset - joints[body.joint(joint)], atol=1e-4)
+            # 0.1 mm is the goal; float32 is better
+            np.testing.assert_allclose(at[name], offset - joints[body.joint(joint)], atol=4 * FLOAT32)
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_rotations_alone_point_each_limb_of_an_avatar_along_that_of_s(body: Body) -> None:
+    encoder = VmcEncoder(body)
+    t_pose, _ = world(bones(VmcEncoder(body).encode(posed(body, T_POSE), 0)))
+    for t, joints in enumerate(moving(body, 90)[::9]):
+        _, turns = world(bones(encoder.encode(joints, t * 9 * FRAME_NS)))
+        for side in ("Left", "Right"):
+            for first, second in (("UpperArm", "LowerArm"), ("LowerArm", "Hand"), ("UpperLeg", "LowerLeg"),
+                                  ("LowerLeg", "Foot"), ("Foot", "Toes")):  # fmt: skip
+                rest = t_pose[side + second] - t_pose[side + first]
+                shown = turns[side + first].apply(rest)
+                ends = (joints[body.joint(BEGINS[side + each])] for each in (first, second))
+                begin, end = (-each for each in ends)
+                np.testing.assert_allclose(shown, end - begin, atol=1e-5)
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_the_t_pose_has_no_rotation_and_faces_plus_z_with_its_left_at_minus_x(body: Body) -> None:
+    sent = bones(VmcEncoder(body).encode(posed(body, T_POSE), 0))
+    for name, (_, rotation) in sent.items():
+        np.testing.assert_allclose(np.abs(rotation), [0, 0, 0, 1], atol=FLOAT32, err_msg=name)
+    at, _ = world(sent)
+    assert at["LeftHand"][0] < -0.6 < 0.6 < at["RightHand"][0]
+    assert at["LeftToes"][2] > at["LeftFoot"][2] + 0.1
+    assert at["LeftToes"][1] == pytest.approx(0.0, abs=FLOAT32)  # on the floor
+    np.testing.assert_allclose(at["Hips"][[0, 2]], 0.0, atol=FLOAT32)  # above the origin
+    assert at["Head"][1] > at["Hips"][1] > 0.7
+
+
+HALF = math.sqrt(0.5)
+
+
+@pytest.mark.parametrize(
+    ("directions", "bone", "expected"),
+    [
+        # left forearm from −x to +z: Unity's Quaternion.Euler(0, 90, 0) takes −x there
+        ({"WristLeft": FRONT, "HandLeft": FRONT}, "LeftLowerArm", (0.0, HALF, 0.0, HALF)),
+        # right forearm from +x to +z: Euler(0, −90, 0)
+        ({"WristRight": FRONT, "HandRight": FRONT}, "RightLowerArm", (0.0, -HALF, 0.0, HALF)),
+        # right shin from −y to −z: Euler(90, 0, 0)
+        ({"AnkleRight": BACK}, "RightLowerLeg", (HALF, 0.0, 0.0, HALF)),
+        # left thigh from −y to +z, the shin hanging: Euler(−90, 0, 0)
+        ({"KneeLeft": FRONT}, "LeftUpperLeg", (-HALF, 0.0, 0.0, HALF)),
+        # left arm hanging, from −x to −y: Euler(0, 0, 90)
+        ({j: (0.0, 1.0, 0.0) for j in ("ElbowLeft", "WristLeft", "HandLeft")}, "LeftUpperArm", (0, 0, HALF, HALF)),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_bent_limbs_have_the_rotations_computed_by_hand(
+    body: Body, directions: dict[str, tuple[float, ...]], bone: str, expected: tuple[float, ...]
+) -> None:
+    sent = bones(VmcEncoder(body).encode(posed(body, T_POSE | directions), 0))
+    rotation = sent[bone][1]
+    np.testing.assert_allclose(rotation * np.sign(rotation @ expected), expected, atol=FLOAT32)
+
+
+def test_a_person_who_turns_to_the_left_faces_minus_x() -> None:
+    body = KINECT_V2
+    quarter = Rotation.from_rotvec([0.0, -math.pi / 2, 0.0])  # about K_A's y, which points down: front → left
+    np.testing.assert_allclose(quarter.apply(FRONT), [1.0, 0.0, 0.0], atol=1e-12)
+    sent = bones(VmcEncoder(body).encode(turned_about(posed(body, T_POSE), quarter, body.root), 0))
+    rotation = sent["Hips"][1]
+    np.testing.assert_allclose(rotation * np.sign(rotation[3]), [0.0, -HALF, 0.0, HALF], atol=FLOAT32)
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_a_frame_fits_into_datagrams_and_has_what_the_protocol_wants(body: Body) -> None:
+    encoder = VmcEncoder(body)
+    datagrams = encoder.encode(posed(body, {}), 1_500_000_000)
+    assert max(map(len, datagrams)) <= 1472
+    assert len(datagrams) <= 2
+    read = messages(datagrams)
+    assert read[0] == ("/VMC/Ext/OK", [1, 3, 0, 1])
+    assert read[1] == ("/VMC/Ext/T", [1.5])
+    assert read[2] == ("/VMC/Ext/Root/Pos", ["root", 0, 0, 0, 0, 0, 0, 1])
+    nobody = messages(encoder.encode(np.full((len(body), 3), np.nan), 2_000_000_000))
+    assert nobody == [("/VMC/Ext/OK", [1, 3, 0, 0]), ("/VMC/Ext/T", [2.0])]
+
+
+def test_the_bytes_are_those_of_python_osc() -> None:
+    builder = pytest.importorskip("pythonosc.osc_bundle_builder")
+    message_builder = pytest.importorskip("pythonosc.osc_message_builder")
+    datagrams = VmcEncoder(AZURE_KINECT).encode(posed(AZURE_KINECT, {}), 0)
+    for datagram in datagrams:
+        bundle = builder.OscBundleBuilder(builder.IMMEDIATELY)
+        for address, arguments in messages([datagram]):
+            message = message_builder.OscMessageBuilder(address)
+            for argument in arguments:
+                kind = {str: "s", int: "i", float: "f"}[type(argument)]
+                message.add_arg(argument, kind)
+            bundle.add_content(message.build())
+        assert bundle.build().dgram == datagram
+
+
+def test_a_jump_does_not_move_the_floor_and_an_outlier_hardly() -> None:
+    body = KINECT_V2
+    encoder = VmcEncoder(body)
+    standing = posed(body, T_POSE)
+
+    def hips(joints: NDArray[np.float64], frame: int) -> float:
+        return float(bones(encoder.encode(joints, frame * FRAME_NS))["Hips"][0][1])
+
+    height = hips(standing, 0)
+    for frame in range(1, 16):  # half a second in the air, 0.4 m high
+        assert hips(standing - [0.0, 0.4, 0.0], frame) == pytest.approx(height + 0.4, abs=0.01 * 0.5 + 1e-6)
+    outlier = standing.copy()
+    outlier[body.joint("FootLeft"), 1] += 0.5
+    assert hips(outlier, 16) == pytest.approx(height, abs=0.3 / 30 + 0.006)
+
+
+def test_a_socket_receives_every_frame_when_it_is_there_and_none_is_needed(fuser: Fuser) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(10.0)
+        output = VmcOutput(Address("127.0.0.1", receiver.getsockname()[1]), KINECT_V2)
+        seconds = []
+        for frame in frames(fuser, 20):
+            output.write(frame)
+            got = [receiver.recv(2000), receiver.recv(2000)]
+            seconds += [arguments[0] for address, arguments in messages(got) if address == "/VMC/Ext/T"]
+    np.testing.assert_allclose(seconds, np.arange(20) * FRAME_NS * 1e-9, atol=1e-6)
+    for frame in frames(fuser, 20):  # the receiver is gone
+        output.write(frame)
+    output.close()
+    assert output.counts.sent >= 20
+    assert output.failure is None
+
+
+def vrm(path: Path, version: int, hips: float = 1.0) -> Path:
+    """A GLB with five bones: Hips under a raised node, UpperChest between Chest and Neck."""
+    front = -1.0 if version == 0 else 1.0
+    nodes = [
+        {"name": "root", "children": [1], "translation": [0, 0.1, 0]},
+        {"name": "hips", "children": [2, 5], "translation": [0, hips - 0.1, 0]},
+        {"name": "chest", "children": [3], "translation": [0, 0.3, 0.02 * front]},
+        {"name": "upper chest", "children": [4], "translation": [0, 0.1, 0]},
+        {"name": "neck", "translation": [0, 0.1, 0]},
+        {"name": "thigh", "translation": [0.08 * front, -0.05, 0]},
+    ]
+    where = {"hips": 1, "chest": 2, "upperChest": 3, "neck": 4, "leftUpperLeg": 5}
+    if version == 0:
+        humanoid = {"VRM": {"humanoid": {"humanBones": [{"bone": b, "node": n} for b, n in where.items()]}}}
+    else:
+        humanoid = {"VRMC_vrm": {"humanoid": {"humanBones": {b: {"node": n} for b, n in where.items()}}}}
+    text = json.dumps({"asset": {"version": "2.0"}, "nodes": nodes, "extensions": humanoid}).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sII I4s", b"glTF", 2, 20 + len(text), len(text), b"JSON")
+    path.write_bytes(head + text)
+    return path
+
+
+@pytest.mark.parametrize("version", [0, 1])
+def test_an_avatar_keeps_its_proportions_and_moves_at_the_hips(tmp_path: Path, version: int) -> None:
+    body = KINECT_V2
+    avatar = read_avatar(vrm(tmp_path / "a.vrm", version, hips=0.5))
+    encoder, plain = VmcEncoder(body, avatar), VmcEncoder(body)
+    standing = posed(body, T_POSE)
+    sent = bones(encoder.encode(standing, 0))
+    # both versions: the front of the file's person is +z in Unity, its left −x
+    np.testing.assert_allclose(sent["Chest"][0], [0.0, 0.3, 0.02], atol=FLOAT32)
+    np.testing.assert_allclose(sent["Neck"][0], [0.0, 0.1, 0.0], atol=FLOAT32)  # relative to UpperChest
+    np.testing.assert_allclose(sent["LeftUpperLeg"][0], [-0.08, -0.05, 0.0], atol=FLOAT32)
+    np.testing.assert_allclose(sent["LeftLowerLeg"][0], 0.0, atol=FLOAT32)  # which the file lacks
+    moved = standing + [0.3, 0.0, -0.4]
+    there, real = bones(encoder.encode(moved, FRAME_NS))["Hips"][0], (plain.encode(standing, 0), plain)[1]
+    walked = bones(real.encode(moved, FRAME_NS))["Hips"][0]
+    scale = 0.5 / (0.42 + 0.41 + 0.08)  # the avatar's hips above the floor over the person's leg
+    np.testing.assert_allclose(there + [0.0, 0.1, 0.0], scale * walked, atol=1e-5)
+
+
+def test_a_file_that_is_no_avatar_gives_one_line(tmp_path: Path) -> None:
+    whole = vrm(tmp_path / "a.vrm", 1).read_bytes()
+    bad = tmp_path / "bad.vrm"
+    rng = np.random.default_rng(3)
+    for k in range(300):
+        damaged = bytearray(whole[: rng.integers(0, len(whole))] if k % 2 else whole)
+        for at in rng.integers(0, max(len(damaged), 1), 5):
+            if damaged:
+                damaged[at] = rng.integers(0, 256)
+        bad.write_bytes(bytes(damaged))
+        try:
+            read_avatar(bad)
+        except UsageError as fault:
+            assert "\n" not in str(fault)  # noqa: PT017
+    with pytest.raises(UsageError, match="--avatar .*none.vrm"):
+        read_avatar(tmp_path / "none.vrm")
