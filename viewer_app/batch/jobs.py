@@ -1,0 +1,183 @@
+"""One pair to fuse, its folder in the output, and the record by which a finished session is recognised.
+
+A session's folder is made under a temporary name and renamed when it is complete. A folder that has its
+final name is therefore complete.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import socket
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from viewer_app.batch.finding import Pair
+from viewer_app.options.batch import BatchOptions
+from viewer_app.options.sensing import FuseOptions
+
+RECORD = "record.json"
+_ELSEWHERE = {"source", "out", "processes", "scheduler", "force"}
+"""Options of the command that do not change a session."""
+_SHARED = [field.name for field in fields(BatchOptions) if field.name not in _ELSEWHERE]
+"""Options that ``duplex fuse`` has as well."""
+_BLOCK = 1 << 20
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A pair to fuse.
+
+    Attributes:
+        pair: The recordings.
+        options: The options of the command.
+    """
+
+    pair: Pair
+    options: BatchOptions
+
+    @property
+    def name(self) -> str:
+        """The name of the session."""
+        return self.pair.name
+
+    @property
+    def folder(self) -> Path:
+        """The session's folder."""
+        return self.options.out / self.name
+
+    @property
+    def partial(self) -> Path:
+        """The temporary folder of this process for the session."""
+        return self._partials / f"{socket.gethostname()}-{os.getpid()}"
+
+    @property
+    def _partials(self) -> Path:
+        return self.options.out / ".partial" / self.name
+
+    def file_names(self) -> tuple[str, str, str, str]:
+        """The files of a session: session, page, report, record."""
+        return f"{self.name}.rrd", f"{self.name}.html", f"{self.name}.json", RECORD
+
+    def fuse_options(self, folder: Path) -> FuseOptions:
+        """The options of the ``duplex fuse`` that fuses this pair into a folder."""
+        pair, (session, _, report, _) = self.pair, self.file_names()
+        return FuseOptions(
+            a=pair.a,
+            b=pair.b,
+            skeletons_a=pair.skeletons_a,
+            skeletons_b=pair.skeletons_b,
+            person_a=pair.person_a,
+            person_b=pair.person_b,
+            no_viewer=True,
+            save=folder / session,
+            report=folder / report,
+            **{name: getattr(self.options, name) for name in _SHARED},
+        )
+
+    def identity(self) -> Record:
+        """What the session depends on: contents of the input files, options, and the program's version.
+
+        Raises:
+            OSError: An input file cannot be read.
+        """
+        pair = self.pair
+        files = {"a": pair.a, "b": pair.b, "skeletons_a": pair.skeletons_a, "skeletons_b": pair.skeletons_b}
+        return {
+            "program": program_version(),
+            "files": {side: None if path is None else checksum(path) for side, path in files.items()},
+            "persons": [pair.person_a, pair.person_b],
+            "options": {name: _value(getattr(self.options, name)) for name in _SHARED},
+        }
+
+    def record(self) -> Record | None:
+        """The record of the finished session; None if there is no complete session."""
+        names = self.file_names()
+        if not all((self.folder / name).is_file() for name in names):
+            return None
+        try:
+            record = json.loads((self.folder / RECORD).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        return record if isinstance(record, dict) and {"identity", "figures"} <= record.keys() else None
+
+    def strangers(self) -> list[str]:
+        """Names of files in the session's folder that ``duplex batch`` did not write there."""
+        if not self.folder.exists():
+            return []
+        if not self.folder.is_dir():
+            return [self.folder.name]
+        return sorted({path.name for path in self.folder.iterdir()} - set(self.file_names()))
+
+    def drop_partials(self) -> None:
+        """Deletes what an interrupted run left of this session.
+
+        A session that was about to be replaced returns to its place.
+        """
+        for old in self._partials.glob("*.old"):
+            if not self.folder.exists():
+                old.rename(self.folder)
+        shutil.rmtree(self._partials, ignore_errors=True)
+        with suppress(OSError):
+            self._partials.parent.rmdir()  # unless another session is in it
+
+    def place(self) -> None:
+        """Renames the complete temporary folder to :attr:`folder`; an older session is replaced.
+
+        Raises:
+            OSError: It cannot be renamed. The older session is back in its place.
+        """
+        old = self.partial.with_name(f"{self.partial.name}.old")
+        replaced = self.folder.exists()
+        if replaced:
+            self.folder.rename(old)
+        try:
+            self.partial.rename(self.folder)
+        except OSError:
+            if replaced:
+                old.rename(self.folder)
+            raise
+        self.drop_partials()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The result of a job.
+
+    Attributes:
+        name: Of the session.
+        record: The record of the session; None if it failed.
+        error: The line that says why it failed; empty if it did not.
+    """
+
+    name: str
+    record: Record | None
+    error: str = ""
+
+
+def program_version() -> str:
+    """The version of the program on this machine."""
+    return version("duplex-kinects")
+
+
+def checksum(path: Path) -> str:
+    """SHA-256 of a file's content, hexadecimal."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _value(option: Any) -> Any:
+    """An option for the record; a file is represented by its content."""
+    if isinstance(option, (str, Path)) and str(option) and Path(option).is_file():
+        return f"sha256:{checksum(Path(option))}"
+    return str(option) if isinstance(option, Path) else option
