@@ -88,6 +88,7 @@ def plan_work(jobs: Sequence[Job], force: bool) -> Work:
     """
     done, left = [], []
     for job in jobs:
+        job.restore()
         strangers = job.strangers()
         if strangers:
             raise UsageError(

@@ -57,9 +57,10 @@ def find_pairs(folder: Path, out: Path) -> tuple[list[Pair], list[str]]:
     """
     found: dict[str, Pair] = {}
     alone: list[str] = []
-    for at, folders, files in os.walk(folder):
+    known = {os.path.realpath(folder), os.path.realpath(out)}
+    for at, folders, files in os.walk(folder, followlinks=True):
         here = Path(at)
-        folders[:] = sorted(name for name in folders if not name.startswith(".") and here / name != out)
+        folders[:] = [name for name in sorted(folders) if _is_new(here / name, known)]
         for stem, suffixes in sorted(_sides(files).items()):
             pair, missing = _pair(folder, here, stem, suffixes)
             alone += missing
@@ -77,6 +78,15 @@ def find_pairs(folder: Path, out: Path) -> tuple[list[Pair], list[str]]:
             f"(or {', '.join(suffix for suffix in SUFFIXES if suffix != '.csv')}), also not in subfolders."
         )
     return sorted(found.values(), key=lambda pair: pair.name), alone
+
+
+def _is_new(folder: Path, known: set[str]) -> bool:
+    """Whether a folder is to be searched: not hidden, and not searched before through another link."""
+    real = os.path.realpath(folder)
+    if folder.name.startswith(".") or real in known:
+        return False
+    known.add(real)
+    return True
 
 
 def _sides(files: Iterable[str]) -> dict[str, dict[str, dict[str, str]]]:

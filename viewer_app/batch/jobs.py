@@ -116,17 +116,29 @@ class Job:
             return [self.folder.name]
         return sorted({path.name for path in self.folder.iterdir()} - set(self.file_names()))
 
-    def drop_partials(self) -> None:
-        """Deletes what an interrupted run left of this session.
-
-        A session that was about to be replaced returns to its place.
-        """
+    def restore(self) -> None:
+        """Returns a session to its place that was about to be replaced when a run was killed."""
         for old in self._partials.glob("*.old"):
             if not self.folder.exists():
                 old.rename(self.folder)
+                self._drop_empty()
+
+    def drop_partials(self) -> None:
+        """Deletes what an interrupted run left of this session."""
+        self.restore()
         shutil.rmtree(self._partials, ignore_errors=True)
-        with suppress(OSError):
-            self._partials.parent.rmdir()  # unless another session is in it
+        self._drop_empty()
+
+    def drop_own_partial(self) -> None:
+        """Deletes the temporary folder of this process."""
+        shutil.rmtree(self.partial, ignore_errors=True)
+        self._drop_empty()
+
+    def _drop_empty(self) -> None:
+        with suppress(OSError):  # another process or another session is in it
+            if self._partials.is_dir():
+                self._partials.rmdir()
+            self._partials.parent.rmdir()
 
     def place(self) -> None:
         """Renames the complete temporary folder to :attr:`folder`; an older session is replaced.
@@ -144,7 +156,8 @@ class Job:
             if replaced:
                 old.rename(self.folder)
             raise
-        self.drop_partials()
+        if replaced:
+            shutil.rmtree(old, ignore_errors=True)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -67,7 +66,7 @@ def _fuse(job: Job) -> Record:
         (partial / record_name).write_text(text + "\n", encoding="utf-8")
         job.place()
     finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        job.drop_own_partial()
     return record
 
 
