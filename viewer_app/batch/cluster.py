@@ -32,7 +32,7 @@ def run_on_cluster(jobs: Sequence[Job], scheduler: str) -> Generator[Outcome, No
     try:
         distributed: Any = import_module("distributed")
         futures = {client.submit(fuse_job, job, pure=False): job for job in jobs}
-        for future in distributed.as_completed(list(futures)):
+        for future in distributed.as_completed(list(futures), loop=client.loop):
             job = futures.pop(future)
             try:
                 outcome = future.result()

@@ -22,7 +22,7 @@ from viewer_app.options.batch import BatchOptions
 from viewer_app.options.sensing import FuseOptions
 
 RECORD = "record.json"
-_ELSEWHERE = {"source", "out", "processes", "scheduler", "force"}
+_ELSEWHERE = {"source", "out", "processes", "scheduler", "pages", "force"}
 """Options of the command that do not change a session."""
 _SHARED = [field.name for field in fields(BatchOptions) if field.name not in _ELSEWHERE]
 """Options that ``duplex fuse`` has as well."""
@@ -62,13 +62,24 @@ class Job:
     def _partials(self) -> Path:
         return self.options.out / ".partial" / self.name
 
-    def file_names(self) -> tuple[str, str, str, str]:
-        """The files of a session: session, page, report, record."""
-        return f"{self.name}.rrd", f"{self.name}.html", f"{self.name}.json", RECORD
+    @property
+    def session(self) -> Path:
+        """The session."""
+        return self.folder / f"{self.name}.rrd"
+
+    @property
+    def page(self) -> Path:
+        """The session's page; written if ``--pages`` is set."""
+        return self.folder / f"{self.name}.html"
+
+    @property
+    def report(self) -> Path:
+        """The session's report, as of ``duplex fuse --report``."""
+        return self.folder / f"{self.name}.json"
 
     def fuse_options(self, folder: Path) -> FuseOptions:
         """The options of the ``duplex fuse`` that fuses this pair into a folder."""
-        pair, (session, _, report, _) = self.pair, self.file_names()
+        pair = self.pair
         return FuseOptions(
             a=pair.a,
             b=pair.b,
@@ -77,8 +88,8 @@ class Job:
             person_a=pair.person_a,
             person_b=pair.person_b,
             no_viewer=True,
-            save=folder / session,
-            report=folder / report,
+            save=folder / self.session.name,
+            report=folder / self.report.name,
             **{name: getattr(self.options, name) for name in _SHARED},
         )
 
@@ -99,8 +110,8 @@ class Job:
 
     def record(self) -> Record | None:
         """The record of the finished session; None if there is no complete session."""
-        names = self.file_names()
-        if not all((self.folder / name).is_file() for name in names):
+        needed = [self.session, self.report, *([self.page] if self.options.pages else [])]
+        if not all(path.is_file() for path in needed):
             return None
         try:
             record = json.loads((self.folder / RECORD).read_text(encoding="utf-8"))
@@ -114,7 +125,8 @@ class Job:
             return []
         if not self.folder.is_dir():
             return [self.folder.name]
-        return sorted({path.name for path in self.folder.iterdir()} - set(self.file_names()))
+        own = {self.session.name, self.page.name, self.report.name, RECORD}
+        return sorted({path.name for path in self.folder.iterdir()} - own)
 
     def restore(self) -> None:
         """Returns a session to its place that was about to be replaced when a run was killed."""

@@ -128,7 +128,7 @@ def write_parquet(rows: Sequence[Row], path: Path) -> None:
         "error": pa.array([row.error or None for row in rows], pa.string()),
         "a": pa.array([str(row.job.pair.a) for row in rows], pa.string()),
         "b": pa.array([str(row.job.pair.b) for row in rows], pa.string()),
-        "session": pa.array([_link(row, 0) for row in rows], pa.string()),
+        "session": pa.array([_link(row, row.job.session) for row in rows], pa.string()),
         "warnings": pa.array([(row.record or {}).get("warnings", []) for row in rows], pa.list_(pa.string())),
     }
     for name in names:
@@ -156,8 +156,8 @@ def write_page(rows: Sequence[Row], path: Path) -> None:
         fused=[
             {
                 "name": row.job.name,
-                "page": quote(_link(row, 1) or ""),
-                "session": quote(_link(row, 0) or ""),
+                "page": quote(_link(row, row.job.page) or "") if row.job.options.pages else "",
+                "session": quote(_link(row, row.job.session) or ""),
                 "cells": _cells(row),
                 "warnings": (row.record or {}).get("warnings", []),
                 "calibration": row.figures["calibration"],
@@ -177,9 +177,9 @@ def _cells(row: Row) -> list[str]:
     ]
 
 
-def _link(row: Row, file: int) -> str | None:
-    """The path of a session's file, relative to the summary."""
-    return f"{row.job.name}/{row.job.file_names()[file]}" if row.state == "fused" else None
+def _link(row: Row, file: Path) -> str | None:
+    """The path of a session's file, relative to the summary; None if there is no session."""
+    return f"{row.job.name}/{file.name}" if row.state == "fused" else None
 
 
 def _number(value: Any) -> float:

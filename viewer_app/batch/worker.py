@@ -14,12 +14,11 @@ from devices.sensor import DeviceError
 from fusion.errors import FusionError
 from recordings.errors import RecordingError
 from viewer_app.batch.figures import session_figures
-from viewer_app.batch.jobs import Job, Outcome, Record
+from viewer_app.batch.jobs import RECORD, Job, Outcome, Record
 from viewer_app.batch.kernels import compile_once
 from viewer_app.commands.fuse import fuse_files
 from viewer_app.errors import UsageError
 from viewer_app.report.figures import report
-from viewer_app.report.review_page import review_page
 
 _MISTAKES = (DeviceError, FusionError, RecordingError, UsageError)
 _ONE_AT_A_TIME = threading.Lock()
@@ -53,9 +52,11 @@ def _fuse(job: Job) -> Record:
         compile_once(options.method, options.smooth)
         with Path(os.devnull).open("w", encoding="utf-8") as nothing:
             session, result = fuse_files(options, Console(file=nothing))
-        saved, page, _, record_name = job.file_names()
-        shown = replace(session, path=job.folder / saved)
-        (partial / page).write_text(review_page(shown, report(result)), encoding="utf-8")
+        if job.options.pages:
+            from viewer_app.report.review_page import review_page  # imports matplotlib
+
+            page = review_page(replace(session, path=job.session), report(result))
+            (partial / job.page.name).write_text(page, encoding="utf-8")
         record: Record = {
             "identity": identity,
             "sources": list(session.sources),
@@ -63,7 +64,7 @@ def _fuse(job: Job) -> Record:
             "figures": session_figures(session, result),
         }
         text = json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False)
-        (partial / record_name).write_text(text + "\n", encoding="utf-8")
+        (partial / RECORD).write_text(text + "\n", encoding="utf-8")
         job.place()
     finally:
         job.drop_own_partial()

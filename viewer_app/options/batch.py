@@ -30,6 +30,8 @@ class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://HOST:PORT: its workers fuse, and see the same paths as this
     machine."""
+    pages: bool = False
+    """Write a page per session, as duplex review --html does; takes longer than fusion."""
     force: bool = False
     """Fuse again, and overwrite, sessions that were fused from other recordings, with other options or by
     another version."""

@@ -47,7 +47,7 @@ def files_in(out: Path) -> set[str]:
 
 
 def files_of(name: str) -> set[str]:
-    return {f"{name}/{name}.rrd", f"{name}/{name}.html", f"{name}/{name}.json", f"{name}/record.json"}
+    return {f"{name}/{name}.rrd", f"{name}/{name}.json", f"{name}/record.json"}
 
 
 def started(*arguments: object) -> subprocess.Popen[str]:
@@ -78,7 +78,7 @@ def test_two_processes_fuse_what_duplex_fuse_fuses(tmp_path: Path) -> None:
     assert "b.csv" in str(rows["error"][0])
     assert rows["frames"] == [None, 75, 75]
     page = (out / "summary.html").read_text(encoding="utf-8")
-    assert page.index("p1") < page.index("p0/p0.html")
+    assert page.index("p1") < page.index('href="p0/p0.rrd"')
     assert "p1/p1" not in page  # no link to a session that is not there
 
 
@@ -133,6 +133,9 @@ def test_a_session_that_was_being_replaced_returns(tmp_path: Path, in_this_proce
     assert duplex("batch", pairs.parent, "--out", out) == 0
     assert in_this_process == ["p"]
     assert files_in(out) == {"summary.html", "summary.parquet"} | files_of("p")
+    assert duplex("batch", pairs.parent, "--out", out, "--pages") == 0
+    assert files_in(out) == {"summary.html", "summary.parquet", "p/p.html"} | files_of("p")
+    assert 'href="p/p.html"' in (out / "summary.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
