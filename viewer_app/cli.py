@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
+from viewer_app.options.batch import BatchOptions
 from viewer_app.options.bench import BenchAccuracyOptions, BenchRealOptions, BenchSpeedOptions
 from viewer_app.options.sensing import (
     DemoOptions,
@@ -30,6 +31,7 @@ _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "demo": (DemoOptions, "viewer_app.commands.demo"),
     "live": (LiveOptions, "viewer_app.commands.live"),
     "fuse": (FuseOptions, "viewer_app.commands.fuse"),
+    "batch": (BatchOptions, "viewer_app.batch.command"),
     "replay": (ReplayOptions, "viewer_app.commands.replay"),
     "review": (ReviewOptions, "viewer_app.commands.review"),
     "compare": (CompareOptions, "viewer_app.commands.compare"),

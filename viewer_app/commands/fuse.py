@@ -28,6 +28,7 @@ from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.fusing.recorded import fuse_one, fuse_segments, fused_session, setups_of
+from recordings.session import Session
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.session_writer import write_session
 from viewer_app.coach.advice import placement, verdict
@@ -51,7 +52,19 @@ def run(options: FuseOptions) -> None:
     Raises:
         DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
     """
-    console = Console()
+    fuse_files(options, Console())
+
+
+def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, FusionResult]:
+    """Carries out the command and returns the session and the data of its report.
+
+    Args:
+        options: The options of the command.
+        console: Receives the output.
+
+    Raises:
+        DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
+    """
     viewing = choose_viewing(
         no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=options.save, live=False
     )
@@ -111,6 +124,7 @@ def run(options: FuseOptions) -> None:
         result = FusionResult(read.pairing, setup.calibration, settings, session.rows, _exact(frames, setup))
         _summarise(console, options, result)
         stay_for_visitors(viewing, console)
+        return session, result
 
 
 def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:

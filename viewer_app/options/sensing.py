@@ -12,6 +12,7 @@ from viewer_app.options.shared import (
     LiveOutputOptions,
     MethodOptions,
     OutputOptions,
+    RecordingOptions,
     SensorOptions,
     TerminalOptions,
     TrackerOptions,
@@ -20,7 +21,7 @@ from viewer_app.options.shared import (
 
 
 @dataclass(frozen=True)
-class FuseOptions(TrackerOptions, MethodOptions, ViewerOptions, OutputOptions):
+class FuseOptions(RecordingOptions, TrackerOptions, MethodOptions, ViewerOptions, OutputOptions):
     """Fuse two recorded skeleton streams into one skeleton with bones of constant length.
 
     Recordings are .csv (time_us,body,joint,x,y,z[,state]; metres), .json (Microsoft's offline_processor),
@@ -31,12 +32,6 @@ class FuseOptions(TrackerOptions, MethodOptions, ViewerOptions, OutputOptions):
     """Recording of the principal sensor K_A; S* is in its frame."""
     b: Positional[Path] = field(kw_only=True)
     """Recording of the secondary sensor K_B."""
-    calibrate: str = "auto"
-    """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
-    refine: bool = True
-    """Refine the calibration, unless it is from a file, over the whole recording; of the method duplex."""
-    smooth: Literal["off", "whole"] = "off"
-    """whole: each frame counts what comes after it as well; no lag, and calmer. Of the method duplex."""
     person_a: str | None = None
     """Id of the person in A; the one seen longest if not given."""
     person_b: str | None = None
@@ -45,8 +40,6 @@ class FuseOptions(TrackerOptions, MethodOptions, ViewerOptions, OutputOptions):
     """For an .mkv: a file of saved skeletons of A, instead of the body tracker."""
     skeletons_b: Path | None = None
     """For an .mkv: a file of saved skeletons of B, instead of the body tracker."""
-    depth: Literal["none", "half", "full"] = "full"
-    """For an .mkv: its depth images in the session: none, every second pixel in both directions, or all."""
 
 
 @dataclass(frozen=True)

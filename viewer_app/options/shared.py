@@ -50,13 +50,9 @@ class TerminalOptions:
 
 
 @dataclass(frozen=True)
-class MethodOptions:
-    """Settings of the method."""
+class FusionOptions:
+    """Settings of the method, without its calibration."""
 
-    calibrate: str = "auto"
-    """auto: calibrate on the start-up pose, once it is held. Or a file of --save-calibration."""
-    save_calibration: Path | None = None
-    """Save the sensors' placement and the bone lengths to a file."""
     h: float = PAPER_H
     """How much more a tracked joint counts than an inferred one, between 0.5 and 1."""
     method: Literal["duplex", "paper", "published"] = "duplex"
@@ -65,6 +61,30 @@ class MethodOptions:
     """How calm the joints are, from 0 (each frame by itself) to 1; of the method duplex."""
     weights: Literal["paper", "equal"] = "paper"
     """paper: trust a joint, eqs. (10), (11). equal: both views alike."""
+
+
+@dataclass(frozen=True)
+class MethodOptions(FusionOptions):
+    """Settings of the method."""
+
+    calibrate: str = "auto"
+    """auto: calibrate on the start-up pose, once it is held. Or a file of --save-calibration."""
+    save_calibration: Path | None = None
+    """Save the sensors' placement and the bone lengths to a file."""
+
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """How recordings are fused."""
+
+    calibrate: str = "auto"
+    """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
+    refine: bool = True
+    """Refine the calibration, unless it is from a file, over the whole recording; of the method duplex."""
+    smooth: Literal["off", "whole"] = "off"
+    """whole: each frame counts what comes after it as well; no lag, and calmer. Of the method duplex."""
+    depth: Literal["none", "half", "full"] = "full"
+    """For an .mkv: its depth images in the session: none, every second pixel in both directions, or all."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,214 @@
+"""``duplex batch`` in processes of this machine: sessions, resuming, bad pairs, interruption."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from recordings.session import Session
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.recorded_pairs import assert_same_session, write_pair
+from tests.helpers.waiting import eventually
+from viewer_app.batch import processes
+from viewer_app.batch.jobs import Job, Outcome
+from viewer_app.batch.processes import run_in_processes
+from viewer_app.batch.worker import fuse_job
+from viewer_app.options.batch import BatchOptions
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Lets the command fuse in this process, which saves starting others; the names of what was fused."""
+    fused: list[str] = []
+
+    def run(jobs: list[Job], _: int) -> object:
+        for job in jobs:
+            fused.append(job.name)
+            yield fuse_job(job)
+
+    monkeypatch.setattr(processes, "run_in_processes", run)
+    return fused
+
+
+def table(out: Path) -> dict[str, list[object]]:
+    return pq.read_table(out / "summary.parquet").to_pydict()
+
+
+def files_in(out: Path) -> set[str]:
+    return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+
+
+def files_of(name: str) -> set[str]:
+    return {f"{name}/{name}.rrd", f"{name}/{name}.json", f"{name}/record.json"}
+
+
+def started(*arguments: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "viewer_app.cli", "batch", *map(str, arguments)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def test_two_processes_fuse_what_duplex_fuse_fuses(tmp_path: Path) -> None:
+    pairs, out = tmp_path / "pairs", tmp_path / "out"
+    for seed in range(3):
+        write_pair(pairs / f"p{seed}", seed=seed)
+    (pairs / "p1" / "b.csv").write_text("time_us,body\n1\n", encoding="utf-8")
+    assert duplex("batch", pairs, "--out", out, "--processes", 2, "--smooth", "whole") == 1
+    assert files_in(out) == {"summary.html", "summary.parquet"} | files_of("p0") | files_of("p2")
+    alone = tmp_path / "alone.rrd"
+    pair = pairs / "p2" / "a.csv", pairs / "p2" / "b.csv"
+    assert duplex("fuse", *pair, "--smooth", "whole", "--no-viewer", "--save", alone) == 0
+    assert_same_session(out / "p2" / "p2.rrd", alone)
+    rows = table(out)
+    assert rows["name"][0] == "p1"
+    assert rows["state"] == ["failed", "fused", "fused"]
+    assert "b.csv" in str(rows["error"][0])
+    assert rows["frames"] == [None, 75, 75]
+    page = (out / "summary.html").read_text(encoding="utf-8")
+    assert page.index("p1") < page.index('href="p0/p0.rrd"')
+    assert "p1/p1" not in page  # no link to a session that is not there
+
+
+def test_only_what_is_not_done_is_fused(
+    tmp_path: Path, in_this_process: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    pairs, out = tmp_path / "pairs", tmp_path / "out"
+    write_pair(pairs, "one_a.csv", "one_b.csv", seed=1)
+    write_pair(pairs, "two_a.csv", "two_b.csv", seed=2)
+    assert duplex("batch", pairs, "--out", out) == 0
+    assert in_this_process == ["one", "two"]
+    (out / "two" / "two.rrd").unlink()  # not complete any more
+    write_pair(pairs, "six_a.csv", "six_b.csv", seed=6)
+    assert duplex("batch", pairs, "--out", out) == 0
+    assert in_this_process == ["one", "two", "six", "two"]
+    assert table(out)["state"] == ["fused"] * 3
+    capsys.readouterr()
+
+    # neither another option nor another input replaces a session silently
+    assert duplex("batch", pairs, "--out", out, "--smoothing", "0.9") == 2
+    assert "with another --smoothing" in one_line(capsys)
+    write_pair(pairs, "one_a.csv", "one_b.csv", seed=3)
+    assert duplex("batch", pairs, "--out", out) == 2
+    assert "one was fused from other recordings" in one_line(capsys)
+    assert len(in_this_process) == 4
+    before = (out / "one" / "one.rrd").read_bytes()
+    assert duplex("batch", pairs, "--out", out, "--force") == 0
+    assert in_this_process[4:] == ["one"]
+    assert (out / "one" / "one.rrd").read_bytes() != before
+    (out / "one" / "one.bvh").touch()
+    assert duplex("batch", pairs, "--out", out, "--force") == 2
+    assert "one holds files that duplex batch did not write (one.bvh)" in one_line(capsys)
+
+
+def test_a_replacement_that_fails_keeps_the_old_session(tmp_path: Path, in_this_process: list[str]) -> None:
+    pairs, out = write_pair(tmp_path / "pairs" / "p"), tmp_path / "out"
+    assert duplex("batch", pairs.parent, "--out", out) == 0
+    before = (out / "p" / "p.rrd").read_bytes()
+    (pairs / "a.csv").write_text("time_us,body\n1\n", encoding="utf-8")
+    assert duplex("batch", pairs.parent, "--out", out, "--force") == 1
+    assert (out / "p" / "p.rrd").read_bytes() == before
+    assert files_in(out) == {"summary.html", "summary.parquet"} | files_of("p")
+    assert in_this_process == ["p", "p"]
+
+
+def test_a_session_that_was_being_replaced_returns(tmp_path: Path, in_this_process: list[str]) -> None:
+    pairs, out = write_pair(tmp_path / "pairs" / "p"), tmp_path / "out"
+    assert duplex("batch", pairs.parent, "--out", out) == 0
+    # what a kill between the two renames leaves
+    (out / ".partial" / "p").mkdir(parents=True)
+    (out / "p").rename(out / ".partial" / "p" / "host-1.old")
+    assert duplex("batch", pairs.parent, "--out", out) == 0
+    assert in_this_process == ["p"]
+    assert files_in(out) == {"summary.html", "summary.parquet"} | files_of("p")
+    assert duplex("batch", pairs.parent, "--out", out, "--pages") == 0
+    assert files_in(out) == {"summary.html", "summary.parquet", "p/p.html"} | files_of("p")
+    assert 'href="p/p.html"' in (out / "summary.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_killed_half_way_and_resumed(number: signal.Signals, tmp_path: Path) -> None:
+    pairs, out = tmp_path / "pairs", tmp_path / "out"
+    for seed in range(4):
+        write_pair(pairs / f"p{seed}", seed=seed)
+    batch = started(pairs, "--out", out, "--processes", 1)
+    try:
+        assert eventually(lambda: (out / "p0").exists(), 240.0)
+        # Ctrl-C reaches the whole group of a terminal; a kill only the process
+        (os.killpg if number == signal.SIGINT else os.kill)(batch.pid, number)
+        _, said = batch.communicate(timeout=60.0)
+    finally:
+        batch.kill()
+    done = sorted(path.name for path in out.glob("p*"))
+    assert len(done) < 4
+    assert all(files_of(name) <= files_in(out) for name in done)
+    if number == signal.SIGINT:
+        assert batch.returncode == 130
+        assert said == "duplex: stopped\n"
+        assert table(out)["state"].count("pending") == 4 - len(done)
+        assert not (out / ".partial").exists()
+    made = {name: (out / name / f"{name}.rrd").stat().st_mtime_ns for name in done}
+    assert duplex("batch", pairs, "--out", out, "--processes", 1) == 0
+    assert {name: (out / name / f"{name}.rrd").stat().st_mtime_ns for name in done} == made
+    assert table(out)["state"] == ["fused"] * 4
+    assert not (out / ".partial").exists()
+    assert len(Session.open(out / "p3" / "p3.rrd")) == 75
+
+
+def test_a_worker_that_dies_costs_its_own_job_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pipes = [_Dying(), _Living()]
+    monkeypatch.setattr(processes, "_Worker", lambda: pipes.pop(0))
+    monkeypatch.setattr(processes.connection, "wait", lambda ready: list(ready))
+    outcomes = list(run_in_processes([_job(tmp_path, name) for name in "pqr"], 1))
+    assert [(outcome.name, outcome.error) for outcome in outcomes] == [
+        ("p", "The worker process died."),
+        ("q", ""),
+        ("r", ""),
+    ]
+
+
+def _job(folder: Path, name: str) -> Job:
+    from viewer_app.batch.finding import Pair
+
+    options = BatchOptions(source=folder, out=folder)
+    return Job(Pair(name, folder / "a.csv", folder / "b.csv"), options)
+
+
+class _Living:
+    """A worker that finishes every job."""
+
+    def __init__(self) -> None:
+        self.connection = object()
+        self.job: Job | None = None
+
+    def start(self, job: Job) -> None:
+        self.job = job
+
+    def outcome(self) -> tuple[Outcome, bool]:
+        assert self.job is not None
+        job, self.job = self.job, None
+        return Outcome(job.name, {}), True
+
+    def end(self) -> None:
+        pass
+
+
+class _Dying(_Living):
+    """A worker that dies on its job."""
+
+    def outcome(self) -> tuple[Outcome, bool]:
+        outcome, _ = super().outcome()
+        return Outcome(outcome.name, None, "The worker process died."), False

@@ -1,0 +1,133 @@
+"""Which pairs ``duplex batch`` finds in a folder and in a manifest, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.command_line import duplex, one_line
+from viewer_app.batch.finding import Pair, find_pairs
+from viewer_app.batch.manifest import read_manifest
+from viewer_app.errors import UsageError
+
+
+def touch(root: Path, *names: str) -> None:
+    for name in names:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).touch()
+
+
+def names_of(root: Path) -> list[str]:
+    return [pair.name for pair in find_pairs(root, root / "out")[0]]
+
+
+def test_pairs_by_folder_and_by_name(tmp_path: Path) -> None:
+    touch(tmp_path, "a.json", "b.json", "walk_a.csv", "walk_b.csv", "anna/a.csv", "anna/b.csv")
+    touch(tmp_path, "anna/jump_A.skeleton", "anna/jump_B.skeleton", "notes.csv", "anna/x.txt", "data.csv")
+    pairs, alone = find_pairs(tmp_path, tmp_path / "out")
+    assert [(pair.name, pair.a.name, pair.b.name) for pair in pairs] == [
+        ("anna", "a.csv", "b.csv"),
+        ("anna_jump", "jump_A.skeleton", "jump_B.skeleton"),
+        (tmp_path.name, "a.json", "b.json"),
+        ("walk", "walk_a.csv", "walk_b.csv"),
+    ]
+    assert not alone
+
+
+def test_a_recording_without_partner_is_named(tmp_path: Path) -> None:
+    touch(tmp_path, "walk_a.csv", "walk_b.json", "run_a.csv", "run_b.csv")
+    pairs, alone = find_pairs(tmp_path, tmp_path / "out")
+    assert [pair.name for pair in pairs] == ["run"]
+    assert alone == [
+        f"{tmp_path / f'walk_{end}'} has no partner and is left out." for end in ("a.csv", "b.json")
+    ]
+
+
+def test_an_mkv_takes_the_skeletons_beside_it(tmp_path: Path) -> None:
+    touch(tmp_path, "walk_a.mkv", "walk_b.mkv", "walk_a.json", "walk_b.csv")
+    (pair,), _ = find_pairs(tmp_path, tmp_path / "out")
+    files = ("walk_a.mkv", "walk_b.mkv", "walk_a.json", "walk_b.csv")
+    assert pair == Pair("walk", *(tmp_path / name for name in files))
+
+
+def test_output_hidden_and_linked_folders_are_searched_once_or_not(tmp_path: Path) -> None:
+    touch(tmp_path, "walk/a.csv", "walk/b.csv", "out/x/a.csv", "out/x/b.csv", ".old/a.csv", ".old/b.csv")
+    (tmp_path / "walk" / "loop").symlink_to(tmp_path)
+    assert names_of(tmp_path) == ["walk"]
+
+
+def test_two_pairs_of_one_name_are_refused(tmp_path: Path) -> None:
+    touch(tmp_path, "anna/walk_a.csv", "anna/walk_b.csv", "anna_walk/a.csv", "anna_walk/b.csv")
+    with pytest.raises(UsageError, match="both be session anna_walk"):
+        find_pairs(tmp_path, tmp_path / "out")
+
+
+def test_a_manifest(tmp_path: Path) -> None:
+    touch(tmp_path, "one.csv", "two.csv", "deep/three.mkv", "s.json")
+    manifest = tmp_path / "m.csv"
+    manifest.write_text(
+        "﻿name,a,b,skeletons_a,person_b\nwalk, one.csv,two.csv,,7\n\nrun,deep/three.mkv,two.csv,s.json,\n",
+        encoding="utf-8",
+    )
+    assert read_manifest(manifest) == [
+        Pair("walk", tmp_path / "one.csv", tmp_path / "two.csv", person_b="7"),
+        Pair("run", tmp_path / "deep/three.mkv", tmp_path / "two.csv", tmp_path / "s.json"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "m.csv is not a manifest: its first line must be name,a,b"),
+        ("name,a\nwalk,one.csv\n", "got name,a."),
+        ("name,a,b,c\nwalk,one.csv,two.csv,x\n", "got name,a,b,c."),
+        ("name,a,b\n", "names no pair"),
+        ("name,a,b\nwalk,one.csv\n", "line 2: 3 columns are needed; got 2."),
+        ("name,a,b\nwalk,one.csv,\n", "line 2: b is empty."),
+        ("name,a,b\n,one.csv,two.csv\n", "line 2: '' is not a name for a folder."),
+        ("name,a,b\n../x,one.csv,two.csv\n", "line 2: '../x' is not a name for a folder."),
+        ("name,a,b\nwalk,one.csv,no.csv\n", "line 2: no file"),
+        ("name,a,b\nwalk,one.csv,one.csv\n", "line 2: a and b are the same file."),
+        ("name,a,b\nx,one.csv,two.csv\n\nX,two.csv,one.csv\n", "line 4: the name X occurs twice."),
+        ('name,a,b\nwalk,"one.csv,two.csv\n', "is not a manifest: unexpected end of data"),
+    ],
+)
+def test_a_wrong_manifest_is_one_line_and_exit_code_2(
+    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    touch(tmp_path, "one.csv", "two.csv")
+    (tmp_path / "m.csv").write_text(text, encoding="utf-8")
+    assert duplex("batch", tmp_path / "m.csv", "--out", tmp_path / "out") == 2
+    assert words in one_line(capsys)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("nowhere",), "No folder"),
+        (("nowhere.csv",), "nowhere.csv cannot be read"),
+        (("empty",), "has no pair of recordings"),
+        (("pairs", "--processes", "-1"), "--processes must be 0 or more; got -1."),
+        (("pairs", "--method", "paper", "--smooth", "whole"), "--smooth whole needs --method duplex"),
+        (("pairs", "--h", "0.9"), "--h and --weights apply to the paper's methods"),
+        (("pairs", "--calibrate", "no.json"), "--calibrate no.json: neither auto"),
+        (("pairs", "--calibrate", "seconds:x"), "seconds must be a positive number"),
+        (("pairs", "--out", "pairs/a.csv"), "--out"),
+        (("pairs", "--scheduler", "127.0.0.1:1"), "name an address such as tcp://"),
+    ],
+)
+def test_usage_errors_are_one_line_and_exit_code_2(
+    arguments: tuple[str, ...],
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    touch(tmp_path, "pairs/a.csv", "pairs/b.csv")
+    (tmp_path / "empty").mkdir()
+    out = () if "--out" in arguments else ("--out", "out")
+    assert duplex("batch", *arguments, *out) == 2
+    assert words in one_line(capsys)

@@ -1,0 +1,91 @@
+"""The summary of a batch: order, table and page; and the lock around compilation."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+
+from viewer_app.batch.finding import Pair
+from viewer_app.batch.jobs import Job
+from viewer_app.batch.kernels import one_process
+from viewer_app.batch.summary import RANKED, Row, State, worst_first, write_page, write_parquet
+from viewer_app.options.batch import BatchOptions
+
+COUNTS = {f"{what}_{side}": 0 for what in ("dropped", "alone", "stale") for side in "ab"}
+
+
+def row(name: str, state: State = "fused", error: str = "", **figures: float | None) -> Row:
+    job = Job(Pair(name, Path("a.csv"), Path("b.csv")), BatchOptions(source=Path(), out=Path()))
+    known = (
+        dict.fromkeys(name for name in RANKED if name != "lost") | COUNTS | {"frames_a": 50, "frames_b": 50}
+    )
+    record = {"figures": known | {"calibration": "pose <1>"} | figures, "warnings": ["<b>"], "identity": {}}
+    return Row(job, state, record if state == "fused" else None, error)
+
+
+def order(*rows: Row) -> list[str]:
+    return [of.job.name for of in worst_first(rows)]
+
+
+def test_failed_first_then_the_worst_then_what_is_not_fused() -> None:
+    assert order(
+        row("calm", apart=0.03, jumps_fused=0.0),
+        row("left", "pending"),
+        row("wild", apart=0.09, jumps_fused=0.2),
+        row("lost", "failed", "no frames"),
+        row("fair", apart=0.06, jumps_fused=0.1),
+    ) == ["lost", "wild", "fair", "calm", "left"]
+
+
+def test_a_figure_that_a_session_lacks_does_not_count() -> None:
+    # ranks: one 3/4 (of two) in apart, 1/2 (equal) in lost; two 1/4 and 1/2; three only 1/2
+    assert order(row("two", apart=0.01), row("three"), row("one", apart=0.02)) == ["one", "three", "two"]
+
+
+def test_frames_without_a_partner_count() -> None:
+    one, two = row("one", dropped_a=20, alone_b=5), row("two")
+    assert one.figures["lost"] == 0.25
+    assert order(two, one) == ["one", "two"]
+
+
+def test_the_table_is_in_si_units_and_the_page_escapes(tmp_path: Path) -> None:
+    rows = [row("bad", "failed", "a < b"), row("a b", apart=0.0625), row("rest", "pending")]
+    write_parquet(rows, tmp_path / "s.parquet")
+    table = pq.read_table(tmp_path / "s.parquet").to_pydict()
+    assert table["name"] == ["bad", "a b", "rest"]
+    assert table["apart"] == [None, 0.0625, None]
+    assert table["session"] == [None, "a b/a b.rrd", None]
+    write_page(rows, tmp_path / "s.html")
+    page = (tmp_path / "s.html").read_text(encoding="utf-8")
+    for words in ("a &lt; b", 'href="a%20b/a%20b.rrd"', "<td>62</td>", "pose &lt;1&gt;", "1 not fused yet"):
+        assert words in page
+    assert "<b>" not in page
+
+
+def test_one_process_at_a_time_compiles(tmp_path: Path) -> None:
+    program = (
+        "import sys; from pathlib import Path; from viewer_app.batch.kernels import one_process\n"
+        "print('ready', flush=True)\n"
+        "with one_process(Path(sys.argv[1])): print('in', flush=True)"
+    )
+    with one_process(tmp_path / "lock"):
+        other = subprocess.Popen(
+            [sys.executable, "-c", program, str(tmp_path / "lock")],
+            cwd=Path(__file__).resolve().parents[3],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert other.stdout is not None
+        assert other.stdout.readline() == "ready\n"
+        try:
+            other.wait(0.3)  # it cannot end while the lock is held
+        except subprocess.TimeoutExpired:
+            held = True
+        else:
+            held = False
+    said, _ = other.communicate(timeout=60.0)
+    assert held
+    assert said == "in\n"

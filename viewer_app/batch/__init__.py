@@ -1,0 +1,1 @@
+"""``duplex batch``: many pairs of recordings, in processes of this machine or on a Dask cluster."""

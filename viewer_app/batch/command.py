@@ -1,0 +1,200 @@
+"""``duplex batch``: fuses many pairs of recordings and writes a summary."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from fusion.setup import FuserSettings
+from viewer_app.batch.finding import Pair, find_pairs
+from viewer_app.batch.jobs import Job, Outcome
+from viewer_app.batch.manifest import read_manifest
+from viewer_app.batch.summary import Row, worst_first, write_page, write_parquet
+from viewer_app.errors import UsageError
+from viewer_app.method_options import check_paper_options
+from viewer_app.options.batch import BatchOptions
+
+PAGE, TABLE = "summary.html", "summary.parquet"
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a batch has to do.
+
+    Attributes:
+        done: Sessions that an earlier call finished.
+        jobs: The others.
+    """
+
+    done: tuple[Row, ...]
+    jobs: tuple[Job, ...]
+
+
+def run(options: BatchOptions) -> None:
+    """Carries out the command; exits with code 1 if a pair could not be fused.
+
+    Raises:
+        UsageError: With a one-line message for the user.
+    """
+    console = Console()
+    _check(options)
+    options = replace(options, out=options.out.absolute(), source=options.source.absolute())
+    pairs, alone = _pairs(options)
+    for line in alone:
+        console.print(line, style="yellow", highlight=False, markup=False)
+    _make_folder(options.out)
+    work = plan_work([Job(pair, options) for pair in pairs], options.force)
+    if work.done:
+        console.print(f"{len(work.done)} of {len(pairs)} sessions are fused already.", highlight=False)
+    rows: dict[str, Row] = {row.job.name: row for row in work.done}
+    jobs = {job.name: job for job in work.jobs}
+    try:
+        if jobs:
+            with closing(_outcomes(work.jobs, options)) as outcomes:
+                for outcome in _shown(outcomes, len(jobs), console):
+                    rows[outcome.name] = _row(jobs[outcome.name], outcome)
+                    if outcome.error:
+                        console.print(
+                            f"{outcome.name}: {outcome.error}", style="red", highlight=False, markup=False
+                        )
+    finally:
+        pending = [Row(job, "pending") for job in work.jobs if job.name not in rows]
+        if rows:
+            _write_summary([*rows.values(), *pending], options.out)
+    failed = sum(row.state == "failed" for row in rows.values())
+    console.print(
+        f"{len(rows) - failed} sessions fused, {failed} failed. Summary: {options.out / PAGE}",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
+    if failed:
+        sys.exit(1)
+
+
+def plan_work(jobs: Sequence[Job], force: bool) -> Work:
+    """Finds which sessions are finished, by the checksums of their inputs and their options.
+
+    Raises:
+        UsageError: A session's folder holds other files; or its session was fused from other recordings, with
+            other options or by another version, and `force` is not set.
+    """
+    done, left = [], []
+    for job in jobs:
+        job.restore()
+        strangers = job.strangers()
+        if strangers:
+            raise UsageError(
+                f"{job.folder} holds files that duplex batch did not write ({', '.join(strangers[:3])}). "
+                "Choose another --out, or move them."
+            )
+        record = job.record()
+        if record is None:
+            left.append(job)
+            continue
+        try:
+            difference = _difference(record["identity"], job.identity())
+        except OSError:
+            difference = ""  # unreadable: the worker reports it
+        if difference == "":
+            done.append(Row(job, "fused", record))
+        elif force:
+            left.append(job)
+        else:
+            raise UsageError(
+                f"{job.folder} was fused {difference}. Choose another --out, or fuse it again with --force."
+            )
+    return Work(tuple(done), tuple(left))
+
+
+def _difference(before: dict[str, object], now: dict[str, object]) -> str:
+    """What differs between two identities, for a message; empty if nothing does."""
+    if before == now:
+        return ""
+    if before.get("program") != now["program"]:
+        return f"by version {before.get('program')}; this is {now['program']}"
+    if before.get("options") != now["options"]:
+        old, new = before.get("options"), now["options"]
+        assert isinstance(new, dict)
+        changed = [name for name in new if not isinstance(old, dict) or old.get(name) != new[name]]
+        return f"with another --{(changed or ['option'])[0].replace('_', '-')}"
+    return "from other recordings" if before.get("files") != now["files"] else "with other persons"
+
+
+def _check(options: BatchOptions) -> None:
+    if options.processes < 0:
+        raise UsageError(f"--processes must be 0 or more; got {options.processes}.")
+    if options.method != "duplex" and options.smooth == "whole":
+        raise UsageError(f"--smooth whole needs --method duplex; got --method {options.method}.")
+    check_paper_options(FuserSettings(options.method, options.h, options.weights, options.smoothing))
+    kind, _, seconds = options.calibrate.partition(":")
+    if options.calibrate != "auto" and kind != "seconds" and not Path(options.calibrate).is_file():
+        raise UsageError(
+            f"--calibrate {options.calibrate}: neither auto, nor seconds:N, nor an existing file. Make one "
+            "with --save-calibration."
+        )
+    if kind == "seconds":
+        try:
+            valid = 0.0 < float(seconds) < float("inf")
+        except ValueError:
+            valid = False
+        if not valid:
+            raise UsageError(
+                f"--calibrate {options.calibrate}: seconds must be a positive number, as in seconds:3."
+            )
+
+
+def _pairs(options: BatchOptions) -> tuple[list[Pair], list[str]]:
+    if options.source.is_dir():
+        return find_pairs(options.source, options.out)
+    if options.source.suffix.lower() == ".csv" or options.source.is_file():
+        return read_manifest(options.source), []
+    raise UsageError(f"No folder {options.source}. Name a folder of recordings, or a manifest (.csv).")
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--out {out}: {error.strerror or error}.") from None
+    if not os.access(out, os.W_OK):
+        raise UsageError(f"The folder {out} is not writable.")
+
+
+def _outcomes(jobs: Sequence[Job], options: BatchOptions) -> Generator[Outcome, None, None]:
+    if options.scheduler is not None:
+        from viewer_app.batch.cluster import run_on_cluster
+
+        return run_on_cluster(jobs, options.scheduler)
+    from viewer_app.batch.processes import run_in_processes
+
+    return run_in_processes(jobs, options.processes or os.cpu_count() or 1)
+
+
+def _shown(outcomes: Iterator[Outcome], total: int, console: Console) -> Iterator[Outcome]:
+    """The outcomes with a progress bar."""
+    columns = TextColumn("fusing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("fusing", total=total)
+        for outcome in outcomes:
+            yield outcome
+            progress.advance(task)
+
+
+def _row(job: Job, outcome: Outcome) -> Row:
+    if outcome.record is None:
+        return Row(job, "failed", error=outcome.error)
+    return Row(job, "fused", outcome.record)
+
+
+def _write_summary(rows: Sequence[Row], out: Path) -> None:
+    ordered = worst_first(rows)
+    write_parquet(ordered, out / TABLE)
+    write_page(ordered, out / PAGE)

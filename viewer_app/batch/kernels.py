@@ -1,0 +1,85 @@
+"""Compiles the kernels once per machine: the first worker compiles, the others wait and load from disk."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+from rich.console import Console
+
+from devices.pairing import pair_recordings
+from devices.simulated.kinect import PERSON, simulated_pair
+from fusion.body import KINECT_V1
+from fusion.fuser import Fuser
+from fusion.recording import plan_recording
+from fusion.setup import FuserSettings, Hindsight, Method
+from recordings.fusing.recorded import fuse_segments, setups_of
+from viewer_app.loop.fusing import warm_up
+
+_SECONDS = 3.0
+"""Duration of the recording that is fused: its start-up pose, which a calibration needs."""
+
+
+@cache
+def compile_once(method: Method, smooth: str) -> None:
+    """Runs everything that fuses a recording, so that all kernels are compiled and loaded.
+
+    Args:
+        method: The method that will be used.
+        smooth: The option ``--smooth``.
+    """
+    hindsight: Hindsight = "none" if method != "duplex" else "whole" if smooth == "whole" else "labels"
+    settings = FuserSettings(method, hindsight=hindsight)
+    with one_process(Path(tempfile.gettempdir()) / f"duplex-kernels-{_user()}.lock"):
+        a, b, _ = simulated_pair(motion="still", body=KINECT_V1, seconds=_SECONDS)
+        pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
+        plan = plan_recording(KINECT_V1, [pair.skeletons for pair in pairs], settings)
+        segments = setups_of(plan, settings, (None, None))
+        with Path(os.devnull).open("w", encoding="utf-8") as nothing:
+            warm_up(Fuser(segments[0][0]), Console(file=nothing))
+        for _ in fuse_segments(segments, pairs, plan.codes):
+            pass
+
+
+@contextmanager
+def one_process(lock: Path) -> Iterator[None]:
+    """Lets one process at a time into the block; the operating system frees the lock of a process that ends.
+
+    Args:
+        lock: A file, created if missing. If it cannot be created, nothing is locked.
+    """
+    try:
+        file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o600)
+    except OSError:
+        yield
+        return
+    try:
+        _lock(file)
+        yield
+    finally:
+        os.close(file)
+
+
+def _lock(file: int) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        while True:
+            try:
+                msvcrt.locking(file, msvcrt.LK_LOCK, 1)
+                return
+            except OSError:
+                continue  # it gives up after ten attempts, one per second
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX)
+
+
+def _user() -> str:
+    return str(os.getuid()) if hasattr(os, "getuid") else "user"
