@@ -16,9 +16,9 @@ from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.intrinsics import Intrinsics
 from fusion.methods.reliability import weigh_views
 from fusion.solvers.published import solve_published
-from fusion.solvers.tree_elimination import BLOCKS
 from fusion.solvers.tree_solver import solve_tree
 from fusion.solvers.tree_steps import copy
+from fusion.solvers.tree_workspace import TreeWorkspace, new_tree_workspace
 
 TRUST, EQUAL = 0, 1  # which weights
 FORGET_NS = 1_000_000_000
@@ -57,7 +57,7 @@ class Memory(NamedTuple):
     usable: NDArray[np.bool_]  # (J,)
     targets: NDArray[np.float64]  # (J, 3) m
     weights: NDArray[np.float64]  # (J,) w
-    tree_work: NDArray[np.float64]
+    tree_work: TreeWorkspace
     paper_work: NDArray[np.float64]
 
 
@@ -114,7 +114,7 @@ def new_memory(joints: int, translation: NDArray[np.float64]) -> Memory:
         usable=np.empty(joints, dtype=np.bool_),
         targets=np.empty((joints, 3)),
         weights=np.empty(joints),
-        tree_work=np.zeros((BLOCKS, joints, 6)),
+        tree_work=new_tree_workspace(joints),
         paper_work=np.empty((2, joints, 3)),
     )
 
