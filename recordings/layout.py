@@ -31,6 +31,8 @@ FIGURES, OF_EACH_SENSOR = "figures", "sensors"
 """Components of :data:`QUALITY`: structs with one value per frame, and with one value per sensor (A, B)."""
 JOINT_DIGESTS = "joint_digests"
 """Component of :data:`QUALITY`: one digest byte per joint of S* in float64; the file stores S* in float32."""
+SIGMA_SPHERES = "sigma_spheres"
+"""Component of :data:`FUSED_SKELETON`: half sizes of a sphere of one standard deviation per joint, metres."""
 EVENTS = "/events"
 TRUST_MATRIX = "/trust_matrix"
 """Picture, joint × time: the view that each joint of S* followed, in pages of half a minute."""
@@ -98,6 +100,11 @@ def state(side: str) -> str:
     return f"state_{side}"
 
 
+def exchanged(side: str) -> str:
+    """Class of S_A or S_B while the view reports left and right exchanged, of the body or of limbs."""
+    return f"exchanged_{side}"
+
+
 def stream_figure(name: str) -> str:
     """A figure of two live streams: drift_ppm, dropped or unpaired; logged when it changes."""
     return f"{QUALITY}/{name}"
@@ -105,14 +112,23 @@ def stream_figure(name: str) -> str:
 
 Color = tuple[int, int, int]
 
-SKELETON_NAMES = {"a": "S_A", "b": "S_B", "fused": "S*", "truth": "truth"}
+SKELETON_NAMES = {
+    "a": "S_A",
+    "b": "S_B",
+    "fused": "S*",
+    "truth": "truth",
+    "exchanged_a": "S_A, left and right exchanged",
+    "exchanged_b": "S_B, left and right exchanged",
+}
 SKELETON_COLORS: dict[str, Color] = {
     "a": (184, 115, 51),  # the paper's brown,
     "b": (58, 134, 255),  # blue
     "fused": (178, 78, 232),  # and purple
     "truth": (64, 168, 96),
+    "exchanged_a": (240, 220, 70),  # yellow, and cyan: each next to the color of its own view
+    "exchanged_b": (70, 225, 225),
 }
-CLASS_IDS = {"a": 1, "b": 2, "fused": 3, "truth": 4}
+CLASS_IDS = {"a": 1, "b": 2, "fused": 3, "truth": 4, "exchanged_a": 5, "exchanged_b": 6}
 PREDICTED_COLOR: Color = (150, 150, 150)
 """Colour of a joint of S* without data from any sensor."""
 STATE_NAMES = ("not tracked", "inferred", "tracked")

@@ -19,7 +19,7 @@ from fusion.estimator.constants import (
     calmness,
     joint_errors,
 )
-from fusion.solvers.tree_elimination import BLOCKS
+from fusion.solvers.tree_workspace import TreeWorkspace, new_tree_workspace
 from fusion.witness import WitnessModel, new_witness_model
 
 Array = NDArray[np.float64]
@@ -112,7 +112,7 @@ class Solve(NamedTuple):
     covariance: Array  # (J, 3, 3)
     sums: Array  # (3, 3)
     room: Array  # (3, 3)
-    tree_work: Array
+    tree_work: TreeWorkspace
 
 
 class Output(NamedTuple):
@@ -232,7 +232,7 @@ def new_solve(joints: int) -> Solve:
         covariance=np.zeros((joints, 3, 3)),
         sums=np.zeros((3, 3)),
         room=np.zeros((3, 3)),
-        tree_work=np.zeros((BLOCKS, joints, 6)),
+        tree_work=new_tree_workspace(joints),
     )
 
 

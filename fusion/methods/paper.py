@@ -15,10 +15,11 @@ from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.intrinsics import Intrinsics
 from fusion.methods.reliability import weigh_views
+from fusion.methods.repetition import repeats
 from fusion.solvers.published import solve_published
-from fusion.solvers.tree_elimination import BLOCKS
 from fusion.solvers.tree_solver import solve_tree
 from fusion.solvers.tree_steps import copy
+from fusion.solvers.tree_workspace import TreeWorkspace, new_tree_workspace
 
 TRUST, EQUAL = 0, 1  # which weights
 FORGET_NS = 1_000_000_000
@@ -57,7 +58,7 @@ class Memory(NamedTuple):
     usable: NDArray[np.bool_]  # (J,)
     targets: NDArray[np.float64]  # (J, 3) m
     weights: NDArray[np.float64]  # (J,) w
-    tree_work: NDArray[np.float64]
+    tree_work: TreeWorkspace
     paper_work: NDArray[np.float64]
 
 
@@ -114,7 +115,7 @@ def new_memory(joints: int, translation: NDArray[np.float64]) -> Memory:
         usable=np.empty(joints, dtype=np.bool_),
         targets=np.empty((joints, 3)),
         weights=np.empty(joints),
-        tree_work=np.zeros((BLOCKS, joints, 6)),
+        tree_work=new_tree_workspace(joints),
         paper_work=np.empty((2, joints, 3)),
     )
 
@@ -171,8 +172,8 @@ def fuse_frames_as_published(model, memory, result, time_ns, a, states_a, b, sta
 def prepare(model, memory, result, k, time_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
     """Prepares frame k; its solution remains NaN. Returns whether there is a problem to solve."""
     result.counts[k, 0] = 0
-    result.counts[k, 1] = _repeats(a, states_a, memory.last_a, memory.last_states_a)
-    result.counts[k, 2] = _repeats(b, states_b, memory.last_b, memory.last_states_b)
+    result.counts[k, 1] = repeats(a, states_a, memory.last_a, memory.last_states_a)
+    result.counts[k, 2] = repeats(b, states_b, memory.last_b, memory.last_states_b)
     if time_ns - memory.before_ns[0] > FORGET_NS:
         memory.before_ns[1] = 0
     carry(model, memory, a, states_a, b, states_b)
@@ -192,21 +193,6 @@ def prepare(model, memory, result, k, time_ns, a, states_a, b, states_b):  # typ
 def _remember(memory, positions, time_ns):  # type: ignore[no-untyped-def]
     copy(positions, memory.before)
     memory.before_ns[0], memory.before_ns[1] = time_ns, 1
-
-
-@inner_kernel
-def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-def]
-    """Whether a sensor repeats its last skeleton; stores the new one. An empty skeleton is no repetition."""
-    same, anyone = True, False
-    for i in range(len(states)):
-        anyone = anyone or states[i] != 0
-        same = same and states[i] == last_states[i]
-        last_states[i] = states[i]
-        for c in range(3):
-            both_nan = math.isnan(positions[i, c]) and math.isnan(last[i, c])
-            same = same and (both_nan or positions[i, c] == last[i, c])
-            last[i, c] = positions[i, c]
-    return same and anyone
 
 
 @inner_kernel

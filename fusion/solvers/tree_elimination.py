@@ -8,8 +8,7 @@ where g_i = 2 W_i (x_i - m_i) is the gradient, T_i (3, 2) an orthonormal basis n
 multiplier of the bone's length constraint, whose curvature it carries. That is Newton's step on the KKT
 system of eq. (1), with constraints that hold already.
 
-All quantities are in one workspace, (BLOCKS, J, 6): one block per quantity, one row per joint. Symmetric 3×3
-matrices are six numbers: xx, xy, xz, yy, yz, zz.
+All quantities are in a :class:`fusion.solvers.tree_workspace.TreeWorkspace`.
 """
 
 from __future__ import annotations
@@ -21,21 +20,6 @@ from fusion.solvers.small_matrices import absolute_inverse_2x2, eigen_3x3, tange
 
 FLAT = 1e-10  # of the subtree's information: a smaller pivot is rounding; that direction is undetermined
 SADDLE = 1e-8  # of the subtree's information: a pivot below minus this leads downhill
-
-BLOCKS = 13
-POSITION = 0  # x_i
-TRIAL = 1  # x_i after the step
-TARGET = 2  # m_i
-INFORMATION = 3  # W_i
-REDUCED = 4  # A_i: twice the information of the subtree, its steps eliminated
-FORCE = 5  # columns 0-2: F_i, the gradient summed over the subtree; 3-5: b_i, the same, steps eliminated
-BASIS = 6  # T_i: columns 0-2 and 3-5
-REDUCED_BASIS = 7  # A_i T_i, likewise
-PIVOT = 8  # columns 0-2: M_i⁻¹; 3-4: T_iᵀ b_i
-STEP = 9  # columns 0-1: s_i; 2-4: d_i; 5: trace of twice the subtree's information
-BONE = 10  # columns 0-2: e_i; 3: l_i; 4: λ_i
-GRADIENT = 11  # g_i
-BEST = 12  # the last good point while steps may climb: columns 0-2: x_i; 3: λ_i
 
 
 @inner_kernel
@@ -55,8 +39,9 @@ def pull(parents, order, work):  # type: ignore[no-untyped-def]
     Returns:
         The largest tangential force over the subtree's information, m: zero at a stationary point.
     """
-    at, target, info = work[POSITION], work[TARGET], work[INFORMATION]
-    force, bone, step, gradient = work[FORCE], work[BONE], work[STEP], work[GRADIENT]
+    at, target, info = work.positions, work.targets, work.information
+    force, bone, gradient = work.forces, work.bones, work.gradients
+    lengths, scales = work.lengths, work.scales
     for i in range(len(order)):
         xx, xy, xz = 2.0 * info[i, 0], 2.0 * info[i, 1], 2.0 * info[i, 2]
         yy, yz, zz = 2.0 * info[i, 3], 2.0 * info[i, 4], 2.0 * info[i, 5]
@@ -64,7 +49,7 @@ def pull(parents, order, work):  # type: ignore[no-untyped-def]
         gx, gy, gz = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
         force[i, 0], force[i, 1], force[i, 2] = gx, gy, gz
         gradient[i, 0], gradient[i, 1], gradient[i, 2] = gx, gy, gz
-        step[i, 5] = xx + yy + zz
+        scales[i] = xx + yy + zz
     largest = 0.0
     for k in range(len(order) - 1, 0, -1):
         i = order[k]
@@ -73,16 +58,16 @@ def pull(parents, order, work):  # type: ignore[no-untyped-def]
         force[p, 0] += fx
         force[p, 1] += fy
         force[p, 2] += fz
-        step[p, 5] += step[i, 5]
+        scales[p] += scales[i]
         ex, ey, ez = at[i, 0] - at[p, 0], at[i, 1] - at[p, 1], at[i, 2] - at[p, 2]
         bone[i, 0], bone[i, 1], bone[i, 2] = ex, ey, ez
-        multiplier = -(ex * fx + ey * fy + ez * fz) / (bone[i, 3] * bone[i, 3])
+        multiplier = -(ex * fx + ey * fy + ez * fz) / (lengths[i] * lengths[i])
         fx, fy, fz = fx + multiplier * ex, fy + multiplier * ey, fz + multiplier * ez
-        if step[i, 5] > 0.0:
-            largest = max(largest, math.sqrt(fx * fx + fy * fy + fz * fz) / step[i, 5])
+        if scales[i] > 0.0:
+            largest = max(largest, math.sqrt(fx * fx + fy * fy + fz * fz) / scales[i])
     root = order[0]
     fx, fy, fz = force[root, 0], force[root, 1], force[root, 2]
-    return max(largest, math.sqrt(fx * fx + fy * fy + fz * fz) / step[root, 5])
+    return max(largest, math.sqrt(fx * fx + fy * fy + fz * fz) / scales[root])
 
 
 @inner_kernel
@@ -106,23 +91,24 @@ def eliminate(parents, order, work, damping, compressed):  # type: ignore[no-unt
     Returns:
         (the first joint with a clearly negative pivot or -1, its eigenvector in T_i's basis: two numbers).
     """
-    total, force, bone, step = work[REDUCED], work[FORCE], work[BONE], work[STEP]
-    basis, reduced_basis, pivot = work[BASIS], work[REDUCED_BASIS], work[PIVOT]
-    info, gradient = work[INFORMATION], work[GRADIENT]
+    info, gradient, scales = work.information, work.gradients, work.scales
+    bone, lengths, multipliers = work.bones, work.lengths, work.multipliers
+    total, reduced_force = work.reduced, work.reduced_forces
+    basis, reduced_basis, pivot, pivot_force = work.basis, work.reduced_basis, work.pivots, work.pivot_forces
     for i in range(len(order)):
         for c in range(6):
             total[i, c] = 2.0 * info[i, c]
         for c in range(3):
-            force[i, 3 + c] = gradient[i, c]
+            reduced_force[i, c] = gradient[i, c]
     saddle = -1
     saddle_1 = saddle_2 = 0.0
     for k in range(len(order) - 1, 0, -1):
         i = order[k]
-        scale = step[i, 5]
+        scale = scales[i]
         if scale == 0.0:
             continue
         p = parents[i]
-        inverse_length = 1.0 / bone[i, 3]
+        inverse_length = 1.0 / lengths[i]
         ax, ay, az, bx, by, bz = tangent_basis(
             bone[i, 0] * inverse_length, bone[i, 1] * inverse_length, bone[i, 2] * inverse_length
         )
@@ -135,7 +121,7 @@ def eliminate(parents, order, work, damping, compressed):  # type: ignore[no-unt
         qx, qy, qz = xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz
         reduced_basis[i, 0], reduced_basis[i, 1], reduced_basis[i, 2] = px, py, pz
         reduced_basis[i, 3], reduced_basis[i, 4], reduced_basis[i, 5] = qx, qy, qz
-        curvature = max(bone[i, 4], 0.0) + compressed * min(bone[i, 4], 0.0) + damping * scale
+        curvature = max(multipliers[i], 0.0) + compressed * min(multipliers[i], 0.0) + damping * scale
         # M = Tᵀ A T + λ I, (2, 2), and its inverse
         i11, i12, i22, lowest, v1, v2 = absolute_inverse_2x2(
             ax * px + ay * py + az * pz + curvature,
@@ -145,14 +131,14 @@ def eliminate(parents, order, work, damping, compressed):  # type: ignore[no-unt
         )
         if lowest < -SADDLE * scale and saddle < 0:
             saddle, saddle_1, saddle_2 = i, v1, v2
-        rx, ry, rz = force[i, 3], force[i, 4], force[i, 5]
+        rx, ry, rz = reduced_force[i, 0], reduced_force[i, 1], reduced_force[i, 2]
         y1, y2 = ax * rx + ay * ry + az * rz, bx * rx + by * ry + bz * rz
-        pivot[i, 0], pivot[i, 1], pivot[i, 2], pivot[i, 3], pivot[i, 4] = i11, i12, i22, y1, y2
+        pivot[i, 0], pivot[i, 1], pivot[i, 2], pivot_force[i, 0], pivot_force[i, 1] = i11, i12, i22, y1, y2
         # b - A T M⁻¹ Tᵀ b, on to the parent
         s1, s2 = i11 * y1 + i12 * y2, i12 * y1 + i22 * y2
-        force[p, 3] += rx - px * s1 - qx * s2
-        force[p, 4] += ry - py * s1 - qy * s2
-        force[p, 5] += rz - pz * s1 - qz * s2
+        reduced_force[p, 0] += rx - px * s1 - qx * s2
+        reduced_force[p, 1] += ry - py * s1 - qy * s2
+        reduced_force[p, 2] += rz - pz * s1 - qz * s2
         # A - A T M⁻¹ Tᵀ A, on to the parent
         cx, cy, cz = i11 * px + i12 * qx, i11 * py + i12 * qy, i11 * pz + i12 * qz
         dx, dy, dz = i12 * px + i22 * qx, i12 * py + i22 * qy, i12 * pz + i22 * qz
@@ -181,11 +167,11 @@ def solve_root(A, b, scale):  # type: ignore[no-untyped-def]
             lz = syz / syy
             last = szz - lz * syz
             if last > floor:
-                ry = b[4] - lx * b[3]
-                rz = b[5] - ly * b[3] - lz * ry
+                ry = b[1] - lx * b[0]
+                rz = b[2] - ly * b[0] - lz * ry
                 z = rz / last
                 y = ry / syy - lz * z
-                return -(b[3] / xx - lx * y - ly * z), -y, -z, 1.0, 0.0, 0.0, 0.0
+                return -(b[0] / xx - lx * y - ly * z), -y, -z, 1.0, 0.0, 0.0, 0.0
     values, vectors = eigen_3x3(xx, xy, xz, yy, yz, zz)
     x = y = z = 0.0
     lowest, which = values[0], 0
@@ -193,7 +179,7 @@ def solve_root(A, b, scale):  # type: ignore[no-untyped-def]
         value, (vx, vy, vz) = values[c], vectors[c]
         if value < lowest:
             lowest, which = value, c
-        s = (vx * b[3] + vy * b[4] + vz * b[5]) / max(abs(value), floor)
+        s = (vx * b[0] + vy * b[1] + vz * b[2]) / max(abs(value), floor)
         x, y, z = x - s * vx, y - s * vy, z - s * vz
     vx, vy, vz = vectors[which]
     return x, y, z, lowest, vx, vy, vz
@@ -209,19 +195,20 @@ def substitute(parents, order, work, saddle):  # type: ignore[no-untyped-def]
     Returns:
         (the slope of the objective along the step; the longest step of a bone's end, over its length; in m).
     """
-    force, bone, step = work[FORCE], work[BONE], work[STEP]
-    basis, reduced_basis, pivot = work[BASIS], work[REDUCED_BASIS], work[PIVOT]
+    force, lengths, scales = work.forces, work.lengths, work.scales
+    basis, reduced_basis, pivot, pivot_force = work.basis, work.reduced_basis, work.pivots, work.pivot_forces
+    step, move = work.steps, work.moves
     root = order[0]
-    slope = force[root, 0] * step[root, 2] + force[root, 1] * step[root, 3] + force[root, 2] * step[root, 4]
+    slope = force[root, 0] * move[root, 0] + force[root, 1] * move[root, 1] + force[root, 2] * move[root, 2]
     relative = 0.0
-    longest = max(abs(step[root, 2]), abs(step[root, 3]), abs(step[root, 4]))
+    longest = max(abs(move[root, 0]), abs(move[root, 1]), abs(move[root, 2]))
     for k in range(1, len(order)):
         i = order[k]
         p = parents[i]
-        dx, dy, dz = step[p, 2], step[p, 3], step[p, 4]
-        if step[i, 5] == 0.0:
+        dx, dy, dz = move[p, 0], move[p, 1], move[p, 2]
+        if scales[i] == 0.0:
             step[i, 0] = step[i, 1] = 0.0
-            step[i, 2], step[i, 3], step[i, 4] = dx, dy, dz
+            move[i, 0], move[i, 1], move[i, 2] = dx, dy, dz
             continue
         if i == saddle:
             s1, s2 = step[i, 0], step[i, 1]
@@ -229,19 +216,19 @@ def substitute(parents, order, work, saddle):  # type: ignore[no-untyped-def]
             y1 = reduced_basis[i, 0] * dx + reduced_basis[i, 1] * dy + reduced_basis[i, 2] * dz
             y2 = reduced_basis[i, 3] * dx + reduced_basis[i, 4] * dy + reduced_basis[i, 5] * dz
             if saddle < 0:
-                y1 += pivot[i, 3]
-                y2 += pivot[i, 4]
+                y1 += pivot_force[i, 0]
+                y2 += pivot_force[i, 1]
             s1 = -(pivot[i, 0] * y1 + pivot[i, 1] * y2)
             s2 = -(pivot[i, 1] * y1 + pivot[i, 2] * y2)
         size = math.sqrt(s1 * s1 + s2 * s2)
         longest = max(longest, size)
-        relative = max(relative, size / bone[i, 3])
+        relative = max(relative, size / lengths[i])
         tx = basis[i, 0] * s1 + basis[i, 3] * s2
         ty = basis[i, 1] * s1 + basis[i, 4] * s2
         tz = basis[i, 2] * s1 + basis[i, 5] * s2
         slope += force[i, 0] * tx + force[i, 1] * ty + force[i, 2] * tz
         step[i, 0], step[i, 1] = s1, s2
-        step[i, 2], step[i, 3], step[i, 4] = dx + tx, dy + ty, dz + tz
+        move[i, 0], move[i, 1], move[i, 2] = dx + tx, dy + ty, dz + tz
     return slope, relative, longest
 
 
@@ -252,11 +239,11 @@ def retract(parents, order, work):  # type: ignore[no-untyped-def]
     Returns:
         Its objective.
     """
-    trial, target, info = work[TRIAL], work[TARGET], work[INFORMATION]
-    bone, step, basis = work[BONE], work[STEP], work[BASIS]
+    trial, target, info = work.trial, work.targets, work.information
+    bone, lengths, step, basis = work.bones, work.lengths, work.steps, work.basis
     root = order[0]
     for c in range(3):
-        trial[root, c] = work[POSITION, root, c] + step[root, 2 + c]
+        trial[root, c] = work.positions[root, c] + work.moves[root, c]
     objective = misfit(info, target, trial, root)
     for k in range(1, len(order)):
         i = order[k]
@@ -265,7 +252,7 @@ def retract(parents, order, work):  # type: ignore[no-untyped-def]
         x = bone[i, 0] + basis[i, 0] * s1 + basis[i, 3] * s2
         y = bone[i, 1] + basis[i, 1] * s1 + basis[i, 4] * s2
         z = bone[i, 2] + basis[i, 2] * s1 + basis[i, 5] * s2
-        scale = bone[i, 3] / math.sqrt(x * x + y * y + z * z)
+        scale = lengths[i] / math.sqrt(x * x + y * y + z * z)
         trial[i, 0], trial[i, 1], trial[i, 2] = (
             trial[p, 0] + x * scale, trial[p, 1] + y * scale, trial[p, 2] + z * scale,
         )  # fmt: skip
@@ -276,21 +263,22 @@ def retract(parents, order, work):  # type: ignore[no-untyped-def]
 @inner_kernel
 def measure_multipliers(order, work):  # type: ignore[no-untyped-def]
     """λ_i = -e_i·F_i / l_i²: exact at a stationary point, where its curvature is to be judged."""
-    force, bone = work[FORCE], work[BONE]
+    force, bone, lengths, multipliers = work.forces, work.bones, work.lengths, work.multipliers
     for k in range(1, len(order)):
         i = order[k]
         along = bone[i, 0] * force[i, 0] + bone[i, 1] * force[i, 1] + bone[i, 2] * force[i, 2]
-        bone[i, 4] = -along / (bone[i, 3] * bone[i, 3])
+        multipliers[i] = -along / (lengths[i] * lengths[i])
 
 
 @inner_kernel
 def update_multipliers(order, work):  # type: ignore[no-untyped-def]
     """λ_i = -e_i·(b_i + A_i d_i) / l_i²: from the force in the bone that the model predicts."""
-    total, force, bone, step = work[REDUCED], work[FORCE], work[BONE], work[STEP]
+    total, reduced_force, move = work.reduced, work.reduced_forces, work.moves
+    bone, lengths, multipliers = work.bones, work.lengths, work.multipliers
     for k in range(1, len(order)):
         i = order[k]
-        dx, dy, dz = step[i, 2], step[i, 3], step[i, 4]
-        fx = force[i, 3] + total[i, 0] * dx + total[i, 1] * dy + total[i, 2] * dz
-        fy = force[i, 4] + total[i, 1] * dx + total[i, 3] * dy + total[i, 4] * dz
-        fz = force[i, 5] + total[i, 2] * dx + total[i, 4] * dy + total[i, 5] * dz
-        bone[i, 4] = -(bone[i, 0] * fx + bone[i, 1] * fy + bone[i, 2] * fz) / (bone[i, 3] * bone[i, 3])
+        dx, dy, dz = move[i, 0], move[i, 1], move[i, 2]
+        fx = reduced_force[i, 0] + total[i, 0] * dx + total[i, 1] * dy + total[i, 2] * dz
+        fy = reduced_force[i, 1] + total[i, 1] * dx + total[i, 3] * dy + total[i, 4] * dz
+        fz = reduced_force[i, 2] + total[i, 2] * dx + total[i, 4] * dy + total[i, 5] * dz
+        multipliers[i] = -(bone[i, 0] * fx + bone[i, 1] * fy + bone[i, 2] * fz) / (lengths[i] * lengths[i])

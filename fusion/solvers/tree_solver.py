@@ -15,15 +15,7 @@ from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.errors import FusionError
 from fusion.solvers.solver import MAX_ITERATIONS, Solution
 from fusion.solvers.tree_elimination import (
-    BEST,
-    BLOCKS,
-    BONE,
-    FORCE,
-    POSITION,
-    REDUCED,
     SADDLE,
-    STEP,
-    TRIAL,
     eliminate,
     measure_multipliers,
     pull,
@@ -34,6 +26,7 @@ from fusion.solvers.tree_elimination import (
 )
 from fusion.solvers.tree_start import BENT, BENT_AWAY, FROM_START, FROM_TARGETS, aim_at, load, place
 from fusion.solvers.tree_steps import copy, leave_saddle, stretch
+from fusion.solvers.tree_workspace import new_tree_workspace
 
 MAX_SYSTEMS = 150
 """Limit of linear systems from one start, about 0.5 ms."""
@@ -42,7 +35,7 @@ _LAST_STEP = 1e-4  # of the bone's length: an undamped step below it leaves an e
 _SMALL_STEP = 1e-7  # m: with zero force, a shorter step gives no new information
 _ROUNDING = 1e-14  # relative: two objectives nearer than this are the same
 # m: so are two that differ by what a rounded coordinate of a few metres makes of the misfit. Σ 2 w r ε is at
-# most 2 ε √(f Σw); step[root, 5] is 6 Σw.
+# most 2 ε √(f Σw); scales[root] is 6 Σw.
 _COORDINATE = 8e-16
 _NEAR_SADDLE = 0.01  # of the bone's length: a shorter step, with a negative pivot, crawls along a saddle
 # of the objective: this many smaller gains in a row, with a negative pivot, count as crawling
@@ -65,14 +58,14 @@ _LONGEST = 10.0  # of the bone's length: a longer step is not tried
 
 @inner_kernel
 def descend(parents, order, work, objective):  # type: ignore[no-untyped-def]
-    """From the joints in POSITION, whose objective is given, to a minimum; see :func:`solve_tree`.
+    """From the joints in ``work.positions``, whose objective is given, to a minimum; see :func:`solve_tree`.
 
     Returns:
         (iterations, systems, objective, converged).
     """
     for i in range(len(order)):
-        work[BONE, i, 4] = 0.0
-    root, step = order[0], work[STEP]
+        work.multipliers[i] = 0.0
+    root, scales, move = order[0], work.scales, work.moves
     iterations = systems = crawling = stationary_points = patience = climbs_lost = 0
     less, longest_climb, damping_before = _LESS, _PATIENCE, 0.0
     damping, kick = 0.0, _KICK
@@ -80,21 +73,21 @@ def descend(parents, order, work, objective):  # type: ignore[no-untyped-def]
     best = best_step = predicted = 0.0
     while True:
         stationary = pull(parents, order, work) <= _STATIONARY
-        if not step[root, 5] > 0.0 or (stationary and last_step < _LAST_STEP):
+        if not scales[root] > 0.0 or (stationary and last_step < _LAST_STEP):
             converged = math.isfinite(objective)
             break
         if stationary:
             stationary_points += 1
             measure_multipliers(order, work)
-        scale = step[root, 5]
+        scale = scales[root]
         saddle, s1, s2 = eliminate(parents, order, work, damping, 1.0)
-        x, y, z, lowest, vx, vy, vz = solve_root(work[REDUCED, root], work[FORCE, root], scale)
+        x, y, z, lowest, vx, vy, vz = solve_root(work.reduced[root], work.reduced_forces[root], scale)
         if saddle < 0 and lowest < -SADDLE * scale:
             saddle = root
         if saddle >= 0:
             eliminate(parents, order, work, damping, 0.0)
-            x, y, z, _, _, _, _ = solve_root(work[REDUCED, root], work[FORCE, root], scale)
-        step[root, 2], step[root, 3], step[root, 4] = x, y, z
+            x, y, z, _, _, _, _ = solve_root(work.reduced[root], work.reduced_forces[root], scale)
+        move[root, 0], move[root, 1], move[root, 2] = x, y, z
         slope, relative, longest = substitute(parents, order, work, -1)
         settled = (
             longest < _SMALL_STEP or -slope <= _ROUNDING * objective or stationary_points > _FLAT_MINIMUM
@@ -108,7 +101,7 @@ def descend(parents, order, work, objective):  # type: ignore[no-untyped-def]
         if saddle >= 0 and (relative < _NEAR_SADDLE or crawling == _CRAWLED):
             crawling = 0
             eliminate(parents, order, work, damping, 1.0)
-            step[root, 2], step[root, 3], step[root, 4] = vx, vy, vz
+            move[root, 0], move[root, 1], move[root, 2] = vx, vy, vz
             slope = leave_saddle(parents, order, saddle, s1, s2, kick, work)
             relative = kick
         trial = retract(parents, order, work)
@@ -116,10 +109,10 @@ def descend(parents, order, work, objective):  # type: ignore[no-untyped-def]
             trial = stretch(parents, order, trial, work)
         if patience == 0:
             best, best_step, predicted = objective, relative, -0.5 * slope
-            copy(work[POSITION], work[BEST])
+            copy(work.positions, work.best)
             for i in range(len(order)):
-                work[BEST, i, 3] = work[BONE, i, 4]
-        slack = _ROUNDING * best + _COORDINATE * math.sqrt(step[root, 5] * best)
+                work.best_multipliers[i] = work.multipliers[i]
+        slack = _ROUNDING * best + _COORDINATE * math.sqrt(scales[root] * best)
         ratio = (best - trial + slack) / (predicted + slack)
         if ratio >= 0.01:
             iterations += 1
@@ -136,9 +129,9 @@ def descend(parents, order, work, objective):  # type: ignore[no-untyped-def]
             else:
                 damping = max(_PATIENT_MORE * damping, _PATIENT_DAMPING)
         else:
-            copy(work[BEST], work[POSITION])
+            copy(work.best, work.positions)
             for i in range(len(order)):
-                work[BONE, i, 4] = work[BEST, i, 3]
+                work.multipliers[i] = work.best_multipliers[i]
             objective = best
             last_step = math.inf
             if patience > 0:
@@ -151,11 +144,11 @@ def descend(parents, order, work, objective):  # type: ignore[no-untyped-def]
                 kick *= _SHORTER_KICK
             continue
         update_multipliers(order, work)
-        copy(work[TRIAL], work[POSITION])
+        copy(work.trial, work.positions)
         objective = trial
         last_step = relative if saddle < 0 and damping == 0.0 else math.inf
     if patience > 0 and best < objective and not converged:
-        copy(work[BEST], work[POSITION])
+        copy(work.best, work.positions)
         objective = best
     return iterations, systems, objective, converged
 
@@ -197,7 +190,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         weights: (J,) w ≥ 0 or (J, 3, 3) symmetric positive semidefinite W; 0 where there is no data.
         lengths: (J,) l, metres, by the joint at the bone's far end; the root's is ignored.
         start: (J, 3) joints to start from; NaN where there is none.
-        work: (BLOCKS, J, 6) scratch.
+        work: A :class:`fusion.solvers.tree_workspace.TreeWorkspace` of J joints; overwritten.
         positions: (J, 3) out: the solution.
 
     Returns:
@@ -206,24 +199,24 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     """
     if not load(targets, weights, lengths, order[0], work):
         return -1, 0, math.nan, False
-    objective = place(parents, order, rest, start, FROM_START, work, work[TRIAL])
-    on_targets = place(parents, order, rest, start, FROM_TARGETS, work, work[POSITION])
+    objective = place(parents, order, rest, start, FROM_START, work, work.trial)
+    on_targets = place(parents, order, rest, start, FROM_TARGETS, work, work.positions)
     first = FROM_START if objective <= on_targets else FROM_TARGETS
     if first == FROM_START:
-        copy(work[TRIAL], work[POSITION])
+        copy(work.trial, work.positions)
     iterations, systems, objective, converged = descend(parents, order, work, min(objective, on_targets))
-    copy(work[POSITION], positions)
+    copy(work.positions, positions)
     hole = (first == FROM_TARGETS or not converged) and aim_at(parents, order, work)
     if converged and not hole:
         return iterations, systems, objective, converged
     for way in (BENT, BENT_AWAY, FROM_TARGETS, FROM_START):
         if way == first or (way >= BENT and not hole) or (way < BENT and converged):
             continue
-        placed = place(parents, order, rest, start, way, work, work[POSITION])
+        placed = place(parents, order, rest, start, way, work, work.positions)
         steps, more, found, ended = descend(parents, order, work, placed)
         systems += more
         if (ended and not converged) or (ended == converged and found < objective * (1.0 - _BETTER)):
-            copy(work[POSITION], positions)
+            copy(work.positions, positions)
             iterations, objective, converged = steps, found, ended
     return iterations, systems, objective, converged
 
@@ -265,7 +258,7 @@ class TreeSolver:
         for joint in self.order[1:].tolist():
             if not 0.0 < np.linalg.norm(self.rest[joint]) < np.inf:
                 raise FusionError(f"Joint {joint} needs a direction at rest; got {self.rest[joint]}.")
-        self._work = np.zeros((BLOCKS, joints, 6))
+        self._work = new_tree_workspace(joints)
         self._no_start = np.full((joints, 3), np.nan)
 
     def solve(

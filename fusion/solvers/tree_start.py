@@ -6,7 +6,7 @@ import math
 
 from fusion.compiling.kernels import inner_kernel
 from fusion.solvers.small_matrices import tangent_basis
-from fusion.solvers.tree_elimination import BONE, INFORMATION, STEP, TARGET, misfit
+from fusion.solvers.tree_elimination import misfit
 
 FROM_START, FROM_TARGETS, BENT, BENT_AWAY = 0, 1, 2, 3
 """Sources of a bone's direction in :func:`place`."""
@@ -19,7 +19,7 @@ def load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
     Returns:
         Whether all weights are finite, and all bones have a length.
     """
-    target, info, bone = work[TARGET], work[INFORMATION], work[BONE]
+    target, info = work.targets, work.information
     for i in range(targets.shape[0]):
         if weights.ndim == 1:
             xx = yy = zz = weights[i]
@@ -35,8 +35,8 @@ def load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
         target[i, 0], target[i, 1], target[i, 2] = x, y, z
         info[i, 0], info[i, 1], info[i, 2] = xx, xy, xz
         info[i, 3], info[i, 4], info[i, 5] = yy, yz, zz
-        bone[i, 3] = lengths[i]
-        bone[i, 4] = 0.0
+        work.lengths[i] = lengths[i]
+        work.multipliers[i] = 0.0
         if i != root and not (lengths[i] > 0.0 and math.isfinite(lengths[i])):
             return False
     return True
@@ -44,37 +44,38 @@ def load(targets, weights, lengths, root, work):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def aim_at(parents, order, work):  # type: ignore[no-untyped-def]
-    """Writes what each bone points to into STEP's columns 0-2: its target, or the mean of the next ones
-    below.
+    """Writes the point that each bone is aimed at: its target, or the mean of the next ones below.
 
-    Column 3 is positive where there is such a point. Column 4 is the sum of the squares of the bones between,
-    averaged over the paths.
+    ``work.aim_counts`` is positive where there is such a point. ``work.aim_reaches`` is the sum of the
+    squares of the bones between, averaged over the paths.
 
     Returns:
         Whether a bone ends in a hole: a joint without data that has data below it.
     """
-    target, info, bone, aim = work[TARGET], work[INFORMATION], work[BONE], work[STEP]
+    target, info, lengths = work.targets, work.information, work.lengths
+    aim, counts, reaches = work.aims, work.aim_counts, work.aim_reaches
     hole = False
     for i in range(len(order)):
         known = info[i, 0] + info[i, 3] + info[i, 5] > 0.0
-        for c in range(5):
-            aim[i, c] = 0.0
+        aim[i, 0] = aim[i, 1] = aim[i, 2] = counts[i] = reaches[i] = 0.0
         if known:
-            aim[i, 0], aim[i, 1], aim[i, 2], aim[i, 3] = target[i, 0], target[i, 1], target[i, 2], 1.0
+            aim[i, 0], aim[i, 1], aim[i, 2] = target[i, 0], target[i, 1], target[i, 2]
+            counts[i] = 1.0
     for k in range(len(order) - 1, 0, -1):
         i = order[k]
         p = parents[i]
-        if aim[i, 3] == 0.0:
+        if counts[i] == 0.0:
             continue
         if not info[i, 0] + info[i, 3] + info[i, 5] > 0.0:
             hole = True
-            share = 1.0 / aim[i, 3]
+            share = 1.0 / counts[i]
             aim[i, 0], aim[i, 1], aim[i, 2] = aim[i, 0] * share, aim[i, 1] * share, aim[i, 2] * share
-            aim[i, 3], aim[i, 4] = 1.0, aim[i, 4] * share
+            counts[i], reaches[i] = 1.0, reaches[i] * share
         if not info[p, 0] + info[p, 3] + info[p, 5] > 0.0:
-            for c in range(4):
+            for c in range(3):
                 aim[p, c] += aim[i, c]
-            aim[p, 4] += aim[i, 4] + bone[i, 3] * bone[i, 3]
+            counts[p] += counts[i]
+            reaches[p] += reaches[i] + lengths[i] * lengths[i]
     return hole
 
 
@@ -107,7 +108,8 @@ def place(parents, order, rest, start, way, work, at):  # type: ignore[no-untype
     Returns:
         The objective.
     """
-    target, info, bone, aim = work[TARGET], work[INFORMATION], work[BONE], work[STEP]
+    target, info, lengths = work.targets, work.information, work.lengths
+    aim, counts, reaches = work.aims, work.aim_counts, work.aim_reaches
     root = order[0]
     for c in range(3):
         at[root, c] = start[root, c] if math.isfinite(start[root, c]) else 0.0
@@ -119,21 +121,21 @@ def place(parents, order, rest, start, way, work, at):  # type: ignore[no-untype
     for k in range(1, len(order)):
         i = order[k]
         p = parents[i]
-        length = bone[i, 3]
+        length = lengths[i]
         norm = 0.0
         x, y, z = start[i, 0] - start[p, 0], start[i, 1] - start[p, 1], start[i, 2] - start[p, 2]
         norm = math.sqrt(x * x + y * y + z * z)
         if not (norm > 1e-9 * length and math.isfinite(norm)):
             x, y, z = rest[i, 0], rest[i, 1], rest[i, 2]
             norm = math.sqrt(x * x + y * y + z * z)
-        if way != FROM_START and aim[i, 3] > 0.0:
+        if way != FROM_START and counts[i] > 0.0:
             source = target if info[p, 0] + info[p, 3] + info[p, 5] > 0.0 else at
             ax, ay, az = aim[i, 0] - source[p, 0], aim[i, 1] - source[p, 1], aim[i, 2] - source[p, 2]
             distance = math.sqrt(ax * ax + ay * ay + az * az)
             if distance > 1e-9 * length:
-                if way != FROM_TARGETS and aim[i, 4] > 0.0:
+                if way != FROM_TARGETS and reaches[i] > 0.0:
                     side = 1.0 if way == BENT else -1.0
-                    reach = math.sqrt(aim[i, 4])
+                    reach = math.sqrt(reaches[i])
                     ax, ay, az = bend(ax, ay, az, length, reach, side * x, side * y, side * z)
                     distance = math.sqrt(ax * ax + ay * ay + az * az)
                 x, y, z, norm = ax, ay, az, distance

@@ -14,6 +14,7 @@ from recordings import layout
 
 _CLOUD_RADIUS = 0.009  # metres
 _FRUSTUM_DEPTH = 0.25  # metres
+_SPHERE_OPACITY = 110  # of 255: the skeleton inside stays visible
 
 
 def annotation_context(body: Body) -> rr.AnnotationContext:
@@ -37,11 +38,14 @@ def annotation_context(body: Body) -> rr.AnnotationContext:
 
 
 def joint_look(body: Body, key: str) -> rr.Points3D:
-    """Appearance of the skeleton `key` of layout.SKELETON_NAMES; S* gets a colour per joint and frame."""
+    """Appearance of the skeleton `key` of layout.SKELETON_NAMES.
+
+    S* gets a colour per joint and frame. S_A and S_B get their class, and with it their colour, per frame.
+    """
     return rr.Points3D.from_fields(
-        class_ids=layout.CLASS_IDS[key],
+        class_ids=None if key in layout.SIDES else layout.CLASS_IDS[key],
         keypoint_ids=range(len(body)),
-        colors=None if key == "fused" else layout.SKELETON_COLORS[key],
+        colors=layout.SKELETON_COLORS[key] if key == "truth" else None,
         radii=layout.JOINT_RADII[key],
         show_labels=False,
     )
@@ -134,6 +138,24 @@ def _lines(look: rr.SeriesLines, component: str, field: str | None = None) -> Vi
         selector=None if field is None else f".{field}",
     )
     return look.visualizer(mappings=[source])
+
+
+def sigma_spheres() -> Visualizer:
+    """Transparent spheres around the joints of S*, one standard deviation in radius."""
+    look = rr.Ellipsoids3D.from_fields(
+        fill_mode=rr.components.FillMode.TransparentFillMajorWireframe,
+        colors=(*layout.SKELETON_COLORS["fused"], _SPHERE_OPACITY),
+        line_radii=rr.components.Radius.ui_points(0.5),
+    )
+    sources = {"half_sizes": layout.SIGMA_SPHERES, "centers": "Points3D:positions"}
+    return look.visualizer(
+        mappings=[
+            VisualizerComponentMapping(
+                f"Ellipsoids3D:{name}", ComponentSourceKind.SourceComponent, source_component=component
+            )
+            for name, component in sources.items()
+        ]
+    )
 
 
 STREAM_LINES = {

@@ -99,11 +99,13 @@ def frame_streams(rows: SessionArrays, checks: FusedChecks | None = None) -> Ite
             stored = np.concatenate([values.reshape(len(rows), -1) for _, values in parts], axis=1)
         data.setdefault(entity, {})[component] = spec.in_arrow(rows.body, stored)
     for shown in SHOWN_FIGURES:
-        values = shown.values(rows)
+        derived = shown.values(rows)
+        if derived is None:
+            continue
         if ":" in shown.component:
-            drawn.setdefault(shown.entity, {})[shown.component] = values
+            drawn.setdefault(shown.entity, {})[shown.component] = derived
         else:
-            data.setdefault(shown.entity, {})[shown.component] = _array(values)
+            data.setdefault(shown.entity, {})[shown.component] = _vectors(derived)
     data[layout.QUALITY] |= _checks(rows, checks)
     for entity in dict.fromkeys([*drawn, *data]):
         yield _stream(entity, rows, drawn.get(entity, {}), data.get(entity, {}))
@@ -155,6 +157,12 @@ def _checks(rows: SessionArrays, checks: FusedChecks | None) -> dict[str, pa.Arr
 
 def _struct(of: dict[str, NDArray[Any]]) -> pa.Array:
     return pa.StructArray.from_arrays([_array(values) for values in of.values()], names=list(of))
+
+
+def _vectors(values: NDArray[Any]) -> pa.Array:
+    """(T, J, n) values as J vectors of n per frame; all others one by one."""
+    flat = _array(values)
+    return flat if values.ndim < 3 else pa.FixedSizeListArray.from_arrays(flat, values.shape[2])
 
 
 def _array(values: NDArray[Any]) -> pa.Array:

@@ -25,17 +25,21 @@ class ShownFigure:
     Attributes:
         entity, component: Place in the file, named as in :class:`recordings.frame_fields.FrameField`.
         stored: Type in the file.
-        compute: Computes (T, …) values from the frames.
+        compute: Computes (T, …) values from the frames; None where the session lacks what they come from.
     """
 
     entity: str
     component: str
     stored: type[np.generic]
-    compute: Callable[[SessionArrays], NDArray[Any]]
+    compute: Callable[[SessionArrays], NDArray[Any] | None]
 
-    def values(self, rows: SessionArrays) -> NDArray[Any]:
-        """(T, …) in the type of the file."""
-        return self.compute(rows).astype(self.stored, copy=False)
+    def values(self, rows: SessionArrays) -> NDArray[Any] | None:
+        """(T, …) in the type of the file; None where there are none."""
+        values = self.compute(rows)
+        return None if values is None else values.astype(self.stored, copy=False)
+
+
+_SPHERE_STEP = 1.0 / 512.0  # metres
 
 
 def _tracked_joints(rows: SessionArrays) -> NDArray[Any]:
@@ -44,7 +48,29 @@ def _tracked_joints(rows: SessionArrays) -> NDArray[Any]:
     )
 
 
+def _view_class(side: str) -> Callable[[SessionArrays], NDArray[Any]]:
+    """(T, J) class of S_A or S_B: a second one in frames whose sides are exchanged."""
+
+    def classes(rows: SessionArrays) -> NDArray[Any]:
+        exchanged = rows.filled("exchanged")[:, layout.SIDES.index(side)] != 0
+        ids = np.where(exchanged, layout.CLASS_IDS[layout.exchanged(side)], layout.CLASS_IDS[side])
+        return np.repeat(ids[:, None], len(rows.body), axis=1)
+
+    return classes
+
+
+def _sigma_spheres(rows: SessionArrays) -> NDArray[Any] | None:
+    """(T, J, 3) half sizes of spheres of one standard deviation, in steps that compress well."""
+    if rows.sigma is None:
+        return None
+    radii = np.round(rows.sigma / _SPHERE_STEP) * _SPHERE_STEP
+    return np.repeat(radii[..., None], 3, axis=2)
+
+
 SHOWN_FIGURES = (
+    ShownFigure(layout.skeleton("a"), "Points3D:class_ids", np.uint16, _view_class("a")),
+    ShownFigure(layout.skeleton("b"), "Points3D:class_ids", np.uint16, _view_class("b")),
+    ShownFigure(layout.FUSED_SKELETON, layout.SIGMA_SPHERES, np.float32, _sigma_spheres),
     ShownFigure(layout.FUSED_SKELETON, "Points3D:colors", np.uint8, trust_colors),
     ShownFigure(
         layout.FUSED_SKELETON,

@@ -3,13 +3,16 @@
 What a failure is: bones off by more than a micrometre, a point that is not stationary, a NaN, more than 50
 iterations (steps to a better point; the linear systems on the way are counted beside them). With ``--slsqp
 N``, scipy's SLSQP solves N problems of at most 50 mm noise too, from the same start, and those where it ends
-clearly lower are counted. (Set OPENBLAS_NUM_THREADS=1: on small matrices threads wait on each other.)
+clearly lower are counted; ``--dense N`` does the same with the dense Newton solver. With ``--matrices`` every
+joint has a 3×3 information matrix of condition up to a million instead of a weight. (Set
+OPENBLAS_NUM_THREADS=1: on small matrices threads wait on each other.)
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from fusion.body import BODIES, Body
+from fusion.solvers.dense import DenseSolver
 from fusion.solvers.solver import MAX_ITERATIONS, Solution
 from fusion.solvers.tree_solver import TreeSolver
 from viewer_app.bench.scipy_solver import slsqp_optimum
@@ -33,7 +37,7 @@ class Problem:
 
     body: Body
     targets: NDArray[np.float64]
-    weights: NDArray[np.float64]
+    weights: NDArray[np.float64]  # (J,) w, or (J, 3, 3) W
     lengths: NDArray[np.float64]
     start: NDArray[np.float64] | None
     noise: float
@@ -49,9 +53,12 @@ def random_pose(rng: np.random.Generator, body: Body, lengths: NDArray[np.float6
     return pose
 
 
-def random_problem(seed: int) -> Problem:
+def random_problem(seed: int, matrices: bool = False) -> Problem:
     """Bones of 20–500 mm, noise of 1–300 mm, weights of 1e-6–1, up to half the joints without data; every
-    second one starts from an unrelated pose."""
+    second one starts from an unrelated pose.
+
+    With `matrices`, the eigenvalues of each joint's W are 1e-6–1, in random directions. All else is the same.
+    """
     rng = np.random.default_rng(seed)
     body = tuple(BODIES.values())[seed % len(BODIES)]
     lengths = np.exp(rng.uniform(np.log(0.02), np.log(0.5), len(body)))
@@ -61,7 +68,18 @@ def random_problem(seed: int) -> Problem:
     without = rng.permutation(len(body))[: rng.integers(0, len(body) // 2 + 1)]
     targets[without], weights[without] = np.nan, 0.0
     start = random_pose(rng, body, lengths) if rng.random() < 0.5 else None
+    if matrices:
+        weights = random_information(rng, len(body))
+        weights[without] = 0.0
     return Problem(body, targets, weights, lengths, start, noise)
+
+
+def random_information(rng: np.random.Generator, joints: int) -> NDArray[np.float64]:
+    """(J, 3, 3) symmetric positive definite, with eigenvalues of 1e-6–1: of condition up to a million."""
+    values = 10.0 ** rng.uniform(-6.0, 0.0, (joints, 3))
+    directions, _ = np.linalg.qr(rng.normal(size=(joints, 3, 3)))
+    W = (directions * values[:, None]) @ directions.transpose(0, 2, 1)
+    return np.asarray(0.5 * (W + W.transpose(0, 2, 1)))  # symmetric to the bit
 
 
 def bone_error(problem: Problem, positions: NDArray[np.float64]) -> float:
@@ -76,11 +94,11 @@ def projected_gradient(problem: Problem, positions: NDArray[np.float64]) -> floa
 
     What may move: the end of each bone, normal to it, with all joints below; and the whole.
     """
-    body = problem.body
-    force = (
-        2 * problem.weights[:, None] * np.where(problem.weights[:, None] > 0, positions - problem.targets, 0)
-    )
-    information = 2 * problem.weights
+    body, W = problem.body, problem.weights
+    # a weight w is the matrix w I; the information of a matrix is the mean of its eigenvalues
+    information = 2 * W if W.ndim == 1 else 2 * np.trace(W, axis1=1, axis2=2) / 3
+    apart = np.where(information[:, None] > 0, positions - problem.targets, 0)
+    force = 2 * (W[:, None] * apart if W.ndim == 1 else (W @ apart[:, :, None])[:, :, 0])
     largest = 0.0
     for joint in body.order[:0:-1]:
         parent = body.parents[joint]
@@ -120,14 +138,14 @@ def slsqp(
     return found.positions, found.objective, bone_error(problem, found.positions) < BONE_TOLERANCE
 
 
-def run(count: int, first: int) -> tuple[Counter[str], NDArray[np.int64], list[int]]:
+def run(count: int, first: int, matrices: bool = False) -> tuple[Counter[str], NDArray[np.int64], list[int]]:
     """Solves ``count`` random problems: failures by kind, (2, count) iterations and systems, seeds failed."""
     solvers = {name: TreeSolver(b.parent_indices, b.order, b.rest) for name, b in BODIES.items()}
     kinds: Counter[str] = Counter()
     work = np.zeros((2, count), dtype=np.int64)
     failed = []
     for k in range(count):
-        problem = random_problem(first + k)
+        problem = random_problem(first + k, matrices)
         solution = solvers[problem.body.name].solve(
             problem.targets, problem.weights, problem.lengths, problem.start
         )
@@ -139,23 +157,36 @@ def run(count: int, first: int) -> tuple[Counter[str], NDArray[np.int64], list[i
     return kinds, work, failed
 
 
-def run_slsqp(count: int, first: int, body: Body | None = None) -> tuple[int, int, int]:
-    """Compares with SLSQP: (problems compared, where SLSQP's optimum is lower, where it is higher).
+Oracle = Callable[[Problem, NDArray[np.float64]], tuple[NDArray[np.float64], float, bool]]
+"""From a problem and a starting point to positions, objective, and whether bones came right."""
 
-    SLSQP's bones may be off by up to the tolerance, which buys a lower objective. So its optimum is the one
-    that the exact solver reaches from SLSQP's joints. Lower or higher: by over a millionth.
+
+def dense(problem: Problem, start: NDArray[np.float64]) -> tuple[NDArray[np.float64], float, bool]:
+    """Eq. (1) by the dense reference solver; from the problem's own start, because it has starts of its own."""
+    del start
+    found = DenseSolver(problem.body).solve(problem.targets, problem.weights, problem.lengths, problem.start)
+    return found.positions, found.objective, bone_error(problem, found.positions) < BONE_TOLERANCE
+
+
+def run_oracle(
+    oracle: Oracle, count: int, first: int, body: Body | None = None, matrices: bool = False
+) -> tuple[int, int, int]:
+    """Compares with an oracle: (problems compared, where its optimum is lower, where it is higher).
+
+    An oracle's bones may be off by up to the tolerance, which buys a lower objective. So its optimum is the
+    one that the exact solver reaches from the oracle's joints. Lower or higher: by over a millionth.
     """
     compared = lower = higher = 0
     seed = first
     while compared < count:
-        problem = random_problem(seed)
+        problem = random_problem(seed, matrices)
         seed += 1
         if problem.noise > 0.05 or (body is not None and problem.body is not body):
             continue
         solver = TreeSolver(problem.body.parent_indices, problem.body.order, problem.body.rest)
         solution = solver.solve(problem.targets, problem.weights, problem.lengths, problem.start)
         filled = np.where(np.isfinite(problem.targets), problem.targets, solution.positions)
-        positions, objective, feasible = slsqp(problem, filled)
+        positions, objective, feasible = oracle(problem, filled)
         compared += 1
         margin = 1e-6 * solution.objective + 1e-15
         if feasible and objective < solution.objective - margin:
@@ -177,20 +208,24 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=100_000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--slsqp", type=int, default=0)
-    parser.add_argument("--body", choices=BODIES, help="of the problems that SLSQP gets too")
+    parser.add_argument("--dense", type=int, default=0)
+    parser.add_argument("--matrices", action="store_true", help="3×3 information instead of weights")
+    parser.add_argument("--body", choices=BODIES, help="of the problems that the oracles get too")
     options = parser.parse_args()
-    kinds, work, failed = run(options.count, options.first)
+    kinds, work, failed = run(options.count, options.first, options.matrices)
     print(f"{options.count} problems, {len(failed)} failed: {dict(kinds)}; first seeds {failed[:10]}")
     for name, counts in zip(("iterations", "linear systems"), work, strict=True):
         median, p99, most = np.percentile(counts, [50, 99, 100])
         over = (counts > MAX_ITERATIONS).sum()
         print(f"{name}: median {median:.0f}, p99 {p99:.0f}, max {most:.0f}; over {MAX_ITERATIONS} in {over}")
-    if options.slsqp:
-        body = BODIES[options.body] if options.body else None
-        compared, lower, higher = run_slsqp(options.slsqp, options.first, body)
+    body = BODIES[options.body] if options.body else None
+    for name, oracle, count in (("SLSQP", slsqp, options.slsqp), ("dense", dense, options.dense)):
+        if count == 0:
+            continue
+        compared, lower, higher = run_oracle(oracle, count, options.first, body, options.matrices)
         low, high = interval(lower, compared)
         print(
-            f"{compared} problems of <= 50 mm noise: SLSQP lower in {lower} ({lower / compared:.2%}, 95 % "
+            f"{compared} problems of <= 50 mm noise: {name} lower in {lower} ({lower / compared:.2%}, 95 % "
             f"interval {low:.2%} to {high:.2%}), higher or infeasible in {higher}"
         )
 

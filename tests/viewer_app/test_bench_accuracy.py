@@ -15,7 +15,7 @@ from devices.simulated.realism.reference_figures import PUBLISHED, REASONS
 from devices.simulated.tracking.harsher_errors import heavy_tailed, scaled
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import KINECT_V2
-from viewer_app.bench.accuracy_methods import ABLATIONS, METHODS, OURS
+from viewer_app.bench.accuracy_methods import ABLATIONS, METHODS, OURS, WITHOUT_DEPTH
 from viewer_app.bench.accuracy_tables import (
     clearly_best,
     lost_to,
@@ -103,6 +103,7 @@ def test_only_a_difference_beyond_its_spread_is_bold(lead: float, best: str | No
         (("--first-seed", "-1"), "--first-seed must be 0 or more; got -1"),
         (("--errors", "0"), "--errors must be a factor above 0, at most 10; got 0.0"),
         (("--errors", "nan"), "--errors must be a factor above 0, at most 10; got nan"),
+        (("--methods", "without depth"), "needs depth images: add --depth half"),
         (("--processes", "-1"), "--processes must be 0 or more; got -1"),
         (("--methods", "mean, refined", "magic"), "Got magic."),
         (("--seconds", "1"), "leave less than a second after the start-up pose"),
@@ -247,6 +248,19 @@ def test_harsher_trackers_are_harsher() -> None:
     tails = heavy_tailed(TrackerErrors.of(KINECT_V2))
     assert Simulation("kinect_v2", tracker_errors="heavy-tailed").errors_of_tracker() == tails
     assert Simulation("kinect_v2", 9.0, 2.0, "heavy-tailed").errors_of_tracker() == scaled(tails, 2.0)
+
+
+def test_depth_images_reach_our_method_and_its_ablation_goes_without() -> None:
+    """Images change S*, and nothing else: the ablation on images is our method on no images."""
+    trial = [Trial("arms", 90.0, 3)]
+    names = ["mean, refined", OURS, WITHOUT_DEPTH]
+    (without,), (having,) = (
+        list(run_trials(trial, Simulation(seconds=6.0, depth=depth), names)) for depth in ("none", "half")
+    )
+    blind = {o.method: o.figures["mpjpe"] for o in without}
+    seeing = {o.method: o.figures["mpjpe"] for o in having}
+    assert blind[OURS] == blind[WITHOUT_DEPTH]
+    assert seeing[OURS] != seeing[WITHOUT_DEPTH]
 
 
 def test_set_real_says_which_published_figures_are_out_and_why(

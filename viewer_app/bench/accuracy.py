@@ -25,7 +25,7 @@ from devices.simulated.realism.reference_figures import (
     simulated_statistics,
 )
 from devices.skeletons.recording import SkeletonRecording
-from viewer_app.bench.accuracy_methods import ABLATIONS, METHODS
+from viewer_app.bench.accuracy_methods import ABLATIONS, METHODS, WITHOUT_DEPTH
 from viewer_app.bench.accuracy_picture import draw
 from viewer_app.bench.accuracy_tables import said_of_losses, table_by, tables_of_methods
 from viewer_app.bench.accuracy_trials import Outcome, Simulation, Trial, chosen_methods, run_trials
@@ -78,13 +78,16 @@ def _check(options: BenchAccuracyOptions) -> None:
     known = [method.name for method in (*METHODS, *ABLATIONS)]
     if unknown := [name for name in options.methods if name not in known]:
         raise UsageError(f"Methods must be among {'; '.join(known)}. Got {'; '.join(unknown)}.")
+    if WITHOUT_DEPTH in options.methods and options.depth == "none":
+        raise UsageError(f"The method '{WITHOUT_DEPTH}' needs depth images: add --depth half.")
 
 
 def _methods(options: BenchAccuracyOptions) -> list[str]:
     """The names of the selected methods, in the tables' order."""
     if options.methods:
         return [method.name for method in chosen_methods(options.methods)]
-    return [method.name for method in (*METHODS, *(ABLATIONS if options.ablations else ()))]
+    chosen = [method.name for method in (*METHODS, *(ABLATIONS if options.ablations else ()))]
+    return [name for name in chosen if name != WITHOUT_DEPTH or options.depth != "none"]
 
 
 def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[str, Any]:
@@ -92,7 +95,9 @@ def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[st
     trials = [
         Trial(motion, angle, seed) for motion in options.motions for angle in options.angles for seed in seeds
     ]
-    simulation = Simulation(options.body, options.seconds, options.errors, options.tracker_errors)
+    simulation = Simulation(
+        options.body, options.seconds, options.errors, options.tracker_errors, options.depth
+    )
     # a process takes seconds to start: at most one per four trials
     processes = options.processes or min(os.cpu_count() or 1, max(1, len(trials) // 4))
     outcomes: list[Outcome] = []
@@ -103,6 +108,7 @@ def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[st
         outcomes += of_trial
     harsher = f", errors × {options.errors:g}" if options.errors != 1.0 else ""
     harsher += ", heavy-tailed tracker errors" if options.tracker_errors == "heavy-tailed" else ""
+    harsher += f", depth images at {options.depth} size" if options.depth != "none" else ""
     console.print(
         f"{options.body}: {len(options.motions)} movements × {len(options.angles)} angles × "
         f"{options.seeds} seeds ({seeds[0]}–{seeds[-1]}){harsher}, {options.seconds:g} s each, measured "
@@ -125,6 +131,7 @@ def _compare_methods(console: Console, options: BenchAccuracyOptions) -> dict[st
         "first_seed": options.first_seed,
         "errors": options.errors,
         "tracker_errors": options.tracker_errors,
+        "depth": options.depth,
         "processes": processes,
         "trials": [
             {

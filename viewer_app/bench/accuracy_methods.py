@@ -25,6 +25,7 @@ from fusion.fuser import Fuser
 from fusion.recording import plan_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
+from fusion.skeleton import Skeleton
 from recordings.fusing.live import LiveFusion
 from recordings.fusing.recorded import fuse_segments, setups_of
 
@@ -160,6 +161,24 @@ def as_recorded(settings: FuserSettings, refine: bool = True) -> Callable[[Recor
     return find
 
 
+def without_depth(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
+    """As :func:`as_recorded`, without the evidence of depth images."""
+
+    def blind(skeleton: Skeleton | None) -> Skeleton | None:
+        return None if skeleton is None else replace(skeleton, witness=None)
+
+    def find(recording: RecordedPair) -> Found:
+        pairs = [
+            replace(
+                pair, skeletons=replace(pair.skeletons, a=blind(pair.skeletons.a), b=blind(pair.skeletons.b))
+            )
+            for pair in recording.pairs
+        ]
+        return as_recorded(settings)(replace(recording, pairs=pairs))
+
+    return find
+
+
 def as_live(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
     """What ``duplex live`` makes of the recording: nothing looks ahead."""
 
@@ -235,6 +254,9 @@ time."""
 OURS = "duplex"
 """The method that the tables compare the others with: the default."""
 
+WITHOUT_DEPTH = "without depth"
+"""The ablation that recordings without depth images cannot have."""
+
 _NEVER = 1e-12  # a probability: what the filter takes the logarithm of
 
 ABLATIONS: tuple[Method, ...] = (
@@ -250,8 +272,11 @@ ABLATIONS: tuple[Method, ...] = (
     Method("without anisotropy", "ablation", fused(DEFAULT, along_ray=1.0)),
     Method("without facing", "ablation", fused(DEFAULT, (0, 0))),
     Method("without scale", "ablation", fused(DEFAULT, scale_sd=0.0)),
+    Method(WITHOUT_DEPTH, "ablation", without_depth(replace(DEFAULT, hindsight="labels"))),
 )
 """One part switched off at a time, for ``--ablations``.
 
-``without refinement`` is ``duplex`` with the start-up pose's calibration. The others are ``start-up, causal``
-with one part switched off: the start-up pose's calibration, and nothing that looks ahead."""
+``without refinement`` is ``duplex`` with the start-up pose's calibration. ``without depth`` is ``duplex``
+without the evidence of depth images, for recordings that have such images. The others are
+``start-up, causal`` with one part switched off: the start-up pose's calibration, and nothing that looks
+ahead."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from typing import Literal
 
 import numpy as np
 
+from devices.image_thinning import Depth
 from devices.pairing import pair_recordings
 from devices.sensor import DeviceError
 from devices.simulated.kinect import PERSON, simulated_pair
@@ -49,12 +50,14 @@ class Simulation:
         seconds: Duration of each recording.
         errors: Factor for all tracker errors.
         tracker_errors: Error model: fitted to real recordings, or heavy-tailed, which no method is fitted to.
+        depth: Size of the depth images, which S* uses as evidence.
     """
 
     body: str = "azure_kinect"
     seconds: float = 20.0
     errors: float = 1.0
     tracker_errors: TrackerShape = "fitted"
+    depth: Depth = "none"
 
     def errors_of_tracker(self) -> TrackerErrors:
         """The errors of both trackers."""
@@ -147,8 +150,11 @@ def record(trial: Trial, simulation: Simulation) -> tuple[RecordedPair, int]:
         angle_deg=trial.angle,
         seconds=simulation.seconds,
         errors=simulation.errors_of_tracker(),
+        depth=simulation.depth,
     )
-    pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
+    # only the few figures per joint that each image gave are kept
+    views = ([replace(frame, depth=None) for frame in sensor.frames()] for sensor in (a, b))
+    pairs = pair_recordings(*views, PERSON, PERSON).pairs
     times = np.array([pair.time_ns for pair in pairs])
     calibration = calibrate(body, *find_start_up_pose(body, [pair.skeletons for pair in pairs]))
     first = int(np.searchsorted(times * 1e-9, getattr(truth.scene.motion, "begins", 0.0)))

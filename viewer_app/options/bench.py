@@ -34,6 +34,8 @@ class BenchAccuracyOptions:
     """Factor for all errors of the tracker."""
     tracker_errors: Literal["fitted", "heavy-tailed"] = "fitted"
     """fitted: fitted to real recordings. heavy-tailed: another error model, to which nothing is fitted."""
+    depth: Literal["none", "half", "full"] = "none"
+    """Simulate depth images of this size, which S* uses as evidence; slower."""
     methods: tuple[str, ...] = ()
     """Only these methods, by their names in the tables; all but the ablations if not given."""
     ablations: bool = False

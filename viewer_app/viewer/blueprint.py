@@ -149,15 +149,18 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool) -> 
         axis_y=rrb.ScalarAxis(range=(-0.05, 1.05)),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
     )
+    hidden = [*(layout.points(side) for side in layout.SIDES), f"{layout.COACH}/**"]
+
+    def scene(name: str, *hidden: str, sigma: bool = False) -> rrb.View:
+        frustum = _FRUSTA["inspect"]
+        return _scene(behind, person_at, name, frustum, layout.FUSED_SKELETON, hidden, sigma)
+
     return rrb.Horizontal(
         rrb.Vertical(
-            _scene(
-                behind,
-                person_at,
-                "S_A brown, S_B blue, S* purple",
-                frustum=_FRUSTA["inspect"],
-                track=layout.FUSED_SKELETON,
-                hidden=[*(layout.points(side) for side in layout.SIDES), f"{layout.COACH}/**"],
+            rrb.Tabs(
+                scene("S_A brown, S_B blue, S* purple", *hidden),
+                scene("S* with 1 σ", *hidden, *(layout.skeleton(side) for side in layout.SIDES), sigma=True),
+                active_tab=0,
             ),
             rrb.Tabs(
                 disagreement,
@@ -241,16 +244,32 @@ def _scene(
     frustum: float,
     track: str | None = None,
     hidden: Sequence[str] = (),
+    sigma: bool = False,
 ) -> rrb.Spatial3DView:
-    """Everything in K_A's frame; depth cameras as frusta: their points are an entity of their own."""
+    """Everything in K_A's frame; depth cameras as frusta: their points are an entity of their own.
+
+    With `sigma`, a sphere of one standard deviation is drawn about each joint of S*.
+    """
     left_out = [layout.TRUTH_SKELETON, f"{layout.TRUST_MATRIX}/**", *hidden]
     return rrb.Spatial3DView(
         origin="/",
         contents=["$origin/**", *(f"- {entity}" for entity in left_out)],
         name=name,
         overrides={
-            layout.depth(side): rr.Pinhole.from_fields(image_plane_distance=frustum).visualizer()
-            for side in layout.SIDES
+            **{
+                layout.depth(side): rr.Pinhole.from_fields(image_plane_distance=frustum).visualizer()
+                for side in layout.SIDES
+            },
+            **(
+                {
+                    layout.FUSED_SKELETON: [
+                        rr.Points3D.from_fields().visualizer(),
+                        entity_styles.sigma_spheres(),
+                    ]
+                }
+                if sigma
+                else {}
+            ),
         },
         eye_controls=rrb.EyeControls3D(
             position=eye, look_target=looks_at, eye_up=(0.0, -1.0, 0.0), tracking_entity=track

@@ -7,6 +7,7 @@ import math
 from fusion.compiling.kernels import inner_kernel
 from fusion.facing.exchange import exchange
 from fusion.facing.filter import update_facing
+from fusion.methods.repetition import repeats
 
 
 @inner_kernel
@@ -21,8 +22,8 @@ def take_views(model, state, views, skew_ns, a, states_a, b, states_b):  # type:
         states_a, states_b: (J,) tracking states.
     """
     R, t = model.rotation, model.translation
-    views.stale[0] = _repeats(a, states_a, state.last_positions[0], state.last_states[0])
-    views.stale[1] = _repeats(b, states_b, state.last_positions[1], state.last_states[1])
+    views.stale[0] = repeats(a, states_a, state.last_positions[0], state.last_states[0])
+    views.stale[1] = repeats(b, states_b, state.last_positions[1], state.last_states[1])
     views.delays[0], views.delays[1] = 0.0, 1e-9 * skew_ns
     for i in range(len(states_a)):
         views.reported_states[0, i], views.reported_states[1, i] = states_a[i], states_b[i]
@@ -30,21 +31,6 @@ def take_views(model, state, views, skew_ns, a, states_a, b, states_b):  # type:
         for c in range(3):
             views.reported[0, i, c] = a[i, c]
             views.reported[1, i, c] = R[c, 0] * x + R[c, 1] * y + R[c, 2] * z + t[c]
-
-
-@inner_kernel
-def _repeats(positions, states, last, last_states):  # type: ignore[no-untyped-def]
-    """Whether a sensor repeats its last skeleton; stores the new one. An empty skeleton is no repetition."""
-    same, anyone = True, False
-    for i in range(len(states)):
-        anyone = anyone or states[i] != 0
-        same = same and states[i] == last_states[i]
-        last_states[i] = states[i]
-        for c in range(3):
-            both_nan = math.isnan(positions[i, c]) and math.isnan(last[i, c])
-            same = same and (both_nan or positions[i, c] == last[i, c])
-            last[i, c] = positions[i, c]
-    return same and anyone
 
 
 @inner_kernel

@@ -1,0 +1,98 @@
+"""The uncertainty of S*, and views whose sides are exchanged, are visible in the scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from fusion.setup import FuserSettings
+from recordings import layout
+from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.writing.frame_streams import FrameStream, frame_streams
+from tests.helpers.live_frames import BODY, frames, known_fuser
+from tests.helpers.pictures import headless_viewer, picture_of, pixels_near
+from tests.helpers.waiting import eventually
+from viewer_app.sinks.live_session import LiveSession
+from viewer_app.viewer.blueprint import session_blueprint
+
+STEP = 1.0 / 512.0  # metres, of the spheres' radii
+PERSON_AT = np.array([0.0, 0.0, 2.6])
+
+
+def exchanged_in_b(made: list[RecordedFrame]) -> list[RecordedFrame]:
+    """The frames as if B had reported left and right exchanged in them."""
+    return [replace(frame, fused=replace(frame.fused, exchanged_b=3)) for frame in made]
+
+
+def stream_of(rows: SessionArrays, entity: str) -> FrameStream:
+    return next(stream for stream in frame_streams(rows) if stream.entity == entity)
+
+
+def test_a_view_has_another_class_while_its_sides_are_exchanged() -> None:
+    made = frames(known_fuser(), 4)
+    rows = SessionArrays.stack(BODY, BODY.nominal_lengths, made[:2] + exchanged_in_b(made[2:]))
+    for side, expected in (("a", ["a"] * 4), ("b", ["b", "b", "exchanged_b", "exchanged_b"])):
+        classes = stream_of(rows, layout.skeleton(side)).values[0]["class_ids"]
+        assert classes.shape == (4, len(BODY))
+        assert classes.tolist() == [[layout.CLASS_IDS[key]] * len(BODY) for key in expected]
+
+
+def test_spheres_have_the_radius_of_one_standard_deviation() -> None:
+    made = frames(known_fuser(), 3)
+    rows = SessionArrays.stack(BODY, BODY.nominal_lengths, made)
+    data = stream_of(rows, layout.FUSED_SKELETON).data
+    assert data is not None
+    half_sizes = np.asarray(data[layout.SIGMA_SPHERES].flatten()).reshape(3, len(BODY), 3)
+    sigma = np.array([frame.fused.sigma for frame in made])
+    np.testing.assert_allclose(half_sizes, np.repeat(sigma[..., None], 3, axis=2), rtol=0, atol=0.51 * STEP)
+
+
+def test_the_papers_methods_have_no_spheres() -> None:
+    fuser = known_fuser()
+    setup = replace(fuser.setup, settings=FuserSettings(method="paper"))
+    rows = SessionArrays.stack(BODY, BODY.nominal_lengths, frames(type(fuser)(setup), 2))
+    data = stream_of(rows, layout.FUSED_SKELETON).data
+    assert data is not None
+    assert layout.SIGMA_SPHERES not in data
+
+
+def shown(view: rrb.View, made: list[RecordedFrame], folder: Path) -> Path:
+    """A session whose viewer shows one view only."""
+    file = folder / "s.rrd"
+    with LiveSession(
+        known_fuser().setup, ("a", "b"), rrb.Blueprint(view, auto_views=False), file=file
+    ) as live:
+        for frame in made:
+            live.write(frame)
+    return file
+
+
+def scenes() -> list[rrb.View]:
+    """The scene of *inspect*, and the one with spheres."""
+    inspect = session_blueprint(known_fuser().setup, PERSON_AT, "inspect").root_container.contents[1]
+    return list(inspect.contents[0].contents[0].contents)
+
+
+def test_a_view_whose_sides_are_exchanged_has_another_colour_in_the_scene(tmp_path: Path) -> None:
+    made = exchanged_in_b(frames(known_fuser(), 10))
+    with headless_viewer(str(shown(scenes()[0], made, tmp_path))) as viewer:
+        color = layout.SKELETON_COLORS["exchanged_b"]
+        assert eventually(lambda: pixels_near(picture_of(viewer, tmp_path / "w.png"), color, 30) > 100, 30.0)
+        assert [report for view in viewer.get_state().views for report in view.reports] == []
+
+
+def test_spheres_are_drawn_about_the_joints(tmp_path: Path) -> None:
+    """Spheres of 0.2 m cover several times the 0.2 % of the window that bones and joints cover."""
+    sigma = np.full(len(BODY), 0.2)
+    made = [replace(f, fused=replace(f.fused, sigma=sigma)) for f in frames(known_fuser(), 10)]
+    with headless_viewer(str(shown(scenes()[1], made, tmp_path))) as viewer:
+
+        def purple() -> float:
+            red, green, blue = np.moveaxis(picture_of(viewer, tmp_path / "w.png").astype(int), 2, 0)
+            return float(((blue - green > 25) & (red - green > 15)).mean())
+
+        assert eventually(lambda: purple() > 0.01, 30.0), purple()
+        assert [report for view in viewer.get_state().views for report in view.reports] == []
