@@ -89,3 +89,14 @@ class SensorOptions:
     """Serial number of the sensor that is K_A, if two are connected; if not given, duplex live asks."""
     sync_master: str | None = None
     """Serial number of the master on the sync cable; needed with Orbbec's wrapper, which cannot detect it."""
+
+
+@dataclass(frozen=True)
+class ZenohOptions:
+    """Where Zenoh meets other programs and machines; only addresses given here are used."""
+
+    zenoh_listen: str | None = None
+    """Wait for others on this address of this machine: tcp/0.0.0.0:7447 for all of its networks. Default, where
+    --zenoh-connect is not given: tcp/127.0.0.1:7447, this machine only."""
+    zenoh_connect: tuple[str, ...] = ()
+    """Connect to others at these addresses: tcp/HOST:7447."""
