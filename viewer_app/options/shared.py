@@ -82,9 +82,10 @@ class SensorOptions:
     """Choice of the two sensors."""
 
     kinect_a: str | None = None
-    """Serial number of the principal sensor K_A; S* is in its frame."""
+    """Serial number of the principal sensor K_A; S* is in its frame. zenoh:KEY: a sensor on another PC, of
+    duplex sensor."""
     kinect_b: str | None = None
-    """Serial number of the secondary sensor K_B."""
+    """Serial number of the secondary sensor K_B, or zenoh:KEY."""
     principal: str | None = None
     """Serial number of the sensor that is K_A, if two are connected; if not given, duplex live asks."""
     sync_master: str | None = None
@@ -96,7 +97,7 @@ class ZenohOptions:
     """Where Zenoh meets other programs and machines; only addresses given here are used."""
 
     zenoh_listen: str | None = None
-    """Wait for others on this address of this machine: tcp/0.0.0.0:7447 for all of its networks. Default, where
-    --zenoh-connect is not given: tcp/127.0.0.1:7447, this machine only."""
+    """Wait for other machines on this address: tcp/0.0.0.0:7447 for all networks of this machine. If neither
+    this nor --zenoh-connect is given: this machine only."""
     zenoh_connect: tuple[str, ...] = ()
     """Connect to others at these addresses: tcp/HOST:7447."""
