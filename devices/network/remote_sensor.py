@@ -25,7 +25,9 @@ _INBOX = 64  # messages: two seconds of frames
 _ASK_NS = 500_000_000
 _SILENT_NS = 1_500_000_000
 _FIRST_REPLIES, _REPLIES_S = 4, 1.0
-_POLL_S, _ANSWER_S = 0.05, 0.5
+_AGAIN_S = 2.0  # a peer that lost its connection tries again after a second at the latest
+_POLL_NS = 50_000_000
+_POLL_S, _ANSWER_S = _POLL_NS * 1e-9, 0.5
 
 
 class RemoteSensor:
@@ -37,7 +39,7 @@ class RemoteSensor:
     Args:
         key: The key of ``duplex sensor --publish``.
         addresses: Where Zenoh meets it.
-        appear_s: How long opening waits for it, seconds; later openings look once.
+        appear_s: How long opening waits for it, seconds; later openings wait 2 s.
         clock: Nanoseconds, of ``host_ns``.
 
     Attributes:
@@ -138,24 +140,28 @@ class RemoteSensor:
         Raises:
             AbsentError: Nothing arrives any more, or the program was started anew.
         """
-        asked_ns = heard_ns = self._clock()
+        asked_ns = before_ns = self._clock()
+        silent_ns = 0
         while not self._interrupted.is_set():
             self._arrival.wait(_POLL_S)
             self._arrival.clear()
             for part, data, at_ns in self._arrived():
                 if part == CLOCK:
                     if self._stream.clock_reply(data, at_ns):
-                        heard_ns = max(heard_ns, at_ns)
+                        silent_ns = 0
                     continue
                 before = self._stream.figures.received
                 yield from self._stream.receive(data, at_ns)
                 if self._stream.figures.received != before:
-                    heard_ns = max(heard_ns, at_ns)
+                    silent_ns = 0
             now_ns = self._clock()
+            # A pause of this thread or of the whole program is no silence of the other one.
+            silent_ns += min(now_ns - before_ns, 2 * _POLL_NS)
+            before_ns = now_ns
             yield from self._stream.poll(now_ns)
             if self._stream.restarted:
                 raise AbsentError(f"{self.name} was started anew.")
-            if now_ns - heard_ns > _SILENT_NS:
+            if silent_ns > _SILENT_NS:
                 raise AbsentError(
                     f"{self.name} is silent for {_SILENT_NS * 1e-9:g} s: its program, its PC or the network "
                     f"is down."
@@ -196,9 +202,9 @@ class RemoteSensor:
         return self._session.declare_subscriber(f"{self._key}/{FRAMES}", take)
 
     def _describe(self) -> None:
-        """Waits for the description; the first opening for long, later ones for one answer."""
+        """Waits for the description; after the first opening only as long as a peer needs to connect."""
         self.waits_for = f"duplex sensor --publish {self._key}"
-        until_s = time.monotonic() + (self._appear_s if self._described is None else 0.0)
+        until_s = time.monotonic() + (self._appear_s if self._described is None else _AGAIN_S)
         fault = ""
         while True:
             for reply in self._session.get(f"{self._key}/{SENSOR}", timeout=_ANSWER_S):
