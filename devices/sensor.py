@@ -78,6 +78,31 @@ class SensorFrame:
     host_ns: int | None = None
 
 
+@dataclass(frozen=True)
+class LinkFigures:
+    """How the messages of a sensor on another machine arrive, counted since the start.
+
+    Attributes:
+        received: Frames that arrived.
+        lost: Frames that never arrived, or too late.
+        reordered: Frames that came after a later one and were put in their place.
+        duplicates: Frames that came twice; the second was left out.
+        malformed: Messages left out because they were damaged or of another program.
+        restarts: How often the other program was started anew.
+        round_trip_ns: Shortest of the recent round trips; None before the first.
+        clock_bound_ns: By how much the relation of the two machines' clocks can be wrong; None if unknown.
+    """
+
+    received: int = 0
+    lost: int = 0
+    reordered: int = 0
+    duplicates: int = 0
+    malformed: int = 0
+    restarts: int = 0
+    round_trip_ns: int | None = None
+    clock_bound_ns: int | None = None
+
+
 class Sensor(Protocol):
     """One source of frames. Building one opens nothing; use it as a context manager."""
 
@@ -149,4 +174,18 @@ class NamesItsWait(Protocol):
     @property
     def waits_for(self) -> str:
         """What it is waiting for, such as "its body tracker, which loads its network"; else empty."""
+        ...
+
+
+@runtime_checkable
+class ArrivesByNetwork(Protocol):
+    """A sensor on another machine."""
+
+    @property
+    def link(self) -> LinkFigures:
+        """How its messages arrive."""
+        ...
+
+    def told(self) -> list[str]:
+        """What happened to its messages since the last call, one line each. Called from another thread."""
         ...

@@ -17,6 +17,7 @@ from viewer_app.options.sensing import (
     DoctorOptions,
     FuseOptions,
     LiveOptions,
+    PublishOptions,
 )
 from viewer_app.options.sessions import (
     CompareOptions,
@@ -30,6 +31,7 @@ from viewer_app.options.sessions import (
 _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "demo": (DemoOptions, "viewer_app.commands.demo"),
     "live": (LiveOptions, "viewer_app.commands.live"),
+    "sensor": (PublishOptions, "viewer_app.commands.sensor"),
     "fuse": (FuseOptions, "viewer_app.commands.fuse"),
     "batch": (BatchOptions, "viewer_app.batch.command"),
     "replay": (ReplayOptions, "viewer_app.commands.replay"),

@@ -24,6 +24,32 @@ class NeedsChoiceError(DeviceError):
         self.serials = serials
 
 
+def choose_one(connected: Sequence[ConnectedKinect], serial: str | None, option: str) -> str:
+    """The serial number of one sensor.
+
+    Args:
+        connected: What is there.
+        serial: The one asked for; None: the only one.
+        option: What the option that names it is called, for the message.
+
+    Raises:
+        DeviceError: It is not there, or more than one is and none is named.
+    """
+    there = sorted(kinect.serial for kinect in connected if kinect.serial is not None)
+    listed = ", ".join(there) or "none"
+    if serial is not None and serial not in there:
+        raise DeviceError(f"No Kinect with serial {serial}. Connected: {listed}. Check its USB and power.")
+    if serial is not None:
+        return serial
+    faults = [kinect.fault for kinect in connected if kinect.fault]
+    if faults:
+        raise DeviceError(f"A Kinect cannot be opened: {faults[0]} Connected: {listed}.")
+    if len(there) != 1:
+        advice = f"Name one with {option}." if there else "Plug it in: USB 3 and its power supply."
+        raise DeviceError(f"Connected Kinects: {listed}. {advice}")
+    return there[0]
+
+
 def choose_two(
     connected: Sequence[ConnectedKinect],
     a: str | None = None,

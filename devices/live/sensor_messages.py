@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
-from devices.sensor import CountsMissed, DeviceError, NamesItsWait, Sensor
+from devices.sensor import (
+    ArrivesByNetwork,
+    CountsMissed,
+    DeviceError,
+    LinkFigures,
+    NamesItsWait,
+    Sensor,
+)
 
 
 def wait_of(sensor: Sensor) -> str:
     """What a sensor is waiting for, if it reports this; else empty."""
     return sensor.waits_for if isinstance(sensor, NamesItsWait) else ""
+
+
+def told_by(sensor: Sensor) -> list[str]:
+    """What happened to a sensor's messages on their way, if it hangs on another PC."""
+    return sensor.told() if isinstance(sensor, ArrivesByNetwork) else []
+
+
+def link_of(sensor: Sensor) -> LinkFigures | None:
+    """How a sensor's messages arrive; None for a sensor of this machine."""
+    return sensor.link if isinstance(sensor, ArrivesByNetwork) else None
 
 
 def missed_by(sensor: Sensor) -> int:

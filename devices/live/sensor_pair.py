@@ -7,12 +7,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from devices.live import sensor_messages as messages
 from devices.live.frame_decimation import FrameDecimation
 from devices.live.sensor_state import SensorEvent, SensorState
 from devices.live.sensor_thread import SensorThread
 from devices.live.stream_pairing import LivePairing, PairingFigures, Side
 from devices.pairing import FramePair
-from devices.sensor import Sensor, SensorFrame
+from devices.sensor import LinkFigures, Sensor, SensorFrame
 
 _POLL_S = 0.01  # latest delay of a pair that no longer waits for a partner
 _CLOSE_S = 3.0  # for both together
@@ -96,6 +97,11 @@ class TwoSensors:
     def figures(self) -> PairingFigures:
         """Counts of the pairing so far."""
         return self._pairing.figures
+
+    @property
+    def links(self) -> tuple[LinkFigures | None, LinkFigures | None]:
+        """How the messages of A and of B arrive; None for a sensor of this machine."""
+        return messages.link_of(self.a.sensor), messages.link_of(self.b.sensor)
 
     @property
     def step(self) -> int:
@@ -213,6 +219,8 @@ class TwoSensors:
 
     def _take_events(self, thread: SensorThread) -> None:
         events = thread.events()
+        name = thread.sensor.name
+        events += [SensorEvent(name, told, self._clock()) for told in messages.told_by(thread.sensor)]
         self._events += events
         for event in events:
             self._tell(event)

@@ -37,6 +37,17 @@ class ZenohAddresses:
     listen: tuple[str, ...] = ()
     connect: tuple[str, ...] = ()
 
+    @staticmethod
+    def of_meeting_point(listen: tuple[str, ...], connect: tuple[str, ...]) -> ZenohAddresses:
+        """The addresses of a program that others connect to: this machine's standard one if none is given."""
+        return ZenohAddresses(listen if listen or connect else (LOOPBACK,), connect)
+
+    @staticmethod
+    def of_visitor(listen: tuple[str, ...], connect: tuple[str, ...]) -> ZenohAddresses:
+        """The addresses of a program that connects to others: to this machine's standard one if none is
+        given."""
+        return ZenohAddresses(listen, connect if listen or connect else (LOOPBACK,))
+
     def __post_init__(self) -> None:
         for address in (*self.listen, *self.connect):
             found = _ENDPOINT.fullmatch(address)

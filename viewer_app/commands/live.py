@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +16,11 @@ from rich.markup import escape
 from devices.azure.kinect import KinectSensor
 from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings, check_modes
 from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects
-from devices.azure.sensor_roles import NeedsChoiceError, cable_notes, choose_two, sync_master
+from devices.azure.sensor_roles import NeedsChoiceError, cable_notes, choose_one, choose_two, sync_master
 from devices.azure.tracking.body_tracker import TrackerSettings, check_smoothing
 from devices.image_thinning import thinned_camera
 from devices.live.frame_decimation import FrameDecimation
 from devices.live.sensor_pair import TwoSensors
-from devices.live.sensor_state import SensorEvent
 from devices.live.stream_pairing import LivePairing, Side
 from devices.sensor import Sensor
 from fusion.calibration.calibration import Calibration, nominal_calibration
@@ -37,6 +36,7 @@ from viewer_app.loop.live_loop import Status, run_live
 from viewer_app.loop.live_summary import check_saved, print_saved, print_session, session_report
 from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.method_options import check_paper_options
+from viewer_app.network_sensors import names_remote, sensors_by_network, teller
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
@@ -57,6 +57,10 @@ def run(options: LiveOptions) -> None:
     """
     console = Console()
     check(options)
+    if names_remote(options):
+        with sensors_by_network(options, console, lambda serial: _one_kinect(options, serial)) as remote:
+            show(options, remote, console)
+        return
     sensors = two_kinects(options, console)
     show(options, sensors, console)
 
@@ -68,7 +72,7 @@ def check(options: LiveOptions) -> None:
         DeviceError, UsageError: With one line for the person who asked.
     """
     _viewing(options)
-    plan_outputs(options, options.listen)
+    plan_outputs(options, options.listen, names_remote(options))
     check_modes(_settings(options, "", None))
     check_smoothing(options.smoothing)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
@@ -130,8 +134,17 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
         decimation=decimation,
         first=first,
         open_s=_opens_within(options),
-        tell=_teller(console),
+        tell=teller(console),
     )
+
+
+def _one_kinect(options: LiveOptions, serial: str | None) -> Sensor:
+    """The sensor of this PC, where the other one is on another PC; it runs without a sync cable."""
+    tracker = TrackerSettings(
+        processing=options.processing, smoothing=options.tracker_smoothing, library=options.k4abt
+    )
+    chosen = choose_one(connected_kinects(), serial, "--kinect-a or --kinect-b")
+    return KinectSensor(chosen, _settings(options, chosen, None), tracker)
 
 
 def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
@@ -144,7 +157,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
     nominal = FusionSetup(calibration or nominal_calibration(a.body), settings)
     warm_up(Fuser(nominal), console)
     watch = _Watch(console)
-    plan = plan_outputs(options, options.listen)
+    plan = plan_outputs(options, options.listen, names_remote(options))
     with CtrlC() as ctrl_c:
         with ExitStack() as opened:
             outputs = opened.enter_context(plan.opened(nominal, options.fps))
@@ -292,7 +305,3 @@ def _save_calibration(path: Path, calibration: Calibration | None) -> None:
         )
     with whole_file(path) as partial:
         partial.write_text(calibration_to_json(calibration), encoding="utf-8")
-
-
-def _teller(console: Console) -> Callable[[SensorEvent], None]:
-    return lambda event: console.print(event.message, style="yellow", highlight=False, markup=False)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 
 from rich.console import Console
 
 from devices.live.sensor_pair import TwoSensors
+from devices.sensor import LinkFigures
 from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.errors import UsageError
@@ -35,10 +37,29 @@ def print_frames(console: Console, sensors: TwoSensors) -> None:
     }
     if any(trouble.values()):
         console.print(", ".join(f"{what} {count}" for what, count in trouble.items() if count) + ".")
+    for side, link in zip("AB", sensors.links, strict=True):
+        if link is not None:
+            console.print(f"{side} by network: {_link_in_words(link)}.", highlight=False)
     if figures.offset_ns is not None:
         console.print(
             f"B's clock less A's: {figures.offset_ns * 1e-6:.1f} ms, drifting {figures.drift_ppm:.0f} ppm."
         )
+
+
+def _link_in_words(link: LinkFigures) -> str:
+    counts = {
+        "lost": link.lost,
+        "out of order": link.reordered,
+        "repeated": link.duplicates,
+        "damaged messages": link.malformed,
+        "restarts": link.restarts,
+    }
+    said = ", ".join(f"{what} {count}" for what, count in counts.items() if count)
+    said = f"{link.received} frames arrived, {said or 'none lost'}"
+    if link.round_trip_ns is None or link.clock_bound_ns is None:
+        return f"{said}; the clocks of the two PCs could not be related"
+    trip_ms, bound_ms = link.round_trip_ns * 1e-6, link.clock_bound_ns * 1e-6
+    return f"{said}; round trip {trip_ms:.1f} ms, clocks related within {bound_ms:.1f} ms"
 
 
 def rows_since_calibration(setup: FusionSetup, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
@@ -83,6 +104,9 @@ def session_report(
     }
     if outputs:
         figures["outputs"] = [output.figures() for output in outputs]
+    links = {side: asdict(link) for side, link in zip("ab", sensors.links, strict=True) if link is not None}
+    if links:
+        figures["network"] = links
     rows = rows_since_calibration(setup, frames)
     if rows is not None:
         figures["seconds"] = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9

@@ -17,6 +17,7 @@ from viewer_app.options.shared import (
     TerminalOptions,
     TrackerOptions,
     ViewerOptions,
+    ZenohOptions,
 )
 
 
@@ -105,3 +106,35 @@ class DoctorOptions(TrackerOptions, SensorOptions):
 
     The exit code is 0 if duplex live could start, 1 if not.
     """
+
+
+@dataclass(frozen=True)
+class PublishOptions(ZenohOptions, TrackerOptions):
+    """Run one sensor and its body tracker on this PC, and publish its skeletons for duplex live on another.
+
+    There: duplex live --zenoh-listen tcp/0.0.0.0:7447 --kinect-a zenoh:KEY_A --kinect-b zenoh:KEY_B.
+    Nothing is encrypted: use it in a network that you trust.
+    """
+
+    publish: str = field(kw_only=True)
+    """The key to publish under, such as lab/a."""
+    kinect: str | None = None
+    """Serial number of the sensor; the only one connected if not given."""
+    recording: Path | None = None
+    """Play a recording in real time instead of a sensor: .csv, .json, .skeleton or .mkv."""
+    simulate: Literal["a", "b"] | None = None
+    """Simulate sensor a or b instead; two programs see the same person, by the clocks of their PCs."""
+    motion: str = "walk"
+    """With --simulate: a movement of the library (duplex demo --motion list), or a BVH file."""
+    body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
+    """With --simulate: whose body tracker."""
+    depth: bool = False
+    """Publish the depth images, too, without loss: up to 10 MB per second."""
+    depth_mode: Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"] = "NFOV_UNBINNED"
+    """Narrow and far, or wide and near."""
+    fps: Literal[5, 15, 30] = 30
+    """Frames per second."""
+    seconds: float | None = None
+    """End after this many seconds; if not given, end with Ctrl-C."""
+    quiet: bool = False
+    """Print only warnings."""

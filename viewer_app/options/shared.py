@@ -102,9 +102,10 @@ class SensorOptions:
     """Choice of the two sensors."""
 
     kinect_a: str | None = None
-    """Serial number of the principal sensor K_A; S* is in its frame."""
+    """Serial number of the principal sensor K_A; S* is in its frame. zenoh:KEY: a sensor on another PC, of
+    duplex sensor."""
     kinect_b: str | None = None
-    """Serial number of the secondary sensor K_B."""
+    """Serial number of the secondary sensor K_B, or zenoh:KEY."""
     principal: str | None = None
     """Serial number of the sensor that is K_A, if two are connected; if not given, duplex live asks."""
     sync_master: str | None = None
@@ -112,7 +113,18 @@ class SensorOptions:
 
 
 @dataclass(frozen=True)
-class LiveOutputOptions:
+class ZenohOptions:
+    """Where Zenoh meets other programs and machines; only addresses given here are used."""
+
+    zenoh_listen: tuple[str, ...] = ()
+    """Wait for other machines on these addresses: tcp/0.0.0.0:7447 for all networks of this machine. If neither
+    this nor --zenoh-connect is given: this machine only."""
+    zenoh_connect: tuple[str, ...] = ()
+    """Connect to others at these addresses: tcp/HOST:7447."""
+
+
+@dataclass(frozen=True)
+class LiveOutputOptions(ZenohOptions):
     """Where S* is sent while the loop runs."""
 
     vmc: str | None = None
@@ -127,10 +139,6 @@ class LiveOutputOptions:
     """Port of a WebSocket server: JSON, and a page that draws the skeleton."""
     zenoh: str | None = None
     """Zenoh key to publish JSON under; needs the extra zenoh."""
-    zenoh_listen: tuple[str, ...] = ()
-    """With --zenoh: addresses to listen on; tcp/127.0.0.1:7447 if none is given."""
-    zenoh_connect: tuple[str, ...] = ()
-    """With --zenoh: addresses of routers or peers to connect to."""
 
     @property
     def listens(self) -> bool:

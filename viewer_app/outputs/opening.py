@@ -91,14 +91,22 @@ class OutputPlan:
 
             yield WebSocketOutput(options.websocket, setup, self.listen)
         if options.zenoh is not None:
-            from viewer_app.outputs.zenoh_topic import ZenohOutput, addresses_of
+            from devices.network.zenoh_session import ZenohAddresses
+            from viewer_app.outputs.zenoh_topic import ZenohOutput
 
-            addresses = addresses_of(options.zenoh_listen, options.zenoh_connect)
+            addresses = ZenohAddresses.of_meeting_point(options.zenoh_listen, options.zenoh_connect)
             yield ZenohOutput(options.zenoh, addresses, setup)
 
 
-def plan_outputs(options: LiveOutputOptions, listen: str | None = None) -> OutputPlan:
+def plan_outputs(
+    options: LiveOutputOptions, listen: str | None = None, remote_sensors: bool = False
+) -> OutputPlan:
     """Checks the options of the outputs and reads the avatar; opens nothing.
+
+    Args:
+        options: The command line's.
+        listen: Address of this machine for receivers on other machines; None: this machine only.
+        remote_sensors: Whether the Zenoh addresses are used by sensors as well.
 
     Raises:
         DeviceError, UsageError: An option is wrong, or its package is missing.
@@ -116,13 +124,12 @@ def plan_outputs(options: LiveOutputOptions, listen: str | None = None) -> Outpu
             raise UsageError("--lsl needs a name for the stream.")
         load_pylsl(others=listen is not None)
     if options.zenoh is not None:
-        from devices.network.zenoh_session import checked_key, load_zenoh
-        from viewer_app.outputs.zenoh_topic import addresses_of
+        from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zenoh
 
         load_zenoh()
         checked_key(options.zenoh)
-        addresses_of(options.zenoh_listen, options.zenoh_connect)
-    elif options.zenoh_listen or options.zenoh_connect:
+        ZenohAddresses.of_meeting_point(options.zenoh_listen, options.zenoh_connect)
+    elif (options.zenoh_listen or options.zenoh_connect) and not remote_sensors:
         raise UsageError("--zenoh-listen and --zenoh-connect are addresses for --zenoh; give its key, too.")
     avatar = None if options.avatar is None else read_avatar(options.avatar)
     return OutputPlan(options, listen, vmc, vrchat, avatar)

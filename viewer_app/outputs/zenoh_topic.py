@@ -4,22 +4,13 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
-from devices.network.zenoh_session import LOOPBACK, ZenohAddresses, checked_key, load_zenoh, zenoh_session
+from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zenoh, zenoh_session
 from fusion.setup import FusionSetup
 from viewer_app.outputs.output import LiveOutput, TimedFrame, TimedNote
 from viewer_app.outputs.skeleton_json import SkeletonJson
 
 _KEEP = 64
 _HELLO_EVERY_NS = 1_000_000_000  # for those who come later
-
-
-def addresses_of(listen: tuple[str, ...], connect: tuple[str, ...]) -> ZenohAddresses:
-    """The addresses; this machine's standard one if none is given.
-
-    Raises:
-        DeviceError: One of them is no address.
-    """
-    return ZenohAddresses(listen if listen or connect else (LOOPBACK,), connect)
 
 
 class ZenohOutput(LiveOutput):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from contextlib import ExitStack
 
 import psutil
 import pytest
@@ -17,15 +18,16 @@ zenoh = pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip
 
 def test_a_message_reaches_a_peer_that_opened_later() -> None:
     address, got = free_address(), []
-    with zenoh_session(ZenohAddresses(connect=(address,))) as early:
-        with zenoh_session(ZenohAddresses(listen=(address,))) as late:
-            late.declare_subscriber("lab/test", lambda sample: got.append(bytes(sample.payload)))
+    with ExitStack() as stack:
+        early = stack.enter_context(zenoh_session(ZenohAddresses(connect=(address,))))
+        late = stack.enter_context(zenoh_session(ZenohAddresses(listen=(address,))))
+        late.declare_subscriber("lab/test", lambda sample: got.append(bytes(sample.payload)))
 
-            def put() -> bool:
-                early.put("lab/test", b"here")
-                return bool(got)
+        def put() -> bool:
+            early.put("lab/test", b"here")
+            return bool(got)
 
-            assert eventually(put)
+        assert eventually(put)
     assert set(got) == {b"here"}
 
 
@@ -53,9 +55,9 @@ def test_a_busy_address_gives_one_line() -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", int(address.rpartition(":")[2])))
         other.listen()
+        busy = zenoh_session(ZenohAddresses(listen=(address,)))
         with pytest.raises(DeviceError, match="Zenoh cannot use") as fault:
-            with zenoh_session(ZenohAddresses(listen=(address,))):
-                pass
+            busy.__enter__()
     assert address in str(fault.value)
     assert "\n" not in str(fault.value)
     assert ".rs" not in str(fault.value)

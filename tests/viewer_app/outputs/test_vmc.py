@@ -130,7 +130,7 @@ HALF = math.sqrt(0.5)
         # left thigh from −y to +z, the shin hanging: Euler(−90, 0, 0)
         ({"KneeLeft": FRONT}, "LeftUpperLeg", (-HALF, 0.0, 0.0, HALF)),
         # left arm hanging, from −x to −y: Euler(0, 0, 90)
-        ({j: (0.0, 1.0, 0.0) for j in ("ElbowLeft", "WristLeft", "HandLeft")}, "LeftUpperArm", (0, 0, HALF, HALF)),
+        (dict.fromkeys(("ElbowLeft", "WristLeft", "HandLeft"), (0.0, 1.0, 0.0)), "LeftUpperArm", (0, 0, HALF, HALF)),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)

@@ -1,0 +1,156 @@
+"""Publishes a sensor's frames over Zenoh, describes the sensor and answers for this machine's clock."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from types import TracebackType
+from typing import Any
+
+from devices.live.sensor_state import SensorEvent, SensorState
+from devices.live.sensor_thread import SensorThread
+from devices.network.messages import (
+    ClockMessage,
+    FrameMessage,
+    MalformedError,
+    SensorMessage,
+    decode_clock,
+    encode_clock,
+    encode_frame,
+    encode_sensor,
+)
+from devices.network.remote_sensor import CLOCK, FRAMES, SENSOR
+from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zenoh, zenoh_session
+from devices.sensor import Sensor, SensorFrame
+
+_LARGEST_REQUEST = 256  # bytes; a clock request has 56
+_POLL_S = 0.05
+
+
+class FramePublisher:
+    """Publishes frames under a key. Use it as a context manager; ``publish`` never blocks.
+
+    Args:
+        key: The key to publish under.
+        addresses: Where Zenoh meets those who fuse.
+        sensor: The open sensor, for its name, body and camera.
+        interval_ns: Nominal time between two frames.
+        depth: Whether depth images are published, too.
+        clock: Nanoseconds, of ``host_ns``.
+
+    Attributes:
+        session: The number of this run; another run has another one.
+        published: Frames so far.
+        bytes_sent: Bytes so far.
+        requests: Clock requests that were answered.
+        malformed: Requests that were left out.
+    """
+
+    def __init__(
+        self,
+        key: str,
+        addresses: ZenohAddresses,
+        sensor: Sensor,
+        *,
+        interval_ns: int = 33_333_333,
+        depth: bool = False,
+        clock: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
+        self.session = secrets.randbits(64)
+        self.published = self.bytes_sent = self.requests = self.malformed = 0
+        self._key, self._addresses, self._depth, self._clock = checked_key(key), addresses, depth, clock
+        self._description = encode_sensor(
+            SensorMessage(self.session, sensor.name, sensor.body, sensor.intrinsics, interval_ns)
+        )
+        self._stack = ExitStack()
+        self._publisher: Any = None
+
+    def __enter__(self) -> FramePublisher:
+        """Opens the session.
+
+        Raises:
+            DeviceError: Zenoh is missing, or an address is busy.
+        """
+        zenoh = load_zenoh()
+        session = self._stack.enter_context(zenoh_session(self._addresses))
+        declare = self._stack.enter_context
+        # A full queue drops frames: an old skeleton is worth less than the next one. Express frames are not
+        # held back to be sent together with others.
+        self._publisher = declare(
+            session.declare_publisher(
+                f"{self._key}/{FRAMES}",
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+                express=True,
+            )
+        )
+        declare(session.declare_queryable(f"{self._key}/{SENSOR}", self._describe))
+        declare(session.declare_queryable(f"{self._key}/{CLOCK}", self._answer))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Closes the session."""
+        self._stack.close()
+
+    def publish(self, frame: SensorFrame) -> None:
+        """Sends a frame to whoever is there."""
+        if not self._depth:
+            frame = replace(frame, depth=None)
+        message = encode_frame(FrameMessage(self.session, self.published, frame, self._clock()))
+        self._publisher.put(message)
+        self.published += 1
+        self.bytes_sent += len(message)
+
+    def _describe(self, query: Any) -> None:
+        with query:
+            query.reply(f"{self._key}/{SENSOR}", self._description)
+
+    def _answer(self, query: Any) -> None:
+        came_ns = self._clock()
+        with query:
+            payload = query.payload
+            try:
+                if payload is None or len(payload) > _LARGEST_REQUEST:
+                    raise MalformedError("No clock request.")
+                asked_ns = decode_clock(payload.to_bytes()).asked_ns
+            except MalformedError:
+                self.malformed += 1
+                return
+            self.requests += 1
+            reply = ClockMessage(self.session, asked_ns, came_ns, self._clock())
+            query.reply(f"{self._key}/{CLOCK}", encode_clock(reply))
+
+
+def publish_until(
+    thread: SensorThread,
+    publisher: FramePublisher,
+    stopped: threading.Event,
+    tell: Callable[[SensorEvent], None] = lambda _: None,
+) -> None:
+    """Publishes an open sensor's frames until it ends or ``stopped`` is set.
+
+    Args:
+        thread: The sensor, open.
+        publisher: Where its frames go.
+        stopped: Set from a signal handler or another thread.
+        tell: Told of every event of the sensor.
+
+    Raises:
+        DeviceError: A fault of the program or of a driver inside the sensor.
+    """
+    while not stopped.is_set():
+        ended = thread.state is SensorState.ENDED
+        thread.arrival.wait(0.0 if ended else _POLL_S)
+        thread.arrival.clear()
+        for _, frame in thread.take():
+            publisher.publish(frame)
+        for event in thread.events():
+            tell(event)
+        if ended:
+            return

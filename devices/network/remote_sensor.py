@@ -1,0 +1,253 @@
+"""A sensor that hangs on another PC, where ``duplex sensor`` publishes its skeletons over Zenoh."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from typing import Any
+
+from devices.network.link_events import LinkEvents
+from devices.network.messages import MalformedError, SensorMessage, decode_sensor
+from devices.network.remote_stream import RemoteStream
+from devices.network.zenoh_session import LARGEST_MESSAGE, ZenohAddresses, checked_key, zenoh_session
+from devices.sensor import AbsentError, DeviceError, LinkFigures, SensorFrame
+from fusion.body import Body
+from fusion.intrinsics import Intrinsics
+
+PREFIX = "zenoh:"
+FRAMES, SENSOR, CLOCK = "frames", "sensor", "clock"
+"""What is under a sensor's key: its frames (published), its description and its clock (asked for)."""
+
+_INBOX = 64  # messages: two seconds of frames
+_ASK_NS = 500_000_000
+_SILENT_NS = 1_500_000_000
+_FIRST_REPLIES, _REPLIES_S = 4, 1.0
+_AGAIN_S = 2.0  # a peer that lost its connection tries again after a second at the latest
+_POLL_NS = 50_000_000
+_POLL_S, _ANSWER_S = _POLL_NS * 1e-9, 0.5
+
+
+class RemoteSensor:
+    """Gives the frames that arrive under a key; their ``host_ns`` is on this machine's clock.
+
+    A program that is killed or started anew raises ``AbsentError``, so that the thread that runs this sensor
+    takes it back when it returns.
+
+    Args:
+        key: The key of ``duplex sensor --publish``.
+        addresses: Where Zenoh meets it.
+        appear_s: How long opening waits for it, seconds; later openings wait 2 s.
+        clock: Nanoseconds, of ``host_ns``.
+
+    Attributes:
+        name: ``zenoh:`` and the key.
+        waits_for: What opening waits for; else empty.
+    """
+
+    def __init__(
+        self,
+        key: str,
+        addresses: ZenohAddresses,
+        *,
+        appear_s: float = 30.0,
+        clock: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
+        self.name = PREFIX + checked_key(key)
+        self.warnings: list[str] = []
+        self.waits_for = ""
+        self._key, self._addresses, self._clock = key, addresses, clock
+        self._appear_s = appear_s
+        self._described: SensorMessage | None = None
+        self._stream = RemoteStream()
+        self._events = LinkEvents(self.name)
+        self._told: deque[str] = deque(maxlen=20)
+        self._overflow = self._too_large = 0
+        self._inbox: deque[tuple[str, bytes, int]] = deque()
+        self._arrival, self._interrupted = threading.Event(), threading.Event()
+        self._stack = ExitStack()
+        self._session: Any = None
+
+    @property
+    def body(self) -> Body:
+        """The body that its tracker reports; known once it has described itself."""
+        return self._known().body
+
+    @property
+    def intrinsics(self) -> Intrinsics | None:
+        """Of its depth camera; known once it has described itself."""
+        return self._known().intrinsics
+
+    @property
+    def interval_ns(self) -> int:
+        """Nominal time between two frames; known once it has described itself."""
+        return self._known().interval_ns
+
+    @property
+    def missed(self) -> int:
+        """Frames that never arrived, arrived too late, or that this program was too slow for."""
+        return self._stream.figures.lost
+
+    @property
+    def link(self) -> LinkFigures:
+        """How its messages arrive."""
+        return self._stream.figures
+
+    def told(self) -> list[str]:
+        """What happened to its messages since the last call."""
+        told = []
+        with suppress(IndexError):
+            while True:
+                told.append(self._told.popleft())
+        return told
+
+    def __enter__(self) -> RemoteSensor:
+        """Waits for the sensor's program and relates its clock to this machine's.
+
+        Raises:
+            AbsentError: It is not there.
+            DeviceError: Zenoh is missing or an address is busy, or it reports another body than before.
+        """
+        self.__exit__()
+        self._interrupted.clear()
+        self._inbox.clear()
+        try:
+            self._session = self._stack.enter_context(zenoh_session(self._addresses))
+            self._describe()
+            self._stack.enter_context(self._subscriber())
+            self._relate_clocks()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Leaves the session. Closing twice has no effect."""
+        self.waits_for = ""
+        self._session = None
+        self._stack.close()
+
+    def interrupt(self) -> None:
+        """Makes opening and ``frames`` end soon."""
+        self._interrupted.set()
+        self._arrival.set()
+
+    def frames(self) -> Iterator[SensorFrame]:
+        """The frames in order, until interrupted.
+
+        Raises:
+            AbsentError: Nothing arrives any more, or the program was started anew.
+        """
+        asked_ns = before_ns = self._clock()
+        silent_ns = 0
+        while not self._interrupted.is_set():
+            self._arrival.wait(_POLL_S)
+            self._arrival.clear()
+            for part, data, at_ns in self._arrived():
+                if part == CLOCK:
+                    if self._stream.clock_reply(data, at_ns):
+                        silent_ns = 0
+                    continue
+                before = self._stream.figures.received
+                yield from self._stream.receive(data, at_ns)
+                if self._stream.figures.received != before:
+                    silent_ns = 0
+            now_ns = self._clock()
+            # A pause of this thread or of the whole program is no silence of the other one.
+            silent_ns += min(now_ns - before_ns, 2 * _POLL_NS)
+            before_ns = now_ns
+            yield from self._stream.poll(now_ns)
+            if self._stream.restarted:
+                raise AbsentError(f"{self.name} was started anew.")
+            if silent_ns > _SILENT_NS:
+                raise AbsentError(
+                    f"{self.name} is silent for {_SILENT_NS * 1e-9:g} s: its program, its PC or the network "
+                    f"is down."
+                )
+            if now_ns - asked_ns > (_ASK_NS // 5 if self._stream.strange else _ASK_NS):
+                asked_ns = now_ns
+                self._stream.strange = False
+                self._ask_clock()
+            self._told += self._events.observe(self._stream.figures, now_ns)
+
+    def _known(self) -> SensorMessage:
+        if self._described is None:
+            raise DeviceError(f"{self.name} is not open.")
+        return self._described
+
+    def _arrived(self) -> list[tuple[str, bytes, int]]:
+        arrived = []
+        with suppress(IndexError):
+            while True:
+                arrived.append(self._inbox.popleft())
+        return arrived
+
+    def _take(self, part: str, payload: Any) -> None:
+        """Takes a message on a thread of Zenoh: does little, never blocks, bounded memory."""
+        at_ns = self._clock()
+        if len(payload) > LARGEST_MESSAGE:
+            return
+        if len(self._inbox) >= _INBOX:  # the sequence numbers show what is missing
+            with suppress(IndexError):
+                self._inbox.popleft()
+        self._inbox.append((part, payload.to_bytes(), at_ns))
+        self._arrival.set()
+
+    def _subscriber(self) -> Any:
+        def take(sample: Any) -> None:
+            self._take(FRAMES, sample.payload)
+
+        return self._session.declare_subscriber(f"{self._key}/{FRAMES}", take)
+
+    def _describe(self) -> None:
+        """Waits for the description; after the first opening only as long as a peer needs to connect."""
+        self.waits_for = f"duplex sensor --publish {self._key}"
+        until_s = time.monotonic() + (self._appear_s if self._described is None else _AGAIN_S)
+        fault = ""
+        while True:
+            for reply in self._session.get(f"{self._key}/{SENSOR}", timeout=_ANSWER_S):
+                if reply.ok is None:
+                    continue
+                try:
+                    described = decode_sensor(reply.ok.payload.to_bytes()[:LARGEST_MESSAGE])
+                except MalformedError as malformed:
+                    fault = f" Its answer was not understood: {malformed}"
+                    continue
+                if self._described is not None and described.body is not self._described.body:
+                    raise DeviceError(
+                        f"{self.name} reports {described.body.name} now and reported "
+                        f"{self._described.body.name} before. End duplex live and start it again."
+                    )
+                self._described = described
+                self._stream.begin(described)
+                self.waits_for = ""
+                return
+            if self._interrupted.is_set() or time.monotonic() >= until_s:
+                raise AbsentError(
+                    f"Nobody publishes {self._key!r} at {self._where()}. Start duplex sensor --publish "
+                    f"{self._key} on the PC of the sensor, and check the address and the firewall.{fault}"
+                )
+            self._interrupted.wait(0.1)
+
+    def _where(self) -> str:
+        return ", ".join((*self._addresses.listen, *self._addresses.connect))
+
+    def _relate_clocks(self) -> None:
+        until_s = time.monotonic() + _REPLIES_S
+        while self._stream.replies < _FIRST_REPLIES and time.monotonic() < until_s:
+            self._arrival.clear()
+            self._ask_clock()
+            self._arrival.wait(_POLL_S)
+            for part, data, at_ns in self._arrived():
+                if part == CLOCK:
+                    self._stream.clock_reply(data, at_ns)
+
+    def _ask_clock(self) -> None:
+        def take(reply: Any) -> None:
+            if reply.ok is not None:
+                self._take(CLOCK, reply.ok.payload)
+
+        request = self._stream.clock_request(self._clock())
+        self._session.get(f"{self._key}/{CLOCK}", take, payload=request, timeout=_ANSWER_S)

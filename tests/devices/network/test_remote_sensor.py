@@ -1,0 +1,238 @@
+"""A remote sensor over real Zenoh sessions: frames, clocks, absence, restarts, hostile input."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+
+import numpy as np
+import psutil
+import pytest
+
+from devices.live.sensor_state import SensorState
+from devices.live.sensor_thread import SensorThread
+from devices.network.messages import FrameMessage, encode_frame
+from devices.network.publishing import FramePublisher, publish_until
+from devices.network.remote_sensor import CLOCK, FRAMES, SENSOR, RemoteSensor
+from devices.network.zenoh_session import ZenohAddresses, zenoh_session
+from devices.sensor import AbsentError, DeviceError, SensorFrame
+from fusion.body import AZURE_KINECT, KINECT_V2
+from fusion.intrinsics import Intrinsics
+from fusion.skeleton import Skeleton
+from tests.helpers.network import free_address
+from tests.helpers.scripted_sensor import ScriptedSensor, frame_at
+from tests.helpers.waiting import eventually
+
+pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip install -e '.[zenoh]'")
+
+KEY = "lab/a"
+CAMERA = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5)
+
+
+@pytest.fixture
+def address() -> str:
+    return free_address()
+
+
+@contextmanager
+def publisher(address: str, sensor: ScriptedSensor | None = None, **more: bool) -> Iterator[FramePublisher]:
+    sensor = sensor or ScriptedSensor("000123")
+    with FramePublisher(KEY, ZenohAddresses(connect=(address,)), sensor, **more) as open_publisher:
+        yield open_publisher
+
+
+def remote(address: str, appear_s: float = 20.0) -> RemoteSensor:
+    return RemoteSensor(KEY, ZenohAddresses(listen=(address,)), appear_s=appear_s)
+
+
+def frames_through(published: FramePublisher, thread: SensorThread, wanted: int) -> list[SensorFrame]:
+    """Publishes frames until so many have arrived."""
+    came: list[SensorFrame] = []
+
+    def more() -> bool:
+        published.publish(frame_at(1_000_000 * published.published, people=True))
+        came.extend(frame for _, frame in thread.take())
+        return len(came) >= wanted
+
+    assert eventually(more)
+    return came
+
+
+def test_published_frames_arrive_in_order_with_their_capture_times(address: str) -> None:
+    with publisher(address) as published, SensorThread(remote(address), keep=64) as thread:
+        clock = published._clock
+        sent_from = clock()
+        came = frames_through(published, thread, 20)
+        assert thread.sensor.body is AZURE_KINECT
+        times = [frame.time_ns for frame in came]
+        assert times == sorted(set(times))
+        assert set(came[0].people) == {"1"}
+        link = thread.sensor.link
+        assert link.lost == 0
+        # both programs run on one clock here: what the relation of the clocks claims can be checked
+        assert link.clock_bound_ns is not None
+        for frame in came:
+            assert frame.host_ns is not None
+            assert sent_from - link.clock_bound_ns <= frame.host_ns <= clock()
+
+
+def test_depth_images_arrive_if_asked_for(address: str) -> None:
+    image = np.arange(64 * 48, dtype=np.uint16).reshape(48, 64)
+    sensor = ScriptedSensor()
+    sensor.intrinsics = CAMERA
+    for depth in (True, False):
+        with publisher(address, sensor, depth=depth) as published, remote(address) as far:
+            assert far.intrinsics == CAMERA
+            frames = far.frames()
+
+            def send(to: FramePublisher = published) -> bool:
+                to.publish(SensorFrame(to.published, depth=image))
+                return bool(far._inbox)
+
+            assert eventually(send)
+            got = next(frames)
+            frames.close()
+            assert (got.depth is not None) == depth
+            if got.depth is not None:
+                assert np.array_equal(got.depth, image)
+
+
+def test_a_sensor_that_is_not_there_gives_one_line(address: str) -> None:
+    with pytest.raises(
+        AbsentError, match=r"Nobody publishes 'lab/a' at tcp/.*Start duplex sensor --publish lab/a"
+    ):
+        remote(address, appear_s=0.0).__enter__()
+
+
+def test_waiting_for_a_sensor_can_be_interrupted(address: str) -> None:
+    far = remote(address, appear_s=3600.0)
+    thread = SensorThread(far)
+
+    def open_it() -> None:
+        with suppress(DeviceError):
+            thread.open(3600.0)
+
+    opening = threading.Thread(target=open_it)
+    opening.start()
+    assert eventually(lambda: far.waits_for == "duplex sensor --publish lab/a")
+    thread.end()
+    opening.join(20.0)
+    assert not opening.is_alive()
+
+
+def test_a_program_that_is_started_anew_is_taken_back(address: str) -> None:
+    with ExitStack() as stack:
+        stack.enter_context(zenoh_session(ZenohAddresses(listen=(address,))))
+        far = remote(address)
+        with publisher(address) as published:
+            thread = stack.enter_context(SensorThread(far, keep=64, retry_s=0.05))
+            frames_through(published, thread, 5)
+        assert eventually(lambda: thread.state is SensorState.LOST)
+        with publisher(address) as published:
+            assert eventually(lambda: thread.state is SensorState.RUNNING)
+            frames_through(published, thread, 5)
+        assert thread.returns == 1
+        assert far.link.restarts == 1
+        said = [event.message for event in thread.events()]
+        assert any("zenoh:lab/a is silent for 1.5 s" in line or "started anew" in line for line in said)
+        assert "zenoh:lab/a is back." in said
+
+
+def test_a_program_that_is_replaced_within_a_moment_is_noticed(address: str) -> None:
+    """Another run begins before the silence of the first is noticed; its clock and numbers are its own."""
+    with ExitStack() as stack:
+        first = publisher(address)
+        published = first.__enter__()
+        thread = stack.enter_context(SensorThread(remote(address), keep=64, retry_s=0.05))
+        frames_through(published, thread, 5)
+        first.__exit__(None, None, None)
+        with publisher(address) as published:
+            frames_through(published, thread, 5)
+            assert thread.sensor.link.restarts == 1
+
+
+def test_another_body_after_a_restart_gives_one_line(address: str) -> None:
+    far = remote(address)
+    with publisher(address), far:
+        pass
+    sensor = ScriptedSensor()
+    sensor.body = KINECT_V2
+    with (
+        publisher(address, sensor),
+        pytest.raises(DeviceError, match="reports kinect_v2 now and reported azure"),
+    ):
+        far.__enter__()
+
+
+def test_publishing_ends_with_its_sensor_and_keeps_the_order(address: str) -> None:
+    sensor = ScriptedSensor()
+    told: list[str] = []
+    with remote_after(publisher(address, sensor), address) as (published, far):
+        with SensorThread(sensor, keep=8) as thread:
+            sensor.put(*(frame_at(k, people=True) for k in range(5)), None)
+            assert eventually(lambda: thread.state is SensorState.ENDED)
+            publish_until(thread, published, threading.Event(), lambda event: told.append(event.message))
+        assert published.published == 5
+        frames = far.frames()
+        assert [next(frames).time_ns for _ in range(5)] == [0, 1, 2, 3, 4]
+    assert told == []
+
+
+@contextmanager
+def remote_after(
+    opening: AbstractContextManager[FramePublisher], address: str
+) -> Iterator[tuple[FramePublisher, RemoteSensor]]:
+    """A publisher and a remote sensor that hears it."""
+    with opening as published, remote(address) as far:
+
+        def heard() -> bool:
+            return bool(published._publisher.matching_status.matching)
+
+        assert eventually(heard)
+        yield published, far
+
+
+def test_ten_thousand_random_and_damaged_messages_change_nothing(
+    address: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """No traceback, no stall: good frames sent in between and afterwards arrive. Memory stays flat."""
+    rng = np.random.default_rng(5)
+    person = Skeleton.of(AZURE_KINECT, rng.uniform(0.5, 2.0, (32, 3)))
+    good = encode_frame(FrameMessage(1, 0, SensorFrame(0, {"1": person}), 0))
+    hostile = ZenohAddresses(connect=(address,))
+    with ExitStack() as stack:
+        published = stack.enter_context(publisher(address))
+        thread = stack.enter_context(SensorThread(remote(address), keep=64))
+        far = thread.sensor
+        frames_through(published, thread, 5)
+        process, memory = psutil.Process(), list[int]()
+        session = stack.enter_context(zenoh_session(hostile))
+        for k in range(10_000):
+            kind = k % 4
+            if kind == 0:
+                data = rng.bytes(int(rng.integers(0, 2000)))
+            elif kind == 1:
+                data = good[: int(rng.integers(len(good)))]
+            else:
+                damaged = bytearray(good)
+                for at in rng.integers(0, len(good), kind):
+                    damaged[at] ^= int(rng.integers(1, 256))
+                data = bytes(damaged)
+            session.put(f"{KEY}/{FRAMES}", data)
+            if k % 1000 == 999:
+                frames_through(published, thread, 1)
+                memory.append(process.memory_info().rss)
+        for _ in range(50):
+            for part in (CLOCK, SENSOR):
+                for _ in session.get(f"{KEY}/{part}", payload=rng.bytes(60), timeout=1.0):
+                    pass
+        frames_through(published, thread, 5)
+        assert thread.state is SensorState.RUNNING
+        assert thread.returns == 0
+        assert far.link.malformed > 100  # the rest was left out because the newest count
+        assert published.malformed > 0
+        assert max(memory) - memory[1] < 20e6
+    said = capfd.readouterr()
+    assert "Traceback" not in said.out + said.err
+    assert "panicked" not in said.out + said.err

@@ -1,0 +1,232 @@
+"""Order, clocks and restarts of remote sensors in virtual time; losses, jitter and reordering injected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from devices.live.stream_pairing import LivePairing
+from devices.network.messages import ClockMessage, FrameMessage, SensorMessage, encode_clock, encode_frame
+from devices.network.remote_clock import RemoteClock
+from devices.network.remote_stream import PATIENCE_NS, RemoteStream
+from devices.network.reordering import ReorderBuffer
+from devices.pairing import FramePair
+from devices.sensor import SensorFrame
+from fusion.body import AZURE_KINECT
+from tests.helpers.network import Journey, arrivals
+
+MS, SECOND = 1_000_000, 1_000_000_000
+HOST_AHEAD_NS = 7 * SECOND  # the publishing PC's clock minus ours
+
+
+def opened(session: int = 1) -> RemoteStream:
+    stream = RemoteStream()
+    stream.begin(SensorMessage(session, "k", AZURE_KINECT, None, 33_333_333))
+    return stream
+
+
+def frame(sequence: int, session: int = 1, host_ns: int = 0) -> bytes:
+    return encode_frame(FrameMessage(session, sequence, SensorFrame(sequence * 33 * MS, host_ns=host_ns), 0))
+
+
+def times(frames: list[SensorFrame]) -> list[int]:
+    return [frame.time_ns // (33 * MS) for frame in frames]
+
+
+def test_messages_in_order_are_given_at_once() -> None:
+    buffer = ReorderBuffer[str](PATIENCE_NS)
+    assert [buffer.add(number, f"{number}", number) for number in (5, 6, 7)] == [["5"], ["6"], ["7"]]
+    assert buffer.due_ns is None
+
+
+def test_a_message_that_was_overtaken_is_put_in_its_place() -> None:
+    buffer = ReorderBuffer[int](PATIENCE_NS)
+    assert buffer.add(0, 0, 0) == [0]
+    assert buffer.add(2, 2, 10) == []
+    assert buffer.due_ns == 10 + PATIENCE_NS
+    assert buffer.add(3, 3, 11) == []
+    assert buffer.add(1, 1, 12) == [1, 2, 3]
+    assert (buffer.figures.reordered, buffer.figures.lost) == (1, 0)
+
+
+def test_a_lost_message_is_waited_for_as_long_as_said_and_no_longer() -> None:
+    buffer = ReorderBuffer[int](PATIENCE_NS)
+    buffer.add(0, 0, 0)
+    assert buffer.add(2, 2, 10) == []
+    assert buffer.poll(10 + PATIENCE_NS - 1) == []
+    assert buffer.poll(10 + PATIENCE_NS) == [2]
+    assert buffer.figures.lost == 1
+    assert buffer.add(1, 1, 10 + PATIENCE_NS + 1) == []
+    assert (buffer.figures.late, buffer.figures.duplicates) == (1, 0)
+
+
+def test_a_message_that_comes_twice_is_given_once() -> None:
+    buffer = ReorderBuffer[int](PATIENCE_NS)
+    given = [number for at, n in enumerate((0, 0, 2, 2, 1, 1, 2)) for number in buffer.add(n, n, at)]
+    assert given == [0, 1, 2]
+    assert buffer.figures.duplicates == 4
+
+
+def test_the_buffer_is_bounded() -> None:
+    buffer = ReorderBuffer[int](PATIENCE_NS, most=4)
+    buffer.add(0, 0, 0)
+    assert [n for k in range(2, 8) for n in buffer.add(k, k, 0)] == [2, 3, 4, 5, 6, 7]
+    assert buffer.figures.lost == 1
+
+
+def test_the_clock_of_another_pc_is_known_within_half_of_the_shortest_round_trip() -> None:
+    """One-way delays are 0.2 ms at least and differ by up to 30 ms, all of it on the way back."""
+    rng = np.random.default_rng(0)
+    clock, now_ns = RemoteClock(), 0
+    for _ in range(20):
+        now_ns += SECOND // 2
+        there, back = 200_000, 200_000 + round(rng.exponential(10 * MS))
+        received = now_ns + there + HOST_AHEAD_NS
+        assert clock.add(now_ns, received, received + 50_000, now_ns + there + 50_000 + back)
+    bound, offset = clock.bound_ns(now_ns), clock.offset_ns(now_ns)
+    assert bound is not None
+    assert offset is not None
+    assert abs(offset - HOST_AHEAD_NS) <= bound
+    assert bound < 2 * MS  # the shortest of 20 delays of 10 ms is about 0.5 ms; 0.5 ms of drift in 10 s
+
+
+def test_a_clock_that_drifts_is_followed() -> None:
+    """40 ppm for ten minutes are 24 ms; the newest seconds must count."""
+    clock, offset, now_ns = RemoteClock(), 0, 0
+    for k in range(1200):
+        now_ns = k * SECOND // 2
+        offset = HOST_AHEAD_NS + round(40e-6 * now_ns)
+        clock.add(now_ns, now_ns + MS + offset, now_ns + MS + offset, now_ns + 2 * MS)
+    found, bound = clock.offset_ns(now_ns), clock.bound_ns(now_ns)
+    assert found is not None
+    assert bound is not None
+    assert abs(found - offset) <= bound <= 2 * MS
+
+
+@pytest.mark.parametrize("reply", [(0, 5, 4, 10), (10, 0, 0, 5), (0, 0, 100, 10)])
+def test_an_impossible_reply_is_left_out(reply: tuple[int, int, int, int]) -> None:
+    clock = RemoteClock()
+    assert not clock.add(*reply)
+    assert clock.offset_ns(0) is None
+
+
+def test_capture_times_come_to_this_machines_clock() -> None:
+    stream = opened()
+    asked = stream.clock_request(1000 * MS)
+    assert asked
+    reply = ClockMessage(1, 1000 * MS, 1001 * MS + HOST_AHEAD_NS, 1001 * MS + HOST_AHEAD_NS)
+    assert stream.clock_reply(encode_clock(reply), 1002 * MS)
+    (got,) = stream.receive(frame(0, host_ns=1500 * MS + HOST_AHEAD_NS), 1530 * MS)
+    assert got.host_ns == 1500 * MS
+
+
+def test_a_reply_that_nobody_asked_for_is_left_out() -> None:
+    stream = opened()
+    assert not stream.clock_reply(encode_clock(ClockMessage(1, 5, 6, 7)), 8)
+    assert stream.replies == 0
+    assert stream.figures.malformed == 1
+
+
+def test_another_run_of_the_program_is_noticed_and_its_numbers_start_anew() -> None:
+    stream = opened(session=1)
+    assert times(stream.receive(frame(500, 1), 0)) == [500]
+    assert stream.receive(frame(0, 2), 1) == []
+    assert stream.strange
+    assert not stream.restarted
+    stream.clock_request(5)
+    assert not stream.clock_reply(encode_clock(ClockMessage(2, 5, 6, 7)), 8)
+    assert stream.restarted
+    stream.begin(SensorMessage(2, "k", AZURE_KINECT, None, 33_333_333))
+    assert times(stream.receive(frame(1, 2), 9)) == [1]
+    assert stream.receive(frame(501, 1), 10) == []  # still on its way when the program ended
+    assert stream.figures.restarts == 1
+    assert stream.figures.received == 2
+
+
+def test_a_broken_connection_to_the_same_run_is_no_restart() -> None:
+    stream = opened()
+    stream.receive(frame(0), 0)
+    stream.begin(SensorMessage(1, "k", AZURE_KINECT, None, 33_333_333))
+    assert stream.receive(frame(31), SECOND) == []
+    assert times(stream.poll(SECOND + PATIENCE_NS)) == [31]
+    assert (stream.figures.lost, stream.figures.restarts) == (30, 0)
+
+
+def test_damaged_messages_are_counted_and_change_nothing() -> None:
+    stream, rng = opened(), np.random.default_rng(3)
+    given, damaged = [], 0
+    for sequence in range(300):
+        good = frame(sequence)
+        bad = bytearray(good)
+        bad[int(rng.integers(len(bad)))] ^= int(rng.integers(1, 256))
+        given += stream.receive(bytes(bad), sequence * 33 * MS)
+        given += stream.receive(good, sequence * 33 * MS)
+        damaged += 1
+    assert times(given) == list(range(300))
+    assert stream.figures.malformed == damaged
+
+
+JOURNEY = Journey(lost=0.05, jitter_ns=20 * MS, twice=0.02)
+
+
+def test_pairs_go_on_with_loss_jitter_and_reordering() -> None:
+    """5 % loss on each side leaves 28.5 frames of A per second; each gives a pair.
+
+    In 120 s that is 3420 ± 13 frames; 28.0 per second are 3360, more than four deviations below. A pair is
+    late by the jitter, the patience of the buffer and the wait for a partner at most.
+    """
+    seconds = 120
+    streams = {"a": opened(), "b": opened()}
+    pairing, pairs, given = LivePairing(), list[FramePair](), {"a": list[int](), "b": list[int]()}
+    events = sorted(
+        (at_ns, side, data)
+        for side, seed in (("a", 1), ("b", 2))
+        for at_ns, data in arrivals(seconds, JOURNEY, seed=seed, host_ahead_ns=HOST_AHEAD_NS)
+    )
+    for stream in streams.values():
+        stream.clock_request(0)
+        there = MS + HOST_AHEAD_NS
+        assert stream.clock_reply(encode_clock(ClockMessage(1, 0, there, there)), 2 * MS)
+    now_ns, due = 0, 0
+    for at_ns, side, data in events:
+        while due <= at_ns:  # the loop looks every 10 ms
+            for name, stream in streams.items():
+                for late in stream.poll(due):
+                    given[name].append(late.time_ns)
+                    pairs += pairing.add(name, late, due)
+            pairs += pairing.poll(due)
+            due += 10 * MS
+        for got in streams[side].receive(data, at_ns):
+            given[side].append(got.time_ns)
+            pairs += pairing.add(side, got, at_ns)
+        now_ns = at_ns
+    pairs += pairing.poll(now_ns + SECOND)
+    in_order = [pair.time_ns for pair in pairs]
+    assert in_order == sorted(set(in_order))
+    for name in ("a", "b"):
+        assert given[name] == sorted(set(given[name]))
+    assert len(pairs) >= 28.0 * seconds
+    assert pairing.figures.late == pairing.figures.repeated == pairing.figures.reordered == 0
+    for stream in streams.values():
+        figures = stream.figures
+        assert figures.received + figures.lost == pytest.approx(30 * seconds, abs=2)
+        assert figures.lost == pytest.approx(0.05 * 30 * seconds, abs=60)
+        # delays differ by more than a frame for (6.7 / 40)² / 2 = 1.4 % of the neighbours: 45 ± 7
+        assert figures.reordered > 20
+        assert figures.duplicates > 20
+    both = [pair for pair in pairs if pair.a is not None and pair.b is not None]
+    assert len(both) > 0.88 * 30 * seconds  # 0.95² = 0.90 of the moments have both
+    # both sensors captured at the same moments: no pair may be of different ones
+    assert all(pair.a.time_ns == pair.b.time_ns for pair in both if pair.a and pair.b)
+
+
+def test_without_the_buffer_the_injected_journey_is_out_of_order() -> None:
+    """The claim above is empty if the journey keeps the order."""
+    order = [at for at, _ in arrivals(20, replace(JOURNEY, twice=0.0), seed=1, host_ahead_ns=0)]
+    captured = [
+        at for at, _ in arrivals(20, replace(JOURNEY, twice=0.0, jitter_ns=0), seed=1, host_ahead_ns=0)
+    ]
+    assert order != sorted(order)
+    assert captured == sorted(captured)

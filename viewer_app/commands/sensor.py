@@ -1,0 +1,139 @@
+"""``duplex sensor``: runs one sensor and its body tracker, and publishes its skeletons over Zenoh."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import ExitStack
+
+from rich.console import Console
+
+from devices.azure.kinect import KinectSensor
+from devices.azure.kinect_settings import KinectSettings
+from devices.azure.pyk4a_access import connected_kinects
+from devices.azure.sensor_roles import choose_one
+from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.live.played_recording import PlayedRecording
+from devices.live.sensor_thread import SensorThread
+from devices.network.publishing import FramePublisher, publish_until
+from devices.network.remote_sensor import PREFIX
+from devices.network.zenoh_session import checked_key, load_zenoh
+from devices.sensor import Sensor
+from devices.simulated.by_wall_clock import sensor_by_wall_clock
+from devices.simulated.kinect import movement
+from devices.sources import open_source
+from fusion.body import BODIES
+from viewer_app.errors import UsageError
+from viewer_app.loop.interruption import CtrlC
+from viewer_app.network_sensors import connecting, teller
+from viewer_app.options.sensing import PublishOptions
+
+_EVERY_S = 10.0  # seconds between two lines about what was sent
+
+
+def run(options: PublishOptions) -> None:
+    """Runs the command.
+
+    Raises:
+        DeviceError, UsageError: With a one-line message for the user.
+    """
+    console = Console()
+    addresses = connecting(options)
+    checked_key(options.publish)
+    load_zenoh()
+    if options.seconds is not None and not 0.0 < options.seconds < float("inf"):
+        raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
+    sensor = _sensor(options)
+    tell = teller(console)
+    stopped = threading.Event()
+    with CtrlC() as ctrl_c, ExitStack() as stack:
+        console.print(f"Opening {sensor.name} …", highlight=False, markup=False)
+        thread = SensorThread(sensor, keep=8)
+        with ctrl_c.raising():  # a body tracker may take minutes to load its network
+            stack.enter_context(thread)
+        ctrl_c.calls(stopped.set)
+        publisher = stack.enter_context(
+            FramePublisher(
+                options.publish,
+                addresses,
+                sensor,
+                interval_ns=round(1e9 / options.fps),
+                depth=options.depth,
+            )
+        )
+        where = ", ".join((*addresses.listen, *addresses.connect))
+        console.print(
+            f"Publishing {sensor.name} as {PREFIX}{options.publish} at {where}. Press Ctrl-C to end.",
+            highlight=False,
+            markup=False,
+        )
+        with _Reports(options, publisher, console, stopped):
+            publish_until(thread, publisher, stopped, tell)
+    for warning in sensor.warnings:
+        console.print(warning, style="yellow", highlight=False, markup=False)
+    console.print(_summary(thread, publisher), highlight=False)
+
+
+class _Reports:
+    """Ends the command when its time is up, and prints a line about what was sent every ten seconds."""
+
+    def __init__(
+        self, options: PublishOptions, publisher: FramePublisher, console: Console, stopped: threading.Event
+    ) -> None:
+        self._seconds, self._quiet = options.seconds, options.quiet
+        self._publisher, self._console, self._stopped = publisher, console, stopped
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="reports", daemon=True)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *exc_info: object) -> None:
+        self._over.set()
+
+    def _run(self) -> None:
+        begun_s = told_s = time.monotonic()
+        frames = sent = 0
+        while True:
+            now_s = time.monotonic()
+            left_s = float("inf") if self._seconds is None else begun_s + self._seconds - now_s
+            if left_s <= 0.0:
+                self._stopped.set()
+                return
+            if self._over.wait(min(left_s, told_s + _EVERY_S - now_s)):
+                return
+            elapsed_s = time.monotonic() - told_s
+            if elapsed_s < _EVERY_S or self._quiet:
+                told_s += elapsed_s if self._quiet else 0.0
+                continue
+            now = self._publisher
+            rate, size = (now.published - frames) / elapsed_s, (now.bytes_sent - sent) / elapsed_s
+            asked = "" if now.requests else "; nobody listens yet"
+            self._console.print(
+                f"{rate:.1f} frames and {size * 1e-3:.0f} kB per second{asked}.", highlight=False
+            )
+            told_s, frames, sent = told_s + elapsed_s, now.published, now.bytes_sent
+
+
+def _sensor(options: PublishOptions) -> Sensor:
+    given = {"--kinect": options.kinect, "--recording": options.recording, "--simulate": options.simulate}
+    several = [name for name, value in given.items() if value is not None]
+    if len(several) > 1:
+        raise UsageError(f"{' and '.join(several)} exclude each other: one program runs one sensor.")
+    if options.simulate is not None:
+        which = "ab".index(options.simulate)
+        return sensor_by_wall_clock(which, movement(options.motion), BODIES[options.body])
+    tracker = TrackerSettings(processing=options.processing, library=options.k4abt)
+    if options.recording is not None:
+        return PlayedRecording(open_source(options.recording, tracker=tracker))
+    serial = choose_one(connected_kinects(), options.kinect, "--kinect")
+    return KinectSensor(serial, KinectSettings(depth_mode=options.depth_mode, fps=options.fps), tracker)
+
+
+def _summary(thread: SensorThread, publisher: FramePublisher) -> str:
+    said = f"{publisher.published} frames published, {publisher.bytes_sent * 1e-6:.1f} MB"
+    if thread.dropped:
+        said += f", {thread.dropped} dropped: this PC is too slow"
+    if not publisher.requests:
+        said += "; nobody listened"
+    return f"{said}."

@@ -1,0 +1,86 @@
+"""Opens the sensors of ``duplex live`` of which one or both hang on another PC."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+from rich.console import Console
+
+from devices.live.sensor_pair import TwoSensors
+from devices.live.sensor_state import SensorEvent
+from devices.live.stream_pairing import LivePairing
+from devices.network.remote_sensor import PREFIX, RemoteSensor
+from devices.network.zenoh_session import ZenohAddresses, zenoh_session
+from devices.sensor import Sensor
+from viewer_app.errors import UsageError
+from viewer_app.options.sensing import LiveOptions
+from viewer_app.options.shared import ZenohOptions
+
+
+def names_remote(options: LiveOptions) -> bool:
+    """Whether a sensor is named ``zenoh:KEY``."""
+    return any((name or "").startswith(PREFIX) for name in (options.kinect_a, options.kinect_b))
+
+
+def listening(options: ZenohOptions) -> ZenohAddresses:
+    """Addresses of the program that fuses: it waits for the others on this machine, if nothing is given."""
+    return ZenohAddresses.of_meeting_point(options.zenoh_listen, options.zenoh_connect)
+
+
+def connecting(options: ZenohOptions) -> ZenohAddresses:
+    """Addresses of a program with a sensor: it connects to this machine, if nothing is given."""
+    return ZenohAddresses.of_visitor(options.zenoh_listen, options.zenoh_connect)
+
+
+@contextmanager
+def sensors_by_network(
+    options: LiveOptions, console: Console, local: Callable[[str | None], Sensor]
+) -> Iterator[TwoSensors]:
+    """The two sensors; those on other PCs have described themselves, and none is open.
+
+    Args:
+        options: Of ``duplex live``.
+        console: Told what is waited for, and every event.
+        local: Makes the sensor of this PC with a serial number; None: the only one that is connected.
+
+    Raises:
+        DeviceError, UsageError: A sensor is not there, both are the same, or they report different bodies.
+    """
+    if options.principal is not None or options.sync_master is not None:
+        unused = "--principal" if options.principal is not None else "--sync-master"
+        raise UsageError(f"{unused} is for two Kinects of this PC; leave it out with zenoh:KEY.")
+    if options.kinect_a == options.kinect_b:
+        raise UsageError(f"Kinect A and B are both {options.kinect_a}. Name two different sensors.")
+    addresses = listening(options)
+    names = options.kinect_a, options.kinect_b
+    a, b = (
+        RemoteSensor(name.removeprefix(PREFIX), addresses) if (name or "").startswith(PREFIX) else None
+        for name in (name or "" for name in names)
+    )
+    with ExitStack() as stack:
+        # One session for as long as the command runs: it goes on listening while a sensor is away.
+        stack.enter_context(zenoh_session(addresses))
+        for remote in (a, b):
+            if remote is not None:
+                console.print(f"Waiting for {remote.name} …", highlight=False, markup=False)
+                with remote:
+                    pass
+        interval_ns = min(
+            round(1e9 / options.fps), *(remote.interval_ns for remote in (a, b) if remote is not None)
+        )
+        sensor_a: Sensor = a if a is not None else local(names[0])
+        sensor_b: Sensor = b if b is not None else local(names[1])
+        if sensor_a.body is not sensor_b.body:
+            raise UsageError(
+                f"A reports the body {sensor_a.body.name}, B {sensor_b.body.name}. Both need the same "
+                f"body tracker."
+            )
+        yield TwoSensors(
+            sensor_a, sensor_b, pairing=LivePairing(interval_ns), open_s=120.0, tell=teller(console)
+        )
+
+
+def teller(console: Console) -> Callable[[SensorEvent], None]:
+    """Prints events of sensors."""
+    return lambda event: console.print(event.message, style="yellow", highlight=False, markup=False)
