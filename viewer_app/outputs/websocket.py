@@ -64,6 +64,8 @@ class WebSocketOutput(LiveOutput):
         self.host = listen or LOOPBACK
         super().__init__(f"WebSocket on ws://{_in_url(self.host)}:{port}")
         self.page = f"http://{_in_url(self.host)}:{port}"
+        if not _is_local(self.host):
+            self.note = f"Whoever reaches {self.host}:{port} can read the skeleton, without a password."
         self._json = SkeletonJson(setup)
         self._hello = self._json.hello(setup)
         self._page = resources.files("viewer_app.outputs").joinpath("templates/skeleton.html").read_bytes()
