@@ -11,7 +11,12 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 from viewer_app.options.batch import BatchOptions
-from viewer_app.options.bench import BenchAccuracyOptions, BenchRealOptions, BenchSpeedOptions
+from viewer_app.options.bench import (
+    BenchAccuracyOptions,
+    BenchOutputsOptions,
+    BenchRealOptions,
+    BenchSpeedOptions,
+)
 from viewer_app.options.sensing import (
     DemoOptions,
     DoctorOptions,
@@ -44,6 +49,7 @@ _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "bench accuracy": (BenchAccuracyOptions, "viewer_app.bench.accuracy"),
     "bench real": (BenchRealOptions, "viewer_app.bench.real"),
     "bench speed": (BenchSpeedOptions, "viewer_app.bench.speed"),
+    "bench outputs": (BenchOutputsOptions, "viewer_app.bench.outputs"),
 }
 """Options and module of each command, by ``command`` or ``group command``; the module has a ``run``."""
 

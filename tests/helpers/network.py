@@ -18,6 +18,11 @@ def free_address() -> str:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
+def free_port() -> int:
+    """A TCP port of this machine that nobody listens on now."""
+    return int(free_address().rpartition(":")[2])
+
+
 @dataclass(frozen=True)
 class Journey:
     """What happens to messages on their way.

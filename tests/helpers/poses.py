@@ -43,7 +43,7 @@ def turned_about(joints: NDArray[np.float64], rotation: Rotation, about: int) ->
 def world_of_local(
     parents: Sequence[int], positions: NDArray[np.float64], rotations: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], list[Rotation]]:
-    """World positions (N, 3) and rotations of bones given relative to their parents, as a scene graph computes them."""
+    """World positions (N, 3) and rotations of bones given relative to their parents, as in a scene graph."""
     world = np.empty((len(parents), 3))
     turns: list[Rotation] = []
     for n, above in enumerate(parents):

@@ -77,3 +77,17 @@ class BenchSpeedOptions:
     """Recordings A and B for measuring warm starts and the update; if not given, simulated sensors."""
     force: bool = False
     """Overwrite files that exist."""
+
+
+@dataclass(frozen=True)
+class BenchOutputsOptions:
+    """Measure live outputs on this machine: encoding, and the delay from the fusion to a VMC receiver."""
+
+    seconds: float = 30.0
+    """Duration of the live loop on two simulated sensors."""
+    body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
+    """Whose body tracker is simulated."""
+    json: Path | None = None
+    """Write all figures as JSON."""
+    force: bool = False
+    """Overwrite files that exist."""

@@ -20,7 +20,15 @@ from viewer_app.errors import UsageError
 from viewer_app.outputs.output import LiveOutput, TimedFrame, TimedNote, confidence
 
 _KEEP = 64  # frames; a recorder wants all of them
-_THIS_MACHINE = "[multicast]\nResolveScope = machine\n[log]\nlevel = -2\n"
+_THIS_MACHINE = """
+[multicast]
+ResolveScope = machine
+ListenAddress = 127.0.0.1
+[ports]
+IPv6 = disable
+[log]
+level = -2
+"""
 _CHANNELS = ("PositionX", "PositionY", "PositionZ", "Confidence")
 
 
@@ -51,6 +59,10 @@ class LabStreamingOutput(LiveOutput):
     def __init__(self, name: str, body: Body, rate: float, others: bool = False) -> None:
         super().__init__(f"LSL stream {name}", keep=_KEEP)
         pylsl = load_pylsl(others)
+        self.note = (
+            "liblsl accepts connections on all network interfaces, port 16572 and the following; only a "
+            "firewall can limit this."
+        )
         source = f"duplex-kinects-{name}-{uuid4().hex[:8]}"
         info = pylsl.StreamInfo(name, "MoCap", 4 * len(body), rate, pylsl.cf_float32, source)
         _describe(info.desc(), body)

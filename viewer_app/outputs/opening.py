@@ -51,7 +51,7 @@ class OutputPlan:
             for joint in body.order[1:]:
                 joints[joint] = joints[body.parents[joint]] + body.nominal_lengths[joint] * body.rest[joint]
             skeleton = UnitySkeleton(body)
-            skeleton.update(joints, 0)
+            skeleton.update(joints, 0)  # each kernel is compiled for one set of types
 
     @contextmanager
     def opened(self, setup: FusionSetup, rate: float = 30.0) -> Iterator[Sequence[LiveOutput]]:
@@ -138,9 +138,10 @@ def plan_outputs(
 def announce_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:
     """Prints where S* is sent."""
     for output in outputs:
-        page = getattr(output, "page", None)
-        where = f"{output.name}; page: {page}" if page else output.name
+        where = f"{output.name}; page: {output.page}" if output.page else output.name
         console.print(f"Sending: {where}", highlight=False, markup=False, soft_wrap=True)
+        if output.note:
+            console.print(output.note, style="yellow", highlight=False, markup=False, soft_wrap=True)
 
 
 def print_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:

@@ -87,6 +87,10 @@ class LiveOutput(Sink):
         self.key = name.partition(" ")[0].lower()
         self.failure: str | None = None
         """Why it stopped before the end; None if it did not."""
+        self.page = ""
+        """Address of a web page that shows it; empty for none."""
+        self.note = ""
+        """What the user should know about it before it starts."""
         self._keep, self._clock = keep, clock
         self._frames: deque[TimedFrame] = deque()
         self._notes: deque[TimedNote | FusionSetup] = deque(maxlen=_KEPT_NOTES)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import logging
+import socket
 import threading
 from collections import deque
 from contextlib import suppress
@@ -63,6 +64,8 @@ class WebSocketOutput(LiveOutput):
         self.host = listen or LOOPBACK
         super().__init__(f"WebSocket on ws://{_in_url(self.host)}:{port}")
         self.page = f"http://{_in_url(self.host)}:{port}"
+        if not _is_local(self.host):
+            self.note = f"Whoever reaches {self.host}:{port} can read the skeleton, without a password."
         self._json = SkeletonJson(setup)
         self._hello = self._json.hello(setup)
         self._page = resources.files("viewer_app.outputs").joinpath("templates/skeleton.html").read_bytes()
@@ -152,7 +155,11 @@ class WebSocketOutput(LiveOutput):
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Serves the page; refuses pages of other sites, which any browser would let in."""
         origin, host = request.headers.get("Origin"), request.headers.get("Host", "")
-        if not self._trusts(host, origin):
+        try:
+            trusted = self._trusts(host, origin)
+        except ValueError:  # no address at all
+            trusted = False
+        if not trusted:
             return connection.respond(HTTPStatus.FORBIDDEN, "This site may not read the skeleton.\n")
         if "websocket" in request.headers.get("Upgrade", "").lower():
             if len(self._clients) >= _MOST_CLIENTS:
@@ -187,6 +194,9 @@ class WebSocketOutput(LiveOutput):
     async def _attend(self, connection: ServerConnection) -> None:
         from websockets.exceptions import ConnectionClosed
 
+        # the system's own buffer would hold half a minute of old frames for a slow client
+        raw = connection.transport.get_extra_info("socket")
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _WRITE_LIMIT)
         client = _Client()
         self._clients.add(client)
         sending = asyncio.create_task(self._feed(connection, client))

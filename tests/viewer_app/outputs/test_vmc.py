@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V2, Body
 from fusion.fuser import Fuser
 from tests.helpers.live_frames import frames
-from tests.helpers.poses import BACK, FRONT, T_POSE, posed, turned_about, world_of_local
+from tests.helpers.poses import BACK, DOWN, FRONT, T_POSE, posed, turned_about, world_of_local
 from tests.helpers.two_views import FRAME_NS, moving
 from viewer_app.errors import UsageError
 from viewer_app.outputs.osc import Address
@@ -130,7 +130,7 @@ HALF = math.sqrt(0.5)
         # left thigh from −y to +z, the shin hanging: Euler(−90, 0, 0)
         ({"KneeLeft": FRONT}, "LeftUpperLeg", (-HALF, 0.0, 0.0, HALF)),
         # left arm hanging, from −x to −y: Euler(0, 0, 90)
-        (dict.fromkeys(("ElbowLeft", "WristLeft", "HandLeft"), (0.0, 1.0, 0.0)), "LeftUpperArm", (0, 0, HALF, HALF)),
+        (dict.fromkeys(("ElbowLeft", "WristLeft", "HandLeft"), DOWN), "LeftUpperArm", (0, 0, HALF, HALF)),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
@@ -250,8 +250,8 @@ def test_an_avatar_keeps_its_proportions_and_moves_at_the_hips(tmp_path: Path, v
     np.testing.assert_allclose(sent["LeftUpperLeg"][0], [-0.08, -0.05, 0.0], atol=FLOAT32)
     np.testing.assert_allclose(sent["LeftLowerLeg"][0], 0.0, atol=FLOAT32)  # which the file lacks
     moved = standing + [0.3, 0.0, -0.4]
-    there, real = bones(encoder.encode(moved, FRAME_NS))["Hips"][0], (plain.encode(standing, 0), plain)[1]
-    walked = bones(real.encode(moved, FRAME_NS))["Hips"][0]
+    plain.encode(standing, 0)
+    there, walked = (bones(each.encode(moved, FRAME_NS))["Hips"][0] for each in (encoder, plain))
     scale = 0.5 / (0.42 + 0.41 + 0.08)  # the avatar's hips above the floor over the person's leg
     np.testing.assert_allclose(there + [0.0, 0.1, 0.0], scale * walked, atol=1e-5)
 
@@ -270,5 +270,5 @@ def test_a_file_that_is_no_avatar_gives_one_line(tmp_path: Path) -> None:
             read_avatar(bad)
         except UsageError as fault:
             assert "\n" not in str(fault)  # noqa: PT017
-    with pytest.raises(UsageError, match="--avatar .*none.vrm"):
+    with pytest.raises(UsageError, match=r"--avatar .*none\.vrm"):
         read_avatar(tmp_path / "none.vrm")

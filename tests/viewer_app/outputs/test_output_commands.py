@@ -1,0 +1,163 @@
+"""Outputs at the command line: ``demo``, ``live`` and ``replay --pace live``."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion.body import KINECT_V2
+from fusion.fuser import Fuser
+from recordings.events import Event
+from recordings.testing import record_fused
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.live_frames import frames
+from tests.helpers.network import free_port
+from tests.helpers.two_views import FRAME_NS, calibration_of
+from viewer_app.loop.pacing import played
+from viewer_app.sinks.sink import Sink
+
+
+@pytest.fixture
+def receiver() -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+        opened.bind(("127.0.0.1", 0))
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 21)
+        opened.settimeout(0.5)
+        yield opened
+
+
+def datagrams(receiver: socket.socket) -> int:
+    count = 0
+    try:
+        while receiver.recv(2000).startswith(b"#bundle"):
+            count += 1
+    except TimeoutError:
+        pass
+    return count
+
+
+def test_demo_sends_to_several_at_once_and_says_how_it_went(
+    receiver: socket.socket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    to, port = f"127.0.0.1:{receiver.getsockname()[1]}", free_port()
+    options = ("--seconds", 2, "--depth", "none", "--no-viewer", "--save", tmp_path / "s.rrd")
+    assert duplex("demo", *options, "--vmc", to, "--vrchat", to, "--websocket", port) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    for name in (f"VMC to {to}", f"VRChat at {to}", f"WebSocket on ws://127.0.0.1:{port}"):
+        assert f"Sending: {name}" in said
+        assert f"{name}: " in said
+    # 60 frames: two datagrams of VMC and one of VRChat each, unless a busy machine drops some
+    assert 60 <= datagrams(receiver) <= 3 * 61
+
+
+def test_replay_sends_at_the_recorded_times(
+    receiver: socket.socket, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = record_fused(tmp_path / "s.rrd", frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
+    to = f"127.0.0.1:{receiver.getsockname()[1]}"
+    report = tmp_path / "r.json"
+    assert (
+        duplex("replay", session.path, "--pace", "live", "--vmc", to, "--no-viewer", "--report", report) == 0
+    )
+    figures = json.loads(report.read_text(encoding="utf-8"))["outputs"]
+    assert [each["to"] for each in figures] == [f"VMC to {to}"]
+    assert figures[0]["sent"] + figures[0]["dropped"] == 30
+    assert datagrams(receiver) >= figures[0]["sent"]
+    assert "frames sent" in capsys.readouterr().out
+
+
+class Notebook(Sink):
+    def __init__(self) -> None:
+        self.now = 10.0
+        self.at: list[float] = []
+        self.said: list[tuple[int, str]] = []
+
+    def write(self, frame: object) -> None:
+        del frame
+        self.at.append(self.now)
+
+    def event(self, text: str, *_: object) -> None:
+        self.said.append((len(self.at) - 1, text))
+
+    def wait(self, seconds: float) -> None:
+        self.now += seconds
+
+
+def test_each_frame_is_played_when_it_is_due_and_events_with_theirs(fuser: Fuser) -> None:
+    book = Notebook()
+    made = frames(fuser, 20)
+    events = [Event(0, 0, "first", "INFO"), Event(7, 7 * FRAME_NS, "later", "WARN")]
+
+    def slow() -> Iterator[object]:
+        for k, frame in enumerate(made):
+            book.now += 0.5 if k == 10 else 0.001  # fusing takes a millisecond, once half a second
+            yield frame
+
+    yielded = list(played(slow(), book, {}, events, clock=lambda: book.now, wait=book.wait))  # type: ignore[arg-type]
+    assert yielded == made
+    due = book.at[0] + np.arange(20) * FRAME_NS * 1e-9
+    np.testing.assert_allclose(book.at[:10], due[:10], atol=1e-9)
+    np.testing.assert_allclose(
+        book.at[10:], np.maximum(due[10:], due[9] + 0.5 + 0.001 * np.arange(10)), atol=1e-6
+    )
+    assert book.said == [(0, "first"), (7, "later")]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--vmc", "nowhere"), "write HOST:PORT"),
+        (("--vmc", "127.0.0.1:99999"), "write HOST:PORT"),
+        (("--vmc", "no-such-host.invalid:39539"), "unknown host"),
+        (("--vrchat", "a:b:c"), "--vrchat a:b:c"),
+        (("--avatar", "x.vrm"), "give both"),
+        (("--vmc", "39539", "--avatar", "none.vrm"), "--avatar none.vrm"),
+        (("--websocket", "0"), "between 1 and 65535"),
+        (("--lsl", " "), "needs a name"),
+        (("--zenoh", "a key"), "not a Zenoh key"),
+        (("--zenoh", "k", "--zenoh-connect", "there"), "not a Zenoh address"),
+        (("--zenoh-connect", "tcp/127.0.0.1:7447"), "give its key"),
+        (("--listen", "127.0.0.1"), "--listen 127.0.0.1 is the address of --web"),
+    ],
+)
+def test_a_wrong_address_is_one_line(
+    options: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert duplex("demo", "--no-viewer", "--seconds", 1, "--depth", "none", *options) == 2
+    assert words in one_line(capsys)
+
+
+def test_a_port_in_use_is_one_line_and_opens_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        assert duplex("demo", "--no-viewer", "--depth", "none", "--vmc", 39539, "--websocket", port) == 2
+    assert f"--websocket {port}: cannot listen" in one_line(capsys)
+
+
+@pytest.mark.parametrize(("option", "package"), [("lsl", "pylsl"), ("zenoh", "zenoh")])
+def test_a_missing_extra_is_named(
+    option: str, package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    assert duplex("demo", "--no-viewer", f"--{option}", "name") == 2
+    assert f"pip install 'duplex-kinects[{option}]'" in one_line(capsys)
+
+
+def test_replay_wants_pace_and_outputs_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    session = record_fused(tmp_path / "s.rrd", frame_pairs(KINECT_V2, 5), calibration_of(KINECT_V2))
+    for options, words in (
+        (("--vmc", "39539"), "add --pace live"),
+        (("--pace", "live"), "add one"),
+        (("--pace", "live", "--vmc", "39539", "--listen", "127.0.0.1"), "--websocket and --lsl"),
+    ):
+        assert duplex("replay", session.path, "--no-viewer", *options) == 2
+        assert words in one_line(capsys)

@@ -1,0 +1,149 @@
+"""An output never holds up the loop: bounded, newest first, counted."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion.body import BODIES, Body
+from fusion.calibration.calibration import nominal_calibration
+from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
+from tests.helpers.live_frames import frames
+from tests.helpers.waiting import eventually
+from viewer_app.options.shared import LiveOutputOptions
+from viewer_app.outputs.opening import plan_outputs
+from viewer_app.outputs.output import LATE_NS, LiveOutput, TimedFrame, TimedNote, confidence
+from viewer_app.sinks.live_session import LiveSession
+from viewer_app.viewer.blueprint import session_blueprint
+
+
+class Receiver(LiveOutput):
+    """An output whose receiver takes a frame only when it is let."""
+
+    def __init__(self, keep: int = 1) -> None:
+        super().__init__("Receiver of a test", keep, clock=lambda: self.now_ns)
+        self.now_ns = 0
+        self.let, self.taking = threading.Semaphore(0), threading.Semaphore(0)
+        self.got: list[int] = []
+        self.said: list[str] = []
+        self.refuses = self.breaks = False
+        self.start()
+
+    def send_frame(self, frame: TimedFrame) -> int:
+        self.taking.release()
+        self.let.acquire()
+        if self.breaks:
+            raise ValueError("a fault of the program")
+        if self.refuses:
+            raise OSError("network unreachable")
+        self.got.append(frame.number)
+        return 1
+
+    def send_note(self, note: TimedNote) -> None:
+        self.said.append(note.text)
+
+
+def test_a_receiver_that_stands_still_costs_the_oldest_frames(fuser: Fuser) -> None:
+    output = Receiver(keep=3)
+    made = frames(fuser, 50)
+    output.write(made[0])
+    assert output.taking.acquire(timeout=10)  # the thread has frame 0 and waits
+    for frame in made[1:]:
+        output.write(frame)  # none of these waits: the thread stands still all the while
+    assert output.counts.dropped == 49 - 3
+    for _ in range(4):
+        output.let.release()
+    assert eventually(lambda: output.got == [0, 47, 48, 49])
+    output.close()
+    assert output.counts.sent == 4
+
+
+def test_lateness_is_counted(fuser: Fuser) -> None:
+    output = Receiver()
+    for k, (frame, age) in enumerate(zip(frames(fuser, 2), (LATE_NS, LATE_NS + 1), strict=True)):
+        output.write(frame)
+        assert output.taking.acquire(timeout=10)
+        output.now_ns += age
+        output.let.release()
+        assert eventually(lambda k=k: output.counts.sent == k + 1)
+    output.close()
+    assert output.counts.late == 1
+
+
+def test_what_the_network_refuses_is_dropped_and_the_next_is_tried(fuser: Fuser) -> None:
+    output = Receiver(keep=8)
+    output.refuses = True
+    for frame in frames(fuser, 3):
+        output.write(frame)
+        output.let.release()
+    assert eventually(lambda: output.counts.dropped == 3)
+    output.refuses = False
+    output.let.release()
+    output.write(frames(fuser, 1)[0])
+    output.close()
+    assert output.counts.sent == 1
+    assert output.failure is None
+
+
+def test_a_fault_ends_the_output_and_not_the_session(fuser: Fuser) -> None:
+    output = Receiver()
+    output.breaks = True
+    output.let.release()
+    output.write(frames(fuser, 1)[0])
+    assert eventually(lambda: output.failure is not None)
+    assert "ValueError: a fault of the program" in str(output.failure)
+    for frame in frames(fuser, 3):
+        output.write(frame)
+    output.close()
+    output.close()  # again: no effect
+
+
+def test_events_are_not_dropped_with_the_frames(fuser: Fuser) -> None:
+    output = Receiver()
+    for k, frame in enumerate(frames(fuser, 20)):
+        output.write(frame)
+        output.event(f"event {k}")
+    for _ in range(20):
+        output.let.release()
+    assert eventually(lambda: len(output.said) == 20)
+    output.close()
+
+
+def test_a_live_session_feeds_its_further_sinks(fuser: Fuser) -> None:
+    output = Receiver(keep=8)
+    blueprint = session_blueprint(fuser.setup, np.array([0.0, 0.0, 2.6]), "inspect")
+    with LiveSession(fuser.setup, ("a", "b"), blueprint, others=[output]) as live:
+        for frame in frames(fuser, 3):
+            live.write(frame)
+            output.let.release()
+        live.event("seen")
+        assert eventually(lambda: output.got == [0, 1, 2])
+    assert output.said == ["seen"]
+    assert not output._thread.is_alive()
+
+
+def test_confidence_falls_with_the_standard_deviation(fuser: Fuser) -> None:
+    fused = frames(fuser, 3)[-1].fused
+    assert fused.sigma is not None
+    trust = confidence(fused)
+    assert ((trust > 0.0) & (trust < 1.0)).all()
+    order = np.argsort(fused.sigma)
+    assert (np.diff(trust[order]) <= 0.0).all()
+    half = replace(fused, sigma=np.full(len(trust), 0.05))
+    np.testing.assert_allclose(confidence(half), 0.5, rtol=1e-12)
+    nobody = replace(fused, positions=np.full_like(fused.positions, np.nan))
+    assert (confidence(nobody) == 0.0).all()
+    paper = replace(fused, sigma=None, predicted=np.arange(len(trust)) == 4)
+    assert sorted(set(confidence(paper).tolist())) == [0.25, 1.0]
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=str)
+def test_no_output_is_opened_where_none_is_asked_for(body: Body) -> None:
+    plan = plan_outputs(LiveOutputOptions())
+    assert not plan
+    with plan.opened(FusionSetup(nominal_calibration(body))) as outputs:
+        assert list(outputs) == []

@@ -1,0 +1,315 @@
+"""The WebSocket server, read back by the ``websockets`` client and by a browser; fuzzed."""
+
+from __future__ import annotations
+
+import gc
+import json
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from contextlib import closing, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import numpy as np
+import psutil
+import pytest
+from scipy.spatial.transform import Rotation
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from fusion.body import KINECT_V2
+from fusion.fuser import Fuser
+from recordings.session_arrays import RecordedFrame
+from tests.helpers.live_frames import frames
+from tests.helpers.machine import need_browser
+from tests.helpers.network import free_port
+from tests.helpers.waiting import eventually
+from viewer_app.errors import UsageError
+from viewer_app.outputs.output import confidence
+from viewer_app.outputs.websocket import WebSocketOutput
+
+
+@pytest.fixture
+def server(fuser: Fuser) -> Iterator[WebSocketOutput]:
+    output = WebSocketOutput(free_port(), fuser.setup)
+    yield output
+    output.close()
+
+
+def port_of(server: WebSocketOutput) -> int:
+    return int(server.page.rpartition(":")[2])
+
+
+def client_of(server: WebSocketOutput, **how: Any) -> ClientConnection:
+    return connect(f"ws://127.0.0.1:{port_of(server)}", open_timeout=30, **how)
+
+
+def read(client: ClientConnection) -> dict[str, Any]:
+    said = json.loads(client.recv(timeout=30))
+    assert isinstance(said, dict)
+    return said
+
+
+def test_a_client_reads_the_description_then_frames_and_events(server: WebSocketOutput, fuser: Fuser) -> None:
+    with client_of(server) as client:
+        hello = read(client)
+        assert (hello["type"], hello["schema"], hello["version"]) == ("hello", "duplex-kinects/skeleton", 1)
+        assert (hello["joints"], hello["parents"]) == (list(KINECT_V2.joints), list(KINECT_V2.parents))
+        lengths = np.array(hello["bone_lengths"])
+        for number, frame in enumerate(frames(fuser, 10)):
+            server.write(frame)
+            said = read(client)
+            assert (said["type"], said["number"], said["person"]) == ("frame", number, True)
+            assert said["time_s"] == pytest.approx(frame.pair.time_ns * 1e-9, abs=1e-6)
+            at = np.array(said["positions"])
+            np.testing.assert_allclose(at, frame.fused.positions, atol=0.5e-4 + 1e-9)  # four digits
+            np.testing.assert_allclose(said["confidence"], confidence(frame.fused), atol=0.5e-3 + 1e-9)
+            assert frame.fused.sigma is not None
+            np.testing.assert_allclose(said["sigma"], frame.fused.sigma, atol=0.5e-4 + 1e-9)
+            # rotations have five digits, bones at most 0.5 m, the tree has eight levels: 0.04 mm
+            made = at[KINECT_V2.root] + np.zeros((25, 3))
+            turns = Rotation.from_quat(said["rotations"])
+            for j in KINECT_V2.order[1:]:
+                rest = KINECT_V2.rest[j] * lengths[j]
+                made[j] = made[KINECT_V2.parents[j]] + turns[int(j)].apply(rest)
+            np.testing.assert_allclose(made, at, atol=1e-4)
+        server.event("B lost", "WARN")
+        event = read(client)
+        assert (event["type"], event["level"], event["text"]) == ("event", "WARN", "B lost")
+        server.recalibrated(fuser.setup)
+        assert read(client)["type"] == "hello"
+    assert server.counts.sent == 10
+
+
+def test_nobody_in_view_is_said(server: WebSocketOutput, fuser: Fuser) -> None:
+    frame = without_person(frames(fuser, 1)[0])
+    with client_of(server) as client:
+        read(client)
+        server.write(frame)
+        said = read(client)
+    assert said["person"] is False
+    assert said["positions"] is said["rotations"] is said["confidence"] is said["sigma"] is None
+
+
+def without_person(frame: RecordedFrame) -> RecordedFrame:
+    nowhere = np.full_like(frame.fused.positions, np.nan)
+    return replace(frame, fused=replace(frame.fused, positions=nowhere))
+
+
+def test_a_client_that_does_not_read_skips_frames_and_costs_others_nothing(
+    server: WebSocketOutput, fuser: Fuser
+) -> None:
+    made = frames(fuser, 1)[0]
+    with socket.socket() as lazy:
+        lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # before connecting, or it has no effect
+        lazy.connect(("127.0.0.1", port_of(server)))
+        lazy.sendall(handshake(port_of(server)))
+        assert eventually(lambda: len(server._clients) == 1)
+        with client_of(server) as client:
+            read(client)
+            numbers = []
+            slowest = 0.0
+            for _ in range(300):  # 1.4 MB: more than both buffers of the lazy client
+                before = time.perf_counter()
+                server.write(made)
+                slowest = max(slowest, time.perf_counter() - before)
+                numbers.append(read(client)["number"])
+            assert numbers == list(range(300))
+            assert server.counts.dropped > 0
+            assert slowest < 3.0  # it would be for ever if it waited
+
+
+def handshake(port: int) -> bytes:
+    return (
+        f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+    ).encode()
+
+
+def test_a_client_that_returns_goes_on(server: WebSocketOutput, fuser: Fuser) -> None:
+    made = frames(fuser, 6)
+    for first in (0, 3):
+        with client_of(server) as client:
+            assert read(client)["type"] == "hello"
+            for frame in made[first : first + 3]:
+                server.write(frame)
+                assert read(client)["type"] == "frame"
+        assert eventually(lambda: not server._clients)
+    assert server.counts.dropped == 0
+
+
+def test_it_listens_on_this_machine_only_unless_told_otherwise(server: WebSocketOutput) -> None:
+    listening = {
+        tuple(each.laddr)
+        for each in psutil.Process().net_connections("inet")
+        if each.status == psutil.CONN_LISTEN and each.laddr.port == port_of(server)
+    }
+    assert listening == {("127.0.0.1", port_of(server))}
+
+
+def test_pages_of_other_sites_may_not_read(server: WebSocketOutput, fuser: Fuser) -> None:
+    for origin in ("https://example.org", "null", f"http://example.org:{port_of(server)}", "http://[", "x"):
+        with pytest.raises(InvalidStatus, match="403"), client_of(server, origin=origin):
+            pass
+    for origin in (f"http://localhost:{port_of(server)}", "http://127.0.0.1:5173"):
+        with client_of(server, origin=origin) as client:
+            assert read(client)["type"] == "hello"
+    rebound = Request(server.page, headers={"Host": f"example.org:{port_of(server)}"})
+    with pytest.raises(HTTPError, match="403"):
+        urlopen(rebound, timeout=30)
+    with pytest.raises(HTTPError, match="404"):
+        urlopen(f"{server.page}/etc/passwd", timeout=30)
+    with closing(WebSocketOutput(free_port(), fuser.setup, "0.0.0.0")) as open_to_all:
+        port = port_of(open_to_all)
+        with socket.create_connection(("127.0.0.1", port)) as raw:
+            named = f"lab-pc:{port}\r\nOrigin: http://lab-pc:{port}"
+            raw.sendall(handshake(port).replace(f"127.0.0.1:{port}".encode(), named.encode()))
+            assert raw.recv(12) == b"HTTP/1.1 101"
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(f"ws://127.0.0.1:{port}", origin="http://example.org", open_timeout=30)
+
+
+def test_a_busy_port_and_a_foreign_address_give_one_line(server: WebSocketOutput, fuser: Fuser) -> None:
+    with pytest.raises(UsageError, match=rf"--websocket {port_of(server)}: cannot listen") as fault:
+        WebSocketOutput(port_of(server), fuser.setup)
+    assert "\n" not in str(fault.value)
+    with pytest.raises(UsageError, match=r"cannot listen on 192\.0\.2\.1"):
+        WebSocketOutput(free_port(), fuser.setup, "192.0.2.1")
+
+
+def test_ten_thousand_damaged_messages_leave_no_trace(
+    server: WebSocketOutput, fuser: Fuser, capfd: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(7)
+    made = frames(fuser, 1)[0]
+    port = port_of(server)
+
+    def attack(messages: int) -> int:
+        """Sends random frames, damaged frames and damaged requests; returns how many."""
+        done = 0
+        while done < messages:
+            with socket.create_connection(("127.0.0.1", port)) as raw:
+                raw.settimeout(0.0)
+                request = bytearray(handshake(port))
+                kind = int(rng.integers(0, 4))
+                if kind == 0:
+                    for at in rng.integers(0, len(request), 3):
+                        request[at] = rng.integers(0, 256)
+                elif kind == 1:
+                    request = bytearray(rng.bytes(int(rng.integers(1, 300))))
+                with suppress(OSError):
+                    raw.sendall(bytes(request))
+                    for _ in range(int(rng.integers(20, 60))):
+                        payload = rng.bytes(int(rng.integers(0, 120)))
+                        whole = struct.pack(
+                            "!BB", 0x81 + int(rng.integers(0, 2)), 0x80 | min(len(payload), 125)
+                        )
+                        whole += b"\0\0\0\0" + payload[:125]
+                        message = bytearray(whole if rng.random() < 0.7 else payload)
+                        if message and rng.random() < 0.3:
+                            message[int(rng.integers(0, len(message)))] = rng.integers(0, 256)
+                        done += 1
+                        raw.sendall(bytes(message))
+                done += 1
+        return done
+
+    with client_of(server) as client:
+        read(client)
+
+        def answers() -> bool:
+            server.write(made)
+            with suppress(ConnectionClosed):
+                return read(client)["type"] == "frame"
+            return False
+
+        attack(3000)  # fills pools
+        assert answers()
+        gc.collect()
+        before = psutil.Process().memory_info().rss
+        assert attack(10_000) >= 10_000
+        assert answers()
+        assert eventually(lambda: len(server._clients) <= 1)
+        gc.collect()
+        # less than 1 kB per message would be a leak of 10 MB
+        assert psutil.Process().memory_info().rss - before < 10e6
+    said = capfd.readouterr()
+    assert "Traceback" not in said.err + said.out
+    assert said.err == ""
+    assert server.failure is None
+
+
+def test_text_that_clients_send_is_counted_and_ignored(server: WebSocketOutput) -> None:
+    with client_of(server) as client:
+        read(client)
+        for _ in range(50):
+            client.send('{"type": "frame"}')
+        client.send(b"\x80\x04.")  # a pickle, had anybody read it
+        assert eventually(lambda: server.ignored == 51)
+    with client_of(server) as client:
+        read(client)
+        client.send("x" * 100_000)
+        with pytest.raises(ConnectionClosed):
+            client.recv(timeout=30)
+    assert server.figures()["ignored_messages"] == 51
+
+
+def test_a_page_in_a_browser_draws_the_skeleton(
+    server: WebSocketOutput, fuser: Fuser, tmp_path: Path
+) -> None:
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
+    chromium = need_browser()
+    with playwright.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        try:
+            # the page forbids eval, by which playwright waits
+            tab = browser.new_page(
+                viewport={"width": 800, "height": 800}, color_scheme="light", bypass_csp=True
+            )
+            wrong: list[str] = []
+            tab.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+            tab.on("pageerror", lambda error: wrong.append(str(error)))
+            asked: list[str] = []
+            tab.on("request", lambda request: asked.append(request.url))
+            tab.goto(server.page)
+            tab.wait_for_function("skeleton.hello !== null")
+            for frame in frames(fuser, 5):
+                server.write(frame)
+                tab.wait_for_function(
+                    f"skeleton.frame && skeleton.frame.time_s >= {frame.pair.time_ns * 1e-9 - 1e-5}"
+                )
+            tab.wait_for_function("skeleton.drawn > 0")
+            status = tab.locator("#status").inner_text()
+            assert "kinect_v2" in status
+            boxes = tab.evaluate(_INK)
+            tab.screenshot(path=str(tmp_path / "page.png"))
+            server.event("sensor B lost", "WARN")
+            tab.wait_for_function("document.getElementById('event').textContent.includes('sensor B lost')")
+            server.write(without_person(frames(fuser, 1)[0]))
+            tab.wait_for_function("document.getElementById('status').textContent.includes('nobody')")
+            assert tab.evaluate(_INK)["count"] == 0
+            assert [url for url in asked if not url.startswith(server.page)] == []
+            assert [line for line in wrong if "favicon" not in line and "404" not in line] == []
+        finally:
+            browser.close()
+    # 1.75 m at 333 pixels per metre is 580 pixels high; arms 50 degrees apart are at least 200 wide
+    assert boxes["height"] == pytest.approx(560, abs=80)
+    assert 200 < boxes["width"] < 500
+    assert 2000 < boxes["count"] < 60_000
+
+
+_INK = """() => {
+  const canvas = document.getElementById("view");
+  const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+  let count = 0, left = 1e9, right = 0, top = 1e9, bottom = 0;
+  for (let k = 3; k < data.length; k += 4) if (data[k] > 128) {
+    const x = ((k - 3) / 4) % canvas.width, y = Math.floor((k - 3) / 4 / canvas.width);
+    count += 1; left = Math.min(left, x); right = Math.max(right, x);
+    top = Math.min(top, y); bottom = Math.max(bottom, y);
+  }
+  return { count, width: right - left, height: bottom - top };
+}"""

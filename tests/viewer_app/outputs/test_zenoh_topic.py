@@ -1,0 +1,59 @@
+"""Zenoh, read back by a second session."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from devices.network.zenoh_session import LOOPBACK, ZenohAddresses, zenoh_session
+from devices.sensor import DeviceError
+from fusion.fuser import Fuser
+from tests.helpers.live_frames import frames
+from tests.helpers.network import free_address
+from tests.helpers.waiting import eventually
+from viewer_app.outputs.zenoh_topic import ZenohOutput, addresses_of
+
+pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip install -e '.[zenoh]'")
+
+
+def test_a_second_session_reads_the_description_frames_and_events(fuser: Fuser) -> None:
+    address = free_address()
+    got: dict[str, list[dict[str, Any]]] = {"hello": [], "frame": [], "event": []}
+
+    def take(sample: Any) -> None:
+        got[str(sample.key_expr).rpartition("/")[2]].append(json.loads(bytes(sample.payload)))
+
+    output = ZenohOutput("lab/person", ZenohAddresses(listen=(address,)), fuser.setup)
+    try:
+        with zenoh_session(ZenohAddresses(connect=(address,))) as other:
+            other.declare_subscriber("lab/person/*", take)
+            made = frames(fuser, 40)
+
+            def reached() -> bool:
+                output.write(made[0])
+                return bool(got["frame"])
+
+            assert eventually(reached)
+            assert eventually(lambda: output.counts.sent > 0)
+            before = len(got["frame"])
+            for frame in made:
+                output.write(frame)
+                assert eventually(lambda f=frame: got["frame"][-1]["time_s"] >= f.pair.time_ns * 1e-9 - 1e-5)
+            output.event("B lost", "WARN")
+            assert eventually(lambda: bool(got["event"]))
+    finally:
+        output.close()
+    assert len(got["frame"]) - before >= 40
+    np.testing.assert_allclose(got["frame"][-1]["positions"], made[-1].fused.positions, atol=1e-4)
+    assert got["hello"][-1]["schema"] == "duplex-kinects/skeleton"  # 1.3 s: repeated for latecomers
+    assert got["event"][-1]["text"] == "B lost"
+
+
+def test_this_machine_only_unless_an_address_is_given() -> None:
+    assert addresses_of((), ()) == ZenohAddresses(listen=(LOOPBACK,))
+    assert addresses_of((), ("tcp/192.0.2.7:7447",)) == ZenohAddresses(connect=("tcp/192.0.2.7:7447",))
+    with pytest.raises(DeviceError, match="not a Zenoh address"):
+        addresses_of(("192.0.2.7",), ())
