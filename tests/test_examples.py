@@ -20,6 +20,7 @@ from tests.helpers.two_views import A_FROM_B, moving
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
+TESTED_ELSEWHERE = ("kinect_v2_on_another_pc.py",)  # tests/devices/network/test_kinect_v2_example.py
 
 
 def write_recordings(folder: Path, noise_m: float = 0.01) -> tuple[Path, Path]:

@@ -64,7 +64,6 @@ class RemoteSensor:
         self._stream = RemoteStream()
         self._events = LinkEvents(self.name)
         self._told: deque[str] = deque(maxlen=20)
-        self._overflow = self._too_large = 0
         self._inbox: deque[tuple[str, bytes, int]] = deque()
         self._arrival, self._interrupted = threading.Event(), threading.Event()
         self._stack = ExitStack()
@@ -143,7 +142,9 @@ class RemoteSensor:
         asked_ns = before_ns = self._clock()
         silent_ns = 0
         while not self._interrupted.is_set():
-            self._arrival.wait(_POLL_S)
+            due_ns = self._stream.due_ns
+            wait_s = _POLL_S if due_ns is None else min(_POLL_S, max(0.0, (due_ns - self._clock()) * 1e-9))
+            self._arrival.wait(wait_s)
             self._arrival.clear()
             for part, data, at_ns in self._arrived():
                 if part == CLOCK:
@@ -187,12 +188,11 @@ class RemoteSensor:
     def _take(self, part: str, payload: Any) -> None:
         """Takes a message on a thread of Zenoh: does little, never blocks, bounded memory."""
         at_ns = self._clock()
-        if len(payload) > LARGEST_MESSAGE:
-            return
         if len(self._inbox) >= _INBOX:  # the sequence numbers show what is missing
             with suppress(IndexError):
                 self._inbox.popleft()
-        self._inbox.append((part, payload.to_bytes(), at_ns))
+        data = payload.to_bytes() if len(payload) <= LARGEST_MESSAGE else b""  # counted as malformed
+        self._inbox.append((part, data, at_ns))
         self._arrival.set()
 
     def _subscriber(self) -> Any:

@@ -139,6 +139,8 @@ def _settings(addresses: ZenohAddresses) -> dict[str, Any]:
         "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2},
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
+        # Room for half a second of frames, so that a busy machine drops none.
+        "transport/link/tx/queue/size/interactive_high": 16,
         "transport/link/rx/max_message_size": LARGEST_MESSAGE,
         "transport/shared_memory/enabled": False,
     }

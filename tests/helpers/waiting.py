@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable
 
 
-def eventually(holds: Callable[[], bool], within: float = 20.0) -> bool:
+def eventually(holds: Callable[[], bool], within: float = 20.0, every: float = 0.02) -> bool:
     """Whether something comes true within some seconds; returns as soon as it does."""
     deadline = time.monotonic() + within
     while time.monotonic() < deadline:
         if holds():
             return True
-        time.sleep(0.02)
+        time.sleep(every)
     return holds()

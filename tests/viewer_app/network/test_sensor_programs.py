@@ -1,0 +1,100 @@
+"""Sensors on several PCs, as programs: two publish, one fuses; one is killed and started anew."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recordings import Session
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.network import free_address
+from tests.helpers.programs import Program, running
+from tests.helpers.session_text import rows_of
+from tests.helpers.waiting import eventually
+
+pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip install -e '.[zenoh]'")
+
+SLOW_S = 180.0  # a machine that compiles all kernels first
+
+
+def frames_in(saved: Path) -> int:
+    """Frames in the session that grows."""
+    return rows_of(saved, "/fused/skeleton") if saved.exists() else 0
+
+
+def goes_on(saved: Path, frames: int = 30) -> bool:
+    """Whether so many more frames are saved."""
+    wanted = frames_in(saved) + frames
+    # reading the whole file costs the programs under test their time
+    return eventually(lambda: frames_in(saved) >= wanted, SLOW_S, every=0.5)
+
+
+def test_one_of_two_sensor_programs_is_killed_and_started_anew(tmp_path: Path) -> None:
+    """S* goes on with the other sensor, then with both."""
+    address, saved, report = free_address(), tmp_path / "s.rrd", tmp_path / "s.json"
+
+    def sensor(which: str) -> Program:
+        return Program("sensor", "--publish", f"lab/{which}", "--simulate", which, "--zenoh-connect", address)
+
+    live = ["live", "--kinect-a", "zenoh:lab/a", "--kinect-b", "zenoh:lab/b", "--zenoh-listen", address]
+    a, b = sensor("a"), sensor("b")
+    again: Program | None = None
+    try:
+        with running(*live, "--no-viewer", "--quiet", "--save", saved, "--report", report) as fusing:
+            assert fusing.says("Running.", SLOW_S), fusing.said
+            assert goes_on(saved)
+            b.kill()
+            assert fusing.says("zenoh:lab/b is silent", SLOW_S), fusing.said
+            assert goes_on(saved)
+            again = sensor("b")
+            assert fusing.says("zenoh:lab/b is back.", SLOW_S), fusing.said
+            assert goes_on(saved)
+            assert fusing.end() == 0, fusing.said
+        assert a.end() == 0
+        assert "frames published" in a.said
+    finally:
+        for program in (a, b, again):
+            if program is not None:
+                program.kill()
+    for said in (fusing.said, a.said, b.said):
+        assert "Traceback" not in said
+    session = Session.open(saved)
+    assert (np.diff(session.time_ns) > 0).all()
+    assert np.isfinite(session.fused).all()
+    seen_b = np.isfinite(session.skeleton_b.positions).any(axis=(1, 2))
+    assert seen_b[:30].any()
+    assert seen_b[-10:].any()
+    alone = np.flatnonzero(~seen_b)
+    assert len(alone) >= 30
+    figures = json.loads(report.read_text())
+    assert figures["network"]["b"]["restarts"] == 1
+    assert figures["network"]["a"]["restarts"] == 0
+    assert figures["streams"]["lost_and_back"] == {"a": 0, "b": 1}
+    assert any("zenoh:lab/b is back." in event.text for event in session.events)
+
+
+MISTAKES = [
+    (("sensor", "--publish", "a//b", "--simulate", "a"), "is not a Zenoh key"),
+    (("sensor", "--publish", "a", "--simulate", "a", "--zenoh-connect", "host"), "is not a Zenoh address"),
+    (("sensor", "--publish", "a", "--simulate", "a", "--kinect", "1"), "exclude each other"),
+    (
+        ("sensor", "--publish", "a", "--simulate", "a", "--seconds", "0"),
+        "must be a positive number",
+    ),
+    (("sensor", "--publish", "a", "--simulate", "a", "--motion", "fly"), "No movement 'fly'"),
+    (("sensor", "--publish", "a", "--recording", "none.csv"), "No file none.csv"),
+    (("live", "--no-viewer", "--kinect-a", "zenoh:a", "--kinect-b", "zenoh:a"), "Name two different sensors"),
+    (("live", "--no-viewer", "--kinect-a", "zenoh:", "--kinect-b", "zenoh:b"), "is not a Zenoh key"),
+    (("live", "--no-viewer", "--kinect-a", "zenoh:a", "--principal", "1"), "--principal is for two Kinects"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), MISTAKES)
+def test_a_mistake_gives_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
+) -> None:
+    assert duplex(*arguments) == 2
+    assert words in one_line(capsys)
