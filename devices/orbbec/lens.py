@@ -42,15 +42,16 @@ def intrinsics_of(sdk: Any, profile: Any, serial: str) -> tuple[Intrinsics, str]
     elif model not in _BROWN_CONRADY:
         coefficients = ()
         warning = f"Orbbec {serial}: lens distortion of the model {model} is not known and is left out."
-    return (
-        Intrinsics(
-            profile.get_width(),
-            profile.get_height(),
-            *(float(getattr(lens, name)) for name in ("fx", "fy", "cx", "cy")),
-            distortion=coefficients,
-        ),
-        warning,
+    pinhole = Intrinsics(
+        profile.get_width(),
+        profile.get_height(),
+        float(lens.fx),
+        float(lens.fy),
+        float(lens.cx),
+        float(lens.cy),
+        coefficients,
     )
+    return pinhole, warning
 
 
 def color_camera(sdk: Any, color: Any, depth: Any, serial: str) -> tuple[ColorCamera, str]:
@@ -64,7 +65,7 @@ def color_camera(sdk: Any, color: Any, depth: Any, serial: str) -> tuple[ColorCa
         pose = depth.get_extrinsic_to(color)
         translation = np.asarray(pose.transform, dtype=np.float64) * 1e-3  # the SDK's are millimetres
         return ColorCamera(intrinsics, RigidTransform.of(pose.rot, translation)), warning
-    except (*faults_of(sdk), FusionError) as fault:
+    except faults_of(sdk) + (FusionError,) as fault:
         raise DeviceError(
             f"Orbbec {serial} does not know its colour camera's place ({fault}). Run without --color."
         ) from fault

@@ -160,5 +160,3 @@ def _without_its_greeting() -> Iterator[None]:
     finally:
         os.dup2(kept, 1)
         os.close(kept)
-
-
