@@ -144,8 +144,8 @@ class SimulatedKinect:
         errors: Errors of its body tracker; None: the errors fitted for the body.
         depth: Whether frames have a depth image, and its size.
         depth_errors: Errors of the depth image.
-        infrared: Whether frames with a depth image have an infrared image, too. Both then show the person dressed
-            (``clothed_surface``); the simulated tracker's errors and its joints' visibility stay the same.
+        infrared: Whether frames with a depth image have an infrared image, too. Both then show the person
+            dressed (``clothed_surface``); the simulated tracker's errors stay the same.
 
         Attributes:
             hurried: While True, frames have no depth image, which takes most of a frame's time.
@@ -222,7 +222,7 @@ class SimulatedKinect:
     def _images(
         self, landmarks: Array, shapes: Array, frame: int
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint16] | None]:
-        """The depth image and the infrared image of a frame, of landmarks and capsules in the sensor's frame."""
+        """The depth and infrared image of a frame; landmarks and capsules are in the sensor's frame."""
         seed, which = self._scene.seed, self._which
         sensor_from_world = self._rig.world_from_sensor(which).inverse()
         if self._infrared is not None:

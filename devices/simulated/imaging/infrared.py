@@ -1,7 +1,7 @@
 """Renders active infrared images: what the sensor's own illuminator makes of the surface before it.
 
-The brightness of a pixel is ``gain · reflectance · cos(angle of incidence) · cos(angle off axis)^vignetting /
-distance²``: a Lambertian surface lit from the camera's own place. Shot noise grows with the square root of the
+The brightness of a pixel is ``gain · reflectance · cos(incidence) · cos(off axis)^vignetting / distance²``: a
+Lambertian surface that is lit from the camera's own place. Shot noise grows with the square root of the
 brightness; read noise is constant.
 """
 
@@ -56,8 +56,8 @@ class InfraredModel:
     """The illuminator and the infrared camera.
 
     Gain, vignetting and noise were estimated from one real capture of an Azure Kinect (NFOV_UNBINNED): the
-    brightness of its brightest surfaces times distance², that by angle off the axis, and the standard deviation of
-    second differences between neighbouring pixels by brightness.
+    brightness of its brightest surfaces times distance², how that falls with the angle off the axis, and the
+    standard deviation of second differences between neighbouring pixels by brightness.
 
     Attributes:
         gain: Counts of a surface of reflectance 1 that faces the sensor at 1 m on the optical axis.
@@ -78,12 +78,11 @@ class InfraredModel:
         return replace(self, read_noise=self.read_noise / 2.0, shot_noise=self.shot_noise / 4.0)
 
     def illumination(self, intrinsics: Intrinsics) -> NDArray[np.float32]:
-        """Returns (height, width) the counts of a surface of reflectance 1, facing the sensor, at depth z = 1 m."""
+        """Returns (height, width) counts of a surface of reflectance 1 that faces the sensor at z = 1 m."""
         v, u = np.mgrid[: intrinsics.height, : intrinsics.width]
-        squared = (
-            1.0 + ((u - intrinsics.cx) / intrinsics.fx) ** 2 + ((v - intrinsics.cy) / intrinsics.fy) ** 2
-        )
-        return np.asarray(self.gain * squared ** (-1.0 - 0.5 * self.vignetting), dtype=np.float32)
+        x, y = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
+        squared_distance = 1.0 + x**2 + y**2  # at z = 1 m; its inverse is the squared cosine off the axis
+        return np.asarray(self.gain * squared_distance ** (-1.0 - 0.5 * self.vignetting), dtype=np.float32)
 
 
 def infrared_image(

@@ -1,7 +1,7 @@
 """The person's surface in the detail that images need: face, hair, clothes, hands and shoes, by material.
 
-Depth images without infrared and the visibility of joints use the plainer ``body_surface``, which the simulated
-trackers' errors are fitted to. Both surfaces lie around the same landmarks.
+Depth images without infrared and the visibility of joints use the plainer ``body_surface``, which the
+simulated trackers' errors are fitted to. Both surfaces lie around the same landmarks.
 """
 
 from __future__ import annotations
