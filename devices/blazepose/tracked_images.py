@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
@@ -35,12 +36,16 @@ class TrackedImages:
         settings: BlazePoseSettings | None = None,
         *,
         registered: Callable[[SensorFrame], NDArray[np.uint8] | None] | None = None,
+        took: Callable[[int], object] = lambda _: None,
+        clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         """Stores the source without opening it.
 
         Args:
             source: A sensor whose frames have depth and infrared or colour; its own people are ignored.
             settings: How the tracker runs.
+            took: Called with the time that the tracker worked on each frame, ns.
+            clock: Nanoseconds; tests inject their own.
             registered: Gives the (h, w, 3) RGB image of a frame without infrared, on the depth's pixels.
                 None: the frame's colour image, where its camera is the depth camera.
         """
@@ -48,6 +53,7 @@ class TrackedImages:
         self.tracker = BlazePose(settings)
         self.body: Body = BLAZEPOSE
         self._registered = registered or registered_color
+        self._took, self._clock = took, clock
 
     @property
     def name(self) -> str:
@@ -105,7 +111,10 @@ class TrackedImages:
             DeviceError: The source failed, or it does not know its depth camera.
         """
         for frame in self.source.frames():
-            yield replace(frame, people={} if frame.depth is None else self._people(frame))
+            begun_ns = self._clock()
+            tracked = replace(frame, people={} if frame.depth is None else self._people(frame))
+            self._took(self._clock() - begun_ns)
+            yield tracked
 
     def _people(self, frame: SensorFrame) -> dict[str, Skeleton]:
         camera = self.source.intrinsics
