@@ -49,12 +49,8 @@ def open_source(
         if not isinstance(images, MkvRecording):
             raise DeviceError(f"{option} {skeletons} is for an .mkv; {path.name} is tracked.")
         return RecordingWithSkeletons(images, SkeletonRecording(skeletons))
-    tracker = tracker or choose_tracker()
-    if not isinstance(images, MkvRecording):
-        if tracker.name == "k4abt" and tracker.reason.startswith("asked"):
-            raise DeviceError(f"{path.name}: k4abt takes images of libk4a only. Leave --tracker out.")
-        return TrackedImages(images, tracker.blazepose)
-    if tracker.name == "blazepose":
+    tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(path))
+    if tracker.name == "blazepose" or not isinstance(images, MkvRecording):
         return TrackedImages(images, tracker.blazepose)
     return _NeedsTracker(images, tracker.k4abt, option)
 
@@ -62,6 +58,11 @@ def open_source(
 def has_images(path: Path) -> bool:
     """Whether a recording holds images, by its suffix; else it holds skeletons."""
     return path.suffix.lower() in (MKV, BAG)
+
+
+def not_of_libk4a(*paths: Path) -> list[str]:
+    """The names of those recordings whose images are not libk4a's."""
+    return [path.name for path in paths if path.suffix.lower() == BAG]
 
 
 def open_images(path: Path) -> MkvRecording | OrbbecRecording:

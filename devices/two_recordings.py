@@ -17,6 +17,7 @@ from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.sources import (
     frame_count,
     has_images,
+    not_of_libk4a,
     one_person,
     open_images,
     open_source,
@@ -130,8 +131,8 @@ def read_two(
         DeviceError: A recording cannot be read or tracked, the bodies differ, or the two never overlap.
     """
     tracked = any(choice.is_tracked for choice in (choice_a, choice_b))
-    if tracked and tracker is None:
-        tracker = choose_tracker()
+    if tracked:
+        tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(choice_a.path, choice_b.path))
     a, b = (
         open_source(choice.path, choice.skeletons, tracker, choice.skeletons_option)
         for choice in (choice_a, choice_b)

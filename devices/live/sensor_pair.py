@@ -199,7 +199,8 @@ class TwoSensors:
         message = (
             f"The body tracker of {decimation.slowest} takes {1000 * decimation.slowest_s:.0f} ms per frame: "
             f"both sensors go on with {kept:.3g} of {full:.3g} frames per second. It is the tracker, not USB "
-            f"or light: a faster GPU, or record now and track later (duplex fuse a.mkv b.mkv)."
+            f"or light: a faster machine, --tracker-network lite with blazepose, or record now and track "
+            f"later (duplex fuse a.mkv b.mkv)."
             if self._step > 1
             else f"The body trackers keep up again: {full:.3g} frames per second."
         )

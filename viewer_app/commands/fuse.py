@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import track
 
 from devices.sensor import SensorFrame
+from devices.sources import not_of_libk4a
 from devices.two_recordings import Progress, RecordingChoice, read_two
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
@@ -69,7 +70,7 @@ def run(options: FuseOptions) -> None:
     choices = _choices(options)
     tracker = None
     if any(choice.is_tracked for choice in choices):
-        tracker = tracker_of(options)
+        tracker = tracker_of(options).for_images_of(not_of_libk4a(options.a, options.b))
         announce_tracker(tracker, console)
     read = read_two(*choices, tracker, progress)
     for warning in read.warnings:

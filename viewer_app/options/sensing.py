@@ -79,7 +79,7 @@ class DemoOptions(TerminalOptions, ViewerOptions):
 class LiveOptions(
     TrackerOptions, MethodOptions, TerminalOptions, ViewerOptions, OutputOptions, SensorOptions
 ):
-    """Fuse two Azure Kinects (or Orbbec Femto Bolt / Mega) live.
+    """Fuse two sensors live: Azure Kinect, Orbbec Femto Bolt, Femto Mega, Gemini 2 and their kin.
 
     Ctrl-C ends the command and saves everything. duplex doctor shows what this machine lacks.
     """

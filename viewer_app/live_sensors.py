@@ -1,0 +1,152 @@
+"""The two sensors of a live session, as the options, the cables and the user choose them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+from rich.console import Console
+
+from devices.azure.kinect import KinectSensor
+from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings
+from devices.azure.pyk4a_access import ConnectedKinect
+from devices.azure.sensor_roles import NeedsChoiceError, cable_notes, choose_two, sync_master
+from devices.blazepose.tracked_images import TrackedImages
+from devices.live.connected_sensors import connected_sensors
+from devices.live.frame_decimation import FrameDecimation
+from devices.live.sensor_pair import TwoSensors
+from devices.live.sensor_state import SensorEvent
+from devices.live.stream_pairing import LivePairing, Side
+from devices.orbbec.sensor import OrbbecSensor
+from devices.orbbec.settings import OrbbecSettings
+from devices.sensor import Sensor
+from devices.tracker_choice import TrackerChoice
+from viewer_app.options.sensing import LiveOptions
+from viewer_app.tracker_selection import announce_tracker, tracker_of
+
+
+def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
+    """Chooses the two sensors from the options, the sync cable and the user's answers; opens neither.
+
+    Raises:
+        DeviceError: Fewer than two usable Kinects, no SDK, or a wrongly connected sync cable.
+    """
+    tracker = tracker_of(options, options.tracker_smoothing)
+    connected = connected_sensors(tracker)
+    serials = _choose(connected, options, console)
+    kinect_a, kinect_b = (next(k for k in connected if k.serial == serial) for serial in serials)
+    master = sync_master(kinect_a, kinect_b, options.sync_master)
+    for note in cable_notes(kinect_a, kinect_b, master):
+        console.print(note, style="yellow", highlight=False, markup=False)
+    if master is not None:
+        leads, follows = ("A", "B") if master == serials[0] else ("B", "A")
+        console.print(
+            f"Sync cable: {leads} leads, {follows} captures {LASER_GAP_US} µs later and is started first, to "
+            f"be there at the first pulse."
+        )
+    tracker = tracker.for_images_of([k.serial or "" for k in (kinect_a, kinect_b) if k.sdk == "orbbec"])
+    announce_tracker(tracker, console)
+    if options.processing == "cpu" and tracker.name == "k4abt":
+        console.print(
+            "A CPU tracks only about one frame per second of both sensors. To fuse every frame, "
+            "record with k4arecorder, then run duplex fuse a.mkv b.mkv.",
+            style="yellow",
+            highlight=False,
+        )
+    if options.processing == "tensorrt" and tracker.name == "k4abt":
+        console.print("TensorRT builds its engine; minutes the first time.")
+    decimation = FrameDecimation(options.fps)
+    a, b = (_sensor(kinect, options, master, tracker, decimation) for kinect in (kinect_a, kinect_b))
+    interval_ns = round(1e9 / options.fps)
+    delay_ns = {None: None, serials[0]: 1000 * LASER_GAP_US}.get(master, -1000 * LASER_GAP_US)
+    pairing = LivePairing(
+        interval_ns,
+        sync_delay_ns=delay_ns,
+    )
+    first: Side = "a" if master == serials[1] else "b"
+    return TwoSensors(
+        *(a, b),
+        pairing=pairing,
+        decimation=decimation,
+        first=first,
+        open_s=opens_within(options),
+        tell=_teller(console),
+    )
+
+
+def _choose(connected: Sequence[ConnectedKinect], options: LiveOptions, console: Console) -> tuple[str, str]:
+    try:
+        return choose_two(connected, options.kinect_a, options.kinect_b, options.principal)
+    except NeedsChoiceError as choice:
+        if not sys.stdin.isatty():
+            raise
+        principal = _ask(choice, console)
+        console.print(f"Next time: --principal {principal}", highlight=False)
+        return choose_two(connected, principal=principal)
+
+
+def _ask(choice: NeedsChoiceError, console: Console) -> str:
+    one, two = choice.serials
+    console.print(f"Two Kinects are connected: [bold]1[/] {one}, [bold]2[/] {two}.", highlight=False)
+    console.print("Their serial numbers are on the labels beneath. S* will be in the principal one's frame.")
+    while True:
+        try:
+            answer = console.input("Which one is the principal sensor A? [1/2] ").strip()
+        except EOFError:
+            raise choice from None
+        if answer in ("1", one):
+            return one
+        if answer in ("2", two):
+            return two
+
+
+def _sensor(
+    kinect: ConnectedKinect,
+    options: LiveOptions,
+    master: str | None,
+    tracker: TrackerChoice,
+    decimation: FrameDecimation,
+) -> Sensor:
+    serial = str(kinect.serial)
+    settings = kinect_settings(options, serial, master)
+    if tracker.name == "k4abt":
+        return KinectSensor(serial, settings, tracker.k4abt, decimation=decimation)
+    images: Sensor
+    if kinect.sdk == "orbbec":
+        images = OrbbecSensor(serial, _orbbec_settings(options, serial, master), decimation)
+    else:
+        images = KinectSensor(serial, replace(settings, infrared=True), track=False, decimation=decimation)
+    return TrackedImages(images, tracker.blazepose, took=partial(decimation.tracked, serial))
+
+
+def _orbbec_settings(options: LiveOptions, serial: str, master: str | None) -> OrbbecSettings:
+    return OrbbecSettings(
+        depth_mode=options.depth_mode,
+        fps=options.fps,
+        color=None if options.color == "off" else options.color,
+        sync="standalone" if master is None else "primary" if serial == master else "secondary",
+        start_s=opens_within(options),
+    )
+
+
+def kinect_settings(options: LiveOptions, serial: str, master: str | None) -> KinectSettings:
+    """The settings of a libk4a sensor, which has its place on the cable that leads out of ``master``."""
+    return KinectSettings(
+        depth_mode=options.depth_mode,
+        fps=options.fps,
+        color=None if options.color == "off" else options.color,
+        sync="standalone" if master is None else "master" if serial == master else "subordinate",
+        trust_jacks=options.sync_master is None,
+        start_s=opens_within(options),
+    )
+
+
+def opens_within(options: LiveOptions) -> float:
+    """The time limit for opening a sensor and its body tracker, seconds."""
+    return 900.0 if options.processing == "tensorrt" else 120.0
+
+
+def _teller(console: Console) -> Callable[[SensorEvent], None]:
+    return lambda event: console.print(event.message, style="yellow", highlight=False, markup=False)
