@@ -154,7 +154,7 @@ class VideoStreamProfile:
 
     def get_extrinsic_to(self, other: VideoStreamProfile) -> OBExtrinsic:
         if id(other) not in self._poses:
-            raise OBError("Can not find extrinsic!")
+            raise OBError("From Stream profile not registered!")
         return self._poses[id(other)]
 
 
@@ -170,7 +170,7 @@ class StreamProfileList:
 
     def get_stream_profile_by_index(self, index: int) -> VideoStreamProfile:
         if not 0 <= index < len(self._profiles):
-            raise OBError('Invalid index value for argument "index"')
+            raise OBError("ob_stream_profile_list_get_profile: index out of range!")
         return self._profiles[index]
 
 
@@ -197,7 +197,7 @@ class Config:
 
 
 class Frame:
-    """A frame; the real one is a ``VideoFrame`` where it has a size."""
+    """A frame as it is made: the real one has no depth scale before it has been in a set."""
 
     def __init__(self, kind: object, image_format: object, size: int, shape: tuple[int, int]) -> None:
         self._kind, self._format, self._shape = kind, image_format, shape
@@ -212,10 +212,9 @@ class Frame:
     @staticmethod
     def create_video_frame(
         kind: object, image_format: object, width: int, height: int, stride: int = 0
-    ) -> Frame:
-        if stride not in (0, width * _bytes_of(image_format)):
-            raise OBError("stride")
-        return Frame(kind, image_format, width * height * _bytes_of(image_format), (height, width))
+    ) -> VideoFrame:
+        assert stride == 0, "the stand-in knows rows without a gap only"
+        return VideoFrame(kind, image_format, width * height * _bytes_of(image_format), (height, width))
 
     @staticmethod
     def create_frame_set() -> FrameSet:
@@ -251,17 +250,35 @@ class Frame:
     def get_system_timestamp_us(self) -> int:
         return self._system_us
 
+
+class VideoFrame(Frame):
     def get_width(self) -> int:
         return self._shape[1]
 
     def get_height(self) -> int:
         return self._shape[0]
 
-    def as_depth_frame(self) -> Frame:
-        return self
 
+class DepthFrame(VideoFrame):
     def get_depth_scale(self) -> float:
         return self._scale
+
+
+class IRFrame(VideoFrame):
+    pass
+
+
+class ColorFrame(VideoFrame):
+    pass
+
+
+def _viewed(frame: Frame | None, kind: type[Frame]) -> Frame | None:
+    """The frame as a set gives it: another object, of the kind of its image."""
+    if frame is None:
+        return None
+    view = kind.__new__(kind)
+    view.__dict__ = frame.__dict__
+    return view
 
 
 class FrameSet:
@@ -275,16 +292,19 @@ class FrameSet:
         return len(self._frames)
 
     def get_depth_frame(self) -> Frame | None:
-        return self._frames.get(OBFrameType.DEPTH_FRAME)  # type: ignore[attr-defined]
+        return self._get("DEPTH_FRAME", DepthFrame)
 
     def get_ir_frame(self) -> Frame | None:
-        return self._frames.get(OBFrameType.IR_FRAME)  # type: ignore[attr-defined]
+        return self._get("IR_FRAME", IRFrame)
 
     def get_left_ir_frame(self) -> Frame | None:
-        return self._frames.get(OBFrameType.LEFT_IR_FRAME)  # type: ignore[attr-defined]
+        return self._get("LEFT_IR_FRAME", IRFrame)
 
     def get_color_frame(self) -> Frame | None:
-        return self._frames.get(OBFrameType.COLOR_FRAME)  # type: ignore[attr-defined]
+        return self._get("COLOR_FRAME", ColorFrame)
+
+    def _get(self, name: str, kind: type[Frame]) -> Frame | None:
+        return _viewed(self._frames.get(getattr(OBFrameType, name)), kind)
 
 
 def _bytes_of(image_format: object) -> int:
