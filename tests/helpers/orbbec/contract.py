@@ -33,16 +33,9 @@ ENUMS = {
 }
 CLASSES = (
     *("Context", "DeviceList", "Device", "DeviceInfo", "PlaybackDevice", "Pipeline", "Config"),
-    *(
-        "VideoStreamProfile",
-        "StreamProfileList",
-        "Frame",
-        "VideoFrame",
-        "DepthFrame",
-        "IRFrame",
-        "ColorFrame",
-    ),
-    *("FrameSet", "OBCameraIntrinsic", "OBCameraDistortion", "OBExtrinsic", "OBMultiDeviceSyncConfig"),
+    *("VideoStreamProfile", "StreamProfileList", "Frame", "VideoFrame", "DepthFrame", "IRFrame"),
+    *("ColorFrame", "FrameSet", "OBCameraIntrinsic", "OBCameraDistortion", "OBExtrinsic"),
+    "OBMultiDeviceSyncConfig",
 )
 
 

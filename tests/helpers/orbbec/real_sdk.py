@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 _PACKAGE = "pyorbbecsdk2==2.1.2"
+_OPTIONS = ("--no-deps", "--only-binary=:all:")
 _ROOT = Path(__file__).resolve().parents[3]
 
 
