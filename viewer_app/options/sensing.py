@@ -63,7 +63,7 @@ class DemoOptions(TerminalOptions, ViewerOptions):
     """Seed of the simulated sensors' errors; the same seed gives the same skeletons."""
     angle: float = 90.0
     """Degrees between the two sensors."""
-    body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
+    body: Literal["kinect_v1", "kinect_v2", "azure_kinect", "blazepose"] = "azure_kinect"
     """Whose body tracker is simulated."""
     depth: Literal["none", "half", "full"] = "half"
     """Depth images: none, half the sensor's resolution, or full. If the machine is too slow, as most are for
