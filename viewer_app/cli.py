@@ -25,6 +25,7 @@ from viewer_app.options.sessions import (
     ReviewOptions,
     TrimOptions,
 )
+from viewer_app.options.tracker import TrackerFetchOptions
 
 _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "demo": (DemoOptions, "viewer_app.commands.demo"),
@@ -37,13 +38,17 @@ _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "trim": (TrimOptions, "viewer_app.commands.trim"),
     "info": (InfoOptions, "viewer_app.commands.info"),
     "doctor": (DoctorOptions, "viewer_app.commands.doctor"),
+    "tracker fetch": (TrackerFetchOptions, "viewer_app.commands.tracker"),
     "bench accuracy": (BenchAccuracyOptions, "viewer_app.bench.accuracy"),
     "bench real": (BenchRealOptions, "viewer_app.bench.real"),
     "bench speed": (BenchSpeedOptions, "viewer_app.bench.speed"),
 }
 """Options and module of each command, by ``command`` or ``group command``; the module has a ``run``."""
 
-_GROUPS = {"bench": "Measure the method on this machine."}
+_GROUPS = {
+    "bench": "Measure the method on this machine.",
+    "tracker": "The program's own body tracker, BlazePose.",
+}
 
 
 def script() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from devices.blazepose.grey_image import compressed
 from devices.blazepose.joints import joints_of
 from devices.blazepose.lifting import lift
+from devices.blazepose.network_files import LANDMARKS as LANDMARK_FILES
 from devices.blazepose.network_files import cache_folder, checked_content, files_of
 from devices.blazepose.networks import (
     CENTRE,
@@ -21,7 +23,7 @@ from devices.blazepose.networks import (
     LandmarkNetwork,
 )
 from devices.blazepose.regions import Region, transformed, whole_image
-from devices.blazepose.settings import BlazePoseSettings
+from devices.blazepose.settings import BlazePoseSettings, NetworkName
 from devices.sensor import DeviceError
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
@@ -65,6 +67,18 @@ class BlazePose:
         self._networks = Detector(detector, threads), LandmarkNetwork(landmarks, threads)
         self.forget()
         return self
+
+    def use(self, network: NetworkName) -> None:
+        """Changes the landmark network of an open tracker; the person is kept.
+
+        Raises:
+            DeviceError: The network's file is missing or damaged. The tracker goes on with the one it has.
+        """
+        if self._networks is None:
+            raise DeviceError("The body tracker is not open: use it in a with statement.")
+        content = checked_content(LANDMARK_FILES[network], self.settings.models or cache_folder())
+        self._networks = self._networks[0], LandmarkNetwork(content, self.settings.threads)
+        self.settings = replace(self.settings, network=network)
 
     def __exit__(self, *exc_info: object) -> None:
         """Releases the networks."""
