@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.blazepose.blazepose import BlazePose
+from devices.blazepose.pace import TrackingPace
 from devices.blazepose.settings import BlazePoseSettings
 from devices.sensor import DeviceError, Interruptible, Sensor, SensorFrame
 from fusion.body import BLAZEPOSE, Body
@@ -35,6 +37,8 @@ class TrackedImages:
         settings: BlazePoseSettings | None = None,
         *,
         registered: Callable[[SensorFrame], NDArray[np.uint8] | None] | None = None,
+        pace: TrackingPace | None = None,
+        clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         """Stores the source without opening it.
 
@@ -43,11 +47,15 @@ class TrackedImages:
             settings: How the tracker runs.
             registered: Gives the (h, w, 3) RGB image of a frame without infrared, on the depth's pixels.
                 None: the frame's colour image, where its camera is the depth camera.
+            pace: For live sensors, shared by both: it gets the tracker's times and says which network to
+                use. The source leaves out the frames that it does not keep. None: every frame, one network.
+            clock: Nanoseconds; tests inject their own.
         """
         self.source = source
         self.tracker = BlazePose(settings)
         self.body: Body = BLAZEPOSE
         self._registered = registered or registered_color
+        self._pace, self._clock = pace, clock
 
     @property
     def name(self) -> str:
@@ -105,7 +113,18 @@ class TrackedImages:
             DeviceError: The source failed, or it does not know its depth camera.
         """
         for frame in self.source.frames():
-            yield replace(frame, people={} if frame.depth is None else self._people(frame))
+            if frame.depth is None:
+                yield replace(frame, people={})
+                continue
+            if self._pace is not None and self.tracker.settings.network != self._pace.network:
+                self.tracker.use(self._pace.network)
+            begun_ns = self._clock()
+            people = self._people(frame)
+            if self._pace is not None:
+                # A simulated sensor makes its images on this thread, within the same budget.
+                making_ns = int(getattr(self.source, "making_ns", 0))
+                self._pace.tracked(self.name, self._clock() - begun_ns + making_ns)
+            yield replace(frame, people=people)
 
     def _people(self, frame: SensorFrame) -> dict[str, Skeleton]:
         camera = self.source.intrinsics

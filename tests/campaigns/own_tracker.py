@@ -1,10 +1,9 @@
 """The program's own tracker on simulated images: ``python -m tests.campaigns.own_tracker``.
 
-Prints a table per angle: how often the person was found, the error of tracked joints, the share of hidden joints
-reported as tracked, S* beside that of the simulated Azure Kinect's tracker on the same scenes, and the cost of an
-image. Both trackers see the same images: infrared and depth of the dressed person. A campaign and not a ``bench``
-command, because the figures are of the simulator and not of the machine; ``duplex doctor`` and the live loop tell
-what a machine can do.
+Prints for each scene how often the person was found, the error of tracked joints, the share of hidden joints
+that are reported as tracked, S* beside that of the simulated Azure Kinect's tracker on the same scene, and the
+CPU time of an image. It is a campaign and not a ``bench`` command, because the figures describe the tracker and the
+simulator, not the machine.
 """
 
 from __future__ import annotations

@@ -31,6 +31,7 @@ class LiveSession(FanOut):
         overwrite: Whether an existing file may be replaced.
         viewing: The viewer; None for none.
         others: Further sinks.
+        file_blueprint: The layout in the file; None: the viewer's. A file lacks what only a viewer is shown.
 
     Attributes:
         viewer: The viewer.
@@ -50,6 +51,7 @@ class LiveSession(FanOut):
         overwrite: bool = False,
         viewing: Viewing | None = None,
         others: Sequence[Sink] = (),
+        file_blueprint: rrb.Blueprint | None = None,
     ) -> None:
         identity = uuid4()
         self.viewer = viewer_sink(setup, sources, blueprint, viewing, identity)
@@ -57,7 +59,7 @@ class LiveSession(FanOut):
         def begin(stream: rr.RecordingStream) -> Recorder:
             recorder = Recorder(stream, setup, sources, depth_every=1)
             # The blueprint's timeline must exist. If not active, a viewer restores a remembered layout.
-            stream.send_blueprint(blueprint)
+            stream.send_blueprint(file_blueprint or blueprint)
             return recorder
 
         self.file = FileSink()
