@@ -49,5 +49,5 @@ NOMINAL_INTRINSICS = {
 """The depth camera of each sensor family, by body name, for recordings without intrinsics.
 
 Focal lengths: that of the maker's software (v1), the mean of published calibrations (v2), that of the
-NFOV_UNBINNED mode (Azure). BlazePose works with any depth camera; the Azure Kinect's is assumed. The principal
-point is in the middle."""
+NFOV_UNBINNED mode (Azure). BlazePose works with any depth camera; the Azure Kinect's is assumed. The
+principal point is in the middle."""
