@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
-import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +10,7 @@ from pathlib import Path
 from devices.azure.firmware import firmware_advice
 from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects, load_sdk
 from devices.azure.sensor_roles import NeedsChoiceError, cable_unknown, choose_two, sync_master
+from devices.azure.tracking.availability import found_gpu
 from devices.azure.tracking.body_tracker import INSTALL, TrackerSettings
 from devices.azure.tracking.native_library import load_library, loaded_file
 from devices.azure.usb import UDEV_ADVICE, usb_kinects
@@ -237,15 +236,9 @@ def _plug(connected: bool | None) -> str:
 
 
 def _gpu(tracker: TrackerSettings, root: Path) -> Check:
-    if (root / "proc/driver/nvidia/version").is_file() or shutil.which("nvidia-smi"):
-        return Check("GPU", True, "NVIDIA driver found", needed=False)
-    if sys.platform == "win32":
-        try:
-            ctypes.CDLL("DirectML.dll")
-        except OSError:
-            pass
-        else:
-            return Check("GPU", True, "DirectML found", needed=False)
+    gpu = found_gpu(root)
+    if gpu:
+        return Check("GPU", True, f"{gpu} found", needed=False)
     slow = (
         "about one frame per second of both sensors: record with k4arecorder now, "
         "duplex fuse a.mkv b.mkv later."

@@ -37,6 +37,7 @@ class TrackedImages:
         settings: BlazePoseSettings | None = None,
         *,
         registered: Callable[[SensorFrame], NDArray[np.uint8] | None] | None = None,
+        took: Callable[[int], object] = lambda _: None,
         pace: TrackingPace | None = None,
         clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
@@ -47,6 +48,7 @@ class TrackedImages:
             settings: How the tracker runs.
             registered: Gives the (h, w, 3) RGB image of a frame without infrared, on the depth's pixels.
                 None: the frame's colour image, where its camera is the depth camera.
+            took: Called with the time that the tracker worked on each frame, ns.
             pace: For live sensors, shared by both: it gets the tracker's times and says which network to
                 use. The source leaves out the frames that it does not keep. None: every frame, one network.
             clock: Nanoseconds; tests inject their own.
@@ -55,7 +57,7 @@ class TrackedImages:
         self.tracker = BlazePose(settings)
         self.body: Body = BLAZEPOSE
         self._registered = registered or registered_color
-        self._pace, self._clock = pace, clock
+        self._took, self._pace, self._clock = took, pace, clock
 
     @property
     def name(self) -> str:
@@ -120,11 +122,15 @@ class TrackedImages:
                 self.tracker.use(self._pace.network)
             begun_ns = self._clock()
             people = self._people(frame)
-            if self._pace is not None:
-                # A simulated sensor makes its images on this thread, within the same budget.
-                making_ns = int(getattr(self.source, "making_ns", 0))
-                self._pace.tracked(self.name, self._clock() - begun_ns + making_ns)
+            self._tell(self._clock() - begun_ns)
             yield replace(frame, people=people)
+
+    def _tell(self, spent_ns: int) -> None:
+        """Tells how long the tracker worked on a frame."""
+        self._took(spent_ns)
+        if self._pace is not None:
+            # A simulated sensor makes its images on this thread, within the same budget.
+            self._pace.tracked(self.name, spent_ns + int(getattr(self.source, "making_ns", 0)))
 
     def _people(self, frame: SensorFrame) -> dict[str, Skeleton]:
         camera = self.source.intrinsics

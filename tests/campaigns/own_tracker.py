@@ -1,9 +1,8 @@
 """The program's own tracker on simulated images: ``python -m tests.campaigns.own_tracker``.
 
 Prints for each scene how often the person was found, the error of tracked joints, the share of hidden joints
-that are reported as tracked, S* beside that of the simulated Azure Kinect's tracker on the same scene, and the
-CPU time of an image. It is a campaign and not a ``bench`` command, because the figures describe the tracker and
-the simulator, not the machine.
+reported as tracked, S* beside that of the simulated Azure Kinect's tracker, and the CPU time of an image. It is a
+campaign and not a ``bench`` command: its figures describe the tracker and the simulator, not the machine.
 """
 
 from __future__ import annotations

@@ -23,7 +23,8 @@ class FuseOptions(TrackerOptions, MethodOptions, ViewerOptions, OutputOptions):
     """Fuse two recorded skeleton streams into one skeleton with bones of constant length.
 
     Recordings are .csv (time_us,body,joint,x,y,z[,state]; metres), .json (Microsoft's offline_processor),
-    .skeleton (NTU RGB+D), or .mkv of an Azure Kinect, on which the body tracker is run.
+    .skeleton (NTU RGB+D); or images, on which a body tracker is run: .mkv of an Azure Kinect, .bag of
+    Orbbec's SDK v2.
     """
 
     a: Positional[Path] = field(kw_only=True)
