@@ -31,7 +31,7 @@ class Kind(NamedTuple):
         turned: Largest component of the landmark's outward direction along the line of sight: -1 towards the
             sensor, 1 away from it. An ear of the far side is hidden, whatever lies before it.
         front, back: Metres by which the surface may lie before or behind the place where the whole body
-            expects it. What lies farther in front covers the landmark; what lies farther behind is not the body.
+            expects it. What lies farther in front covers it; what lies farther behind is not the body.
     """
 
     beneath: float

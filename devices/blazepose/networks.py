@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.blazepose.native_messages import without_notes
 from devices.sensor import DeviceError
 
 Array = NDArray[np.float64]
@@ -148,8 +149,9 @@ class _Network:
                 "Run pip install ai-edge-litert; it has no wheel for macOS on Intel."
             ) from None
         try:
-            self._interpreter: Any = Interpreter(model_content=content, num_threads=threads)
-            self._interpreter.allocate_tensors()
+            with without_notes():
+                self._interpreter: Any = Interpreter(model_content=content, num_threads=threads)
+                self._interpreter.allocate_tensors()
         except (RuntimeError, ValueError) as fault:
             raise DeviceError(f"The body tracker's network cannot be loaded: {fault}.") from None
         self._input = self._interpreter.get_input_details()[0]["index"]
