@@ -13,9 +13,9 @@ from devices.blazepose.grey_image import compressed
 from devices.blazepose.joints import joints_of
 from devices.blazepose.landmark_kinds import TRUNK
 from devices.blazepose.lifting import lift
-from devices.blazepose.network_files import LANDMARKS as LANDMARK_FILES
-from devices.blazepose.network_files import cache_folder, checked_content, files_of
-from devices.blazepose.networks import (
+from devices.blazepose.networks.files import LANDMARKS as LANDMARK_FILES
+from devices.blazepose.networks.files import cache_folder, checked_content, files_of
+from devices.blazepose.networks.inference import (
     CENTRE,
     DETECTOR_SIZE,
     LANDMARK_SIZE,

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.blazepose.native_messages import without_notes
+from devices.blazepose.networks.native_messages import without_notes
 from devices.sensor import DeviceError
 
 Array = NDArray[np.float64]
