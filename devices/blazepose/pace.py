@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from devices.blazepose.network_files import cache_folder, missing
+from devices.blazepose.networks.files import cache_folder, missing
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
 from devices.live.frame_decimation import FrameDecimation
 

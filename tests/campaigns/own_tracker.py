@@ -1,7 +1,7 @@
 """The program's own tracker on simulated images: ``python -m tests.campaigns.own_tracker``.
 
 Prints for each scene how often the person was found, the error of tracked joints, the share of hidden joints
-reported as tracked, S* beside that of the simulated Azure Kinect's tracker, and the CPU time of an image. It is a
+reported as tracked, S* beside that of the simulated Azure tracker, and the CPU time of an image. It is a
 campaign and not a ``bench`` command: its figures describe the tracker and the simulator, not the machine.
 """
 
