@@ -23,8 +23,8 @@ def ensure_networks(settings: BlazePoseSettings, console: Console) -> bool:
     Raises:
         DeviceError: They cannot be fetched; one line with the way out.
     """
-    from devices.blazepose.fetching import fetch
-    from devices.blazepose.network_files import cache_folder, missing
+    from devices.blazepose.networks.fetching import fetch
+    from devices.blazepose.networks.files import cache_folder, missing
 
     folder = settings.models or cache_folder()
     if settings.models is not None or not missing(settings.network, folder):

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.blazepose.grey_image import compressed
 from devices.blazepose.joints import joints_of
+from devices.blazepose.landmark_kinds import TRUNK
 from devices.blazepose.lifting import lift
-from devices.blazepose.network_files import LANDMARKS as LANDMARK_FILES
-from devices.blazepose.network_files import cache_folder, checked_content, files_of
-from devices.blazepose.networks import (
+from devices.blazepose.networks.files import LANDMARKS as LANDMARK_FILES
+from devices.blazepose.networks.files import cache_folder, checked_content, files_of
+from devices.blazepose.networks.inference import (
     CENTRE,
     DETECTOR_SIZE,
     LANDMARK_SIZE,
@@ -34,6 +36,21 @@ Array = NDArray[np.float64]
 _LEAST_SCORE = 0.5  # of the landmark network, below which the crop holds no person; MediaPipe's
 _CANDIDATES = 3  # detections that are tried in one image
 _REMEMBERED_NS = 1_000_000_000  # a person who is lost for longer may be another one afterwards
+_STEP, _SPEED = 0.4, 3.0  # metres, metres per second: who moves farther between two images is another person
+
+
+class _Sighting(NamedTuple):
+    """Where the person was seen last."""
+
+    region: Region
+    middle: Array
+    """(3,) middle of the trunk, metres."""
+    time_ns: int
+
+    def may_be(self, middle: Array, time_ns: int) -> bool:
+        """Whether a person at a place is the one who was seen."""
+        seconds = abs(time_ns - self.time_ns) * 1e-9
+        return float(np.linalg.norm(middle - self.middle)) <= _STEP + _SPEED * seconds
 
 
 class BlazePose:
@@ -52,7 +69,7 @@ class BlazePose:
         self.settings = settings or BlazePoseSettings()
         self.region: Region | None = None
         self._networks: tuple[Detector, LandmarkNetwork] | None = None
-        self._last: tuple[Region, int] | None = None
+        self._last: _Sighting | None = None
         self._person = 0
 
     def __enter__(self) -> BlazePose:
@@ -120,14 +137,16 @@ class BlazePose:
             skeleton = self._follow(self.region, image, depth, intrinsics, time_ns)
             if skeleton is not None:
                 return {str(self._person): skeleton}
-        for region in self._candidates(image, time_ns):
+        if self._last is not None and abs(time_ns - self._last.time_ns) > _REMEMBERED_NS:
+            self._last = None
+        for region in self._candidates(image):
             skeleton = self._follow(region, image, depth, intrinsics, time_ns)
             if skeleton is not None:
                 return {str(self._person): skeleton}
         self.region = None
         return {}
 
-    def _candidates(self, image: NDArray[np.generic], time_ns: int) -> list[Region]:
+    def _candidates(self, image: NDArray[np.generic]) -> list[Region]:
         """Regions of the detected people, the one to follow first."""
         assert self._networks is not None
         whole = whole_image(*image.shape[:2])
@@ -136,11 +155,7 @@ class BlazePose:
         regions = [
             Region.around(*transformed(to_image, np.array((person.centre, person.rim)))) for person in found
         ]
-        remembered = self._last is not None and time_ns - self._last[1] <= _REMEMBERED_NS
-        if not remembered:
-            self._person += 1 if self._last is not None or self._person == 0 else 0
-            self._last = None
-        aim = whole if self._last is None else self._last[0]
+        aim = whole if self._last is None else self._last.region
         regions.sort(key=lambda region: math.hypot(region.u - aim.u, region.v - aim.v))
         return regions[:_CANDIDATES]
 
@@ -171,6 +186,11 @@ class BlazePose:
         )
         if lifted is None:
             return None
+        middle = lifted.positions[TRUNK].mean(axis=0)
+        if self._last is None:
+            self._person += 1
+        elif not self._last.may_be(middle, time_ns):
+            return None
         self.region = Region.around(pixels[CENTRE], pixels[RIM])
-        self._last = self.region, time_ns
-        return Skeleton.of(BLAZEPOSE, *joints_of(lifted), time_ns)
+        self._last = _Sighting(self.region, middle, time_ns)
+        return Skeleton.of(BLAZEPOSE, *joints_of(lifted, pixels[:LANDMARKS], depth), time_ns)

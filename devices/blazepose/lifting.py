@@ -1,4 +1,9 @@
-"""Landmarks of an image and its depth to joints in space."""
+"""Landmarks of an image and its depth to landmarks in space.
+
+The network states a whole body in metres, with the right shape and a doubtful place: the image fixes the
+direction of each landmark, the depth image the distance of what is seen there. The body is laid onto the seen
+surface, and then decides which readings are its own: what lies before it covers it.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +13,28 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.blazepose.landmark_kinds import EARS, FACE, column, opposite
+from fusion.compiling.kernels import kernel
 from fusion.intrinsics import Intrinsics
 
 Array = NDArray[np.float64]
+
+_SMALLEST, _LARGEST = 0.45, 1.5
+"""Sizes of a person relative to the network's mean person, who is about 1.65 m tall: 0.75 to 2.5 m."""
+_FEWEST = 5  # seen landmarks that make a person, and that a body is laid onto
+_TRUSTED = 0.7  # visibility of a landmark that the body is laid onto
+_WITHIN = (0.20, 0.12)  # metres between body and surface of such a landmark, at first and then
+_SURFACE_RADIUS = 0.022  # metres: half width of the window that is read, narrower than a wrist
+_LARGEST_WINDOW = 8  # pixels to each side
+_OWN_SHARE = 0.4  # least share of a window's readings that are the landmark's own
+_MARGIN = 0.1  # of the image's larger side: a landmark farther outside has no position
+
+_BENEATH = column("beneath")
+_VISIBILITY = column("visibility")
+_TURNED = column("turned")
+_FRONT = column("front")
+_BACK = column("back")
+_OPPOSITE = opposite()
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +44,7 @@ class Lifted:
     Attributes:
         positions: (33, 3) metres, sensor frame.
         seen: (33,) whether a depth reading of the landmark's own surface gave its position.
-        known: (33,) whether it has a position.
+        known: (33,) whether it has a position: seen, or stated by the network and near the image.
         size: The person's size relative to the network's mean person.
     """
 
@@ -28,19 +52,6 @@ class Lifted:
     seen: NDArray[np.bool_]
     known: NDArray[np.bool_]
     size: float
-
-
-def rays(pixels: Array, intrinsics: Intrinsics) -> Array:
-    """(N, 2) the points x/z, y/z that the camera images at (N, 2) pixels; the lens's distortion is undone."""
-    matrix = np.array(
-        ((intrinsics.fx, 0.0, intrinsics.cx), (0.0, intrinsics.fy, intrinsics.cy), (0.0, 0.0, 1.0))
-    )
-    if not intrinsics.distortion:
-        return (pixels - matrix[:2, 2]) / (intrinsics.fx, intrinsics.fy)
-    lens = np.zeros(8)
-    lens[: len(intrinsics.distortion)] = intrinsics.distortion
-    undone = cv2.undistortPoints(np.ascontiguousarray(pixels[:, None]), matrix, lens)
-    return np.asarray(undone, dtype=np.float64)[:, 0]
 
 
 def lift(
@@ -64,29 +75,53 @@ def lift(
         None where the depth shows no person of possible size.
     """
     at = rays(pixels, camera)
-    inside = (pixels >= -0.5).all(axis=1) & (pixels < (camera.width - 0.5, camera.height - 0.5)).all(axis=1)
-    trust = visibility * presence * inside + 1e-3
-    place = _placement(at, world, trust)
-    model = world + place
-    readings = _readings(depth, pixels, inside)
-    usable = np.isfinite(readings) & (trust > 0.3) & (model[:, 2] > 0.1)
-    if usable.sum() < _FEWEST_READINGS:
+    inside = _within(pixels, camera, 0.0)
+    trust = visibility * presence * inside
+    image = np.ascontiguousarray(depth)
+    body = world + _placement(at, world, trust + 1e-3)
+    reading, _ = _surfaces(image, pixels, inside, camera, np.zeros(len(at)), np.full(len(at), np.inf))
+    usable = np.isfinite(reading) & (trust > 0.3) & (body[:, 2] > 0.1)
+    if np.count_nonzero(usable) < _FEWEST:
         return None
-    size = float(np.median((readings[usable] + _FLESH) / model[usable, 2]))
+    size = float(np.median((reading[usable] + _BENEATH[usable]) / body[usable, 2]))
     if not _SMALLEST <= size <= _LARGEST:
         return None
-    prior = size * model[:, 2]
-    surface = readings + _FLESH
-    seen = np.isfinite(surface) & inside & (np.abs(surface - prior) < _REACH) & (visibility > 0.5)
-    z = np.where(seen, surface, prior)
-    positions = np.column_stack((at * z[:, None], z))
-    return Lifted(positions, seen, np.ones(len(z), dtype=bool), size)
+    body = body * size
+    turned = _outward(body)
+    surface = reading + size * _BENEATH
+    for within in _WITHIN:
+        laid = usable & (visibility > _TRUSTED) & (turned < 0.2) & (np.abs(surface - body[:, 2]) < within)
+        if np.count_nonzero(laid) < _FEWEST:
+            break
+        body = _laid_onto(body, np.column_stack((at * surface[:, None], surface)), laid * visibility)
+    expected = body[:, 2] - size * _BENEATH
+    reading, share = _surfaces(image, pixels, inside, camera, expected - _FRONT, expected + _BACK)
+    seen = inside & (share >= _OWN_SHARE) & (visibility >= _VISIBILITY) & (_outward(body) <= _TURNED)
+    if np.count_nonzero(seen) < _FEWEST:
+        return None
+    z = np.where(seen, reading + size * _BENEATH, np.maximum(body[:, 2], 0.1))
+    near = _within(pixels, camera, _MARGIN * max(camera.width, camera.height))
+    return Lifted(np.column_stack((at * z[:, None], z)), seen, near, size)
 
 
-_FLESH = 0.05
-_REACH = 0.25
-_FEWEST_READINGS = 5
-_SMALLEST, _LARGEST = 0.4, 1.5
+def rays(pixels: Array, camera: Intrinsics) -> Array:
+    """(N, 2) the points x/z, y/z that the camera images at (N, 2) pixels; the lens's distortion is undone."""
+    matrix = np.array(((camera.fx, 0.0, camera.cx), (0.0, camera.fy, camera.cy), (0.0, 0.0, 1.0)))
+    if not camera.distortion:
+        straight: Array = (pixels - matrix[:2, 2]) / (camera.fx, camera.fy)
+        return straight
+    lens = np.zeros(8)
+    lens[: len(camera.distortion)] = camera.distortion
+    undone = cv2.undistortPoints(np.ascontiguousarray(pixels[:, None]), matrix, lens)
+    return np.asarray(undone, dtype=np.float64)[:, 0]
+
+
+def _within(pixels: Array, camera: Intrinsics, margin: float) -> NDArray[np.bool_]:
+    """(N,) whether pixels lie in the image or at most a margin outside of it."""
+    u, v = pixels[:, 0], pixels[:, 1]
+    low, right, bottom = -0.5 - margin, camera.width - 0.5 + margin, camera.height - 0.5 + margin
+    within: NDArray[np.bool_] = (u >= low) & (u < right) & (v >= low) & (v < bottom)
+    return within
 
 
 def _placement(at: Array, world: Array, trust: Array) -> Array:
@@ -94,25 +129,75 @@ def _placement(at: Array, world: Array, trust: Array) -> Array:
 
     A point W + T lies on the ray (x, y) where W_x + T_x = x (W_z + T_z), likewise for y: linear in T.
     """
-    count = len(at)
-    rows = np.zeros((2, count, 3))
+    rows = np.zeros((2, len(at), 3))
     rows[0, :, 0] = rows[1, :, 1] = 1.0
     rows[:, :, 2] = -at.T
     wanted = at.T * world[:, 2] - world[:, :2].T
-    weight = np.sqrt(trust)
-    found, *_ = np.linalg.lstsq(
-        (rows * weight[:, None]).reshape(-1, 3), (wanted * weight).reshape(-1), rcond=None
-    )
-    return np.asarray(found)
+    weighted = rows * trust[:, None]
+    normal = np.einsum("kni,knj->ij", weighted, rows) + 1e-9 * np.eye(3)
+    return np.asarray(np.linalg.solve(normal, np.einsum("kni,kn->i", weighted, wanted)))
 
 
-def _readings(depth: NDArray[np.uint16], pixels: Array, inside: NDArray[np.bool_]) -> Array:
-    """(33,) median reading around each landmark, metres; NaN without one."""
-    found = np.full(len(pixels), np.nan)
-    for j in np.flatnonzero(inside):
-        u, v = round(pixels[j, 0]), round(pixels[j, 1])
-        window = depth[max(0, v - 2) : v + 3, max(0, u - 2) : u + 3]
-        window = window[window > 0]
-        if window.size:
-            found[j] = 0.001 * float(np.median(window))
-    return found
+def _laid_onto(body: Array, surface: Array, weight: Array) -> Array:
+    """(33, 3) the body, rotated and moved onto points by weighted least squares (Kabsch, 1976)."""
+    used = weight > 0.0
+    w = weight[used] / weight[used].sum()
+    middle, target = w @ body[used], w @ surface[used]
+    u, _, vt = np.linalg.svd((body[used] - middle).T @ ((surface[used] - target) * w[:, None]))
+    u[:, 2] *= np.sign(np.linalg.det(u @ vt))
+    laid: Array = (body - middle) @ (u @ vt) + target
+    return laid
+
+
+def _outward(body: Array) -> Array:
+    """(33,) component of each landmark's outward direction along its line of sight; -1 where it has none."""
+    outward = body - body[_OPPOSITE]
+    outward[FACE] = body[FACE] - 0.5 * (body[EARS[0]] + body[EARS[1]])
+    length = np.linalg.norm(outward, axis=1) * np.linalg.norm(body, axis=1)
+    component = np.einsum("ij,ij->i", outward, body)
+    return np.where(length > 1e-9, component / np.maximum(length, 1e-9), -1.0)
+
+
+def _surfaces(
+    depth: NDArray[np.uint16],
+    pixels: Array,
+    inside: NDArray[np.bool_],
+    camera: Intrinsics,
+    near: Array,
+    far: Array,
+) -> tuple[Array, Array]:
+    """(33,) median reading between two depths around each landmark, metres or NaN; (33,) their share."""
+    reading, share = np.full(len(pixels), np.nan), np.zeros(len(pixels))
+    _read(depth, pixels, inside, camera.fx * _SURFACE_RADIUS, near, far, reading, share)
+    return reading, share
+
+
+@kernel
+def _read(depth, pixels, inside, reach, near, far, reading, share):  # type: ignore[no-untyped-def]
+    height, width = depth.shape
+    own = np.empty((2 * _LARGEST_WINDOW + 1) ** 2)
+    for j in range(len(pixels)):
+        if not inside[j]:
+            continue
+        u, v = int(pixels[j, 0] + 0.5), int(pixels[j, 1] + 0.5)
+        z = 0.001 * depth[v, u]
+        if z == 0.0:
+            z = 0.5 * (near[j] + min(far[j], near[j] + 6.0))
+        radius = int(min(max(1.0, reach / max(z, 0.1)), 1.0 * _LARGEST_WINDOW))
+        count = total = 0
+        for b in range(max(0, v - radius), min(height, v + radius + 1)):
+            for a in range(max(0, u - radius), min(width, u + radius + 1)):
+                if depth[b, a] == 0:
+                    continue
+                total += 1
+                here = 0.001 * depth[b, a]
+                if near[j] <= here <= far[j]:
+                    i = count
+                    while i > 0 and own[i - 1] > here:
+                        own[i] = own[i - 1]
+                        i -= 1
+                    own[i] = here
+                    count += 1
+        if count >= 3:
+            reading[j] = own[count // 2]
+            share[j] = count / total

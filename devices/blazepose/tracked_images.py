@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.blazepose.blazepose import BlazePose
+from devices.blazepose.pace import TrackingPace
 from devices.blazepose.settings import BlazePoseSettings
 from devices.sensor import DeviceError, Interruptible, Sensor, SensorFrame
 from fusion.body import BLAZEPOSE, Body
@@ -37,6 +38,7 @@ class TrackedImages:
         *,
         registered: Callable[[SensorFrame], NDArray[np.uint8] | None] | None = None,
         took: Callable[[int], object] = lambda _: None,
+        pace: TrackingPace | None = None,
         clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         """Stores the source without opening it.
@@ -44,16 +46,18 @@ class TrackedImages:
         Args:
             source: A sensor whose frames have depth and infrared or colour; its own people are ignored.
             settings: How the tracker runs.
-            took: Called with the time that the tracker worked on each frame, ns.
-            clock: Nanoseconds; tests inject their own.
             registered: Gives the (h, w, 3) RGB image of a frame without infrared, on the depth's pixels.
                 None: the frame's colour image, where its camera is the depth camera.
+            took: Called with the time that the tracker worked on each frame, ns.
+            pace: For live sensors, shared by both: it gets the tracker's times and says which network to
+                use. The source leaves out the frames that it does not keep. None: every frame, one network.
+            clock: Nanoseconds; tests inject their own.
         """
         self.source = source
         self.tracker = BlazePose(settings)
         self.body: Body = BLAZEPOSE
         self._registered = registered or registered_color
-        self._took, self._clock = took, clock
+        self._took, self._pace, self._clock = took, pace, clock
 
     @property
     def name(self) -> str:
@@ -111,10 +115,22 @@ class TrackedImages:
             DeviceError: The source failed, or it does not know its depth camera.
         """
         for frame in self.source.frames():
+            if frame.depth is None:
+                yield replace(frame, people={})
+                continue
+            if self._pace is not None and self.tracker.settings.network != self._pace.network:
+                self.tracker.use(self._pace.network)
             begun_ns = self._clock()
-            tracked = replace(frame, people={} if frame.depth is None else self._people(frame))
-            self._took(self._clock() - begun_ns)
-            yield tracked
+            people = self._people(frame)
+            self._tell(self._clock() - begun_ns)
+            yield replace(frame, people=people)
+
+    def _tell(self, spent_ns: int) -> None:
+        """Tells how long the tracker worked on a frame."""
+        self._took(spent_ns)
+        if self._pace is not None:
+            # A simulated sensor makes its images on this thread, within the same budget.
+            self._pace.tracked(self.name, spent_ns + int(getattr(self.source, "making_ns", 0)))
 
     def _people(self, frame: SensorFrame) -> dict[str, Skeleton]:
         camera = self.source.intrinsics

@@ -149,7 +149,8 @@ class SimulatedKinect:
 
         Attributes:
             hurried: While True, frames have no depth image, which takes most of a frame's time.
-            images_left_out: Number of images dropped so far.
+            imaging: While False, no images are wanted.
+            images_left_out: Number of wanted images dropped so far.
     """
 
     def __init__(
@@ -180,7 +181,7 @@ class SimulatedKinect:
         if infrared:
             self._infrared = InfraredModel().binned() if depth == "half" else InfraredModel()
         self._light = self._infrared.illumination(self._lens) if self._infrared else None
-        self.hurried = False
+        self.hurried, self.imaging = False, True
         self.images_left_out = 0
 
     @property
@@ -211,9 +212,9 @@ class SimulatedKinect:
             skeleton = tracker.report(joints, visibility(joints, shapes, flesh, self._lens), time_ns)
             dropped = dropping.random() < rig.dropped
             depth = ir = None
-            if self._depth != "none" and self.hurried:
+            if self._depth != "none" and self.imaging and self.hurried:
                 self.images_left_out += 1
-            elif self._depth != "none":
+            elif self._depth != "none" and self.imaging:
                 depth, ir = self._images(positions, shapes, frame)
             if not dropped:
                 people = {} if skeleton is None else {PERSON: skeleton}

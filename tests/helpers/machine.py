@@ -17,7 +17,7 @@ from typing import NoReturn
 import pytest
 from rerun.experimental import ViewerClient
 
-from devices.blazepose.network_files import cache_folder, missing
+from devices.blazepose.networks.files import cache_folder, missing
 from devices.blazepose.settings import NetworkName
 from viewer_app.errors import UsageError
 from viewer_app.viewer.rerun_process import LOOPBACK, start_viewer, stop

@@ -6,8 +6,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
 
-from devices.blazepose.fetching import LICENCE, NOTICE, fetch
-from devices.blazepose.network_files import cache_folder
+from devices.blazepose.networks.fetching import LICENCE, NOTICE, fetch
+from devices.blazepose.networks.files import cache_folder
 from viewer_app.options.tracker import TrackerFetchOptions
 
 

@@ -64,8 +64,16 @@ class DemoOptions(TerminalOptions, ViewerOptions):
     """Seed of the simulated sensors' errors; the same seed gives the same skeletons."""
     angle: float = 90.0
     """Degrees between the two sensors."""
-    body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
+    body: Literal["kinect_v1", "kinect_v2", "azure_kinect", "blazepose"] = "azure_kinect"
     """Whose body tracker is simulated."""
+    tracker: Literal["simulated", "blazepose"] = "simulated"
+    """simulated: a tracker with the errors of --body. blazepose: the program's own tracker runs on simulated
+    infrared and depth images."""
+    tracker_model: Path | None = None
+    """Folder of blazepose's networks; if not given, the user's cache folder, into which they are fetched
+    once."""
+    tracker_network: Literal["full", "lite"] = "full"
+    """Network of blazepose; lite is faster and less accurate. full gives way to lite where it is too slow."""
     depth: Literal["none", "half", "full"] = "half"
     """Depth images: none, half the sensor's resolution, or full. If the machine is too slow, as most are for
     full, images are dropped, skeletons never."""

@@ -32,6 +32,7 @@ class LiveSession(FanOut):
         overwrite: Whether an existing file may be replaced.
         viewing: The viewer; None for none.
         others: Further sinks.
+        file_blueprint: The layout in the file; None: the viewer's. A file lacks what only a viewer is shown.
 
     Attributes:
         viewer: The viewer.
@@ -51,6 +52,7 @@ class LiveSession(FanOut):
         overwrite: bool = False,
         viewing: Viewing | None = None,
         others: Sequence[Sink] = (),
+        file_blueprint: rrb.Blueprint | None = None,
         about: Mapping[str, str | int] | None = None,
     ) -> None:
         identity = uuid4()
@@ -59,7 +61,7 @@ class LiveSession(FanOut):
         def begin(stream: rr.RecordingStream) -> Recorder:
             recorder = Recorder(stream, setup, sources, depth_every=1, about=about)
             # The blueprint's timeline must exist. If not active, a viewer restores a remembered layout.
-            stream.send_blueprint(blueprint)
+            stream.send_blueprint(file_blueprint or blueprint)
             return recorder
 
         self.file = FileSink()

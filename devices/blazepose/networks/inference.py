@@ -5,6 +5,7 @@ The layouts of the tensors are those of MediaPipe's graphs ``pose_detection`` an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.blazepose.networks.native_messages import without_notes
 from devices.sensor import DeviceError
 
 Array = NDArray[np.float64]
@@ -23,6 +25,7 @@ LANDMARKS = 33
 CENTRE, RIM = 33, 34
 """The two landmarks that describe the region: middle of the hips, and a point of the circle around it."""
 
+_LANDMARK_OUTPUTS = (39 * 5, 64 * 64 * 39, 39 * 3, 1)  # values of: rows, heat maps, world, pose flag
 _LEAST_SCORE = 0.5  # of a detection; MediaPipe's
 _OVERLAP = 0.3  # intersection over union at which two detections are the same person; MediaPipe's
 _STRIDES = ((8, 2), (16, 2), (32, 6))  # of the detector's grids: pixels, anchors per cell
@@ -85,11 +88,12 @@ class Detector:
         Args:
             image: (224, 224) grey or (224, 224, 3) RGB, 0 to 1.
         """
-        boxes, logits = self._network.run(2.0 * _three_channels(image) - 1.0)
-        scores = _sigmoid(logits[0, :, 0])
+        count = len(self._anchors)
+        boxes, logits = self._network.run(2.0 * _three_channels(image) - 1.0, (12 * count, count))
+        scores = _sigmoid(logits)
         likely = np.flatnonzero(scores >= _LEAST_SCORE)
         likely = likely[np.argsort(-scores[likely], kind="stable")]
-        points = boxes[0, likely].reshape(-1, 6, 2).astype(np.float64)
+        points = boxes.reshape(-1, 6, 2)[likely].astype(np.float64)
         points[:, [0, 2, 3, 4, 5]] += DETECTOR_SIZE * self._anchors[likely, None]
         found: list[Detection] = []
         kept: list[int] = []
@@ -121,17 +125,15 @@ class LandmarkNetwork:
         Args:
             image: (256, 256) grey or (256, 256, 3) RGB, 0 to 1.
         """
-        outputs = self._network.run(_three_channels(image))
-        by_size = {output.size: output for output in outputs}
-        rows = by_size[195].reshape(39, 5).astype(np.float64)
-        heat = by_size[64 * 64 * 39].reshape(64, 64, 39)
-        pixels = _refined(rows[:, :2], heat)
+        values, heat, world, score = self._network.run(_three_channels(image), _LANDMARK_OUTPUTS)
+        rows = values.reshape(39, 5).astype(np.float64)
+        pixels = _refined(rows[:, :2], heat.reshape(64, 64, 39))
         return Landmarks(
             pixels - 0.5,
             _sigmoid(rows[:, 3]),
             _sigmoid(rows[:, 4]),
-            by_size[117].reshape(39, 3)[:LANDMARKS].astype(np.float64),
-            float(by_size[1].reshape(())),
+            world.reshape(39, 3)[:LANDMARKS].astype(np.float64),
+            float(score[0]),
         )
 
 
@@ -147,17 +149,23 @@ class _Network:
                 "Run pip install ai-edge-litert; it has no wheel for macOS on Intel."
             ) from None
         try:
-            self._interpreter: Any = Interpreter(model_content=content, num_threads=threads)
-            self._interpreter.allocate_tensors()
+            with without_notes():
+                self._interpreter: Any = Interpreter(model_content=content, num_threads=threads)
+                self._interpreter.allocate_tensors()
         except (RuntimeError, ValueError) as fault:
             raise DeviceError(f"The body tracker's network cannot be loaded: {fault}.") from None
         self._input = self._interpreter.get_input_details()[0]["index"]
-        self._outputs = [output["index"] for output in self._interpreter.get_output_details()]
+        self._outputs = [
+            (output["index"], int(np.prod(output["shape"])))
+            for output in self._interpreter.get_output_details()
+        ]
 
-    def run(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    def run(self, image: NDArray[np.float32], sizes: Sequence[int]) -> list[NDArray[np.float32]]:
+        """The outputs with these numbers of values, flat, for an (h, w, 3) image."""
         self._interpreter.set_tensor(self._input, np.ascontiguousarray(image[None], dtype=np.float32))
         self._interpreter.invoke()
-        return [self._interpreter.get_tensor(index) for index in self._outputs]
+        index_of = {size: index for index, size in self._outputs}
+        return [self._interpreter.get_tensor(index_of[size]).reshape(-1) for size in sizes]
 
 
 def _three_channels(image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -188,19 +196,23 @@ def _refined(pixels: Array, heat: NDArray[np.float32]) -> Array:
     """Moves each landmark to the centroid of its heat map around it, where that has a peak."""
     cells = heat.shape[0]
     step = LANDMARK_SIZE / cells
-    refined = pixels.copy()
-    for j in range(len(pixels)):
-        u, v = int(pixels[j, 0] / step), int(pixels[j, 1] / step)
-        if not (0 <= u < cells and 0 <= v < cells):
-            continue
-        u0, v0 = max(0, u - _HEATMAP_WINDOW), max(0, v - _HEATMAP_WINDOW)
-        window = _sigmoid(heat[v0 : v + _HEATMAP_WINDOW + 1, u0 : u + _HEATMAP_WINDOW + 1, j])
-        total = float(window.sum())
-        if window.max() < _HEATMAP_LEAST or total <= 0.0:
-            continue
-        refined[j, 0] = step * (u0 + float(window.sum(axis=0) @ np.arange(window.shape[1])) / total)
-        refined[j, 1] = step * (v0 + float(window.sum(axis=1) @ np.arange(window.shape[0])) / total)
-    return refined
+    around = np.arange(-_HEATMAP_WINDOW, _HEATMAP_WINDOW + 1)
+    cell = np.floor(pixels / step).astype(np.int64)
+    u, v = cell[:, 0, None] + around, cell[:, 1, None] + around
+    valid = ((v >= 0) & (v < cells))[:, :, None] & ((u >= 0) & (u < cells))[:, None, :]
+    last = cells - 1
+    logits = heat[
+        np.clip(v, 0, last)[:, :, None],
+        np.clip(u, 0, last)[:, None, :],
+        np.arange(len(pixels))[:, None, None],
+    ]
+    window = _sigmoid(logits) * valid
+    total = np.maximum(window.sum(axis=(1, 2)), 1e-9)
+    centroid = np.column_stack((np.einsum("jvu,ju->j", window, u), np.einsum("jvu,jv->j", window, v))) * (
+        step / total[:, None]
+    )
+    peaked = (window.max(axis=(1, 2)) >= _HEATMAP_LEAST) & ((cell >= 0) & (cell < cells)).all(axis=1)
+    return np.where(peaked[:, None], centroid, pixels)
 
 
 def _sigmoid(x: NDArray[np.floating[Any]]) -> Array:

@@ -13,7 +13,7 @@ import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from devices.blazepose.network_files import (
+from devices.blazepose.networks.files import (
     DETECTOR,
     LANDMARKS,
     NPM,
