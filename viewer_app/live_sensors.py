@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 from rich.console import Console
 
@@ -13,6 +12,7 @@ from devices.azure.kinect import KinectSensor
 from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings
 from devices.azure.pyk4a_access import ConnectedKinect
 from devices.azure.sensor_roles import NeedsChoiceError, cable_notes, choose_two, sync_master
+from devices.blazepose.pace import TrackingPace
 from devices.blazepose.tracked_images import TrackedImages
 from devices.live.connected_sensors import connected_sensors
 from devices.live.frame_decimation import FrameDecimation
@@ -57,8 +57,15 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
         )
     if options.processing == "tensorrt" and tracker.name == "k4abt":
         console.print("TensorRT builds its engine; minutes the first time.")
-    decimation = FrameDecimation(options.fps)
-    a, b = (_sensor(kinect, options, master, tracker, decimation) for kinect in (kinect_a, kinect_b))
+    # A slow tracker of ours leaves out frames, too, and changes to its lighter network if that lasts.
+    pace = TrackingPace(options.fps, tracker.blazepose) if tracker.name == "blazepose" else None
+    decimation = pace or FrameDecimation(options.fps)
+    a, b = (
+        _microsofts(kinect, options, master, tracker, decimation)
+        if pace is None
+        else _ours(kinect, options, master, pace)
+        for kinect in (kinect_a, kinect_b)
+    )
     interval_ns = round(1e9 / options.fps)
     delay_ns = {None: None, serials[0]: 1000 * LASER_GAP_US}.get(master, -1000 * LASER_GAP_US)
     pairing = LivePairing(
@@ -102,23 +109,30 @@ def _ask(choice: NeedsChoiceError, console: Console) -> str:
             return two
 
 
-def _sensor(
+def _microsofts(
     kinect: ConnectedKinect,
     options: LiveOptions,
     master: str | None,
     tracker: TrackerChoice,
     decimation: FrameDecimation,
 ) -> Sensor:
+    """A sensor with libk4abt."""
     serial = str(kinect.serial)
-    settings = kinect_settings(options, serial, master)
-    if tracker.name == "k4abt":
-        return KinectSensor(serial, settings, tracker.k4abt, decimation=decimation)
+    return KinectSensor(
+        serial, kinect_settings(options, serial, master), tracker.k4abt, decimation=decimation
+    )
+
+
+def _ours(kinect: ConnectedKinect, options: LiveOptions, master: str | None, pace: TrackingPace) -> Sensor:
+    """A sensor with the program's own tracker."""
+    serial = str(kinect.serial)
     images: Sensor
     if kinect.sdk == "orbbec":
-        images = OrbbecSensor(serial, _orbbec_settings(options, serial, master), decimation)
+        images = OrbbecSensor(serial, _orbbec_settings(options, serial, master), pace)
     else:
-        images = KinectSensor(serial, replace(settings, infrared=True), track=False, decimation=decimation)
-    return TrackedImages(images, tracker.blazepose, took=partial(decimation.tracked, serial))
+        settings = replace(kinect_settings(options, serial, master), infrared=True)
+        images = KinectSensor(serial, settings, track=False, decimation=pace)
+    return TrackedImages(images, pace.settings, pace=pace)
 
 
 def _orbbec_settings(options: LiveOptions, serial: str, master: str | None) -> OrbbecSettings:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from devices.blazepose.network_files import FETCH, cache_folder, checked_content, files_of, missing
+from devices.blazepose.networks.files import FETCH, cache_folder, checked_content, files_of, missing
 from devices.blazepose.settings import BlazePoseSettings
 from devices.check import Check, failed
 from devices.sensor import DeviceError
