@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from devices.blazepose.blazepose import BlazePose
+from devices.depth_witness import depth_witness
 from fusion.body import BLAZEPOSE
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
+from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton
 from recordings.session import Session
@@ -42,7 +44,10 @@ def own_tracker(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
     monkeypatch.setattr(BlazePose, "__enter__", lambda self: self)
     monkeypatch.setattr(BlazePose, "track", track)
     monkeypatch.setattr("viewer_app.tracker_selection.ensure_networks", lambda *_: False)
-    Fuser(FusionSetup(nominal_calibration(BLAZEPOSE))).warm_up()  # compiling takes longer than these sessions
+    # Compiling takes longer than these sessions.
+    Fuser(FusionSetup(nominal_calibration(BLAZEPOSE))).warm_up()
+    lens, depth = NOMINAL_INTRINSICS["blazepose"], np.full((576, 640), 2000, np.uint16)
+    depth_witness(depth, lens, Skeleton.of(BLAZEPOSE, standing))
     return images
 
 
@@ -66,6 +71,7 @@ def test_two_orbbec_sensors_become_a_session(
     assert _live("--save", saved) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "Body tracker: blazepose full (" in said
+    assert "Saved" in said
     assert "Orbbec's SDK does not say whether a cable is in the jacks" in said
     session = Session.open(saved)
     assert (session.tracker, session.body) == ("blazepose full", BLAZEPOSE)
