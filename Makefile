@@ -40,4 +40,5 @@ $(READY): pyproject.toml
 	  { $(PYTHON) -m pip install --user virtualenv && $(PYTHON) -m virtualenv --clear $(VENV); }
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@$(BIN)/duplex tracker fetch || echo "Without the networks the body tracker cannot run; all else works."
 	@touch $@

@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from devices.depth_camera import DepthCamera
     from devices.live.sensor_pair import TwoSensors
     from devices.pairing import FramePair, Pairing, pair_recordings
     from devices.sensor import ColorCamera, ColorImage, DeviceError, Sensor, SensorFrame
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ColorCamera",
     "ColorImage",
+    "DepthCamera",
     "DeviceError",
     "FramePair",
     "Pairing",
@@ -31,6 +33,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "DepthCamera": "devices.depth_camera",
     "TwoSensors": "devices.live.sensor_pair",
     "FramePair": "devices.pairing",
     "Pairing": "devices.pairing",

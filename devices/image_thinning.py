@@ -25,7 +25,7 @@ def without_images(pair: FramePair, of: str = "ab") -> FramePair:
     """The pair without images, or without the images of the sensors in `of`."""
 
     def bare(frame: SensorFrame | None, side: str) -> SensorFrame | None:
-        return frame if frame is None or side not in of else replace(frame, depth=None, color=None)
+        return frame if frame is None or side not in of else replace(frame, depth=None, color=None, ir=None)
 
     return replace(pair, a=bare(pair.a, "a"), b=bare(pair.b, "b"))
 
@@ -36,7 +36,10 @@ def with_depth(pair: FramePair, depth: Depth) -> FramePair:
     def of(frame: SensorFrame | None) -> SensorFrame | None:
         if frame is None or frame.depth is None:
             return frame
-        return replace(frame, depth=None if depth == "none" else thinned(frame.depth, depth))
+        if depth == "none":
+            return replace(frame, depth=None, ir=None)
+        ir = None if frame.ir is None else thinned(frame.ir, depth)
+        return replace(frame, depth=thinned(frame.depth, depth), ir=ir)
 
     return pair if depth == "full" else replace(pair, a=of(pair.a), b=of(pair.b))
 

@@ -9,10 +9,14 @@ from pathlib import Path
 from devices.azure.recording.mkv import MkvInfo, MkvRecording
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
+from devices.blazepose.tracked_images import TrackedImages
 from devices.depth_witness import with_witness
 from devices.following import PersonChoice
+from devices.orbbec.playback import SUFFIX as BAG
+from devices.orbbec.playback import OrbbecRecording
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.skeletons.recording import SkeletonRecording
+from devices.tracker_choice import TrackerChoice, choose_tracker
 
 MKV = ".mkv"
 FOLLOWED = "followed"
@@ -20,36 +24,69 @@ FOLLOWED = "followed"
 
 
 def open_source(
-    path: Path, skeletons: Path | None = None, tracker: TrackerSettings | None = None, option: str = ""
+    path: Path, skeletons: Path | None = None, tracker: TrackerChoice | None = None, option: str = ""
 ) -> Sensor:
     """Creates the sensor for a recording; opens nothing.
 
-    An ``.mkv`` holds images, so its people come from the body tracker, or from skeletons saved before.
+    An ``.mkv`` or ``.bag`` holds images, so its people come from a body tracker; an ``.mkv``'s may come from
+    skeletons saved before.
 
     Args:
-        path: Recorded skeletons, or an Azure Kinect recording.
+        path: Recorded skeletons, an Azure Kinect recording, or a recording of Orbbec's SDK v2.
         skeletons: The skeletons of an Azure Kinect recording, saved before.
-        tracker: How the body tracker runs, where it is needed.
+        tracker: The body tracker, where one is needed. None: chosen for this machine.
         option: What the option that gives ``skeletons`` is called, for the message.
 
     Raises:
-        DeviceError: Skeletons are given for a file that has its own.
+        DeviceError: Skeletons for a file that has its own, or a tracker that cannot take its images.
     """
-    if path.suffix.lower() != MKV:
+    if not has_images(path):
         if skeletons is not None:
             raise DeviceError(f"{path.name} has its own skeletons; {option} {skeletons} is for an .mkv.")
         return SkeletonRecording(path)
-    recording = MkvRecording(path, color=False)
+    images = open_images(path)
     if skeletons is not None:
-        return RecordingWithSkeletons(recording, SkeletonRecording(skeletons))
-    tracker = tracker or TrackerSettings()
-    return _NeedsTracker(recording, tracker, option)
+        if not isinstance(images, MkvRecording):
+            raise DeviceError(f"{option} {skeletons} is for an .mkv; {path.name} is tracked.")
+        return RecordingWithSkeletons(images, SkeletonRecording(skeletons))
+    tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(path))
+    if tracker.name == "blazepose" or not isinstance(images, MkvRecording):
+        return TrackedImages(images, tracker.blazepose)
+    return _NeedsTracker(images, tracker.k4abt, option)
+
+
+def has_images(path: Path) -> bool:
+    """Whether a recording holds images, by its suffix; else it holds skeletons."""
+    return path.suffix.lower() in (MKV, BAG)
+
+
+def not_of_libk4a(*paths: Path) -> list[str]:
+    """The names of those recordings whose images are not libk4a's."""
+    return [path.name for path in paths if path.suffix.lower() == BAG]
+
+
+def open_images(path: Path) -> MkvRecording | OrbbecRecording:
+    """Creates the sensor for a recording's images, without people; opens nothing."""
+    return OrbbecRecording(path) if path.suffix.lower() == BAG else MkvRecording(path, color=False)
 
 
 def recording_info(source: Sensor) -> MkvInfo | None:
     """What an open ``.mkv`` says about itself; None for other sources."""
-    recording = getattr(source, "recording", None)
+    recording = _images_of(source)
     return recording.info if isinstance(recording, MkvRecording) else None
+
+
+def frame_count(source: Sensor) -> int | None:
+    """About how many frames an open recording has, for a progress bar; None where it does not say."""
+    recording = _images_of(source)
+    info = recording.info if isinstance(recording, MkvRecording) else recording
+    if not isinstance(info, MkvInfo | OrbbecRecording) or not info.duration_ns:
+        return None
+    return info.duration_ns // info.interval_ns + 1
+
+
+def _images_of(source: Sensor) -> object:
+    return source.source if isinstance(source, TrackedImages) else getattr(source, "recording", None)
 
 
 def without_images(source: Sensor) -> Iterator[SensorFrame]:

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.azure.recording.mkv import MkvInfo, MkvRecording
-from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.recording.mkv import MkvInfo
 from devices.image_thinning import Depth, thinned, thinned_camera
 from devices.pairing import FramePair, Pairing, pair_recordings
 from devices.recorded_person import choose_person, with_successors
 from devices.sensor import DeviceError, Sensor, SensorFrame
-from devices.sources import one_person, open_source, recording_info, without_images
+from devices.sources import (
+    frame_count,
+    has_images,
+    not_of_libk4a,
+    one_person,
+    open_images,
+    open_source,
+    recording_info,
+    without_images,
+)
+from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
 
@@ -43,6 +51,7 @@ class TwoRecordings:
         intrinsics: Of the depth cameras, where the recordings say.
         warnings: What a person should know about them, a line each.
         images: The files that hold depth images, A's and B's; None for skeletons alone.
+        tracker: The body tracker that found the people; empty where the files had skeletons.
     """
 
     body: Body
@@ -50,6 +59,7 @@ class TwoRecordings:
     intrinsics: tuple[Intrinsics | None, Intrinsics | None]
     warnings: tuple[str, ...]
     images: tuple[Path | None, Path | None] = (None, None)
+    tracker: str = ""
 
     def cameras(self, depth: Depth) -> tuple[Intrinsics | None, Intrinsics | None]:
         """The intrinsics, for depth images as they are logged."""
@@ -74,7 +84,7 @@ class TwoRecordings:
             return
         frames = enumerate(getattr(pair, side) for pair in pairs)
         number = {frame.time_ns: k for k, frame in frames if frame is not None}
-        with MkvRecording(path, color=False) as recording:
+        with open_images(path) as recording:
             for frame in progress(recording.frames(), f"depth of {recording.name}", len(pairs)):
                 k = number.get(frame.time_ns)
                 if k is not None and frame.depth is not None:
@@ -86,7 +96,7 @@ class RecordingChoice:
     """One of the two recordings.
 
     Attributes:
-        path: Recorded skeletons, or an Azure Kinect recording.
+        path: Recorded skeletons, an Azure Kinect recording, or a recording of Orbbec's SDK v2.
         skeletons: For an Azure Kinect recording: its skeletons, saved before, in place of the body tracker.
         person: Id of the person; the one seen longest where None.
         skeletons_option, person_option: What the caller's user knows these two as, for messages.
@@ -98,29 +108,37 @@ class RecordingChoice:
     skeletons_option: str = "skeletons"
     person_option: str = "person"
 
+    @property
+    def is_tracked(self) -> bool:
+        """Whether its people come from a body tracker."""
+        return has_images(self.path) and self.skeletons is None
+
 
 def read_two(
     choice_a: RecordingChoice,
     choice_b: RecordingChoice,
-    tracker: TrackerSettings | None = None,
+    tracker: TrackerChoice | None = None,
     progress: Progress = quietly,
 ) -> TwoRecordings:
     """Reads both recordings, one after the other: only one body tracker is in the GPU's memory at once.
 
     Args:
         choice_a, choice_b: Of K_A and K_B.
-        tracker: How the body tracker runs, where one is needed.
+        tracker: The body tracker, where one is needed. None: chosen for this machine.
         progress: Shows how far reading is.
 
     Raises:
         DeviceError: A recording cannot be read or tracked, the bodies differ, or the two never overlap.
     """
+    tracked = any(choice.is_tracked for choice in (choice_a, choice_b))
+    if tracked:
+        tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(choice_a.path, choice_b.path))
     a, b = (
         open_source(choice.path, choice.skeletons, tracker, choice.skeletons_option)
         for choice in (choice_a, choice_b)
     )
-    frames_a, info_a = _read(a, choice_a.person, progress)
-    frames_b, info_b = _read(b, choice_b.person, progress)
+    frames_a, info_a = _read(a, choice_a, progress)
+    frames_b, info_b = _read(b, choice_b, progress)
     if a.body is not b.body:
         raise DeviceError(
             f"{a.name} has the {len(a.body)} joints of {a.body.name}, {b.name} the {len(b.body)} of "
@@ -137,8 +155,9 @@ def read_two(
         said += _said_of(b, person_b, renamed, choice_b.person_option)
     pairing = pair_recordings(frames_a, frames_b, person_a, person_b)
     said += clock_warnings(info_a, info_b, pairing.pairs)
-    images = (None if info_a is None else choice_a.path, None if info_b is None else choice_b.path)
-    return TwoRecordings(a.body, pairing, (a.intrinsics, b.intrinsics), tuple(said), images)
+    path_a, path_b = (choice.path if has_images(choice.path) else None for choice in (choice_a, choice_b))
+    name = tracker.full_name if tracked and tracker is not None else ""
+    return TwoRecordings(a.body, pairing, (a.intrinsics, b.intrinsics), tuple(said), (path_a, path_b), name)
 
 
 def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePair]) -> list[str]:
@@ -170,17 +189,17 @@ def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePa
     ]
 
 
-def _read(source: Sensor, person: str | None, progress: Progress) -> tuple[list[SensorFrame], MkvInfo | None]:
-    with ExitStack() as stack:
-        stack.enter_context(source)
-        info = recording_info(source)
-        if info is None:
+def _read(
+    source: Sensor, choice: RecordingChoice, progress: Progress
+) -> tuple[list[SensorFrame], MkvInfo | None]:
+    with source:
+        if not has_images(choice.path):
             return list(source.frames()), None
         frames = without_images(source)
-        if person is None:
+        if choice.person is None:
             frames = one_person(frames)  # a body tracker gives one person several ids
-        total = info.duration_ns // info.interval_ns + 1 if info.duration_ns else None
-        return list(progress(frames, f"reading {source.name}", total)), info
+        work = "tracking" if choice.is_tracked else "reading"
+        return list(progress(frames, f"{work} {source.name}", frame_count(source))), recording_info(source)
 
 
 def _said_of(source: Sensor, person: str, others: tuple[str, ...], flag: str) -> list[str]:

@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fusion.body import AZURE_KINECT, BODIES, KINECT_V1, KINECT_V2, Body
+    from fusion.body import AZURE_KINECT, BLAZEPOSE, BODIES, KINECT_V1, KINECT_V2, Body
     from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
     from fusion.calibration.calibrator import Calibrator
     from fusion.calibration.start_up_pose import StartUpPose, find_start_up_pose
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AZURE_KINECT",
+    "BLAZEPOSE",
     "BODIES",
     "KINECT_V1",
     "KINECT_V2",
@@ -44,6 +45,7 @@ __all__ = [
 
 _HOMES = {
     "AZURE_KINECT": "fusion.body",
+    "BLAZEPOSE": "fusion.body",
     "BODIES": "fusion.body",
     "Body": "fusion.body",
     "KINECT_V1": "fusion.body",

@@ -32,7 +32,7 @@ class Body:
     """The joints of one body tracker and the bones between them.
 
     Attributes:
-        name: The tracker's family: ``kinect_v1``, ``kinect_v2`` or ``azure_kinect``.
+        name: The tracker's family: ``kinect_v1``, ``kinect_v2``, ``azure_kinect`` or ``blazepose``.
         joints: J joint names in the tracker's own order and spelling.
         parents: (J,) index of each joint's parent; the root has -1. A parent may follow its child.
         bones: (J,) name of the bone that ends in the joint; empty for the root.
@@ -268,11 +268,52 @@ AZURE_KINECT = _body(
 )
 """Azure Kinect body tracking (libk4abt), and Orbbec's cameras with it: 32 joints."""
 
-BODIES = {body.name: body for body in (KINECT_V1, KINECT_V2, AZURE_KINECT)}
+BLAZEPOSE = _body(
+    "blazepose",
+    ("PELVIS", "SPINE_NAVEL", "NECK", "SHOULDER_LEFT", "SHOULDER_RIGHT", "HIP_LEFT", "HIP_RIGHT"),
+    """
+    PELVIS          -               -                root   0.00
+    SPINE_NAVEL     PELVIS          lower_spine      up     0.18
+    NECK            SPINE_NAVEL     upper_spine      up     0.35
+    SHOULDER_LEFT   NECK            collar_left      left   0.19
+    ELBOW_LEFT      SHOULDER_LEFT   upper_arm_left   down   0.29
+    WRIST_LEFT      ELBOW_LEFT      forearm_left     down   0.25
+    HAND_LEFT       WRIST_LEFT      hand_left        down   0.08
+    THUMB_LEFT      WRIST_LEFT      thumb_left       front  0.09
+    SHOULDER_RIGHT  NECK            collar_right     right  0.19
+    ELBOW_RIGHT     SHOULDER_RIGHT  upper_arm_right  down   0.29
+    WRIST_RIGHT     ELBOW_RIGHT     forearm_right    down   0.25
+    HAND_RIGHT      WRIST_RIGHT     hand_right       down   0.08
+    THUMB_RIGHT     WRIST_RIGHT     thumb_right      front  0.09
+    HIP_LEFT        PELVIS          pelvis_left      left   0.09
+    KNEE_LEFT       HIP_LEFT        thigh_left       down   0.42
+    ANKLE_LEFT      KNEE_LEFT       shin_left        down   0.41
+    HEEL_LEFT       ANKLE_LEFT      heel_left        down   0.07
+    FOOT_LEFT       ANKLE_LEFT      foot_left        front  0.16
+    HIP_RIGHT       PELVIS          pelvis_right     right  0.09
+    KNEE_RIGHT      HIP_RIGHT       thigh_right      down   0.42
+    ANKLE_RIGHT     KNEE_RIGHT      shin_right       down   0.41
+    HEEL_RIGHT      ANKLE_RIGHT     heel_right       down   0.07
+    FOOT_RIGHT      ANKLE_RIGHT     foot_right       front  0.16
+    HEAD            NECK            head             up     0.12
+    NOSE            HEAD            nose             front  0.12
+    EYE_LEFT        HEAD            eye_left         front  0.12
+    EAR_LEFT        HEAD            ear_left         left   0.09
+    EYE_RIGHT       HEAD            eye_right        front  0.12
+    EAR_RIGHT       HEAD            ear_right        right  0.09
+    """,
+)
+"""The program's own tracker (:mod:`devices.blazepose`): 29 joints with the names of Azure's.
+
+The network has no joints on the middle line but the nose. PELVIS, SPINE_NAVEL, NECK and HEAD are derived from
+the hips, the shoulders and the ears. HAND is the middle of the knuckles of the index and little finger, FOOT
+the base of the large toe."""
+
+BODIES = {body.name: body for body in (KINECT_V1, KINECT_V2, AZURE_KINECT, BLAZEPOSE)}
 
 
 def body_of(joint_names: set[str]) -> Body:
-    """Finds the body that has these joints.
+    """Finds the body that has these joints; the first in the order of :data:`BODIES` where several have.
 
     Args:
         joint_names: Names as spelled in the recording; some joints of the body may be missing.
@@ -282,7 +323,7 @@ def body_of(joint_names: set[str]) -> Body:
     """
     fitting = [b for b in BODIES.values() if all(b.find(name) is not None for name in joint_names)]
     if fitting:
-        return min(fitting, key=len)
+        return fitting[0]
     nearest = min(BODIES.values(), key=lambda b: sum(b.find(name) is None for name in joint_names))
     strangers = sorted(name for name in joint_names if nearest.find(name) is None)
     raise FusionError(

@@ -44,8 +44,10 @@ NOMINAL_INTRINSICS = {
     "kinect_v1": Intrinsics(640, 480, 571.26, 571.26, 319.5, 239.5),
     "kinect_v2": Intrinsics(512, 424, 365.5, 365.5, 255.5, 211.5),
     "azure_kinect": Intrinsics(640, 576, 504.0, 504.0, 319.5, 287.5),
+    "blazepose": Intrinsics(640, 576, 504.0, 504.0, 319.5, 287.5),
 }
 """The depth camera of each sensor family, by body name, for recordings without intrinsics.
 
 Focal lengths: that of the maker's software (v1), the mean of published calibrations (v2), that of the
-NFOV_UNBINNED mode (Azure). The principal point is in the middle."""
+NFOV_UNBINNED mode (Azure). BlazePose works with any depth camera; the Azure Kinect's is assumed. The
+principal point is in the middle."""

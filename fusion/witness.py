@@ -230,8 +230,8 @@ def kind_of(joint: str) -> str:
 _KINDS = {
     "handtip": "tip", "thumb": "thumb", "hand": "hand", "wrist": "wrist", "elbow": "elbow",
     "spineshoulder": "spine", "shouldercenter": "spine", "hipcenter": "spine", "shoulder": "girdle",
-    "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle", "foot": "foot", "head": "head",
-    "nose": "face", "eye": "face", "ear": "face",
+    "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle", "foot": "foot", "heel": "foot",
+    "head": "head", "nose": "face", "eye": "face", "ear": "face",
 }  # fmt: skip
 """By a part of the joint's name; the first that fits."""
 _GROUPS = {

@@ -70,6 +70,11 @@ def depth(side: str) -> str:
     return f"/kinect_{side}/depth"
 
 
+def infrared(side: str) -> str:
+    """The infrared image, on the pixels of the depth image; in a viewer only, files have none."""
+    return f"{depth(side)}/infrared"
+
+
 def color(side: str) -> str:
     """The colour camera: pose, pinhole and image."""
     return f"/kinect_{side}/color"

@@ -254,6 +254,11 @@ class Session:
         return spells_of(self.events)
 
     @property
+    def tracker(self) -> str:
+        """The body tracker that found the people, such as "blazepose full"; empty where not recorded."""
+        return str(self.about["session"].get("tracker", [""])[0])
+
+    @property
     def whereabouts(self) -> NDArray[np.float64]:
         """(3,) metres in K_A's frame, the median position of the person; a point in front of K_A without a
         person."""

@@ -17,6 +17,8 @@ pytest_plugins = (
     "tests.helpers.standin_library",
     "tests.helpers.standin_pyk4a",
     "tests.helpers.real_pyk4a",
+    "tests.helpers.orbbec.standin",
+    "tests.helpers.orbbec.real_sdk",
 )
 
 

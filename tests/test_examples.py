@@ -15,6 +15,7 @@ from fusion import KINECT_V2, FuserSettings
 from fusion.setup import Method
 from recordings import Session, fuse
 from tests.helpers.command_line import duplex
+from tests.helpers.machine import need_networks
 from tests.helpers.skeleton_views import write_view
 from tests.helpers.two_views import A_FROM_B, moving
 
@@ -66,6 +67,14 @@ def test_own_arrays_and_own_sensors_give_joints(name: str, line: str, tmp_path: 
     assert done.returncode == 0, done.stderr
     assert done.stdout.count(line) > 100
     assert "nan" not in done.stdout
+
+
+def test_any_depth_camera_gives_joints(tmp_path: Path) -> None:
+    need_networks()
+    done = run(tmp_path, EXAMPLES / "any_depth_camera.py")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("head at [") > 100
+    assert "nan" not in done.stdout.splitlines()[-1], "the person is found"
 
 
 def test_a_session_is_read_in_a_notebook(tmp_path: Path) -> None:

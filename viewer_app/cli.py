@@ -32,6 +32,7 @@ from viewer_app.options.sessions import (
     ReviewOptions,
     TrimOptions,
 )
+from viewer_app.options.tracker import TrackerFetchOptions
 
 _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "demo": (DemoOptions, "viewer_app.commands.demo"),
@@ -46,6 +47,7 @@ _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "trim": (TrimOptions, "viewer_app.commands.trim"),
     "info": (InfoOptions, "viewer_app.commands.info"),
     "doctor": (DoctorOptions, "viewer_app.commands.doctor"),
+    "tracker fetch": (TrackerFetchOptions, "viewer_app.commands.tracker"),
     "bench accuracy": (BenchAccuracyOptions, "viewer_app.bench.accuracy"),
     "bench real": (BenchRealOptions, "viewer_app.bench.real"),
     "bench speed": (BenchSpeedOptions, "viewer_app.bench.speed"),
@@ -53,7 +55,10 @@ _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
 }
 """Options and module of each command, by ``command`` or ``group command``; the module has a ``run``."""
 
-_GROUPS = {"bench": "Measure the method on this machine."}
+_GROUPS = {
+    "bench": "Measure the method on this machine.",
+    "tracker": "The program's own body tracker, BlazePose.",
+}
 
 
 def script() -> None:

@@ -2,51 +2,42 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
-import shutil
 import sys
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 from devices.azure.firmware import firmware_advice
-from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects, load_sdk
+from devices.azure.pyk4a_access import ConnectedKinect, load_sdk
 from devices.azure.sensor_roles import NeedsChoiceError, cable_unknown, choose_two, sync_master
+from devices.azure.tracking.availability import found_gpu
 from devices.azure.tracking.body_tracker import INSTALL, TrackerSettings
 from devices.azure.tracking.native_library import load_library, loaded_file
 from devices.azure.usb import UDEV_ADVICE, usb_kinects
+from devices.blazepose.checks import networks_check
+from devices.check import Check, failed
+from devices.live.connected_sensors import connected_sensors
+from devices.orbbec.checks import sdk_check, sensor_check
 from devices.sensor import DeviceError
+from devices.tracker_choice import TrackerChoice, choose_tracker
 
 _MODELS = ("dnn_model_2_0_op11.onnx", "dnn_model_2_0_lite_op11.onnx", "dnn_model_2_0.onnx")
 _DEPTH_ENGINE = "libdepthengine.so.2.0"
 _USB3_MEGABITS = 5000
+_NO_SDK = Check(
+    "two Kinects",
+    False,
+    "cannot be looked for without pyk4a or pyorbbecsdk2",
+    "Install one of them first, as said above.",
+)
 _CABLE_ADVICE = (
     "A 3.5 mm cable from one's sync out to the other's sync in makes them capture together, without "
     "disturbing each other."
 )
 
 
-@dataclass(frozen=True)
-class Check:
-    """Result of one check.
-
-    Attributes:
-        name: What was checked.
-        ok: Whether it works.
-        detail: What was found.
-        advice: What to do if it fails; empty if it works.
-        needed: Whether live capture requires it.
-    """
-
-    name: str
-    ok: bool
-    detail: str
-    advice: str = ""
-    needed: bool = True
-
-
 def device_checks(
-    tracker: TrackerSettings | None = None,
+    tracker: TrackerChoice | None = None,
     root: Path = Path("/"),
     *,
     x_answers: bool = True,
@@ -55,38 +46,55 @@ def device_checks(
 ) -> list[Check]:
     """Checks the devices and libraries that live capture needs, in the order of repair.
 
+    One of the two vendors' software is enough, and one body tracker. What another would need is reported,
+    too, and is not needed.
+
     Args:
-        tracker: Settings of the tracker, whose library and network are checked.
+        tracker: The tracker that is to run, and the settings of both. None: chosen for this machine.
         root: Root of the file system; tests inject their own.
         choice: Serial numbers A, B and principal, as for ``choose_two``.
         named_master: Serial number of the master on the sync cable, if named by the user.
         x_answers: Whether the X display answers, where DISPLAY names one.
     """
-    tracker = tracker or TrackerSettings()
+    tracker = tracker or choose_tracker(root=root)
+    sdk, orbbec = _sdk(), sdk_check()
+    kinects = _kinects(tracker, choice, named_master) if sdk.ok or orbbec.ok else [_NO_SDK]
+    with_k4a = sdk.ok or not orbbec.ok
+    with_k4abt = tracker.name == "k4abt"
+    k4abt = [_tracker_library(tracker.k4abt)]
+    if with_k4abt or k4abt[0].ok:
+        k4abt += [_tracker_network(tracker.k4abt, root), _gpu(tracker.k4abt, root)]
+    k4abt = [_needed_if(with_k4abt, check) for check in k4abt]
     return [
-        _sdk(),
-        _depth_engine(root, x_answers),
-        _tracker_library(tracker),
-        _tracker_network(tracker, root),
+        replace(sdk, needed=not orbbec.ok),
+        replace(orbbec, needed=not sdk.ok),
+        _needed_if(with_k4a, _depth_engine(root, x_answers)),
+        Check("body tracker to run", True, f"{tracker.full_name}: {tracker.reason}", needed=False),
+        *k4abt,
+        _needed_if(not with_k4abt, networks_check(tracker.blazepose)),
         _usb_permission(root),
         _usb_speed(root),
-        *_kinects(choice, named_master),
-        _gpu(tracker, root),
+        *kinects,
         Check(
             "proven on hardware",
             False,
-            "live capture and body tracking have met stand-ins only, never a real sensor; recordings have",
+            "live capture (libk4a, Orbbec's SDK v2) and both body trackers have met stand-ins and "
+            "simulations only, never a real sensor; .mkv recordings have",
             "Report what happens with yours.",
             needed=False,
         ),
     ]
 
 
+def _needed_if(used: bool, check: Check) -> Check:
+    return replace(check, needed=check.needed and used)
+
+
 def _sdk() -> Check:
     try:
         sdk = load_sdk()
     except DeviceError as fault:
-        return _failed("pyk4a and the Sensor SDK", fault)
+        return failed("pyk4a and the Sensor SDK", fault)
     return Check("pyk4a and the Sensor SDK", True, getattr(sdk, "__file__", None) or "installed")
 
 
@@ -125,7 +133,7 @@ def _tracker_library(tracker: TrackerSettings) -> Check:
     try:
         library = load_library("k4abt", tracker.library, INSTALL)
     except DeviceError as fault:
-        return _failed("body tracker", fault)
+        return failed("body tracker", fault)
     if not hasattr(library, "k4abt_tracker_create"):
         return Check("body tracker", False, f"{library._name} is another library.", INSTALL)
     return Check("body tracker", True, str(library._name))
@@ -179,14 +187,13 @@ def _usb_speed(root: Path) -> Check:
     return Check("USB speed", True, f"{len(there)} Kinect(s) at USB 3" if there else "no Kinect on the bus")
 
 
-def _kinects(choice: tuple[str | None, str | None, str | None], named_master: str | None) -> list[Check]:
-    if not _sdk().ok:
-        advice = "Install pyk4a and the Sensor SDK first, as said above."
-        return [Check("two Kinects", False, "cannot be looked for without pyk4a", advice)]
+def _kinects(
+    tracker: TrackerChoice, choice: tuple[str | None, str | None, str | None], named_master: str | None
+) -> list[Check]:
     try:
-        there = connected_kinects()
+        there = connected_sensors(tracker)
     except DeviceError as fault:
-        return [_failed("two Kinects", fault)]
+        return [failed("two Kinects", fault)]
     usable = sum(kinect.serial is not None for kinect in there)
     counted, each = f"{len(there)} connected, {usable} usable", [_kinect(kinect) for kinect in there]
     if usable < 2:
@@ -207,7 +214,7 @@ def _sync_cable(there: list[ConnectedKinect], chosen: tuple[str, str], named_mas
     try:
         master = sync_master(a, b, named_master)
     except DeviceError as fault:
-        return _failed("sync cable", fault)
+        return failed("sync cable", fault)
     if master is None:
         unknown = cable_unknown(a, b)
         found = "not known" if unknown else "none"
@@ -218,6 +225,8 @@ def _sync_cable(there: list[ConnectedKinect], chosen: tuple[str, str], named_mas
 
 
 def _kinect(kinect: ConnectedKinect) -> Check:
+    if kinect.sdk == "orbbec":
+        return sensor_check(str(kinect.serial), kinect.model, kinect.connection)
     if kinect.serial is None:
         what, _, advice = kinect.fault.partition(". ")
         return Check(f"Kinect at place {kinect.index}", False, what, advice, needed=False)
@@ -237,15 +246,9 @@ def _plug(connected: bool | None) -> str:
 
 
 def _gpu(tracker: TrackerSettings, root: Path) -> Check:
-    if (root / "proc/driver/nvidia/version").is_file() or shutil.which("nvidia-smi"):
-        return Check("GPU", True, "NVIDIA driver found", needed=False)
-    if sys.platform == "win32":
-        try:
-            ctypes.CDLL("DirectML.dll")
-        except OSError:
-            pass
-        else:
-            return Check("GPU", True, "DirectML found", needed=False)
+    gpu = found_gpu(root)
+    if gpu:
+        return Check("GPU", True, f"{gpu} found", needed=False)
     slow = (
         "about one frame per second of both sensors: record with k4arecorder now, "
         "duplex fuse a.mkv b.mkv later."
@@ -260,9 +263,3 @@ def _gpu(tracker: TrackerSettings, root: Path) -> Check:
         f"no driver found, and the tracker is to run on {tracker.processing}",
         f"Install NVIDIA's driver, or try --processing cpu, which gives {slow}",
     )
-
-
-def _failed(name: str, fault: DeviceError) -> Check:
-    """A failed check from an error: its first sentence is the detail, the rest is the advice."""
-    what, _, advice = str(fault).partition(". ")
-    return Check(name, False, what, advice)

@@ -9,7 +9,7 @@ import os
 import threading
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 from devices.azure.firmware import firmware_version
 from devices.azure.installing import how_to_install
@@ -33,6 +33,8 @@ class ConnectedKinect:
             always says no.
         fault: Why it cannot be opened; empty if it can.
         firmware: Version of its colour camera's firmware, which names the release; None if unknown.
+        sdk: Whose software gives its images: libk4a's, or Orbbec's SDK v2.
+        model, connection: What Orbbec's SDK v2 calls it, and how it is connected; empty with libk4a.
     """
 
     index: int
@@ -41,11 +43,15 @@ class ConnectedKinect:
     sync_out: bool | None = None
     fault: str = ""
     firmware: tuple[int, int, int] | None = None
+    sdk: Literal["k4a", "orbbec"] = "k4a"
+    model: str = ""
+    connection: str = ""
 
     @property
     def is_orbbec(self) -> bool:
-        """Whether it is a Femto Bolt or Mega: their serial numbers hold letters, Microsoft's digits only."""
-        return self.serial is not None and not self.serial.isdigit()
+        """Whether it is of Orbbec. With libk4a, serial numbers tell: Orbbec's hold letters, Microsoft's do
+        not."""
+        return self.sdk == "orbbec" or (self.serial is not None and not self.serial.isdigit())
 
 
 def connected_kinects() -> list[ConnectedKinect]:

@@ -150,13 +150,14 @@ def _jacks(*kinects: ConnectedKinect) -> str:
 
 
 def cable_unknown(a: ConnectedKinect, b: ConnectedKinect) -> str:
-    """Advice if no cable was detected but one may exist: Orbbec's wrapper cannot detect cables."""
+    """Advice if no cable was detected but one may exist: Orbbec's software cannot detect cables."""
     orbbec = [str(kinect.serial) for kinect in (a, b) if kinect.is_orbbec]
     if not orbbec:
         return ""
+    software = "SDK" if "orbbec" in (a.sdk, b.sdk) else "wrapper"
     return (
-        f"Orbbec's wrapper does not say whether a cable is in the jacks of {' and '.join(orbbec)}. If there "
-        f"is one, name the sensor that it leads out of: --sync-master {a.serial} or {b.serial}."
+        f"Orbbec's {software} does not say whether a cable is in the jacks of {' and '.join(orbbec)}. "
+        f"If there is one, name the sensor that it leads out of: --sync-master {a.serial} or {b.serial}."
     )
 
 
@@ -164,7 +165,8 @@ def cable_notes(a: ConnectedKinect, b: ConnectedKinect, master: str | None) -> l
     """Notes for the user about the sync cable and the firmware it needs."""
     if master is None:
         return [cable_unknown(a, b) or _NO_CABLE]
-    return [note for kinect in (a, b) if (note := firmware_advice(str(kinect.serial), kinect.firmware))]
+    libk4a = [kinect for kinect in (a, b) if kinect.sdk == "k4a"]
+    return [note for kinect in libk4a if (note := firmware_advice(str(kinect.serial), kinect.firmware))]
 
 
 _NO_CABLE = (

@@ -10,13 +10,15 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-# The depth camera of each: Azure Kinect DK; Orbbec Femto Mega, Femto Bolt (ids as in OrbbecSDK's device lists
-# and udev rules; none of the three was seen on a bus of ours). A Femto Mega I has no USB.
-_DEPTH_CAMERAS = {("045e", "097c"), ("2bc5", "0669"), ("2bc5", "066b")}
+# The depth camera of each: Azure Kinect DK; Orbbec Femto Mega, Femto Bolt, Gemini 2, 2 L and the Gemini 330
+# series (ids as in OrbbecSDK's device lists and udev rules; none was seen on a bus of ours). A Femto Mega I
+# has no USB.
+_ORBBECS = ("0669", "066b", "0670", "0673", "0800", "0801", "0803", "0804", "0805", "0807")
+_DEPTH_CAMERAS = {("045e", "097c"), *(("2bc5", product) for product in _ORBBECS)}
 
 UDEV_ADVICE = (
-    "Copy 99-k4a.rules of the Azure Kinect Sensor SDK (scripts/), for an Orbbec 99-obsensor-libusb.rules, to "
-    "/etc/udev/rules.d, then unplug the sensor and plug it in again."
+    "Copy 99-k4a.rules of the Azure Kinect Sensor SDK (scripts/), for an Orbbec 99-obsensor-libusb.rules "
+    "(in pyorbbecsdk2: shared/), to /etc/udev/rules.d, then unplug the sensor and plug it in again."
 )
 
 

@@ -70,6 +70,18 @@ class FrameDecimation:
         """Seconds per frame that this tracker took when the step was chosen; 0 as long as it is 1."""
         return self._slowest_s if self._step > 1 else 0.0
 
+    @property
+    def advice(self) -> str:
+        """What to do about a tracker that is too slow."""
+        return (
+            "It is the tracker, not USB or light: a faster GPU, or record now and track later "
+            "(duplex fuse a.mkv b.mkv)."
+        )
+
+    def take_news(self) -> list[str]:
+        """What changed besides the frames that are kept, one line each; once."""
+        return []
+
     def restart(self, sensor: str) -> None:
         """Forgets a sensor that was reopened, because its clock and its tracker restart."""
         with self._lock:

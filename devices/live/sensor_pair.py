@@ -195,7 +195,11 @@ class TwoSensors:
 
     def _follow_decimation(self) -> None:
         decimation = self._decimation
-        if decimation is None or decimation.step == self._step:
+        if decimation is None:
+            return
+        for news in decimation.take_news():
+            self._say("", news)
+        if decimation.step == self._step:
             return
         self._step = decimation.step
         self._pairing.set_interval(decimation.interval_ns)
@@ -204,12 +208,14 @@ class TwoSensors:
         full, kept = 1e9 / decimation.period_ns, 1e9 / decimation.interval_ns
         message = (
             f"The body tracker of {decimation.slowest} takes {1000 * decimation.slowest_s:.0f} ms per frame: "
-            f"both sensors go on with {kept:.3g} of {full:.3g} frames per second. It is the tracker, not USB "
-            f"or light: a faster GPU, or record now and track later (duplex fuse a.mkv b.mkv)."
+            f"both sensors go on with {kept:.3g} of {full:.3g} frames per second. {decimation.advice}"
             if self._step > 1
             else f"The body trackers keep up again: {full:.3g} frames per second."
         )
-        event = SensorEvent(decimation.slowest, message, self._clock())
+        self._say(decimation.slowest, message)
+
+    def _say(self, sensor: str, message: str) -> None:
+        event = SensorEvent(sensor, message, self._clock())
         self._events.append(event)
         self._tell(event)
 

@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from devices.depth_witness import with_witness
 from devices.image_thinning import Depth
 from devices.sensor import DeviceError, SensorFrame
+from devices.simulated.imaging.infrared import InfraredModel, infrared_image
 from devices.simulated.imaging.rendering import DepthErrors, depth_image, halved, surface
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import Array
 from devices.simulated.person.body_surface import capsules, flesh_over, visibility
 from devices.simulated.person.captured_motion import read_bvh
+from devices.simulated.person.clothed_surface import clothed_capsules, materials
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker import Tracker
@@ -142,10 +144,13 @@ class SimulatedKinect:
         errors: Errors of its body tracker; None: the errors fitted for the body.
         depth: Whether frames have a depth image, and its size.
         depth_errors: Errors of the depth image.
+        infrared: Whether frames with a depth image have an infrared image, too. Both then show the person
+            dressed (``clothed_surface``); the simulated tracker's errors stay the same.
 
         Attributes:
             hurried: While True, frames have no depth image, which takes most of a frame's time.
-            images_left_out: Number of images dropped so far.
+            imaging: While False, no images are wanted.
+            images_left_out: Number of wanted images dropped so far.
     """
 
     def __init__(
@@ -157,7 +162,10 @@ class SimulatedKinect:
         errors: TrackerErrors | None = None,
         depth: Depth = "none",
         depth_errors: DepthErrors | None = None,
+        infrared: bool = False,
     ) -> None:
+        if infrared and depth == "none":
+            raise DeviceError("Infrared images need depth='half' or 'full': both are of one size.")
         if depth not in ("none", "half", "full"):
             raise DeviceError(f"depth is 'none', 'half' or 'full'; got {depth!r}.")
         self.name = f"simulated {'ab'[which]}"
@@ -169,7 +177,11 @@ class SimulatedKinect:
         self._scene, self._rig, self._which = scene, rig, which
         self._errors = TrackerErrors.of(scene.body) if errors is None else errors
         self._depth, self._depth_errors = depth, depth_errors or DepthErrors()
-        self.hurried = False
+        self._infrared: InfraredModel | None = None
+        if infrared:
+            self._infrared = InfraredModel().binned() if depth == "half" else InfraredModel()
+        self._light = self._infrared.illumination(self._lens) if self._infrared else None
+        self.hurried, self.imaging = False, True
         self.images_left_out = 0
 
     @property
@@ -199,16 +211,29 @@ class SimulatedKinect:
             time_ns = rig.clock(which, rig.captured_at(which, frame))
             skeleton = tracker.report(joints, visibility(joints, shapes, flesh, self._lens), time_ns)
             dropped = dropping.random() < rig.dropped
-            image = None
-            if self._depth != "none" and self.hurried:
+            depth = ir = None
+            if self._depth != "none" and self.imaging and self.hurried:
                 self.images_left_out += 1
-            elif self._depth != "none":
-                imaging = np.random.default_rng([scene.seed, which, 2, frame])
-                z, _, cosine = surface(shapes, sensor_from_world, self._lens)
-                image = depth_image(z, cosine, self._depth_errors, imaging)
+            elif self._depth != "none" and self.imaging:
+                depth, ir = self._images(positions, shapes, frame)
             if not dropped:
-                frame_now = SensorFrame(time_ns, {} if skeleton is None else {PERSON: skeleton}, image)
-                yield with_witness(frame_now, self._lens)
+                people = {} if skeleton is None else {PERSON: skeleton}
+                yield with_witness(SensorFrame(time_ns, people, depth, ir=ir), self._lens)
+
+    def _images(
+        self, landmarks: Array, shapes: Array, frame: int
+    ) -> tuple[NDArray[np.uint16], NDArray[np.uint16] | None]:
+        """The depth and infrared image of a frame; landmarks and capsules are in the sensor's frame."""
+        seed, which = self._scene.seed, self._which
+        sensor_from_world = self._rig.world_from_sensor(which).inverse()
+        if self._infrared is not None:
+            shapes = clothed_capsules(landmarks, self._scene.height)
+        z, label, cosine = surface(shapes, sensor_from_world, self._lens)
+        depth = depth_image(z, cosine, self._depth_errors, np.random.default_rng([seed, which, 2, frame]))
+        if self._infrared is None or self._light is None:
+            return depth, None
+        noise = np.random.default_rng([seed, which, 3, frame])
+        return depth, infrared_image(z, label, cosine, materials(), self._light, self._infrared, noise)
 
     def _poses(self) -> Iterator[tuple[int, Array]]:
         """Frame numbers and (N, 3) landmarks in the world."""
@@ -234,6 +259,7 @@ def simulated_pair(
     errors: TrackerErrors | None = None,
     depth_errors: DepthErrors | None = None,
     rig: Rig | None = None,
+    infrared: bool = False,
 ) -> tuple[SimulatedKinect, SimulatedKinect, Truth]:
     """Two sensors that watch one person, and the truth.
 
@@ -248,6 +274,7 @@ def simulated_pair(
         errors: Of the body trackers; the real ones of the body where None.
         depth_errors: Of the depth images.
         rig: Where the sensors stand.
+        infrared: Whether frames with a depth image carry an infrared image.
 
     Raises:
         DeviceError: There is no such movement, or a value makes no sense.
@@ -256,7 +283,9 @@ def simulated_pair(
     scene = Scene(moving, body, height, seconds, seed)
     rig = rig or Rig(angle_deg=angle_deg)
     a, b = (
-        SimulatedKinect(scene, rig, which, errors=errors, depth=depth, depth_errors=depth_errors)
+        SimulatedKinect(
+            scene, rig, which, errors=errors, depth=depth, depth_errors=depth_errors, infrared=infrared
+        )
         for which in (0, 1)
     )
     return a, b, Truth(scene, rig)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
+from devices.live.frame_decimation import FrameDecimation
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import SimulatedKinect
 from fusion.body import Body
@@ -57,6 +58,8 @@ class PacedSensor:
     Args:
         sensor: The simulated sensor. It is told to hurry while it is slower than real time.
         beat: Shared by sensors that start together; None: this sensor starts alone.
+        decimation: Which moments a body tracker that works on the images wants; shared by the sensors. Frames
+            of other moments and frames without an image are not given. None: every frame.
         clock: Returns seconds; tests inject their own.
         wait: Waits for an event with a timeout in seconds; tests inject their own.
     """
@@ -65,6 +68,7 @@ class PacedSensor:
         self,
         sensor: SimulatedKinect,
         beat: Beat | None = None,
+        decimation: FrameDecimation | None = None,
         *,
         clock: Callable[[], float] = time.perf_counter,
         wait: Callable[[threading.Event, float], bool] = threading.Event.wait,
@@ -72,8 +76,11 @@ class PacedSensor:
         self.name = sensor.name
         self._sensor = sensor
         self._beat = beat or Beat()
+        self._decimation = decimation
         self._clock, self._wait = clock, wait
         self._stopping = threading.Event()
+        self.making_ns = 0
+        """How long simulating the last frame took."""
 
     @property
     def body(self) -> Body:
@@ -109,21 +116,34 @@ class PacedSensor:
         """Yields the frames of the sensor, each when it is due."""
         begun, longest = None, 0.0
         frames = self._sensor.frames()
+        if self._decimation is not None:
+            self._decimation.restart(self.name)
         while True:
             started = self._clock()
             frame = next(frames, None)
             if frame is None:
                 return
-            longest = max(self._clock() - started, _FORGETTING * longest)
+            took = self._clock() - started
+            longest, self.making_ns = max(took, _FORGETTING * longest), round(took * 1e9)
             if begun is None:
                 begun = self._beat.begin(self._clock, self._stopping)
             due = begun + (frame.time_ns - self._sensor.clock_at_start_ns) * 1e-9
             self._sensor.hurried = due - self._clock() < -_FRAME
             if self._stops_before(due):
                 return
-            yield replace(frame, host_ns=round(self._clock() * 1e9))
+            frame = replace(frame, host_ns=round(self._clock() * 1e9))
+            if self._is_wanted(frame):
+                yield frame
             if self._stops_before(due + _FRAME - max(_FRAME / 2.0, _MARGIN * longest)):
                 return
+
+    def _is_wanted(self, frame: SensorFrame) -> bool:
+        """Whether a tracker wants the frame; the next one then has images only if it wants that."""
+        if self._decimation is None or frame.host_ns is None:
+            return True
+        moment = self._decimation.moment(self.name, frame.time_ns, frame.host_ns)
+        self._sensor.imaging = self._decimation.keeps(moment + 1)
+        return self._decimation.keeps(moment) and frame.depth is not None
 
     def _stops_before(self, moment: float) -> bool:
         """Waits until a time; returns whether the wait was interrupted."""
@@ -131,7 +151,7 @@ class PacedSensor:
         return self._stopping.is_set() or (left > 0.0 and self._wait(self._stopping, left))
 
 
-def paced_together(*sensors: SimulatedKinect) -> list[PacedSensor]:
-    """Returns sensors that start together and play in real time."""
+def paced_together(*sensors: SimulatedKinect, decimation: FrameDecimation | None = None) -> list[PacedSensor]:
+    """Returns sensors that start together and play in real time; see :class:`PacedSensor`."""
     beat = Beat(len(sensors))
-    return [PacedSensor(sensor, beat) for sensor in sensors]
+    return [PacedSensor(sensor, beat, decimation) for sensor in sensors]

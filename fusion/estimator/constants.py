@@ -28,8 +28,8 @@ KINDS = (
 _KIND_OF_NAME = {
     "handtip": "tip", "thumb": "thumb", "hand": "hand", "wrist": "wrist", "elbow": "elbow",
     "spineshoulder": "spine", "shouldercenter": "spine", "hipcenter": "spine", "shoulder": "girdle",
-    "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle", "foot": "foot", "head": "head",
-    "nose": "face", "eye": "face", "ear": "face",
+    "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle", "foot": "foot", "heel": "foot",
+    "head": "head", "nose": "face", "eye": "face", "ear": "face",
 }  # fmt: skip
 
 

@@ -138,7 +138,7 @@ def new_facing_model(body: Body, constants: FacingConstants | None = None) -> Fa
         return np.array([any(part in name for part in parts) for name in plain])
 
     lateral = body.mirror != np.arange(len(body))
-    legs = lateral & named("hip", "knee", "ankle", "foot")
+    legs = lateral & named("hip", "knee", "ankle", "foot", "heel")
     lengths = body.nominal_lengths
     clavicles = sum(
         lengths[j] for j in (body.find("ClavicleLeft"), body.joint("ShoulderLeft")) if j is not None
@@ -151,7 +151,7 @@ def new_facing_model(body: Body, constants: FacingConstants | None = None) -> Fa
         limb=np.where(legs, LEGS, np.where(lateral, ARMS, 0)).astype(np.int64),
         girdle=lateral & named("clavicle", "shoulder", "hip"),
         face=lateral & named("eye", "ear"),
-        believed=named("foot", "thumb", "nose", "eye", "ear"),
+        believed=named("foot", "heel", "thumb", "nose", "eye", "ear"),
         widths=np.array([2.0 * clavicles, 2.0 * lengths[body.joint("HipLeft")]]),
         axis_kappa=np.array(c.axis_sigma) ** -2.0,
         cue_mean=np.array((c.knee_mean, c.elbow_mean, c.head_mean)),

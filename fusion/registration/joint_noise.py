@@ -28,6 +28,7 @@ _KINDS = (
     ("knee", 1.3, 1.0),
     ("ankle", 1.6, 1.1),
     ("foot", 2.5, 1.5),
+    ("heel", 2.5, 1.5),
     ("head", 1.2, 0.9),
     ("nose", 1.3, 1.0),
     ("eye", 1.3, 1.0),
@@ -57,7 +58,7 @@ def limbs(body: Body) -> NDArray[np.int64]:
 
     Hips belong to the legs; shoulders, clavicles, eyes and ears to the arms.
     """
-    lower = ("hip", "knee", "ankle", "foot")
+    lower = ("hip", "knee", "ankle", "foot", "heel")
     return np.array(
         [
             0 if body.mirror[j] == j else LEG if any(part in _plain(name) for part in lower) else ARM

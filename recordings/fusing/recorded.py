@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from devices.image_thinning import Depth
 from devices.pairing import FramePair
+from devices.tracker_choice import WantedTracker, choose_tracker
 from devices.two_recordings import Progress, RecordingChoice, TwoRecordings, quietly, read_two
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
@@ -36,6 +37,7 @@ def fuse(
     person_b: str | None = None,
     skeletons_a: str | Path | None = None,
     skeletons_b: str | Path | None = None,
+    tracker: WantedTracker = "auto",
     depth: Depth = "full",
     hindsight: Hindsight = "labels",
     refine: bool = True,
@@ -52,12 +54,14 @@ def fuse(
 
     Args:
         a, b: Recordings of the principal sensor K_A, in whose frame S* is, and of the secondary one K_B:
-            ``.csv``, ``.json``, ``.skeleton``, or ``.mkv`` of an Azure Kinect.
+            ``.csv``, ``.json``, ``.skeleton``, ``.mkv`` of an Azure Kinect, or ``.bag`` of Orbbec's SDK v2.
         calibration: An earlier calibration. None: calibrate on the start-up pose of the recordings, or on
             their calmest window if there is no such pose.
         settings: Settings of the method, except ``hindsight``.
         person_a, person_b: Ids of the person. None: the person seen longest in each recording.
         skeletons_a, skeletons_b: For an ``.mkv``: saved skeletons, used instead of the body tracker.
+        tracker: The body tracker of images: ``k4abt``, Microsoft's; ``blazepose``, the program's own, whose
+            networks ``duplex tracker fetch`` has fetched; ``auto``: k4abt where it works, else blazepose.
         depth: For an ``.mkv``: how many of its depth images the session contains.
         hindsight: How later frames are used; see :class:`fusion.setup.FuserSettings`.
         refine: Whether a calibration found here is refined over the whole recording.
@@ -70,7 +74,7 @@ def fuse(
         RecordingChoice(Path(a), _path(skeletons_a), person_a, "skeletons_a", "person_a"),
         RecordingChoice(Path(b), _path(skeletons_b), person_b, "skeletons_b", "person_b"),
     )
-    read = read_two(*choices)
+    read = read_two(*choices, choose_tracker(tracker))
     settings = replace(settings or FuserSettings(), hindsight=hindsight)
     pairs = read.pairing.pairs
     plan = plan_recording(
@@ -158,6 +162,7 @@ def fused_session(
             *exchange_events((f.fused for f in frames), first_ns),
         ],
         images=RecordingImages(read, depth, progress),
+        about={"tracker": read.tracker} if read.tracker else None,
     )
 
 

@@ -21,6 +21,7 @@ from recordings.appearance.joint_trust import StateLanes, TrustMatrix, matrix_fr
 from recordings.events import Phase
 from recordings.images.color_images import ColorLog
 from recordings.images.depth_points import prepare_points, thin_points
+from recordings.images.infrared_images import show_infrared
 from recordings.images.rvl import MEDIA_TYPE, encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
@@ -153,6 +154,8 @@ class Recorder:
         for side, seen in (("a", frame.pair.a), ("b", frame.pair.b)):
             if seen is not None and seen.depth is not None:
                 self.record_depth(side, number, time_ns, seen.depth)
+                if self._points and seen.ir is not None:
+                    show_infrared(self._stream, side, seen.ir)
             if seen is not None and seen.color is not None:
                 self.record_color(side, number, time_ns, seen.color)
 

@@ -62,6 +62,8 @@ def write_session(
     about: dict[str, str | int] = {"first_frame": session.first_frame + first}
     if "replay_of" in session.about["session"]:
         about["replay_of"] = str(session.about["session"]["replay_of"][0])
+    if session.tracker:
+        about["tracker"] = session.tracker
     with whole_recording(path, blueprint) as stream:
         segments = [(setup, own) for setup, own in session.setups() if own.stop > first and own.start < end]
         recorder = Recorder(stream, segments[0][0], session.sources, about=about)

@@ -14,6 +14,11 @@ from devices.azure.checks import Check, device_checks
 from devices.azure.installing import how_to_install
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.azure.usb import usb_kinects
+from devices.blazepose.checks import networks_check
+from devices.blazepose.settings import BlazePoseSettings
+from devices.orbbec.checks import sdk_check, sensor_check
+from devices.tracker_choice import choose_tracker
+from tests.helpers.orbbec.standin import Orbbec, OrbbecBus
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import Bus, Device
 from tests.helpers.usb_tree import furnish, plug_in
@@ -35,13 +40,17 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyk4a", None)
+    monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr(shutil, "which", lambda _: None)
     monkeypatch.delenv("DISPLAY", raising=False)
-    checks = device_checks(TrackerSettings(library=tmp_path / "libk4abt.so"), tmp_path)
+    checks = device_checks(
+        choose_tracker("k4abt", TrackerSettings(library=tmp_path / "libk4abt.so")), tmp_path
+    )
     named = _by_name(checks)
     for name in (
         "pyk4a and the Sensor SDK",
+        "pyorbbecsdk2 (Orbbec's SDK v2)",
         "body tracker",
         "body tracker's network",
         "depth engine",
@@ -53,7 +62,9 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
         assert named[name].needed, name
     assert all(check.advice for check in checks if not check.ok)
     assert "pip install '.[kinect]'" in named["pyk4a and the Sensor SDK"].advice
-    assert named["two Kinects"].detail == "cannot be looked for without pyk4a", "the way to it is said once"
+    assert named["two Kinects"].detail == "cannot be looked for without pyk4a or pyorbbecsdk2", (
+        "the way to it is said once"
+    )
 
 
 def test_a_machine_with_all_of_it_can_start(
@@ -64,7 +75,7 @@ def test_a_machine_with_all_of_it_can_start(
     bus.devices = [Device("000123", jacks=(False, True)), Device("000456", jacks=(True, False))]
     for number, serial in enumerate(("000123", "000456")):
         plug_in(tmp_path, serial, number=number)
-    checks = device_checks(TrackerSettings(library=standin.path), tmp_path)
+    checks = device_checks(choose_tracker("k4abt", TrackerSettings(library=standin.path)), tmp_path)
     assert [check.name for check in checks if check.needed and not check.ok] == []
     named = _by_name(checks)
     assert named["Kinect 000123"].detail == "sync in empty, sync out connected"
@@ -91,7 +102,7 @@ def test_one_thing_that_is_missing_is_the_one_that_fails(
     for file in tmp_path.rglob("*"):
         if lacks in str(file.relative_to(tmp_path)) and file.is_file():
             file.unlink()
-    named = _by_name(device_checks(TrackerSettings(library=standin.path), tmp_path))
+    named = _by_name(device_checks(choose_tracker("k4abt", TrackerSettings(library=standin.path)), tmp_path))
     wanted = {"depth engine", "GPU", "body tracker's network", "body tracker"}
     assert [name for name in named if name in wanted and not named[name].ok] == [check]
     assert named[check].needed == needed
@@ -101,7 +112,7 @@ def test_one_thing_that_is_missing_is_the_one_that_fails(
 def test_a_tracker_on_the_cpu_needs_no_gpu(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(shutil, "which", lambda _: None)
     monkeypatch.setitem(sys.modules, "pyk4a", None)
-    gpu = _by_name(device_checks(TrackerSettings(processing="cpu"), tmp_path))["GPU"]
+    gpu = _by_name(device_checks(choose_tracker("k4abt", TrackerSettings(processing="cpu")), tmp_path))["GPU"]
     assert (gpu.ok, gpu.needed) == (False, False)
     assert "about one frame per second" in gpu.advice
     assert "duplex fuse" in gpu.advice
@@ -228,3 +239,57 @@ def test_what_building_pyk4a_needs_is_named_by_platform(platform: str, words: li
 def test_a_bundle_that_cannot_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(installing, "version", lambda _: "1.5.0")
     assert "pip uninstall pyk4a-bundle" in how_to_install("linux")
+
+
+# ------------------------------------------------------------------ Orbbec's SDK v2, and our own tracker
+
+
+def test_orbbecs_software_and_our_tracker_are_enough(
+    orbbecs: OrbbecBus, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    orbbecs.devices = [Orbbec("CL8H741005K"), Orbbec.gemini("AY8T43E0031", firmware="1.4.60")]
+    for number, device in enumerate(orbbecs.devices):
+        plug_in(tmp_path, device.serial, "066b", number=number, vendor="2bc5")
+    checks = device_checks(choose_tracker("blazepose"), tmp_path)
+    named = _by_name(checks)
+    assert [
+        check.name for check in checks if check.needed and not check.ok and check.name != "blazepose"
+    ] == []
+    assert named["body tracker to run"].detail == "blazepose full: asked for with --tracker"
+    bolt, gemini = named["Orbbec CL8H741005K"], named["Orbbec AY8T43E0031"]
+    assert bolt.ok
+    assert bolt.detail == "Orbbec Femto Bolt, USB3.2, firmware 1.1.3, sync jacks not known"
+    assert "recommends firmware 1.4.98" in gemini.advice
+    assert (
+        "--sync-master CL8H741005K" in named["sync cable"].advice
+        or "--sync-master" in named["sync cable"].advice
+    )
+    assert "never a real sensor" in named["proven on hardware"].detail
+    assert orbbecs.open_serials == [], "each is opened briefly"
+
+
+def test_what_is_wrong_with_an_orbbec_sensor_is_said(orbbecs: OrbbecBus) -> None:
+    orbbecs.devices = [
+        Orbbec("CL8H741005K", busy=True),
+        Orbbec("CL8H7410123", connection="USB2.1"),
+        Orbbec("CL8H7410456"),
+    ]
+    busy, slow = (sensor_check(one.serial, one.model, one.connection) for one in orbbecs.devices[:2])
+    assert not busy.ok
+    assert "it is busy or starting up" in busy.detail + busy.advice
+    assert "USB 3 port" in slow.advice
+    assert "no depth from Femto Bolt" in sdk_check("darwin").detail
+
+
+def test_networks_that_can_be_fetched_are_not_needed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("DUPLEX_TRACKER_MODELS", str(tmp_path))
+    monkeypatch.setattr("devices.blazepose.checks.find_spec", lambda _: True)
+    check = networks_check(BlazePoseSettings())
+    assert (check.ok, check.needed) == (False, False)
+    assert "duplex tracker fetch" in check.advice
+    named = networks_check(BlazePoseSettings(models=tmp_path))
+    assert (named.ok, named.needed) == (False, True), "a folder that the user names is not written"
+    monkeypatch.setattr("devices.blazepose.checks.find_spec", lambda _: None)
+    assert networks_check(BlazePoseSettings()).needed

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fusion.body import AZURE_KINECT, BODIES, KINECT_V1, KINECT_V2, Body, body_of
+from fusion.body import AZURE_KINECT, BLAZEPOSE, BODIES, KINECT_V1, KINECT_V2, Body, body_of
 from fusion.errors import FusionError
 
 
@@ -43,5 +43,7 @@ def test_the_body_follows_from_the_joint_names() -> None:
     for body in BODIES.values():
         assert body_of(set(body.joints)) is body
     assert body_of(set(KINECT_V2.joints) - {"ThumbLeft"}) is KINECT_V2
+    assert body_of(set(AZURE_KINECT.joints) & set(BLAZEPOSE.joints)) is AZURE_KINECT
+    assert body_of(set(BLAZEPOSE.joints) - {"HEEL_LEFT"}) is BLAZEPOSE
     with pytest.raises(FusionError, match="Unknown joint 'Tail'"):
         body_of({*KINECT_V1.joints, "Tail"})

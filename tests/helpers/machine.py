@@ -17,6 +17,8 @@ from typing import NoReturn
 import pytest
 from rerun.experimental import ViewerClient
 
+from devices.blazepose.networks.files import cache_folder, missing
+from devices.blazepose.settings import NetworkName
 from viewer_app.errors import UsageError
 from viewer_app.viewer.rerun_process import LOOPBACK, start_viewer, stop
 
@@ -53,6 +55,19 @@ def need_browser() -> str:
 def need_compiler() -> str:
     """The path of a C compiler; skips the running test where there is none."""
     return _first_of(_COMPILERS) or lacks("a C compiler", "gcc libc6-dev")
+
+
+def need_networks(network: NetworkName = "full") -> Path:
+    """The folder of the body tracker's networks; skips the running test where they were not fetched."""
+    folder = cache_folder()
+    if missing(network, folder):
+        reason = (
+            f"{_LACKS} the body tracker's network {network}; run duplex tracker fetch --network {network}"
+        )
+        if _complete and network == "full":
+            pytest.fail(reason + " (--complete-machine allows no such skip)", pytrace=False)
+        pytest.skip(reason)
+    return folder
 
 
 def _first_of(programs: tuple[str, ...]) -> str | None:

@@ -4,22 +4,30 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 
 import av
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from devices.azure.calibration import DEPTH_MODES
+from devices.simulated.kinect import SimulatedKinect
 
 INTERVAL_US = 33_000  # whole milliseconds: the muxer's own time scale
 _MICROSECONDS = Fraction(1, 1_000_000)
+Images = tuple[NDArray[np.uint16], NDArray[np.uint16]]
 
 
-def calibration_json() -> bytes:
-    """A calibration as a sensor stores it: an ideal lens of the nominal focal length, colour 32 mm aside."""
-    ideal = [0.5, 0.5, 0.4921875, 0.4921875, *[0.0] * 10]
+def calibration_json(middle: tuple[float, float] = (0.5, 0.5)) -> bytes:
+    """A calibration as a sensor stores it: an ideal lens of the nominal focal length, colour 32 mm aside.
+
+    Args:
+        middle: Principal point as shares of the whole 1024 × 1024 sensor.
+    """
+    ideal = [*middle, 0.4921875, 0.4921875, *[0.0] * 10]
 
     def camera(purpose: str, size: tuple[int, int], translation: list[float]) -> dict[str, object]:
         return {
@@ -50,8 +58,22 @@ def write_mkv(
     calibration: bytes | None = None,
     size: tuple[int, int] | None = None,
     sync: str = "SUBORDINATE",
+    images: Sequence[Images] | None = None,
 ) -> Path:
-    """Writes a recording; infrared is depth + 1, colour one grey, and every frame has one IMU sample."""
+    """Writes a recording; colour is one grey, and every frame has one IMU sample.
+
+    Args:
+        path: The file.
+        frames: How many frames.
+        mode: A key of ``DEPTH_MODES``.
+        start_offset_ns: Device time of the first frame.
+        serial: Of the sensor.
+        color: Whether there is colour.
+        calibration: The sensor's JSON; None: an ideal lens.
+        size: Width and height of the images, where they contradict the mode.
+        sync: ``MASTER``, ``SUBORDINATE`` or ``STANDALONE``.
+        images: Depth and infrared of each frame; None: :func:`depth_image`, and infrared is depth + 1.
+    """
     width, height = size or (DEPTH_MODES[mode].width, DEPTH_MODES[mode].height)
     with av.open(str(path), "w", options={"allow_raw_vfw": "1"}) as container:
         container.metadata.update(
@@ -80,10 +102,14 @@ def write_mkv(
         container.start_encoding()
         grey = cv2.imencode(".jpg", np.full((720, 1280, 3), 100, np.uint8))[1].tobytes()
         for index in range(frames):
-            depth = np.resize(depth_image(index, mode), (height, width))
+            if images is not None:
+                depth, infrared = images[index]
+            else:
+                depth = np.resize(depth_image(index, mode), (height, width))
+                infrared = depth + 1
             sample = struct.pack("<Q3fQ3f", index * 1000, 0.0, 0.0, -9.81, index * 1000 + 1, 0.1, 0.2, 0.3)
-            images = {"DEPTH": depth, "IR": depth + 1}
-            content = {title: image.astype(">u2").tobytes() for title, image in images.items()}
+            raw = {"DEPTH": depth, "IR": infrared}
+            content = {title: image.astype(">u2").tobytes() for title, image in raw.items()}
             content |= {"COLOR": grey, "IMU": sample}
             for title in streams:
                 packet = av.Packet(content[title])
@@ -93,3 +119,27 @@ def write_mkv(
                 packet.duration = INTERVAL_US
                 container.mux(packet)
     return path
+
+
+def write_simulated(path: Path, sensor: SimulatedKinect, start_offset_ns: int, sync: str) -> Path:
+    """Writes the depth and infrared images of a simulated Azure Kinect with binned images.
+
+    The scene's frame interval must be :data:`INTERVAL_US`, and every frame must have both images.
+    """
+    images = []
+    for frame in sensor.frames():
+        assert frame.depth is not None
+        assert frame.ir is not None
+        images.append((frame.depth, frame.ir))
+    # The simulator's principal point is the middle of the image, which is not the middle of the sensor.
+    mode, lens = DEPTH_MODES["NFOV_2X2BINNED"], sensor.intrinsics
+    assert lens is not None
+    middle = (
+        (lens.cx + 0.5 + mode.crop[0]) / mode.binned[0],
+        (lens.cy + 0.5 + mode.crop[1]) / mode.binned[1],
+    )
+    assert (mode.width, mode.height) == (lens.width, lens.height)
+    calibration = calibration_json(middle)
+    return write_mkv(
+        path, len(images), start_offset_ns=start_offset_ns, sync=sync, images=images, calibration=calibration
+    )

@@ -36,7 +36,7 @@ from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import JPEG, Bus, Device, make_module
 from tests.helpers.usb_tree import furnish, plug_in
 from viewer_app.commands import live as live_command
-from viewer_app.commands.live import two_kinects
+from viewer_app.live_sensors import two_kinects
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.report.figures import FusionResult
 from viewer_app.report.figures import report as report_of
@@ -182,7 +182,7 @@ def _pairing_settings(monkeypatch: pytest.MonkeyPatch, **options: object) -> dic
         given.update(interval_ns=interval_ns, **more)
         return LivePairing(interval_ns, **more)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("viewer_app.commands.live.LivePairing", pairing)
+    monkeypatch.setattr("viewer_app.live_sensors.LivePairing", pairing)
     two_kinects(LiveOptions(**options), Console())  # type: ignore[arg-type]
     return given
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 
-FARTHEST = {"kinect_v1": 4.0, "kinect_v2": 4.5, "azure_kinect": 3.9}
-"""Specified depth range in metres, by body (Azure: NFOV, not binned)."""
+FARTHEST = {"kinect_v1": 4.0, "kinect_v2": 4.5, "azure_kinect": 3.9, "blazepose": 3.9}
+"""Specified depth range in metres, by body (Azure: NFOV, not binned; BlazePose: as on an Azure Kinect)."""
 TALL = 2.0
 """Metres that must fit into the image: a tall adult, and some room."""
 ARM = 0.9

@@ -6,6 +6,7 @@ import math
 import threading
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from devices.live.sensor_pair import TwoSensors
-from devices.simulated.kinect import Truth, TruthAhead, simulated_pair
+from devices.simulated.kinect import SimulatedKinect, Truth, TruthAhead, simulated_pair
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.real_time import paced_together
-from fusion.body import BODIES
+from fusion.body import BLAZEPOSE, BODIES
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
@@ -37,7 +38,11 @@ from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.viewer_choice import announce, stay_for_visitors, viewing_of
 
+if TYPE_CHECKING:
+    from devices.blazepose.pace import TrackingPace
+
 _SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
+_FPS = 30.0
 
 
 def run(options: DemoOptions) -> None:
@@ -59,7 +64,12 @@ def run(options: DemoOptions) -> None:
     plan = plan_outputs(options, options.listen)
     if save is not None:
         check_writable(save, options.force)
-    body = BODIES[options.body]
+    own_tracker = options.tracker == "blazepose"
+    body = BLAZEPOSE if own_tracker else BODIES[options.body]
+    if own_tracker and options.body not in ("azure_kinect", "blazepose"):
+        raise UsageError(f"--tracker blazepose reports the body blazepose, not {options.body}.")
+    if own_tracker and options.depth == "none":
+        raise UsageError("--tracker blazepose works on images: give --depth half or full.")
     a, b, truth = simulated_pair(
         motion=options.motion,
         seed=options.seed,
@@ -67,11 +77,19 @@ def run(options: DemoOptions) -> None:
         angle_deg=options.angle,
         seconds=options.seconds,
         depth=options.depth,
+        infrared=own_tracker,
     )
     start = truth.positions_at(0)
     nominal = FusionSetup(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
-    blueprint = session_blueprint(nominal, np.asarray(start.mean(axis=0)), options.layout, live=True)
+    person_at = np.asarray(start.mean(axis=0))
+    blueprint = session_blueprint(nominal, person_at, options.layout, live=True)
+    shown = session_blueprint(nominal, person_at, options.layout, live=True, infrared=own_tracker)
+    pace = _own_tracker(options, console) if own_tracker else None
     warm_up(Fuser(nominal), console, lambda: next(a.frames(), None))
+    if own_tracker:
+        console.print(
+            "The program's own body tracker (BlazePose) works on simulated infrared and depth images."
+        )
     console.print(
         f"A simulated person ({escape(options.motion)}) before two Kinects {options.angle:.0f}° apart, "
         f"{options.seconds:g} s. Press Ctrl-C to end."
@@ -85,14 +103,15 @@ def run(options: DemoOptions) -> None:
             announce_outputs(console, outputs)
             session = stack.enter_context(
                 LiveSession(
-                    *(nominal, (a.name, b.name), blueprint),
+                    *(nominal, (a.name, b.name), shown),
                     file=save,
                     overwrite=options.force,
                     viewing=viewing,
+                    file_blueprint=blueprint,
                     others=outputs,
                 )
             )
-            sensors = stack.enter_context(TwoSensors(*paced_together(a, b)))
+            sensors = stack.enter_context(_together(a, b, pace))
             ctrl_c.calls(sensors.stop)
             coach = Coach(body, nominal.intrinsics)
             show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))
@@ -114,6 +133,32 @@ def run(options: DemoOptions) -> None:
             _print_truth(console, setup, frames, truth)
         print_saved(console, session.file)
         check_saved(session.file)
+
+
+def _own_tracker(options: DemoOptions, console: Console) -> TrackingPace:
+    """The pace of the program's own tracker, whose networks are there afterwards.
+
+    Raises:
+        DeviceError: The networks cannot be fetched.
+    """
+    from devices.blazepose.pace import TrackingPace
+    from devices.blazepose.settings import BlazePoseSettings
+    from viewer_app.tracker_networks import ensure_networks
+
+    settings = BlazePoseSettings(options.tracker_network, options.tracker_model)
+    ensure_networks(settings, console)
+    return TrackingPace(_FPS, settings)
+
+
+def _together(a: SimulatedKinect, b: SimulatedKinect, pace: TrackingPace | None) -> TwoSensors:
+    """Both sensors in real time, with their own simulated trackers or with the program's own."""
+    if pace is None:
+        return TwoSensors(*paced_together(a, b))
+    from devices.blazepose.tracked_images import TrackedImages
+
+    images = paced_together(a, b, decimation=pace)
+    tracked = [TrackedImages(sensor, pace.settings, pace=pace) for sensor in images]
+    return TwoSensors(*tracked, decimation=pace)
 
 
 def _print_truth(console: Console, setup: FusionSetup, frames: list[RecordedFrame], truth: Truth) -> None:

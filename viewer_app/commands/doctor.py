@@ -13,9 +13,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from devices.azure.checks import Check, device_checks
-from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.checks import device_checks
+from devices.check import Check
 from viewer_app.options.sensing import DoctorOptions
+from viewer_app.tracker_selection import tracker_of
 from viewer_app.viewer.display import why_no_window, why_no_x
 
 _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program from a slow disk
@@ -24,7 +25,7 @@ _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program fr
 def run(options: DoctorOptions) -> None:
     """Runs the command; exits with code 1 if ``duplex live`` could not start."""
     console = Console()
-    tracker = TrackerSettings(library=options.k4abt, processing=options.processing)
+    tracker = tracker_of(options)
     choice = options.kinect_a, options.kinect_b, options.principal
     devices = device_checks(
         tracker, choice=choice, named_master=options.sync_master, x_answers=why_no_x() is None

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.sensor import SensorFrame
+from devices.sources import not_of_libk4a
 from devices.two_recordings import Progress, RecordingChoice, read_two
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
@@ -42,6 +42,7 @@ from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import FusionResult, print_summary, report, report_to_json, say_saved
 from viewer_app.sinks.shown_images import ShownImages
 from viewer_app.sinks.viewer_sink import viewer_sink
+from viewer_app.tracker_selection import announce_tracker, tracker_of
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
 
@@ -79,8 +80,12 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, FusionR
     settings = FuserSettings(options.method, options.h, options.weights, options.smoothing, hindsight)
     check_paper_options(settings)
     progress = _progress(console)
-    tracker = TrackerSettings(processing=options.processing, library=options.k4abt)
-    read = read_two(*_choices(options), tracker, progress)
+    choices = _choices(options)
+    tracker = None
+    if any(choice.is_tracked for choice in choices):
+        tracker = tracker_of(options).for_images_of(not_of_libk4a(options.a, options.b))
+        announce_tracker(tracker, console)
+    read = read_two(*choices, tracker, progress)
     for warning in read.warnings:
         console.print(warning, style="yellow", highlight=False, markup=False)
     skeletons = [pair.skeletons for pair in read.pairing.pairs]

@@ -35,6 +35,8 @@ def run(options: InfoOptions) -> None:
     row("written by", f"{about['written_by'][0]}, layout {about['layout_version'][0]}")
     row("body", f"{session.body.name}, {len(session.body)} joints")
     row("sensors", f"A {session.sources[0]}, B {session.sources[1]}")
+    if session.tracker:
+        row("body tracker", session.tracker)
     row("frames", f"{len(session)} in {seconds:.2f} s, {session.frame_rate:.1f} per second")
     row("without S*", int(rows.predicted.all(axis=1).sum()))
     row("settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items()))

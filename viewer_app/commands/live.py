@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import sys
 import threading
-from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from devices.azure.kinect import KinectSensor
-from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings, check_modes
-from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects
-from devices.azure.sensor_roles import NeedsChoiceError, cable_notes, choose_one, choose_two, sync_master
-from devices.azure.tracking.body_tracker import TrackerSettings, check_smoothing
+from devices.azure.kinect_settings import check_modes
+from devices.azure.tracking.body_tracker import check_smoothing
 from devices.image_thinning import thinned_camera
-from devices.live.frame_decimation import FrameDecimation
 from devices.live.sensor_pair import TwoSensors
-from devices.live.stream_pairing import LivePairing, Side
 from devices.sensor import Sensor
+from devices.tracker_choice import tracker_name
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
@@ -30,13 +25,14 @@ from fusion.setup import FuserSettings, FusionSetup
 from recordings.calibration_file import calibration_to_json, read_calibration
 from viewer_app.coach.setup_coach import WARM_UP, Coach
 from viewer_app.errors import UsageError
+from viewer_app.live_sensors import kinect_settings, one_of_live, two_kinects
 from viewer_app.loop.fusing import warm_up
 from viewer_app.loop.interruption import CtrlC
 from viewer_app.loop.live_loop import Status, run_live
 from viewer_app.loop.live_summary import check_saved, print_saved, print_session, session_report
 from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.method_options import check_paper_options
-from viewer_app.network_sensors import names_remote, sensors_by_network, teller
+from viewer_app.network_sensors import names_remote, sensors_by_network
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
@@ -58,7 +54,7 @@ def run(options: LiveOptions) -> None:
     console = Console()
     check(options)
     if names_remote(options):
-        with sensors_by_network(options, console, lambda serial: _one_kinect(options, serial)) as remote:
+        with sensors_by_network(options, console, partial(one_of_live, options, console)) as remote:
             show(options, remote, console)
         return
     sensors = two_kinects(options, console)
@@ -73,7 +69,7 @@ def check(options: LiveOptions) -> None:
     """
     _viewing(options)
     plan_outputs(options, options.listen, names_remote(options))
-    check_modes(_settings(options, "", None))
+    check_modes(kinect_settings(options, "", None))
     check_smoothing(options.smoothing)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
     check_outputs((options.save, options.report, options.save_calibration), read, options.force)
@@ -84,67 +80,6 @@ def check(options: LiveOptions) -> None:
             f"--calibrate {options.calibrate}: neither auto nor an existing file. Make one with "
             f"--save-calibration."
         )
-
-
-def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
-    """Chooses the two sensors from the options, the sync cable and the user's answers; opens neither.
-
-    Raises:
-        DeviceError: Fewer than two usable Kinects, no SDK, or a wrongly connected sync cable.
-    """
-    connected = connected_kinects()
-    serials = _choose(connected, options, console)
-    kinect_a, kinect_b = (next(k for k in connected if k.serial == serial) for serial in serials)
-    master = sync_master(kinect_a, kinect_b, options.sync_master)
-    for note in cable_notes(kinect_a, kinect_b, master):
-        console.print(note, style="yellow", highlight=False, markup=False)
-    if master is not None:
-        leads, follows = ("A", "B") if master == serials[0] else ("B", "A")
-        console.print(
-            f"Sync cable: {leads} leads, {follows} captures {LASER_GAP_US} µs later and is started first, to "
-            f"be there at the first pulse."
-        )
-    tracker = TrackerSettings(
-        processing=options.processing, smoothing=options.tracker_smoothing, library=options.k4abt
-    )
-    if options.processing == "cpu":
-        console.print(
-            "A CPU tracks only about one frame per second of both sensors. To fuse every frame, "
-            "record with k4arecorder, then run duplex fuse a.mkv b.mkv.",
-            style="yellow",
-            highlight=False,
-        )
-    if options.processing == "tensorrt":
-        console.print("TensorRT builds its engine; minutes the first time.")
-    decimation = FrameDecimation(options.fps)
-    a, b = (
-        KinectSensor(serial, _settings(options, serial, master), tracker, decimation=decimation)
-        for serial in serials
-    )
-    interval_ns = round(1e9 / options.fps)
-    delay_ns = {None: None, serials[0]: 1000 * LASER_GAP_US}.get(master, -1000 * LASER_GAP_US)
-    pairing = LivePairing(
-        interval_ns,
-        sync_delay_ns=delay_ns,
-    )
-    first: Side = "a" if master == serials[1] else "b"
-    return TwoSensors(
-        *(a, b),
-        pairing=pairing,
-        decimation=decimation,
-        first=first,
-        open_s=_opens_within(options),
-        tell=teller(console),
-    )
-
-
-def _one_kinect(options: LiveOptions, serial: str | None) -> Sensor:
-    """The sensor of this PC, where the other one is on another PC; it runs without a sync cable."""
-    tracker = TrackerSettings(
-        processing=options.processing, smoothing=options.tracker_smoothing, library=options.k4abt
-    )
-    chosen = choose_one(connected_kinects(), serial, "--kinect-a or --kinect-b")
-    return KinectSensor(chosen, _settings(options, chosen, None), tracker)
 
 
 def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
@@ -181,6 +116,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                     overwrite=options.force,
                     viewing=viewing,
                     others=outputs,
+                    about={"tracker": tracker_name(a)} if tracker_name(a) else None,
                 )
             )
             coach = Coach(a.body, nominal.intrinsics, options.fps, warm_up=WARM_UP)
@@ -202,9 +138,9 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             console.print(warning, style="yellow", highlight=False, markup=False)
         print_session(console, setup, frames, sensors, outputs)
         if options.report is not None:
-            with whole_file(options.report) as partial:
+            with whole_file(options.report) as unfinished:
                 figures = session_report(setup, frames, sensors, outputs)
-                partial.write_text(report_to_json(figures), encoding="utf-8")
+                unfinished.write_text(report_to_json(figures), encoding="utf-8")
         print_saved(console, session.file)
         if options.save_calibration is not None:
             _save_calibration(options.save_calibration, watch.settled)
@@ -243,48 +179,6 @@ class _Timer:
     def __exit__(self, *exc_info: object) -> None:
         if self._timer is not None:
             self._timer.cancel()
-
-
-def _choose(connected: Sequence[ConnectedKinect], options: LiveOptions, console: Console) -> tuple[str, str]:
-    try:
-        return choose_two(connected, options.kinect_a, options.kinect_b, options.principal)
-    except NeedsChoiceError as choice:
-        if not sys.stdin.isatty():
-            raise
-        principal = _ask(choice, console)
-        console.print(f"Next time: --principal {principal}", highlight=False)
-        return choose_two(connected, principal=principal)
-
-
-def _ask(choice: NeedsChoiceError, console: Console) -> str:
-    one, two = choice.serials
-    console.print(f"Two Kinects are connected: [bold]1[/] {one}, [bold]2[/] {two}.", highlight=False)
-    console.print("Their serial numbers are on the labels beneath. S* will be in the principal one's frame.")
-    while True:
-        try:
-            answer = console.input("Which one is the principal sensor A? [1/2] ").strip()
-        except EOFError:
-            raise choice from None
-        if answer in ("1", one):
-            return one
-        if answer in ("2", two):
-            return two
-
-
-def _settings(options: LiveOptions, serial: str, master: str | None) -> KinectSettings:
-    return KinectSettings(
-        depth_mode=options.depth_mode,
-        fps=options.fps,
-        color=None if options.color == "off" else options.color,
-        sync="standalone" if master is None else "master" if serial == master else "subordinate",
-        trust_jacks=options.sync_master is None,
-        start_s=_opens_within(options),
-    )
-
-
-def _opens_within(options: LiveOptions) -> float:
-    """The time limit for opening a sensor and its body tracker, seconds."""
-    return 900.0 if options.processing == "tensorrt" else 120.0
 
 
 def _camera(options: LiveOptions, sensor: Sensor) -> Intrinsics:

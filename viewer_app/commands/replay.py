@@ -101,7 +101,11 @@ def run(options: ReplayOptions) -> None:
         session.sources,
         events=sorted(events, key=lambda event: event.frame),
         images=NO_IMAGES if options.save is None else session.images,
-        about={"first_frame": session.first_frame, "replay_of": session.name},
+        about={
+            "first_frame": session.first_frame,
+            "replay_of": session.name,
+            **({"tracker": session.tracker} if session.tracker else {}),
+        },
     )
     damaged = 0
     with written_and_shown(options.save, window) as path:

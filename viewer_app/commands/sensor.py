@@ -8,11 +8,7 @@ from contextlib import ExitStack
 
 from rich.console import Console
 
-from devices.azure.kinect import KinectSensor
 from devices.azure.kinect_settings import KinectSettings
-from devices.azure.pyk4a_access import connected_kinects
-from devices.azure.sensor_roles import choose_one
-from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.live.played_recording import PlayedRecording
 from devices.live.sensor_thread import SensorThread
 from devices.network.publishing import FramePublisher, publish_until
@@ -21,12 +17,14 @@ from devices.network.zenoh_session import checked_key, load_zenoh
 from devices.sensor import Sensor
 from devices.simulated.by_wall_clock import sensor_by_wall_clock
 from devices.simulated.kinect import movement
-from devices.sources import open_source
+from devices.sources import has_images, not_of_libk4a, open_source
 from fusion.body import BODIES
 from viewer_app.errors import UsageError
+from viewer_app.live_sensors import one_sensor
 from viewer_app.loop.interruption import CtrlC
 from viewer_app.network_sensors import connecting, teller
 from viewer_app.options.sensing import PublishOptions
+from viewer_app.tracker_selection import announce_tracker, tracker_of
 
 _EVERY_S = 10.0  # seconds between two lines about what was sent
 
@@ -43,7 +41,7 @@ def run(options: PublishOptions) -> None:
     load_zenoh()
     if options.seconds is not None and not 0.0 < options.seconds < float("inf"):
         raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
-    sensor = _sensor(options)
+    sensor = _sensor(options, console)
     tell = teller(console)
     stopped = threading.Event()
     with CtrlC() as ctrl_c, ExitStack() as stack:
@@ -115,7 +113,7 @@ class _Reports:
             told_s, frames, sent = told_s + elapsed_s, now.published, now.bytes_sent
 
 
-def _sensor(options: PublishOptions) -> Sensor:
+def _sensor(options: PublishOptions, console: Console) -> Sensor:
     given = {"--kinect": options.kinect, "--recording": options.recording, "--simulate": options.simulate}
     several = [name for name, value in given.items() if value is not None]
     if len(several) > 1:
@@ -123,11 +121,14 @@ def _sensor(options: PublishOptions) -> Sensor:
     if options.simulate is not None:
         which = "ab".index(options.simulate)
         return sensor_by_wall_clock(which, movement(options.motion), BODIES[options.body])
-    tracker = TrackerSettings(processing=options.processing, library=options.k4abt)
+    tracker = tracker_of(options)
     if options.recording is not None:
+        if has_images(options.recording):
+            tracker = tracker.for_images_of(not_of_libk4a(options.recording))
+            announce_tracker(tracker, console)
         return PlayedRecording(open_source(options.recording, tracker=tracker))
-    serial = choose_one(connected_kinects(), options.kinect, "--kinect")
-    return KinectSensor(serial, KinectSettings(depth_mode=options.depth_mode, fps=options.fps), tracker)
+    settings = KinectSettings(depth_mode=options.depth_mode, fps=options.fps)
+    return one_sensor(options.kinect, "--kinect", tracker, settings, console)
 
 
 def _summary(thread: SensorThread, publisher: FramePublisher) -> str:

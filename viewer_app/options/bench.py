@@ -28,7 +28,7 @@ class BenchAccuracyOptions:
     """The first seed; the others follow it."""
     seconds: float = 20.0
     """Duration of each recording."""
-    body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
+    body: Literal["kinect_v1", "kinect_v2", "azure_kinect", "blazepose"] = "azure_kinect"
     """Whose body tracker is simulated."""
     errors: float = 1.0
     """Factor for all errors of the tracker."""

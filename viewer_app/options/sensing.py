@@ -26,7 +26,8 @@ class FuseOptions(RecordingOptions, TrackerOptions, MethodOptions, ViewerOptions
     """Fuse two recorded skeleton streams into one skeleton with bones of constant length.
 
     Recordings are .csv (time_us,body,joint,x,y,z[,state]; metres), .json (Microsoft's offline_processor),
-    .skeleton (NTU RGB+D), or .mkv of an Azure Kinect, on which the body tracker is run.
+    .skeleton (NTU RGB+D); or images, on which a body tracker is run: .mkv of an Azure Kinect, .bag of
+    Orbbec's SDK v2.
     """
 
     a: Positional[Path] = field(kw_only=True)
@@ -58,8 +59,16 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions):
     """Seed of the simulated sensors' errors; the same seed gives the same skeletons."""
     angle: float = 90.0
     """Degrees between the two sensors."""
-    body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
+    body: Literal["kinect_v1", "kinect_v2", "azure_kinect", "blazepose"] = "azure_kinect"
     """Whose body tracker is simulated."""
+    tracker: Literal["simulated", "blazepose"] = "simulated"
+    """simulated: a tracker with the errors of --body. blazepose: the program's own tracker runs on simulated
+    infrared and depth images."""
+    tracker_model: Path | None = None
+    """Folder of blazepose's networks; if not given, the user's cache folder, into which they are fetched
+    once."""
+    tracker_network: Literal["full", "lite"] = "full"
+    """Network of blazepose; lite is faster and less accurate. full gives way to lite where it is too slow."""
     depth: Literal["none", "half", "full"] = "half"
     """Depth images: none, half the sensor's resolution, or full. If the machine is too slow, as most are for
     full, images are dropped, skeletons never."""
@@ -79,7 +88,7 @@ class LiveOptions(
     OutputOptions,
     SensorOptions,
 ):
-    """Fuse two Azure Kinects (or Orbbec Femto Bolt / Mega) live.
+    """Fuse two sensors live: Azure Kinect, Orbbec Femto Bolt, Femto Mega, Gemini 2 and their kin.
 
     Ctrl-C ends the command and saves everything. duplex doctor shows what this machine lacks.
     """

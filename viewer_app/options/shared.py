@@ -91,10 +91,18 @@ class RecordingOptions:
 class TrackerOptions:
     """Options of the body tracker."""
 
+    tracker: Literal["auto", "blazepose", "k4abt"] = "auto"
+    """Finds people in images. k4abt: Microsoft's, needs its library and a GPU. blazepose: the program's own,
+    on any CPU. auto: k4abt where it works, else blazepose."""
+    tracker_model: Path | None = None
+    """Folder of blazepose's networks; if not given, the user's cache folder, into which they are fetched
+    once."""
+    tracker_network: Literal["full", "lite"] = "full"
+    """Network of blazepose; lite is faster and less accurate."""
     k4abt: Path | None = None
     """Library of Microsoft's body tracker, libk4abt; if not given, the system's."""
     processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
-    """Where the body tracker runs; a CPU tracks about one frame per second."""
+    """Where k4abt runs; on a CPU it tracks about one frame per second."""
 
 
 @dataclass(frozen=True)
@@ -117,8 +125,8 @@ class ZenohOptions:
     """Where Zenoh meets other programs and machines; only addresses given here are used."""
 
     zenoh_listen: tuple[str, ...] = ()
-    """Wait for other machines on these addresses: tcp/0.0.0.0:7447 for all networks of this machine. If neither
-    this nor --zenoh-connect is given: this machine only."""
+    """Wait for other machines on these addresses: tcp/0.0.0.0:7447 for all networks of this machine. If
+    neither this nor --zenoh-connect is given: this machine only."""
     zenoh_connect: tuple[str, ...] = ()
     """Connect to others at these addresses: tcp/HOST:7447."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from uuid import uuid4
 
@@ -26,11 +26,13 @@ class LiveSession(FanOut):
     Args:
         setup: Settings, cameras and the first calibration.
         sources: Names of the sensors, K_A first.
+        about: Additional properties about the session's origin.
         blueprint: The layout of the viewer.
         file: The file to write; None for none. It is readable while it grows.
         overwrite: Whether an existing file may be replaced.
         viewing: The viewer; None for none.
         others: Further sinks.
+        file_blueprint: The layout in the file; None: the viewer's. A file lacks what only a viewer is shown.
 
     Attributes:
         viewer: The viewer.
@@ -50,14 +52,16 @@ class LiveSession(FanOut):
         overwrite: bool = False,
         viewing: Viewing | None = None,
         others: Sequence[Sink] = (),
+        file_blueprint: rrb.Blueprint | None = None,
+        about: Mapping[str, str | int] | None = None,
     ) -> None:
         identity = uuid4()
         self.viewer = viewer_sink(setup, sources, blueprint, viewing, identity)
 
         def begin(stream: rr.RecordingStream) -> Recorder:
-            recorder = Recorder(stream, setup, sources, depth_every=1)
+            recorder = Recorder(stream, setup, sources, depth_every=1, about=about)
             # The blueprint's timeline must exist. If not active, a viewer restores a remembered layout.
-            stream.send_blueprint(blueprint)
+            stream.send_blueprint(file_blueprint or blueprint)
             return recorder
 
         self.file = FileSink()

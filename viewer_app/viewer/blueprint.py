@@ -50,6 +50,7 @@ def session_blueprint(
     *,
     live: bool = False,
     color: bool = False,
+    infrared: bool = False,
 ) -> rrb.Blueprint:
     """All layouts, with one of them open.
 
@@ -59,11 +60,12 @@ def session_blueprint(
         active: The layout that is open at first.
         live: Whether two running sensors are shown, with figures of how their streams go.
         color: Whether they give colour images.
+        infrared: Whether they give infrared images, which are then shown instead of the depth images.
     """
     body = setup.body
     return rrb.Blueprint(
         rrb.Tabs(
-            _setup(setup, person_at, color),
+            _setup(setup, person_at, color, infrared),
             _inspect(setup, person_at, live),
             _report(body),
             active_tab=LAYOUTS.index(active),
@@ -80,12 +82,12 @@ def inspect_blueprint(body: Body, person_at: NDArray[np.float64]) -> rrb.Bluepri
     return session_blueprint(FusionSetup(nominal_calibration(body)), person_at, "inspect")
 
 
-def _setup(setup: FusionSetup, person_at: NDArray[np.float64], color: bool) -> rrb.Container:
+def _setup(setup: FusionSetup, person_at: NDArray[np.float64], color: bool, infrared: bool) -> rrb.Container:
     depths = [
         rrb.Spatial2DView(
             origin=layout.depth(side),
-            contents=["$origin/**", layout.skeleton(side)],
-            name=f"Kinect {side.upper()}",
+            contents=[*_images(side, infrared), layout.skeleton(side)],
+            name=f"Kinect {side.upper()}, infrared" if infrared else f"Kinect {side.upper()}",
             visual_bounds=rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height)),
         )
         for side, camera in zip(layout.SIDES, setup.intrinsics, strict=True)
@@ -118,6 +120,13 @@ def _setup(setup: FusionSetup, person_at: NDArray[np.float64], color: bool) -> r
         column_shares=[3, 8],
         name="setup",
     )
+
+
+def _images(side: str, infrared: bool) -> list[str]:
+    """What the view of a depth camera's pixels shows: the pinhole is its origin."""
+    if infrared:
+        return [layout.infrared(side), layout.image_edge(side)]
+    return ["$origin/**", f"- {layout.infrared(side)}"]
 
 
 def _color_view(side: str) -> rrb.Spatial2DView:
@@ -250,7 +259,8 @@ def _scene(
 
     With `sigma`, a sphere of one standard deviation is drawn about each joint of S*.
     """
-    left_out = [layout.TRUTH_SKELETON, f"{layout.TRUST_MATRIX}/**", *hidden]
+    infrared = [layout.infrared(side) for side in layout.SIDES]
+    left_out = [layout.TRUTH_SKELETON, f"{layout.TRUST_MATRIX}/**", *infrared, *hidden]
     return rrb.Spatial3DView(
         origin="/",
         contents=["$origin/**", *(f"- {entity}" for entity in left_out)],

@@ -122,4 +122,5 @@ def cast(shapes, planes, fx, fy, cx, cy, z, label, cosine):  # type: ignore[no-u
                 t = planes[p, 3] / facing
                 if 0.0 < t < z[v, u]:
                     z[v, u] = t
+                    label[v, u] = -2 - p
                     cosine[v, u] = abs(facing) / norm

@@ -15,8 +15,8 @@ from fusion.rigid import RigidTransform
 
 WALL_Z = 1.5
 """The wall behind the person is the plane z = 1.5 m of the world. The floor is y = 0."""
-BACKGROUND = -1
-"""Label of a pixel without a capsule."""
+NOTHING, FLOOR, WALL = -1, -2, -3
+"""Labels of pixels without a capsule: no surface at all, the floor, the wall."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +70,13 @@ def surface(
 
     Returns:
         Three (height, width) arrays: depth z in metres, infinite without a surface; the index of the capsule,
-        or BACKGROUND; and the cosine between ray and surface normal.
+        or FLOOR, WALL or NOTHING; and the cosine between ray and surface normal.
     """
     R, t = sensor_from_world.rotation, sensor_from_world.translation
     # Planes n·x = h in the sensor's frame: the normal is the world's y for the floor and z for the wall.
     planes = np.array([(*R[:, 1], R[:, 1] @ t), (*R[:, 2], R[:, 2] @ t + WALL_Z)])
     size = (intrinsics.height, intrinsics.width)
-    z, label = np.full(size, np.inf, dtype=np.float32), np.full(size, BACKGROUND, dtype=np.int8)
+    z, label = np.full(size, np.inf, dtype=np.float32), np.full(size, NOTHING, dtype=np.int8)
     cosine = np.zeros(size, dtype=np.float32)
     lens = (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
     cast(np.ascontiguousarray(shapes), planes, *lens, z, label, cosine)

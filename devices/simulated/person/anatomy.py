@@ -113,6 +113,22 @@ def offset(name: str) -> Array:
     return np.array(_LANDMARKS[name][2])
 
 
+@cache
+def rest_positions() -> Array:
+    """Returns (N, 3) the landmarks at rest, from the pelvis, metres at reference height."""
+    at_rest = {segment: np.eye(3)[None] for segment in SEGMENTS}
+    rest: Array = Pose(np.zeros((1, 3)), at_rest).landmarks()[0]
+    return rest
+
+
+def carrier(name: str) -> NDArray[np.int64]:
+    """Returns the landmarks that move rigidly with one: those of its segment and the segment's pivot."""
+    segment = _LANDMARKS[name][0]
+    pivot = _SEGMENTS[segment][1]
+    with_it = [other for other, (carried_by, _, _) in _LANDMARKS.items() if carried_by == segment]
+    return np.array(sorted({INDEX[other] for other in (*with_it, pivot)}), dtype=np.int64)
+
+
 def length(name: str) -> float:
     """Returns the distance of a landmark from its reference landmark, metres."""
     return float(np.linalg.norm(offset(name)))

@@ -50,7 +50,7 @@ class Mirroring:
         return float(self.back / (1.0 + np.exp((cosine - self.centre) / self.width)))
 
 
-_BELIEVED_NAMES = ("foot", "nose eye ear", "thumb", "hand", "wrist", "elbow", "knee")
+_BELIEVED_NAMES = ("foot heel", "nose eye ear", "thumb", "hand", "wrist", "elbow", "knee")
 
 
 class MirroringTracker:
@@ -71,7 +71,9 @@ class MirroringTracker:
         self._believed = np.zeros(len(body))
         for share, parts in zip(mirroring.believed, _BELIEVED_NAMES, strict=True):
             self._believed[[any(part in name for part in parts.split()) for name in plain]] = share
-        self._legs = np.array([any(part in name for part in ("knee", "ankle", "foot")) for name in plain])
+        self._legs = np.array(
+            [any(part in name for part in ("knee", "ankle", "foot", "heel")) for name in plain]
+        )
         self._mirrored = False
         self._crossed = np.zeros(2)  # progress of the exchange of the trunk's and the legs' labels, 0 to 1
         self._legs_wait = 0.0

@@ -46,8 +46,8 @@ class JointGroups:
 _GROUP_OF = {
     "handtip": "tip", "thumb": "thumb", "hand": "hand", "wrist": "wrist", "elbow": "elbow",
     "spineshoulder": "spine", "shouldercenter": "spine", "hipcenter": "spine", "shoulder": "girdle",
-    "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle", "foot": "foot", "head": "head",
-    "nose": "face", "eye": "face", "ear": "face",
+    "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle", "foot": "foot", "heel": "foot",
+    "head": "head", "nose": "face", "eye": "face", "ear": "face",
 }  # fmt: skip
 
 

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.simulated.imaging.rendering import BACKGROUND, WALL_Z, DepthErrors, depth_image, halved, surface
+from devices.simulated.imaging.rendering import (
+    FLOOR,
+    NOTHING,
+    WALL,
+    WALL_Z,
+    DepthErrors,
+    depth_image,
+    halved,
+    surface,
+)
 from devices.simulated.person import anatomy
 from devices.simulated.person.body_surface import capsules, flesh_over, visibility
 from devices.simulated.person.movements import MOTIONS
@@ -67,8 +76,9 @@ def test_floor_and_wall_are_where_the_world_has_them() -> None:
     rig = Rig()
     sensor_from_world = rig.world_from_sensor(0).inverse()
     z, label, _ = surface(np.zeros((0, 7)), sensor_from_world, HALF)
-    assert (label == BACKGROUND).all()
     seen = np.isfinite(z)
+    assert np.isin(label[seen], (FLOOR, WALL)).all()
+    assert (label[~seen] == NOTHING).all()
     world = rig.world_from_sensor(0).apply(rays()[seen] * z[seen, None])
     floor = np.abs(world[:, 1])
     wall = np.abs(world[:, 2] - WALL_Z)
@@ -76,6 +86,7 @@ def test_floor_and_wall_are_where_the_world_has_them() -> None:
     assert near.all()
     assert (floor < 1e-4).any()
     assert (wall < 1e-4).any()
+    assert ((floor < wall) == (label[seen] == FLOOR))[np.abs(floor - wall) > 1e-3].all()
     assert (world[:, 1] < 1e-3).all()
     assert (world[:, 2] < WALL_Z + 1e-3).all()
 

@@ -1,0 +1,196 @@
+"""The program's own body tracker: BlazePose on the infrared or colour image, lifted with depth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.blazepose.grey_image import compressed
+from devices.blazepose.joints import joints_of
+from devices.blazepose.landmark_kinds import TRUNK
+from devices.blazepose.lifting import lift
+from devices.blazepose.networks.files import LANDMARKS as LANDMARK_FILES
+from devices.blazepose.networks.files import cache_folder, checked_content, files_of
+from devices.blazepose.networks.inference import (
+    CENTRE,
+    DETECTOR_SIZE,
+    LANDMARK_SIZE,
+    LANDMARKS,
+    RIM,
+    Detector,
+    LandmarkNetwork,
+)
+from devices.blazepose.regions import Region, transformed, whole_image
+from devices.blazepose.settings import BlazePoseSettings, NetworkName
+from devices.sensor import DeviceError
+from fusion.body import BLAZEPOSE
+from fusion.intrinsics import Intrinsics
+from fusion.skeleton import Skeleton
+
+Array = NDArray[np.float64]
+
+_LEAST_SCORE = 0.5  # of the landmark network, below which the crop holds no person; MediaPipe's
+_CANDIDATES = 3  # detections that are tried in one image
+_REMEMBERED_NS = 1_000_000_000  # a person who is lost for longer may be another one afterwards
+_STEP, _SPEED = 0.4, 3.0  # metres, metres per second: who moves farther between two images is another person
+
+
+class _Sighting(NamedTuple):
+    """Where the person was seen last."""
+
+    region: Region
+    middle: Array
+    """(3,) middle of the trunk, metres."""
+    time_ns: int
+
+    def may_be(self, middle: Array, time_ns: int) -> bool:
+        """Whether a person at a place is the one who was seen."""
+        seconds = abs(time_ns - self.time_ns) * 1e-9
+        return float(np.linalg.norm(middle - self.middle)) <= _STEP + _SPEED * seconds
+
+
+class BlazePose:
+    """Follows one person through the images of one sensor.
+
+    The person is the one nearest to the middle of the image at first, and then the same one. The detector
+    runs only while no person is followed.
+
+    Attributes:
+        settings: How it runs.
+        region: Where the person was in the last image; None while no person is followed.
+    """
+
+    def __init__(self, settings: BlazePoseSettings | None = None) -> None:
+        """Stores the settings; opening loads the networks."""
+        self.settings = settings or BlazePoseSettings()
+        self.region: Region | None = None
+        self._networks: tuple[Detector, LandmarkNetwork] | None = None
+        self._last: _Sighting | None = None
+        self._person = 0
+
+    def __enter__(self) -> BlazePose:
+        """Loads the networks.
+
+        Raises:
+            DeviceError: A file is missing or damaged, or the runtime is missing.
+        """
+        folder = self.settings.models or cache_folder()
+        detector, landmarks = (checked_content(file, folder) for file in files_of(self.settings.network))
+        threads = self.settings.threads
+        self._networks = Detector(detector, threads), LandmarkNetwork(landmarks, threads)
+        self.forget()
+        return self
+
+    def use(self, network: NetworkName) -> None:
+        """Changes the landmark network of an open tracker; the person is kept.
+
+        Raises:
+            DeviceError: The network's file is missing or damaged. The tracker goes on with the one it has.
+        """
+        if self._networks is None:
+            raise DeviceError("The body tracker is not open: use it in a with statement.")
+        content = checked_content(LANDMARK_FILES[network], self.settings.models or cache_folder())
+        self._networks = self._networks[0], LandmarkNetwork(content, self.settings.threads)
+        self.settings = replace(self.settings, network=network)
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Releases the networks."""
+        self._networks = None
+
+    def forget(self) -> None:
+        """Forgets the person, for images that do not continue the ones before."""
+        self.region = self._last = None
+
+    def track(
+        self,
+        image: NDArray[np.generic],
+        depth: NDArray[np.uint16],
+        intrinsics: Intrinsics,
+        time_ns: int,
+    ) -> dict[str, Skeleton]:
+        """Finds the person in an image.
+
+        Args:
+            image: (h, w) infrared of any range, or (h, w, 3) uint8 RGB, on the pixels of the depth image.
+            depth: (h, w) uint16 millimetres along z, 0 where there is no reading.
+            intrinsics: Intrinsics of both.
+            time_ns: Capture time.
+
+        Returns:
+            The skeleton of the person by an id that changes with the person; empty without a person.
+
+        Raises:
+            DeviceError: The tracker is not open, or the images have different sizes.
+        """
+        if self._networks is None:
+            raise DeviceError("The body tracker is not open: use it in a with statement.")
+        if image.shape[:2] != depth.shape:
+            raise DeviceError(
+                f"The image has {image.shape[1]} × {image.shape[0]} pixels, the depth image "
+                f"{depth.shape[1]} × {depth.shape[0]}: register the image to the depth camera first."
+            )
+        if self.region is not None:
+            skeleton = self._follow(self.region, image, depth, intrinsics, time_ns)
+            if skeleton is not None:
+                return {str(self._person): skeleton}
+        if self._last is not None and abs(time_ns - self._last.time_ns) > _REMEMBERED_NS:
+            self._last = None
+        for region in self._candidates(image):
+            skeleton = self._follow(region, image, depth, intrinsics, time_ns)
+            if skeleton is not None:
+                return {str(self._person): skeleton}
+        self.region = None
+        return {}
+
+    def _candidates(self, image: NDArray[np.generic]) -> list[Region]:
+        """Regions of the detected people, the one to follow first."""
+        assert self._networks is not None
+        whole = whole_image(*image.shape[:2])
+        found = self._networks[0].detect(compressed(whole.crop(image, DETECTOR_SIZE)))
+        to_image = whole.image_from_crop(DETECTOR_SIZE)
+        regions = [
+            Region.around(*transformed(to_image, np.array((person.centre, person.rim)))) for person in found
+        ]
+        aim = whole if self._last is None else self._last.region
+        regions.sort(key=lambda region: math.hypot(region.u - aim.u, region.v - aim.v))
+        return regions[:_CANDIDATES]
+
+    def _follow(
+        self,
+        region: Region,
+        image: NDArray[np.generic],
+        depth: NDArray[np.uint16],
+        intrinsics: Intrinsics,
+        time_ns: int,
+    ) -> Skeleton | None:
+        """The person in a region; the next region follows from the person."""
+        assert self._networks is not None
+        found = self._networks[1].place(compressed(region.crop(image, LANDMARK_SIZE)))
+        if not found.score >= _LEAST_SCORE:
+            return None
+        to_image = region.image_from_crop(LANDMARK_SIZE)
+        pixels = transformed(to_image, found.pixels)
+        c, s = math.cos(region.angle), math.sin(region.angle)
+        world = found.world @ np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
+        lifted = lift(
+            pixels[:LANDMARKS],
+            found.visibility[:LANDMARKS],
+            found.presence[:LANDMARKS],
+            world,
+            depth,
+            intrinsics,
+        )
+        if lifted is None:
+            return None
+        middle = lifted.positions[TRUNK].mean(axis=0)
+        if self._last is None:
+            self._person += 1
+        elif not self._last.may_be(middle, time_ns):
+            return None
+        self.region = Region.around(pixels[CENTRE], pixels[RIM])
+        self._last = _Sighting(self.region, middle, time_ns)
+        return Skeleton.of(BLAZEPOSE, *joints_of(lifted, pixels[:LANDMARKS], depth), time_ns)

@@ -1,0 +1,78 @@
+"""Joints of the body ``blazepose`` from the network's landmarks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.blazepose.landmark_kinds import INDEX, LANDMARK_NAMES
+from devices.blazepose.lifting import Lifted
+from fusion.body import BLAZEPOSE
+from fusion.skeleton import TrackingState
+
+Array = NDArray[np.float64]
+
+_SEEN_SHARE = 0.35  # of a joint's landmarks, by weight, that must be seen: one hip, or one ear
+_DEEPEST = 0.25  # metres of a joint of the trunk or the head beneath the skin; what is nearer covers it
+_WINDOW = 2  # pixels to each side of such a joint that are read
+
+
+def _weights() -> Array:
+    """(J, 33) shares of the landmarks in each joint.
+
+    The shares of the derived joints follow from the proportions of an adult (Drillis and Contini, 1966), by
+    which Azure's tracker places its joints: between the hips' and the shoulders' middle, PELVIS lies at 4 %,
+    SPINE_NAVEL at 39 %, NECK at 110 %; HEAD lies between the ears, at 26 % of the way to NECK.
+    """
+    weights = np.zeros((len(BLAZEPOSE), len(LANDMARK_NAMES)))
+    joint = BLAZEPOSE.joint
+    for j, name in enumerate(BLAZEPOSE.joints):
+        if name in INDEX:
+            weights[j, INDEX[name]] = 1.0
+    for side in ("LEFT", "RIGHT"):
+        weights[joint(f"HAND_{side}"), [INDEX[f"PINKY_{side}"], INDEX[f"INDEX_{side}"]]] = 0.5
+    hips, shoulders, ears = (
+        0.5 * (weights[joint(f"{name}_LEFT")] + weights[joint(f"{name}_RIGHT")])
+        for name in ("HIP", "SHOULDER", "EAR")
+    )
+    for name, up in (("PELVIS", 0.04), ("SPINE_NAVEL", 0.39), ("NECK", 1.10)):
+        weights[joint(name)] = (1.0 - up) * hips + up * shoulders
+    weights[joint("HEAD")] = 0.74 * ears + 0.26 * weights[joint("NECK")]
+    return weights
+
+
+JOINT_WEIGHTS = _weights()
+"""(J, 33) each joint of the body as an affine combination of landmarks; each row sums to 1."""
+
+_PARTS = JOINT_WEIGHTS != 0.0
+_MAGNITUDES = np.abs(JOINT_WEIGHTS) / np.abs(JOINT_WEIGHTS).sum(axis=1, keepdims=True)
+_DERIVED = np.array([BLAZEPOSE.joint(name) for name in ("PELVIS", "SPINE_NAVEL", "NECK", "HEAD")])
+
+
+def joints_of(lifted: Lifted, pixels: Array, depth: NDArray[np.uint16]) -> tuple[Array, NDArray[np.uint8]]:
+    """(J, 3) positions and (J,) states of the joints of the body ``blazepose``.
+
+    A joint is inferred where all of its landmarks are known, and tracked where they are seen. A derived joint
+    is tracked where one side of the body is seen and the surface before the joint is the trunk's or head's.
+
+    Args:
+        lifted: The landmarks.
+        pixels: (33, 2) the landmarks in the image.
+        depth: (h, w) millimetres.
+    """
+    positions = JOINT_WEIGHTS @ np.where(lifted.known[:, None], lifted.positions, 0.0)
+    states = np.full(len(positions), TrackingState.NOT_TRACKED, dtype=np.uint8)
+    known = ~(_PARTS & ~lifted.known).any(axis=1)
+    states[known] = TrackingState.INFERRED
+    states[known & ~(_PARTS & ~lifted.seen).any(axis=1)] = TrackingState.TRACKED
+    seen_share = _MAGNITUDES @ lifted.seen
+    for j in _DERIVED[known[_DERIVED]]:
+        u, v = np.rint(JOINT_WEIGHTS[j] @ pixels).astype(int)
+        window = depth[
+            max(0, v - _WINDOW) : max(0, v + _WINDOW + 1), max(0, u - _WINDOW) : max(0, u + _WINDOW + 1)
+        ]
+        readings = window[window > 0]
+        above = positions[j, 2] - 0.001 * float(np.median(readings)) if readings.size else np.inf
+        tracked = seen_share[j] >= _SEEN_SHARE and 0.0 < above < _DEEPEST * lifted.size
+        states[j] = TrackingState.TRACKED if tracked else TrackingState.INFERRED
+    return positions, states

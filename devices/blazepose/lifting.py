@@ -1,0 +1,203 @@
+"""Landmarks of an image and its depth to landmarks in space.
+
+The network states a whole body in metres, with the right shape and a doubtful place: the image fixes the
+direction of each landmark, the depth image the distance of what is seen there. The body is laid onto the seen
+surface, and then decides which readings are its own: what lies before it covers it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.blazepose.landmark_kinds import EARS, FACE, column, opposite
+from fusion.compiling.kernels import kernel
+from fusion.intrinsics import Intrinsics
+
+Array = NDArray[np.float64]
+
+_SMALLEST, _LARGEST = 0.45, 1.5
+"""Sizes of a person relative to the network's mean person, who is about 1.65 m tall: 0.75 to 2.5 m."""
+_FEWEST = 5  # seen landmarks that make a person, and that a body is laid onto
+_TRUSTED = 0.7  # visibility of a landmark that the body is laid onto
+_WITHIN = (0.20, 0.12)  # metres between body and surface of such a landmark, at first and then
+_SURFACE_RADIUS = 0.022  # metres: half width of the window that is read, narrower than a wrist
+_LARGEST_WINDOW = 8  # pixels to each side
+_OWN_SHARE = 0.4  # least share of a window's readings that are the landmark's own
+_MARGIN = 0.1  # of the image's larger side: a landmark farther outside has no position
+
+_BENEATH = column("beneath")
+_VISIBILITY = column("visibility")
+_TURNED = column("turned")
+_FRONT = column("front")
+_BACK = column("back")
+_OPPOSITE = opposite()
+
+
+@dataclass(frozen=True, eq=False)
+class Lifted:
+    """Landmarks in space.
+
+    Attributes:
+        positions: (33, 3) metres, sensor frame.
+        seen: (33,) whether a depth reading of the landmark's own surface gave its position.
+        known: (33,) whether it has a position: seen, or stated by the network and near the image.
+        size: The person's size relative to the network's mean person.
+    """
+
+    positions: Array
+    seen: NDArray[np.bool_]
+    known: NDArray[np.bool_]
+    size: float
+
+
+def lift(
+    pixels: Array,
+    visibility: Array,
+    presence: Array,
+    world: Array,
+    depth: NDArray[np.uint16],
+    camera: Intrinsics,
+) -> Lifted | None:
+    """Places the landmarks in space.
+
+    Args:
+        pixels: (33, 2) landmarks, pixels of the depth image.
+        visibility, presence: (33,) the network's probabilities.
+        world: (33, 3) the network's own landmarks, metres, hip-centred, along the axes of the image.
+        depth: (h, w) millimetres along z, 0 without a reading.
+        camera: Intrinsics of the depth image.
+
+    Returns:
+        None where the depth shows no person of possible size.
+    """
+    at = rays(pixels, camera)
+    inside = _within(pixels, camera, 0.0)
+    trust = visibility * presence * inside
+    image = np.ascontiguousarray(depth)
+    body = world + _placement(at, world, trust + 1e-3)
+    reading, _ = _surfaces(image, pixels, inside, camera, np.zeros(len(at)), np.full(len(at), np.inf))
+    usable = np.isfinite(reading) & (trust > 0.3) & (body[:, 2] > 0.1)
+    if np.count_nonzero(usable) < _FEWEST:
+        return None
+    size = float(np.median((reading[usable] + _BENEATH[usable]) / body[usable, 2]))
+    if not _SMALLEST <= size <= _LARGEST:
+        return None
+    body = body * size
+    turned = _outward(body)
+    surface = reading + size * _BENEATH
+    for within in _WITHIN:
+        laid = usable & (visibility > _TRUSTED) & (turned < 0.2) & (np.abs(surface - body[:, 2]) < within)
+        if np.count_nonzero(laid) < _FEWEST:
+            break
+        body = _laid_onto(body, np.column_stack((at * surface[:, None], surface)), laid * visibility)
+    expected = body[:, 2] - size * _BENEATH
+    reading, share = _surfaces(image, pixels, inside, camera, expected - _FRONT, expected + _BACK)
+    seen = inside & (share >= _OWN_SHARE) & (visibility >= _VISIBILITY) & (_outward(body) <= _TURNED)
+    if np.count_nonzero(seen) < _FEWEST:
+        return None
+    z = np.where(seen, reading + size * _BENEATH, np.maximum(body[:, 2], 0.1))
+    near = _within(pixels, camera, _MARGIN * max(camera.width, camera.height))
+    return Lifted(np.column_stack((at * z[:, None], z)), seen, near, size)
+
+
+def rays(pixels: Array, camera: Intrinsics) -> Array:
+    """(N, 2) the points x/z, y/z that the camera images at (N, 2) pixels; the lens's distortion is undone."""
+    matrix = np.array(((camera.fx, 0.0, camera.cx), (0.0, camera.fy, camera.cy), (0.0, 0.0, 1.0)))
+    if not camera.distortion:
+        straight: Array = (pixels - matrix[:2, 2]) / (camera.fx, camera.fy)
+        return straight
+    lens = np.zeros(8)
+    lens[: len(camera.distortion)] = camera.distortion
+    undone = cv2.undistortPoints(np.ascontiguousarray(pixels[:, None]), matrix, lens)
+    return np.asarray(undone, dtype=np.float64)[:, 0]
+
+
+def _within(pixels: Array, camera: Intrinsics, margin: float) -> NDArray[np.bool_]:
+    """(N,) whether pixels lie in the image or at most a margin outside of it."""
+    u, v = pixels[:, 0], pixels[:, 1]
+    low, right, bottom = -0.5 - margin, camera.width - 0.5 + margin, camera.height - 0.5 + margin
+    within: NDArray[np.bool_] = (u >= low) & (u < right) & (v >= low) & (v < bottom)
+    return within
+
+
+def _placement(at: Array, world: Array, trust: Array) -> Array:
+    """(3,) the translation that brings the network's landmarks onto the rays, by weighted least squares.
+
+    A point W + T lies on the ray (x, y) where W_x + T_x = x (W_z + T_z), likewise for y: linear in T.
+    """
+    rows = np.zeros((2, len(at), 3))
+    rows[0, :, 0] = rows[1, :, 1] = 1.0
+    rows[:, :, 2] = -at.T
+    wanted = at.T * world[:, 2] - world[:, :2].T
+    weighted = rows * trust[:, None]
+    normal = np.einsum("kni,knj->ij", weighted, rows) + 1e-9 * np.eye(3)
+    return np.asarray(np.linalg.solve(normal, np.einsum("kni,kn->i", weighted, wanted)))
+
+
+def _laid_onto(body: Array, surface: Array, weight: Array) -> Array:
+    """(33, 3) the body, rotated and moved onto points by weighted least squares (Kabsch, 1976)."""
+    used = weight > 0.0
+    w = weight[used] / weight[used].sum()
+    middle, target = w @ body[used], w @ surface[used]
+    u, _, vt = np.linalg.svd((body[used] - middle).T @ ((surface[used] - target) * w[:, None]))
+    u[:, 2] *= np.sign(np.linalg.det(u @ vt))
+    laid: Array = (body - middle) @ (u @ vt) + target
+    return laid
+
+
+def _outward(body: Array) -> Array:
+    """(33,) component of each landmark's outward direction along its line of sight; -1 where it has none."""
+    outward = body - body[_OPPOSITE]
+    outward[FACE] = body[FACE] - 0.5 * (body[EARS[0]] + body[EARS[1]])
+    length = np.linalg.norm(outward, axis=1) * np.linalg.norm(body, axis=1)
+    component = np.einsum("ij,ij->i", outward, body)
+    return np.where(length > 1e-9, component / np.maximum(length, 1e-9), -1.0)
+
+
+def _surfaces(
+    depth: NDArray[np.uint16],
+    pixels: Array,
+    inside: NDArray[np.bool_],
+    camera: Intrinsics,
+    near: Array,
+    far: Array,
+) -> tuple[Array, Array]:
+    """(33,) median reading between two depths around each landmark, metres or NaN; (33,) their share."""
+    reading, share = np.full(len(pixels), np.nan), np.zeros(len(pixels))
+    _read(depth, pixels, inside, camera.fx * _SURFACE_RADIUS, near, far, reading, share)
+    return reading, share
+
+
+@kernel
+def _read(depth, pixels, inside, reach, near, far, reading, share):  # type: ignore[no-untyped-def]
+    height, width = depth.shape
+    own = np.empty((2 * _LARGEST_WINDOW + 1) ** 2)
+    for j in range(len(pixels)):
+        if not inside[j]:
+            continue
+        u, v = int(pixels[j, 0] + 0.5), int(pixels[j, 1] + 0.5)
+        z = 0.001 * depth[v, u]
+        if z == 0.0:
+            z = 0.5 * (near[j] + min(far[j], near[j] + 6.0))
+        radius = int(min(max(1.0, reach / max(z, 0.1)), 1.0 * _LARGEST_WINDOW))
+        count = total = 0
+        for b in range(max(0, v - radius), min(height, v + radius + 1)):
+            for a in range(max(0, u - radius), min(width, u + radius + 1)):
+                if depth[b, a] == 0:
+                    continue
+                total += 1
+                here = 0.001 * depth[b, a]
+                if near[j] <= here <= far[j]:
+                    i = count
+                    while i > 0 and own[i - 1] > here:
+                        own[i] = own[i - 1]
+                        i -= 1
+                    own[i] = here
+                    count += 1
+        if count >= 3:
+            reading[j] = own[count // 2]
+            share[j] = count / total

@@ -1,0 +1,1 @@
+"""The networks: their files, fetching them, and running them."""

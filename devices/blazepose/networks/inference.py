@@ -1,0 +1,220 @@
+"""BlazePose's two networks: one finds people in an image, the other places landmarks on one person.
+
+The layouts of the tensors are those of MediaPipe's graphs ``pose_detection`` and ``pose_landmark``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.blazepose.networks.native_messages import without_notes
+from devices.sensor import DeviceError
+
+Array = NDArray[np.float64]
+
+DETECTOR_SIZE, LANDMARK_SIZE = 224, 256
+"""Side of the networks' input images, pixels."""
+LANDMARKS = 33
+"""Number of landmarks on the body; the network gives six more, of which two describe the next region."""
+CENTRE, RIM = 33, 34
+"""The two landmarks that describe the region: middle of the hips, and a point of the circle around it."""
+
+_LANDMARK_OUTPUTS = (39 * 5, 64 * 64 * 39, 39 * 3, 1)  # values of: rows, heat maps, world, pose flag
+_LEAST_SCORE = 0.5  # of a detection; MediaPipe's
+_OVERLAP = 0.3  # intersection over union at which two detections are the same person; MediaPipe's
+_STRIDES = ((8, 2), (16, 2), (32, 6))  # of the detector's grids: pixels, anchors per cell
+_HEATMAP_WINDOW = 3  # cells to each side of a landmark
+_HEATMAP_LEAST = 0.5  # least peak of a heat map that may move its landmark; MediaPipe's
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """A person found in an image.
+
+    Attributes:
+        centre: (2,) middle of the hips, pixels of the detector's input.
+        rim: (2,) point of the circle around the body, above the head.
+        score: 0 to 1.
+    """
+
+    centre: Array
+    rim: Array
+    score: float
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """What the landmark network says about a crop.
+
+    Attributes:
+        pixels: (39, 2) in pixels of the crop.
+        visibility: (39,) probability that the landmark is in the image and nothing covers it.
+        presence: (39,) probability that the landmark is in the image.
+        world: (33, 3) metres from the middle of the hips; x, y along the crop, z away from the camera.
+        score: Probability that the crop holds a person.
+    """
+
+    pixels: Array
+    visibility: Array
+    presence: Array
+    world: Array
+    score: float
+
+
+class Detector:
+    """Finds people in an image.
+
+    Args:
+        content: The network file.
+        threads: CPU threads.
+
+    Raises:
+        DeviceError: The runtime is missing or refuses the file.
+    """
+
+    def __init__(self, content: bytes, threads: int = 1) -> None:
+        self._network = _Network(content, threads)
+        self._anchors = _anchors()
+
+    def detect(self, image: NDArray[np.float32]) -> list[Detection]:
+        """The people in an image, the most certain one first.
+
+        Args:
+            image: (224, 224) grey or (224, 224, 3) RGB, 0 to 1.
+        """
+        count = len(self._anchors)
+        boxes, logits = self._network.run(2.0 * _three_channels(image) - 1.0, (12 * count, count))
+        scores = _sigmoid(logits)
+        likely = np.flatnonzero(scores >= _LEAST_SCORE)
+        likely = likely[np.argsort(-scores[likely], kind="stable")]
+        points = boxes.reshape(-1, 6, 2)[likely].astype(np.float64)
+        points[:, [0, 2, 3, 4, 5]] += DETECTOR_SIZE * self._anchors[likely, None]
+        found: list[Detection] = []
+        kept: list[int] = []
+        for i, k in enumerate(likely):
+            if all(_overlap(points[i, :2], points[j, :2]) < _OVERLAP for j in kept):
+                kept.append(i)
+                # a box spans pixel edges; pixel centres are half a pixel less
+                found.append(Detection(points[i, 2] - 0.5, points[i, 3] - 0.5, float(scores[k])))
+        return found
+
+
+class LandmarkNetwork:
+    """Places landmarks on the person in a crop.
+
+    Args:
+        content: The network file.
+        threads: CPU threads.
+
+    Raises:
+        DeviceError: The runtime is missing or refuses the file.
+    """
+
+    def __init__(self, content: bytes, threads: int = 1) -> None:
+        self._network = _Network(content, threads)
+
+    def place(self, image: NDArray[np.float32]) -> Landmarks:
+        """The landmarks of the person in a crop.
+
+        Args:
+            image: (256, 256) grey or (256, 256, 3) RGB, 0 to 1.
+        """
+        values, heat, world, score = self._network.run(_three_channels(image), _LANDMARK_OUTPUTS)
+        rows = values.reshape(39, 5).astype(np.float64)
+        pixels = _refined(rows[:, :2], heat.reshape(64, 64, 39))
+        return Landmarks(
+            pixels - 0.5,
+            _sigmoid(rows[:, 3]),
+            _sigmoid(rows[:, 4]),
+            world.reshape(39, 3)[:LANDMARKS].astype(np.float64),
+            float(score[0]),
+        )
+
+
+class _Network:
+    """One network file, loaded."""
+
+    def __init__(self, content: bytes, threads: int) -> None:
+        try:
+            from ai_edge_litert.interpreter import Interpreter
+        except ImportError as fault:
+            raise DeviceError(
+                f"The body tracker's runtime ai-edge-litert cannot be imported ({fault}). "
+                "Run pip install ai-edge-litert; it has no wheel for macOS on Intel."
+            ) from None
+        try:
+            with without_notes():
+                self._interpreter: Any = Interpreter(model_content=content, num_threads=threads)
+                self._interpreter.allocate_tensors()
+        except (RuntimeError, ValueError) as fault:
+            raise DeviceError(f"The body tracker's network cannot be loaded: {fault}.") from None
+        self._input = self._interpreter.get_input_details()[0]["index"]
+        self._outputs = [
+            (output["index"], int(np.prod(output["shape"])))
+            for output in self._interpreter.get_output_details()
+        ]
+
+    def run(self, image: NDArray[np.float32], sizes: Sequence[int]) -> list[NDArray[np.float32]]:
+        """The outputs with these numbers of values, flat, for an (h, w, 3) image."""
+        self._interpreter.set_tensor(self._input, np.ascontiguousarray(image[None], dtype=np.float32))
+        self._interpreter.invoke()
+        index_of = {size: index for index, size in self._outputs}
+        return [self._interpreter.get_tensor(index_of[size]).reshape(-1) for size in sizes]
+
+
+def _three_channels(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(cv2.merge((image, image, image)), np.float32) if image.ndim == 2 else image
+
+
+def _anchors() -> Array:
+    """(2254, 2) centres of the detector's anchors, as shares of the image."""
+    centres = []
+    for stride, count in _STRIDES:
+        cells = DETECTOR_SIZE // stride
+        v, u = np.mgrid[:cells, :cells]
+        grid = (np.stack((u, v), axis=-1).reshape(-1, 2) + 0.5) / cells
+        centres.append(np.repeat(grid, count, axis=0))
+    return np.concatenate(centres)
+
+
+def _overlap(first: Array, second: Array) -> float:
+    """Intersection over union of two boxes (2, 2): centre and size."""
+    low = np.maximum(first[0] - 0.5 * first[1], second[0] - 0.5 * second[1])
+    high = np.minimum(first[0] + 0.5 * first[1], second[0] + 0.5 * second[1])
+    common = float(np.prod(np.maximum(high - low, 0.0)))
+    union = float(np.prod(first[1]) + np.prod(second[1])) - common
+    return common / union if union > 0.0 else 0.0
+
+
+def _refined(pixels: Array, heat: NDArray[np.float32]) -> Array:
+    """Moves each landmark to the centroid of its heat map around it, where that has a peak."""
+    cells = heat.shape[0]
+    step = LANDMARK_SIZE / cells
+    around = np.arange(-_HEATMAP_WINDOW, _HEATMAP_WINDOW + 1)
+    cell = np.floor(pixels / step).astype(np.int64)
+    u, v = cell[:, 0, None] + around, cell[:, 1, None] + around
+    valid = ((v >= 0) & (v < cells))[:, :, None] & ((u >= 0) & (u < cells))[:, None, :]
+    last = cells - 1
+    logits = heat[
+        np.clip(v, 0, last)[:, :, None],
+        np.clip(u, 0, last)[:, None, :],
+        np.arange(len(pixels))[:, None, None],
+    ]
+    window = _sigmoid(logits) * valid
+    total = np.maximum(window.sum(axis=(1, 2)), 1e-9)
+    centroid = np.column_stack((np.einsum("jvu,ju->j", window, u), np.einsum("jvu,jv->j", window, v))) * (
+        step / total[:, None]
+    )
+    peaked = (window.max(axis=(1, 2)) >= _HEATMAP_LEAST) & ((cell >= 0) & (cell < cells)).all(axis=1)
+    return np.where(peaked[:, None], centroid, pixels)
+
+
+def _sigmoid(x: NDArray[np.floating[Any]]) -> Array:
+    shares: Array = 1.0 / (1.0 + np.exp(-np.clip(x, -50.0, 50.0).astype(np.float64)))
+    return shares

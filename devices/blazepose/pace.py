@@ -1,0 +1,69 @@
+"""Keeps two trackers on one processor in time: first with fewer frames, then with the lighter network."""
+
+from __future__ import annotations
+
+from devices.blazepose.networks.files import cache_folder, missing
+from devices.blazepose.settings import BlazePoseSettings, NetworkName
+from devices.live.frame_decimation import FrameDecimation
+
+_PATIENCE = 60
+"""Results of both sensors together, with fewer frames than the cameras give, after which ``lite`` is used.
+
+At half the rate it is two seconds. A viewer that starts, or another program, may slow the trackers for a
+moment. That costs frames, but no accuracy."""
+
+
+class TrackingPace(FrameDecimation):
+    """The moments that two trackers of this program work on, and the network that they use.
+
+    Where a tracker is slower than the cameras, both sensors keep the same fewer frames, as with any tracker.
+    If that lasts, both change to the network ``lite`` for good, and get every frame again if it is fast
+    enough. Share it between both sensors' ``TrackedImages``, between the sensors themselves, and
+    ``TwoSensors``.
+
+    Args:
+        fps: Frames per second of the cameras.
+        settings: Settings of the trackers.
+
+    Attributes:
+        settings: Settings with which the trackers open.
+    """
+
+    def __init__(self, fps: float, settings: BlazePoseSettings | None = None) -> None:
+        super().__init__(fps)
+        settings = settings or BlazePoseSettings()
+        self.settings = settings
+        self._network: NetworkName = settings.network
+        lite = missing("lite", settings.models or cache_folder())
+        self._has_lighter = settings.network == "full" and not lite
+        self._slow_results = 0
+        self._news: list[str] = []
+
+    @property
+    def network(self) -> NetworkName:
+        """The landmark network that both trackers are to use."""
+        return self._network
+
+    @property
+    def advice(self) -> str:
+        """What to do about a tracker that is too slow."""
+        return (
+            "It is the tracker, which needs a faster processor, not USB or light. Or record now and track "
+            "later (duplex fuse a.mkv b.mkv)."
+        )
+
+    def tracked(self, sensor: str, time_ns: int) -> None:
+        """Records how long a sensor's tracker worked on one frame."""
+        super().tracked(sensor, time_ns)
+        self._slow_results = self._slow_results + 1 if self.step > 1 else 0
+        if self._has_lighter and self._slow_results >= _PATIENCE:
+            self._has_lighter = False
+            self._network = "lite"
+            self._news.append(
+                "The body tracker goes on with its network lite, which is faster and less accurate than full."
+            )
+
+    def take_news(self) -> list[str]:
+        """What changed besides the frames that are kept, one line each; once."""
+        news, self._news = self._news, []
+        return news

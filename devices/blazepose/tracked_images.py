@@ -1,0 +1,156 @@
+"""A sensor whose people are found by the program's own tracker."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.blazepose.blazepose import BlazePose
+from devices.blazepose.pace import TrackingPace
+from devices.blazepose.settings import BlazePoseSettings
+from devices.sensor import DeviceError, Interruptible, Sensor, SensorFrame
+from fusion.body import BLAZEPOSE, Body
+from fusion.intrinsics import Intrinsics
+from fusion.skeleton import Skeleton
+
+
+class TrackedImages:
+    """The frames of another sensor with the person that :class:`BlazePose` finds: a Sensor.
+
+    A frame needs depth and infrared of the same pixels, or depth and a colour image registered to it. Other
+    frames have no people.
+
+    Attributes:
+        source: The sensor with the images.
+        tracker: The tracker.
+        body: ``blazepose``.
+    """
+
+    def __init__(
+        self,
+        source: Sensor,
+        settings: BlazePoseSettings | None = None,
+        *,
+        registered: Callable[[SensorFrame], NDArray[np.uint8] | None] | None = None,
+        took: Callable[[int], object] = lambda _: None,
+        pace: TrackingPace | None = None,
+        clock: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
+        """Stores the source without opening it.
+
+        Args:
+            source: A sensor whose frames have depth and infrared or colour; its own people are ignored.
+            settings: How the tracker runs.
+            registered: Gives the (h, w, 3) RGB image of a frame without infrared, on the depth's pixels.
+                None: the frame's colour image, where its camera is the depth camera.
+            took: Called with the time that the tracker worked on each frame, ns.
+            pace: For live sensors, shared by both: it gets the tracker's times and says which network to
+                use. The source leaves out the frames that it does not keep. None: every frame, one network.
+            clock: Nanoseconds; tests inject their own.
+        """
+        self.source = source
+        self.tracker = BlazePose(settings)
+        self.body: Body = BLAZEPOSE
+        self._registered = registered or registered_color
+        self._took, self._pace, self._clock = took, pace, clock
+
+    @property
+    def name(self) -> str:
+        """The source's name."""
+        return self.source.name
+
+    @property
+    def intrinsics(self) -> Intrinsics | None:
+        """Intrinsics of the source's depth camera."""
+        return self.source.intrinsics
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """The source's warnings."""
+        return self.source.warnings
+
+    @property
+    def missed(self) -> int:
+        """Number of frames that the source missed."""
+        return int(getattr(self.source, "missed", 0))
+
+    @property
+    def waits_for(self) -> str:
+        """What the source is waiting for."""
+        return str(getattr(self.source, "waits_for", ""))
+
+    def interrupt(self) -> None:
+        """Interrupts the source, where it can be."""
+        if isinstance(self.source, Interruptible):
+            self.source.interrupt()
+
+    def __enter__(self) -> TrackedImages:
+        """Loads the networks, then opens the source.
+
+        Raises:
+            DeviceError: The networks or the source cannot be opened.
+        """
+        self.tracker.__enter__()
+        try:
+            self.source.__enter__()
+        except BaseException:
+            self.tracker.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Closes both."""
+        self.source.__exit__(*exc_info)
+        self.tracker.__exit__(*exc_info)
+
+    def frames(self) -> Iterator[SensorFrame]:
+        """The source's frames with the person in them.
+
+        Raises:
+            DeviceError: The source failed, or it does not know its depth camera.
+        """
+        for frame in self.source.frames():
+            if frame.depth is None:
+                yield replace(frame, people={})
+                continue
+            if self._pace is not None and self.tracker.settings.network != self._pace.network:
+                self.tracker.use(self._pace.network)
+            begun_ns = self._clock()
+            people = self._people(frame)
+            self._tell(self._clock() - begun_ns)
+            yield replace(frame, people=people)
+
+    def _tell(self, spent_ns: int) -> None:
+        """Tells how long the tracker worked on a frame."""
+        self._took(spent_ns)
+        if self._pace is not None:
+            # A simulated sensor makes its images on this thread, within the same budget.
+            self._pace.tracked(self.name, spent_ns + int(getattr(self.source, "making_ns", 0)))
+
+    def _people(self, frame: SensorFrame) -> dict[str, Skeleton]:
+        camera = self.source.intrinsics
+        if camera is None:
+            raise DeviceError(f"{self.name} does not know its depth camera, which the body tracker needs.")
+        image = frame.ir if frame.ir is not None else self._registered(frame)
+        assert frame.depth is not None
+        if image is None or image.shape[:2] != frame.depth.shape:
+            return {}
+        return self.tracker.track(image, frame.depth, camera, frame.time_ns)
+
+
+def registered_color(frame: SensorFrame) -> NDArray[np.uint8] | None:
+    """(h, w, 3) RGB of a frame whose colour camera is its depth camera; None for other frames."""
+    color, depth = frame.color, frame.depth
+    if color is None or depth is None:
+        return None
+    lens, move = color.camera.intrinsics, color.camera.color_from_depth
+    same_place = np.array_equal(move.rotation, np.eye(3)) and not np.any(move.translation)
+    if not same_place or (lens.height, lens.width) != depth.shape:
+        return None
+    image = cv2.imdecode(np.frombuffer(color.jpeg, np.uint8), cv2.IMREAD_COLOR_RGB)
+    return None if image is None else np.asarray(image, dtype=np.uint8)

@@ -1,0 +1,32 @@
+"""The result of one check of this machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from devices.sensor import DeviceError
+
+
+@dataclass(frozen=True)
+class Check:
+    """Result of one check.
+
+    Attributes:
+        name: What was checked.
+        ok: Whether it works.
+        detail: What was found.
+        advice: What to do if it fails; empty if it works.
+        needed: Whether live capture requires it.
+    """
+
+    name: str
+    ok: bool
+    detail: str
+    advice: str = ""
+    needed: bool = True
+
+
+def failed(name: str, fault: DeviceError, needed: bool = True) -> Check:
+    """A failed check from an error: its first sentence is the detail, the rest is the advice."""
+    what, _, advice = str(fault).partition(". ")
+    return Check(name, False, what, advice, needed)

@@ -1,0 +1,150 @@
+"""Recordings of Orbbec's SDK v2 (``.bag``), through its ``PlaybackDevice``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from devices.orbbec.images import MomentJoiner, depth_image, infrared_image
+from devices.orbbec.lens import intrinsics_of
+from devices.orbbec.sdk_access import context_of, faults_of, load_sdk
+from devices.sensor import DeviceError, SensorFrame
+from fusion.body import BLAZEPOSE, Body
+from fusion.intrinsics import Intrinsics
+
+SUFFIX = ".bag"
+_WAIT_MS = 200
+_SILENT_S = 10.0  # of a recording that neither gives frames nor says that it has ended
+
+
+class OrbbecRecording:
+    """A recording's depth and infrared images: a :class:`~devices.sensor.Sensor` without people.
+
+    The SDK plays at the pace of the recording and drops what is not taken in time; frames that are missing
+    are counted in ``warnings``.
+
+    Attributes:
+        name: The file's name.
+        body: The body of the tracker that takes its images.
+        intrinsics: Intrinsics of the depth camera; None before opening.
+        warnings: Problems that did not stop the reading.
+        duration_ns: How long it is, as the file says; 0 before opening.
+        interval_ns: Time between two frames; 0 before opening.
+    """
+
+    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        """Names the recording; opens nothing.
+
+        Args:
+            path: The file.
+            clock: Seconds, for the end of a recording that says nothing; tests inject their own.
+        """
+        self.path, self.name = path, path.name
+        self.body: Body = BLAZEPOSE
+        self.intrinsics: Intrinsics | None = None
+        self.warnings: list[str] = []
+        self.duration_ns = self.interval_ns = 0
+        self._clock = clock
+        self._sdk: Any = None
+        self._device: Any = None
+        self._pipeline: Any = None
+        self._streams: tuple[Any, ...] = ()
+
+    def __enter__(self) -> OrbbecRecording:
+        """Opens the file.
+
+        Raises:
+            DeviceError: It cannot be read, or has no depth, no infrared or no calibration.
+        """
+        self.__exit__()
+        if not self.path.is_file():
+            raise DeviceError(f"No file {self.path}.")
+        sdk = self._sdk = load_sdk()
+        context_of(sdk)  # silences the SDK
+        try:
+            self._device = sdk.PlaybackDevice(str(self.path))
+            pipeline = self._pipeline = sdk.Pipeline(self._device)
+            depth = _first(sdk, pipeline, sdk.OBSensorType.DEPTH_SENSOR)
+            infrared = _first(sdk, pipeline, sdk.OBSensorType.IR_SENSOR) or _first(
+                sdk, pipeline, sdk.OBSensorType.LEFT_IR_SENSOR
+            )
+            if depth is None or infrared is None:
+                missing = "depth" if depth is None else "infrared"
+                raise DeviceError(f"{self.name} has no {missing} stream. Record depth and infrared.")
+            self.intrinsics, warning = intrinsics_of(sdk, depth, self.name)
+            self.warnings = [warning] if warning else []
+            self._streams = depth, infrared
+            self.duration_ns = 1_000_000 * int(self._device.get_duration())  # the SDK's are milliseconds
+            self.interval_ns = round(1e9 / depth.get_fps())
+        except faults_of(sdk) as fault:
+            self.__exit__()
+            raise DeviceError(
+                f"{self.name} cannot be read ({fault}). It is not a recording of Orbbec's SDK v2, or it is "
+                f"damaged: play it in OrbbecViewer."
+            ) from fault
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Closes the file."""
+        self._pipeline = self._device = None
+        self._streams = ()
+
+    def frames(self) -> Iterator[SensorFrame]:
+        """The frames in capture order.
+
+        Raises:
+            DeviceError: The recording is damaged, after the frames before the damage.
+        """
+        if self._pipeline is None:
+            raise DeviceError(f"{self.name} is not open: use it in a with statement.")
+        sdk, device, pipeline = self._sdk, self._device, self._pipeline
+        joiner, configuration = MomentJoiner(self.interval_ns), sdk.Config()
+        for profile in self._streams:
+            configuration.enable_stream(profile)
+        configuration.set_frame_aggregate_output_mode(sdk.OBFrameAggregateOutputMode.FULL_FRAME_REQUIRE)
+        missing, last_ns, heard_s = 0, None, self._clock()
+        try:
+            pipeline.start(configuration)
+            while True:
+                # Asked before waiting: what came until the end is in the queue by then.
+                ended = device.get_playback_status() == sdk.OBPlaybackStatus.STOPPED
+                frames = pipeline.wait_for_frames(_WAIT_MS)
+                if frames is None:
+                    if (ended and last_ns is not None) or self._clock() - heard_s > _SILENT_S:
+                        break
+                    continue
+                heard_s = self._clock()
+                moment = joiner.add(frames, 0)
+                if moment is None or (last_ns is not None and moment.time_ns <= last_ns):
+                    continue
+                if last_ns is not None:
+                    missing += max(0, round((moment.time_ns - last_ns) / self.interval_ns) - 1)
+                last_ns = moment.time_ns
+                yield SensorFrame(
+                    time_ns=moment.time_ns,
+                    depth=depth_image(moment.depth),
+                    ir=infrared_image(moment.infrared),
+                )
+        except faults_of(sdk) as fault:
+            raise DeviceError(f"{self.name} is damaged ({fault}). Play it in OrbbecViewer.") from fault
+        finally:
+            pipeline.stop()
+            if missing:
+                self.warnings.append(
+                    f"{self.name}: {missing} frames are missing; they are not in the recording, or reading "
+                    f"was slower than its {1e9 / self.interval_ns:.3g} frames per second."
+                )
+
+
+def _first(sdk: Any, pipeline: Any, sensor: Any) -> Any:
+    """The stream of a recorded camera, of which a recording has one; None where it was not recorded."""
+    try:
+        profiles = pipeline.get_stream_profile_list(sensor)
+        return profiles.get_stream_profile_by_index(0) if profiles.get_count() else None
+    except faults_of(sdk):
+        return None

@@ -1,0 +1,162 @@
+"""Access to connected Orbbec sensors through pyorbbecsdk2. Only this file imports it, and only on demand."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from devices.azure.usb import UDEV_ADVICE, UsbKinect, usb_kinects
+from devices.orbbec.installing import how_to_install
+from devices.sensor import AbsentError, DeviceError
+
+_opening = threading.Lock()
+_contexts: WeakKeyDictionary[ModuleType, Any] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class ConnectedOrbbec:
+    """An Orbbec sensor that the SDK lists. Listing opens nothing, so it says nothing of who uses it.
+
+    Attributes:
+        serial: Its serial number.
+        model: What its maker calls it, such as "Orbbec Femto Bolt".
+        connection: How it is connected, such as "USB3.2" or "Ethernet".
+    """
+
+    serial: str
+    model: str
+    connection: str
+
+
+def load_sdk() -> ModuleType:
+    """The module pyorbbecsdk.
+
+    Raises:
+        DeviceError: It is not installed, or it is that of SDK v1.
+    """
+    try:
+        with _without_its_greeting():
+            import pyorbbecsdk
+    except (ImportError, OSError) as fault:
+        raise DeviceError(
+            f"Orbbec's sensors need pyorbbecsdk2, which cannot be imported ({fault}). {how_to_install()}"
+        ) from fault
+    if not hasattr(pyorbbecsdk, "PlaybackDevice"):
+        raise DeviceError(
+            f"The installed pyorbbecsdk is of Orbbec's SDK v1; this program needs v2. {how_to_install()}"
+        )
+    return pyorbbecsdk  # type: ignore[no-any-return]
+
+
+def context_of(sdk: Any) -> Any:
+    """The process's one ``Context``. Each one searches the buses with threads of its own."""
+    with _opening:
+        context = _contexts.get(sdk)
+        if context is None:
+            # By default it writes files into ./Log, and errors among our lines.
+            sdk.Context.set_logger_level(sdk.OBLogLevel.NONE)
+            context = sdk.Context()
+            # So that frames have the time of time.perf_counter on Linux and Windows.
+            context.set_timestamp_clock_type(sdk.OBClockType.MONOTONIC)
+            _contexts[sdk] = context
+        return context
+
+
+def connected_orbbecs() -> list[ConnectedOrbbec]:
+    """All connected Orbbec sensors; opens none.
+
+    Raises:
+        DeviceError: pyorbbecsdk2 is not installed, or it cannot search for sensors.
+    """
+    sdk = load_sdk()
+    try:
+        devices = context_of(sdk).query_devices()
+        return [
+            ConnectedOrbbec(
+                devices.get_device_serial_number_by_index(index),
+                devices.get_device_name_by_index(index),
+                devices.get_device_connection_type_by_index(index),
+            )
+            for index in range(devices.get_count())
+        ]
+    except faults_of(sdk) as fault:
+        raise DeviceError(f"Orbbec's SDK cannot search for sensors ({fault}). {UDEV_ADVICE}") from fault
+
+
+def open_orbbec(sdk: Any, serial: str) -> Any:
+    """Opens the sensor with a serial number; it is closed when the last reference to it goes.
+
+    Returns:
+        A ``pyorbbecsdk.Device``.
+
+    Raises:
+        AbsentError: It is not connected.
+        DeviceError: It cannot be opened.
+    """
+    there = [orbbec.serial for orbbec in connected_orbbecs()]
+    if serial not in there:
+        listed = f"Connected: {', '.join(sorted(there))}." if there else "No other is connected."
+        raise AbsentError(
+            f"No Orbbec sensor with serial {serial}. {listed} Check its USB 3 port, cable and power supply."
+        )
+    try:
+        return context_of(sdk).query_devices().get_device_by_serial_number(serial)
+    except faults_of(sdk) as fault:
+        raise DeviceError(f"Orbbec {serial} cannot be opened: {why_not_open(fault)}") from fault
+
+
+def is_connected(sdk: Any, serial: str) -> bool:
+    """Whether the SDK still lists a sensor. Call it when frames stop: an open sensor stays in the list."""
+    try:
+        devices = context_of(sdk).query_devices()
+        return any(
+            devices.get_device_serial_number_by_index(index) == serial for index in range(devices.get_count())
+        )
+    except faults_of(sdk):  # the list changed while it was read
+        return False
+
+
+def faults_of(sdk: Any) -> tuple[type[Exception], ...]:
+    """The exceptions of the SDK: its own, and those of C++ that its bindings do not translate."""
+    return (sdk.OBError, RuntimeError)
+
+
+def why_not_open(fault: Exception, bus: list[UsbKinect] | None = None) -> str:
+    """Why a connected sensor does not open."""
+    said = f" ({fault})" if str(fault) else ""
+    forbidden = [device for device in (usb_kinects() if bus is None else bus) if not device.allowed]
+    if forbidden:
+        return f"no permission for {forbidden[0].node}{said}. {UDEV_ADVICE}"
+    return (
+        f"it is busy or starting up{said}. Close other programs that use it (OrbbecViewer, k4aviewer), wait "
+        f"5 s, try again."
+    )
+
+
+@contextmanager
+def _without_its_greeting() -> Iterator[None]:
+    """Sends what the library prints while it is loaded, a line with a path, nowhere."""
+    if "pyorbbecsdk" in sys.modules:
+        yield
+        return
+    try:
+        sys.stdout.flush()
+        kept = os.dup(1)
+    except (OSError, ValueError, AttributeError):  # no standard output
+        yield
+        return
+    try:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.close(nowhere)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)

@@ -1,0 +1,128 @@
+"""Chooses a sensor's streams: depth, the infrared image of the same pixels, and colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from devices.orbbec.sdk_access import faults_of
+from devices.orbbec.settings import OrbbecSettings
+from devices.sensor import DeviceError
+
+DEPTH_SIZES = {"NFOV_UNBINNED": (640, 576), "WFOV_2X2BINNED": (512, 512)}
+COLOR_SIZES = {
+    "720P": (1280, 720),
+    "1080P": (1920, 1080),
+    "1440P": (2560, 1440),
+    "2160P": (3840, 2160),
+}
+_USUAL_WIDTH = 640
+_INFRARED_FORMATS = ("Y16", "Y8")
+
+
+@dataclass(frozen=True, eq=False)
+class Streams:
+    """The ``VideoStreamProfile`` of each image.
+
+    Attributes:
+        depth: Depth, Y16.
+        infrared: Infrared of the depth camera's pixels, Y16 or Y8.
+        color: Colour, MJPG; None for none.
+    """
+
+    depth: Any
+    infrared: Any
+    color: Any = None
+
+    def configuration(self, sdk: Any) -> Any:
+        """The ``Config`` that starts them.
+
+        Without colour, depth and infrared are exposed together, so every set of frames is complete. With
+        colour, sets without a colour image are let through: else a colour camera that is slow in the dark
+        would slow down depth, and one that fails would end it.
+        """
+        configuration = sdk.Config()
+        for profile in (self.depth, self.infrared, self.color):
+            if profile is not None:
+                configuration.enable_stream(profile)
+        modes = sdk.OBFrameAggregateOutputMode
+        configuration.set_frame_aggregate_output_mode(
+            modes.FULL_FRAME_REQUIRE if self.color is None else modes.ANY_SITUATION
+        )
+        return configuration
+
+
+def check_modes(settings: OrbbecSettings) -> None:
+    """Finds out without a sensor whether one could run so.
+
+    Raises:
+        DeviceError: A mode that no sensor has.
+    """
+    if settings.depth_mode not in DEPTH_SIZES:
+        raise DeviceError(f"No depth mode {settings.depth_mode}. There are {', '.join(DEPTH_SIZES)}.")
+    if settings.color is not None and settings.color not in COLOR_SIZES:
+        raise DeviceError(f"Orbbec's sensors have no colour {settings.color}: {', '.join(COLOR_SIZES)}.")
+
+
+def choose_streams(sdk: Any, pipeline: Any, serial: str, settings: OrbbecSettings) -> Streams:
+    """Chooses the streams of an opened sensor.
+
+    Raises:
+        DeviceError: The sensor has no such images.
+    """
+    check_modes(settings)
+    sensors, formats = sdk.OBSensorType, sdk.OBFormat
+    depths = _profiles(sdk, pipeline, sensors.DEPTH_SENSOR, (formats.Y16,), settings.fps)
+    if not depths:
+        raise DeviceError(f"Orbbec {serial} has no depth at {settings.fps} fps. Choose another --fps.")
+    infrareds: list[Any] = []
+    for sensor in (sensors.IR_SENSOR, sensors.LEFT_IR_SENSOR):  # a stereo sensor's depth is its left image's
+        wanted = tuple(getattr(formats, name) for name in _INFRARED_FORMATS)
+        infrareds = infrareds or _profiles(sdk, pipeline, sensor, wanted, settings.fps)
+    infrared_of = {_size(profile): profile for profile in reversed(infrareds)}
+    usable = [profile for profile in depths if _size(profile) in infrared_of]
+    if not usable:
+        raise DeviceError(
+            f"Orbbec {serial} has no infrared image of its depth image's size at {settings.fps} fps, which "
+            f"the body tracker needs. Choose another --fps."
+        )
+    width_height = DEPTH_SIZES[settings.depth_mode]
+    exact = [profile for profile in usable if _size(profile) == width_height]
+    if not exact and width_height != DEPTH_SIZES["NFOV_UNBINNED"]:
+        sizes = ", ".join(sorted({"×".join(map(str, _size(profile))) for profile in usable}))
+        raise DeviceError(
+            f"Orbbec {serial} has no depth mode {settings.depth_mode} at {settings.fps} fps. It has {sizes}; "
+            f"leave --depth-mode out."
+        )
+    depth = exact[0] if exact else min(usable, key=lambda profile: abs(profile.get_width() - _USUAL_WIDTH))
+    color = None
+    if settings.color is not None:
+        colors = _profiles(sdk, pipeline, sensors.COLOR_SENSOR, (formats.MJPG,), settings.fps)
+        color = next((one for one in colors if _size(one) == COLOR_SIZES[settings.color]), None)
+        if color is None:
+            named = {size: name for name, size in COLOR_SIZES.items()}
+            has = [named[_size(one)] for one in colors if _size(one) in named] or ["none"]
+            raise DeviceError(
+                f"Orbbec {serial} has no colour {settings.color} (MJPG) at {settings.fps} fps. "
+                f"It has {', '.join(dict.fromkeys(has))}."
+            )
+    return Streams(depth, infrared_of[_size(depth)], color)
+
+
+def _profiles(sdk: Any, pipeline: Any, sensor: Any, formats: tuple[Any, ...], fps: int) -> list[Any]:
+    """A sensor's profiles of this rate, in the order of the formats; none where there is no such camera."""
+    try:
+        profiles = pipeline.get_stream_profile_list(sensor)
+        found = [profiles.get_stream_profile_by_index(index) for index in range(profiles.get_count())]
+    except faults_of(sdk):
+        return []
+    return [
+        profile
+        for wanted in formats
+        for profile in found
+        if profile.get_format() == wanted and profile.get_fps() == fps
+    ]
+
+
+def _size(profile: Any) -> tuple[int, int]:
+    return profile.get_width(), profile.get_height()

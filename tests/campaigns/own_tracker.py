@@ -1,0 +1,276 @@
+"""The program's own tracker on simulated images: ``python -m tests.campaigns.own_tracker``.
+
+Prints for each scene how often the person was found, the error of tracked joints, the share of hidden joints
+reported as tracked, S* beside that of the simulated Azure tracker, and the CPU time of an image. It is a
+campaign and not a ``bench`` command: its figures describe the tracker and the simulator, not the machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.blazepose import BlazePose, BlazePoseSettings
+from devices.depth_witness import with_witness
+from devices.pairing import pair_recordings
+from devices.sensor import SensorFrame
+from devices.simulated.kinect import PERSON, SimulatedKinect, Truth, simulated_pair
+from devices.simulated.person import anatomy
+from devices.simulated.person.body_surface import capsules, flesh_over, visibility
+from fusion.body import AZURE_KINECT, BLAZEPOSE, Body
+from fusion.calibration.calibration import calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
+from fusion.errors import FusionError
+from fusion.setup import FuserSettings
+from fusion.skeleton import TrackingState
+from viewer_app.bench.accuracy_methods import RecordedPair, as_recorded
+from viewer_app.options.bench import BenchAccuracyOptions
+
+Array = NDArray[np.float64]
+HIDDEN = 0.35
+"""Visible share of a joint's surface below which it counts as hidden: the simulated trackers' own limit."""
+COMMON = tuple(name for name in BLAZEPOSE.joints if name in AZURE_KINECT.joints)
+"""Joints of both bodies, over which S* is compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What the tracker reported in T frames of one sensor, and the truth in the sensor's frame.
+
+    Attributes:
+        found: (T,) whether a person was reported.
+        half_visible: (T,) whether half of the joints are in the image.
+        errors: (T, J) metres; NaN where the joint has no position.
+        states: (T, J) tracking states.
+        visible: (T, J) visible share of each joint's surface.
+        along: (T, J) metres, error along the ray: positive is too far.
+        milliseconds: (T,) CPU time of the tracker.
+    """
+
+    found: NDArray[np.bool_]
+    half_visible: NDArray[np.bool_]
+    errors: Array
+    states: NDArray[np.uint8]
+    visible: Array
+    along: Array
+    milliseconds: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFigures:
+    """One scene: both views, and MPJPE of S* of both trackers over the common joints, metres."""
+
+    motion: str
+    angle: float
+    views: tuple[View, View]
+    fused_own: float
+    fused_azure: float
+
+
+def measure(
+    motion: str, angle: float, seed: int, seconds: float, depth: Any, settings: BlazePoseSettings
+) -> SceneFigures:
+    """Runs both trackers on one scene."""
+    sensors = simulated_pair(
+        motion=motion, angle_deg=angle, seed=seed, seconds=seconds, depth=depth, infrared=True
+    )
+    a, b, truth = sensors
+    own_frames, azure_frames, views = [], [], []
+    for which, sensor in enumerate((a, b)):
+        azure = list(sensor.frames())
+        own, view = track(sensor, which, azure, truth, settings)
+        own_frames.append(own)
+        azure_frames.append(azure)
+        views.append(view)
+    own_truth = Truth(replace(truth.scene, body=BLAZEPOSE), truth.rig)
+    return SceneFigures(
+        motion,
+        angle,
+        (views[0], views[1]),
+        fused_error(BLAZEPOSE, *own_frames, own_truth),
+        fused_error(AZURE_KINECT, *azure_frames, truth),
+    )
+
+
+def track(
+    sensor: SimulatedKinect,
+    which: int,
+    frames: Iterable[SensorFrame],
+    truth: Truth,
+    settings: BlazePoseSettings,
+) -> tuple[list[SensorFrame], View]:
+    """The frames with the people of our own tracker, and their figures."""
+    assert sensor.intrinsics is not None
+    rig, scene, lens = truth.rig, truth.scene, sensor.intrinsics
+    sensor_from_world = rig.world_from_sensor(which).inverse()
+    flesh = flesh_over(BLAZEPOSE) * (scene.height / anatomy.REFERENCE_HEIGHT)
+    tracked: list[SensorFrame] = []
+    rows = []
+    with BlazePose(settings) as tracker:
+        for k, frame in enumerate(frames):
+            assert frame.ir is not None
+            assert frame.depth is not None
+            marks = sensor_from_world.apply(
+                scene.motion.landmarks([rig.captured_at(which, k)], scene.height)[0]
+            )
+            true = marks[anatomy.landmarks_of(BLAZEPOSE)]
+            visible = visibility(true, capsules(marks, scene.height), flesh, lens)
+            pixels = lens.project(true)
+            inside = (pixels >= 0.0).all(axis=1) & (pixels < (lens.width, lens.height)).all(axis=1)
+            before = time.process_time()
+            people = tracker.track(frame.ir, frame.depth, lens, frame.time_ns)
+            spent = 1e3 * (time.process_time() - before)
+            skeleton = next(iter(people.values()), None)
+            people = {} if skeleton is None else {PERSON: skeleton}
+            tracked.append(with_witness(SensorFrame(frame.time_ns, people, frame.depth), lens))
+            off = np.full((len(BLAZEPOSE), 3), np.nan) if skeleton is None else skeleton.positions - true
+            states = np.zeros(len(BLAZEPOSE), np.uint8) if skeleton is None else skeleton.states
+            ray = true / np.linalg.norm(true, axis=1, keepdims=True)
+            rows.append(
+                (
+                    skeleton is not None,
+                    inside.mean() >= 0.5,
+                    np.linalg.norm(off, axis=1),
+                    states,
+                    visible,
+                    np.sum(off * ray, axis=1),
+                    spent,
+                )
+            )
+            if len(tracked) > 1:  # images of one frame only are needed
+                tracked[-2] = replace(tracked[-2], depth=None)
+    return tracked, View(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def fused_error(body: Body, a: list[SensorFrame], b: list[SensorFrame], truth: Truth) -> float:
+    """MPJPE of S*, as ``duplex fuse`` makes it, over the common joints after the start-up pose; metres."""
+    pairs = pair_recordings(a, b, PERSON, PERSON).pairs
+    times = np.array([pair.time_ns for pair in pairs])
+    skeletons = [pair.skeletons for pair in pairs]
+    try:
+        calibration = calibrate(body, *find_start_up_pose(body, skeletons))
+    except FusionError:
+        calibration = calibrate(body, [pair for pair in skeletons if pair.a and pair.b], "all pairs")
+    joints = truth.positions_at(times)
+    recording = RecordedPair(body, pairs, calibration, truth.rig.frame_seconds, joints)
+    found = as_recorded(FuserSettings(hindsight="labels"))(recording).joints
+    first = int(np.searchsorted(times * 1e-9, getattr(truth.scene.motion, "begins", 0.0)))
+    common = [body.joint(name) for name in COMMON]
+    return float(np.nanmean(np.linalg.norm(found - joints, axis=2)[first:, common]))
+
+
+def summary(scenes: Sequence[SceneFigures]) -> dict[str, float]:
+    """The figures of some scenes; metres, shares and milliseconds."""
+    views = [view for scene in scenes for view in scene.views]
+    found = np.concatenate([view.found[view.half_visible] for view in views])
+    errors, states, visible = (
+        np.concatenate([getattr(view, name) for view in views]) for name in ("errors", "states", "visible")
+    )
+    tracked = states == TrackingState.TRACKED
+    hidden = (visible < HIDDEN) & np.isfinite(errors)
+    own, azure = (
+        np.mean([getattr(scene, name) for scene in scenes]) for name in ("fused_own", "fused_azure")
+    )
+    return {
+        "images": float(len(found)),
+        "found": float(found.mean()),
+        "median": float(np.median(errors[tracked])),
+        "p90": float(np.percentile(errors[tracked], 90)),
+        "tracked": float(tracked.mean()),
+        "hidden": float(hidden.mean()),
+        "hidden_tracked": float(tracked[hidden].mean()),
+        "visible_tracked": float(tracked[visible > 0.9].mean()),
+        "own": float(own),
+        "azure": float(azure),
+        "ratio": float(own / azure),
+        "ms": float(np.median(np.concatenate([view.milliseconds for view in views]))),
+    }
+
+
+def by_joint(scenes: Sequence[SceneFigures]) -> dict[str, dict[str, float]]:
+    """Figures by joint, to see what limits the accuracy."""
+    views = [view for scene in scenes for view in scene.views]
+    errors, states, visible, along = (
+        np.concatenate([getattr(view, name) for view in views])
+        for name in ("errors", "states", "visible", "along")
+    )
+    table = {}
+    for j, name in enumerate(BLAZEPOSE.joints):
+        tracked = states[:, j] == TrackingState.TRACKED
+        hidden = visible[:, j] < HIDDEN
+        known = np.isfinite(errors[:, j])
+        some = errors[tracked, j]
+        table[name] = {
+            "median": float(np.median(some)) if some.size else np.nan,
+            "p90": float(np.percentile(some, 90)) if some.size else np.nan,
+            "along": float(np.median(along[tracked, j])) if some.size else np.nan,
+            "tracked": float(tracked.mean()),
+            "hidden": float(hidden.mean()),
+            "hidden_tracked": float(tracked[hidden & known].mean()) if (hidden & known).any() else np.nan,
+            "inferred_median": float(np.median(errors[known & ~tracked, j]))
+            if (known & ~tracked).any()
+            else np.nan,
+        }
+    return table
+
+
+_COLUMNS = (
+    ("images", "{:.0f}", 1.0), ("found", "{:.1f} %", 100.0), ("median", "{:.0f} mm", 1e3),
+    ("p90", "{:.0f} mm", 1e3), ("hidden_tracked", "{:.1f} %", 100.0), ("visible_tracked", "{:.1f} %", 100.0),
+    ("own", "{:.1f} mm", 1e3), ("azure", "{:.1f} mm", 1e3), ("ratio", "{:.2f}", 1.0), ("ms", "{:.1f}", 1.0),
+)  # fmt: skip
+
+
+def row(name: str, figures: dict[str, float]) -> str:
+    """A line of the table, in Markdown."""
+    return (
+        f"| {name} | " + " | ".join(form.format(scale * figures[key]) for key, form, scale in _COLUMNS) + " |"
+    )
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Runs the campaign."""
+    defaults = BenchAccuracyOptions()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--motions", nargs="+", default=list(defaults.motions))
+    parser.add_argument("--angles", nargs="+", type=float, default=list(defaults.angles))
+    parser.add_argument("--seed", type=int, default=5000)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--depth", choices=("half", "full"), default="full", help="size of the images")
+    parser.add_argument("--network", choices=("full", "lite"), default="full")
+    parser.add_argument("--tracker-model", type=Path)
+    parser.add_argument("--joints", action="store_true", help="figures by joint as well")
+    parser.add_argument("--json", type=Path)
+    o = parser.parse_args(arguments)
+    settings = BlazePoseSettings(network=o.network, models=o.tracker_model)
+    print("| | " + " | ".join(key for key, _, _ in _COLUMNS) + " |", flush=True)
+    print("|---|" + "---:|" * len(_COLUMNS), flush=True)
+    scenes = []
+    for angle in o.angles:
+        here = []
+        for motion in o.motions:
+            here.append(measure(motion, angle, o.seed, o.seconds, o.depth, settings))
+            print(row(f"{angle:g}° {motion}", summary(here[-1:])), flush=True)
+        scenes += here
+    for angle in o.angles:
+        print(row(f"{angle:g}°", summary([scene for scene in scenes if scene.angle == angle])))
+    print(row("all", summary(scenes)))
+    if o.joints:
+        for name, figures in by_joint(scenes).items():
+            print(f"{name:15}", {key: round(value, 3) for key, value in figures.items()})
+    if o.json is not None:
+        content = {"summary": summary(scenes), "joints": by_joint(scenes)}
+        o.json.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

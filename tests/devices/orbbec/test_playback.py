@@ -1,0 +1,103 @@
+"""Recordings of Orbbec's SDK v2, through the stand-in's ``PlaybackDevice``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.blazepose.blazepose import BlazePose
+from devices.orbbec.playback import OrbbecRecording
+from devices.sensor import DeviceError
+from devices.sources import frame_count, open_source
+from devices.tracker_choice import TrackerChoice
+from devices.two_recordings import RecordingChoice, read_two
+from fusion.body import BLAZEPOSE
+from fusion.skeleton import Skeleton
+from tests.helpers.orbbec.standin import Bag, Orbbec, OrbbecBus
+from tests.helpers.two_views import A_FROM_B, moving
+
+OURS = TrackerChoice("blazepose", "a test")
+
+
+def _bag(bus: OrbbecBus, path: Path, frames: int = 5, **faults: object) -> Path:
+    path.touch()
+    ends = bool(faults.pop("ends", True))
+    bus.bags[str(path)] = Bag(Orbbec(path.stem, **faults), frames, ends)  # type: ignore[arg-type]
+    return path
+
+
+def test_a_recording_gives_its_frames_and_ends(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+    path = _bag(orbbecs, tmp_path / "a.bag")
+    with OrbbecRecording(path) as recording:
+        frames = list(recording.frames())
+        assert recording.intrinsics is not None
+        assert (recording.intrinsics.width, recording.intrinsics.fx) == (640, 504)
+        assert (recording.duration_ns, recording.interval_ns) == (166_000_000, 33_333_333)
+    assert [frame.time_ns for frame in frames] == [1_000_000_000 + 33_333_000 * k for k in range(1, 6)]
+    assert all(frame.depth is not None and frame.ir is not None for frame in frames)
+    assert recording.warnings == []
+    assert orbbecs.running == []
+
+
+def test_frames_that_are_missing_are_counted(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+    path = _bag(orbbecs, tmp_path / "a.bag", skips=2)
+    with OrbbecRecording(path) as recording:
+        assert len(list(recording.frames())) == 5
+    assert "8 frames are missing" in recording.warnings[0]
+
+
+def test_a_recording_that_never_says_that_it_ends_is_left(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+    path = _bag(orbbecs, tmp_path / "a.bag", ends=False)
+    now = [0.0]
+
+    def clock() -> float:
+        now[0] += 1.0
+        return now[0]
+
+    with OrbbecRecording(path, clock) as recording:
+        assert len(list(recording.frames())) == 5
+
+
+def test_what_is_no_recording_is_called_so(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+    other = tmp_path / "other.bag"
+    with pytest.raises(DeviceError, match="No file"):
+        OrbbecRecording(other).__enter__()
+    other.write_bytes(b"something else")
+    with pytest.raises(DeviceError, match=r"other\.bag cannot be read \(Error reading.*OrbbecViewer"):
+        OrbbecRecording(other).__enter__()
+    blind = _bag(orbbecs, tmp_path / "blind.bag", sizes=())
+    with pytest.raises(DeviceError, match=r"blind\.bag has no depth stream"):
+        OrbbecRecording(blind).__enter__()
+
+
+def test_two_recordings_are_tracked_by_our_tracker(
+    orbbecs: OrbbecBus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = moving(BLAZEPOSE, 20)
+    for name in "ab":
+        _bag(orbbecs, tmp_path / f"{name}.bag", 20)
+    monkeypatch.setattr(BlazePose, "__enter__", lambda self: self)
+
+    def track(
+        _self: BlazePose, image: np.ndarray, depth: np.ndarray, _camera: object, time_ns: int
+    ) -> dict[str, Skeleton]:
+        assert image.shape == depth.shape
+        seen = truth[int(depth[0, 0]) - 2001]  # the stand-in's depth numbers its frames
+        return {"1": Skeleton.of(BLAZEPOSE, A_FROM_B.inverse().apply(seen), time_ns=time_ns)}
+
+    monkeypatch.setattr(BlazePose, "track", track)
+    read = read_two(RecordingChoice(tmp_path / "a.bag"), RecordingChoice(tmp_path / "b.bag"), OURS)
+    assert read.body is BLAZEPOSE
+    assert len(read.pairing.pairs) == 20
+    assert read.tracker == "blazepose full"
+    with open_source(tmp_path / "a.bag", tracker=OURS) as source:
+        assert frame_count(source) == 20
+
+
+def test_k4abt_cannot_be_asked_for(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+    path = _bag(orbbecs, tmp_path / "a.bag")
+    with pytest.raises(DeviceError, match=r"a\.bag: k4abt takes images of libk4a only"):
+        open_source(path, tracker=TrackerChoice("k4abt", "asked for with --tracker", asked=True))
+    assert open_source(path, tracker=TrackerChoice("k4abt", "it works")).body is BLAZEPOSE

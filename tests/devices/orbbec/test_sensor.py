@@ -1,0 +1,261 @@
+"""Orbbec sensors, through a stand-in for pyorbbecsdk with the real module's names."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from devices.live.frame_decimation import FrameDecimation
+from devices.live.sensor_thread import SensorThread
+from devices.orbbec.installing import how_to_install
+from devices.orbbec.sdk_access import ConnectedOrbbec, connected_orbbecs, load_sdk
+from devices.orbbec.sensor import OrbbecSensor
+from devices.orbbec.settings import OrbbecSettings
+from devices.sensor import AbsentError, CountsMissed, DeviceError, Interruptible
+from tests.helpers.orbbec import standin_values as values
+from tests.helpers.orbbec.standin import JPEG, Orbbec, OrbbecBus
+
+A, B = "CL8H741005K", "CL8H7410123"
+MODES = values.OBMultiDeviceSyncMode
+
+
+@pytest.fixture
+def two(orbbecs: OrbbecBus) -> OrbbecBus:
+    orbbecs.devices = [Orbbec(A), Orbbec(B)]
+    return orbbecs
+
+
+def _sensor(serial: str = A, **settings: object) -> OrbbecSensor:
+    return OrbbecSensor(serial, OrbbecSettings(**settings))  # type: ignore[arg-type]
+
+
+def test_listing_opens_nothing_and_takes_one_context(two: OrbbecBus) -> None:
+    two.devices[1].busy = True
+    expected = [ConnectedOrbbec(serial, "Orbbec Femto Bolt", "USB3.2") for serial in (A, B)]
+    assert connected_orbbecs() == connected_orbbecs() == expected
+    assert two.contexts == 1, "each context searches the buses with threads of its own"
+    assert two.log_level is values.OBLogLevel.NONE
+    assert two.open_serials == []
+
+
+def test_frames_carry_depth_infrared_and_the_sensors_own_time(two: OrbbecBus) -> None:
+    before_ns = time.perf_counter_ns() - 1000  # the SDK's times are whole microseconds
+    with _sensor() as sensor:
+        assert two.open_serials == [A]
+        first, second = itertools.islice(sensor.frames(), 2)
+    assert (first.time_ns, second.time_ns) == (1_033_333_000, 1_066_666_000)
+    assert first.depth is not None
+    assert first.ir is not None
+    assert (first.depth.shape, first.depth.dtype, int(first.depth[0, 0])) == ((576, 640), np.uint16, 2001)
+    assert (first.ir.shape, first.ir.dtype, int(first.ir[0, 0])) == ((576, 640), np.uint16, 90)
+    assert first.people == {}
+    assert first.host_ns is not None
+    assert before_ns <= first.host_ns <= time.perf_counter_ns()
+    assert two.devices[0].synced_with_host == 1
+    assert (two.open_serials, two.running) == ([], [])
+
+
+def test_intrinsics_are_the_sdks_in_opencvs_order(two: OrbbecBus) -> None:
+    with _sensor() as sensor:
+        lens = sensor.intrinsics
+    assert lens is not None
+    assert (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy) == (640, 576, 504, 505, 332, 348)
+    assert lens.distortion == (0.5, -0.02, 1e-5, -7e-5, -0.003, 0.9, 0.09, -0.01)
+    assert sensor.warnings == []
+    two.devices[0].distortion = "KANNALA_BRANDT4"
+    with _sensor() as sensor:
+        assert sensor.intrinsics is not None
+        assert sensor.intrinsics.distortion == (), "not OpenCV's model"
+        assert "KANNALA_BRANDT4 is not known" in sensor.warnings[0]
+
+
+def test_colour_comes_as_the_camera_compressed_it_with_lens_and_place(two: OrbbecBus) -> None:
+    with _sensor(color="720P") as sensor:
+        (frame,) = itertools.islice(sensor.frames(), 1)
+    assert frame.color is not None
+    assert frame.color.jpeg == JPEG
+    assert frame.color.camera.intrinsics.width == 1280
+    assert frame.color.camera.color_from_depth.translation.tolist() == pytest.approx([-0.032, 0.0, 0.004])
+    two.devices[0].color = False  # the camera fails
+    with _sensor(color="720P") as sensor:
+        (frame,) = itertools.islice(sensor.frames(), 1)
+    assert frame.color is None
+    assert frame.depth is not None
+    modes = [configuration._mode for configuration in two.configurations]
+    assert modes == [values.OBFrameAggregateOutputMode.ANY_SITUATION] * 2, "depth never waits for colour"
+
+
+def test_depth_and_infrared_of_one_moment_are_joined_where_they_come_apart(two: OrbbecBus) -> None:
+    two.devices[0].apart = True
+    with _sensor() as sensor:
+        frames = list(itertools.islice(sensor.frames(), 3))
+    assert np.diff([frame.time_ns for frame in frames]).tolist() == [33_333_000] * 2
+    assert all(frame.ir is not None and frame.depth is not None for frame in frames)
+
+
+def test_a_stereo_sensor_gives_millimetres_and_8_bit_infrared(orbbecs: OrbbecBus) -> None:
+    orbbecs.devices = [Orbbec.gemini("AY8T43E0031", scale=0.5, stereo=True)]
+    with _sensor("AY8T43E0031") as sensor:
+        assert sensor.intrinsics is not None
+        assert (sensor.intrinsics.width, sensor.intrinsics.height) == (640, 400), "nearest to 640 wide"
+        (frame,) = itertools.islice(sensor.frames(), 1)
+    assert frame.depth is not None
+    assert frame.ir is not None
+    assert int(frame.depth[0, 0]) == round(2001 * 0.5)
+    assert int(frame.ir[0, 0]) == 90
+    with pytest.raises(DeviceError, match=r"no depth mode WFOV_2X2BINNED.*640×400; leave --depth-mode out"):
+        _sensor("AY8T43E0031", depth_mode="WFOV_2X2BINNED").__enter__()
+
+
+def test_the_wide_mode_is_512_pixels(two: OrbbecBus) -> None:
+    assert two.devices
+    with _sensor(depth_mode="WFOV_2X2BINNED", fps=15) as sensor:
+        assert sensor.intrinsics is not None
+        assert (sensor.intrinsics.width, sensor.intrinsics.height) == (512, 512)
+    assert {profile.get_fps() for profile in two.configurations[0]._profiles} == {15}
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"depth_mode": "PASSIVE_IR"}, "No depth mode PASSIVE_IR. There are NFOV_UNBINNED"),
+        ({"color": "3072P"}, "have no colour 3072P: 720P"),
+        ({"color": "1440P"}, r"no colour 1440P \(MJPG\) at 30 fps\. It has 1080P, 720P"),
+    ],
+)
+def test_a_mode_the_sensor_lacks_is_refused(
+    two: OrbbecBus, settings: dict[str, object], message: str
+) -> None:
+    with pytest.raises(DeviceError, match=message):
+        _sensor(**settings).__enter__()
+    assert two.open_serials == []
+
+
+def test_a_sensor_without_infrared_of_depths_size_is_refused(two: OrbbecBus) -> None:
+    two.devices[0].infrared_sizes = ((1280, 800),)
+    with pytest.raises(DeviceError, match="no infrared image of its depth image's size"):
+        _sensor().__enter__()
+    two.devices[0].infrared_sizes, two.devices[0].calibrated = None, False
+    with pytest.raises(DeviceError, match="gives no calibration"):
+        _sensor().__enter__()
+    assert two.open_serials == []
+
+
+def test_the_sensor_takes_its_place_on_the_sync_cable(orbbecs: OrbbecBus) -> None:
+    orbbecs.devices = [Orbbec(A), Orbbec.gemini("AY8T43E0031"), Orbbec(B)]
+    with _sensor(A, sync="secondary"), _sensor("AY8T43E0031", sync="secondary"), _sensor(B, sync="primary"):
+        femto, gemini, primary = (device.sync for device in orbbecs.devices)
+    assert (femto["mode"], femto["delay_us"], femto["color_delay_us"]) == (MODES.SECONDARY, 160, 160)
+    assert (gemini["mode"], gemini["delay_us"]) == (MODES.SECONDARY_SYNCED, 160)
+    assert (primary["mode"], primary["delay_us"], primary["out"]) == (MODES.PRIMARY, 0, True)
+    assert orbbecs.started == [A, "AY8T43E0031", B]
+
+
+def test_a_sensor_that_was_left_a_secondary_is_told_that_it_stands_alone(two: OrbbecBus) -> None:
+    two.devices[0].sync = {"mode": MODES.SECONDARY, "delay_us": 160}
+    with _sensor() as sensor:
+        next(sensor.frames())
+    assert two.devices[0].sync["mode"] is MODES.STANDALONE
+
+
+def test_a_sensor_that_drops_its_delay_is_named(two: OrbbecBus) -> None:
+    two.devices[0].keeps_delay = False
+    with _sensor(sync="secondary") as sensor:
+        assert "captures 0 µs after the pulse instead of 160 µs" in sensor.warnings[0]
+
+
+def test_a_sensor_without_a_sync_port_runs_alone_only(two: OrbbecBus) -> None:
+    two.devices[0].modes = ()
+    with _sensor() as sensor:
+        next(sensor.frames())
+    with pytest.raises(DeviceError, match="cannot be a sync cable's primary"):
+        _sensor(sync="primary").__enter__()
+    assert two.open_serials == []
+
+
+def test_frames_without_the_sensors_time_have_the_hosts_and_a_warning(two: OrbbecBus) -> None:
+    two.devices[0].timed = False
+    with _sensor() as sensor:
+        (frame,) = itertools.islice(sensor.frames(), 1)
+        assert frame.time_ns == frame.host_ns
+        assert "gives no times of its own clock" in sensor.warnings[0]
+
+
+def test_the_newest_of_the_waiting_frames_is_taken(two: OrbbecBus) -> None:
+    two.devices[0].waiting = 4
+    with _sensor() as sensor:
+        assert isinstance(sensor, CountsMissed)
+        first, second = itertools.islice(sensor.frames(), 2)
+    assert second.time_ns - first.time_ns == 5 * 33_333_000
+    assert sensor.missed == 8
+    assert set(two.timeouts) == {1000, 0}, "every wait is finite"
+
+
+def test_frames_that_the_sdk_had_no_room_for_are_counted(two: OrbbecBus) -> None:
+    two.devices[0].skips = 3
+    thread = SensorThread(sensor := _sensor())
+    with sensor:
+        list(itertools.islice(sensor.frames(), 3))
+    assert sensor.missed == thread.dropped == 6, "before the first frame nothing is known"
+
+
+def test_two_sensors_leave_out_the_same_moments(two: OrbbecBus) -> None:
+    assert two.devices
+    decimation = FrameDecimation(30)
+    with OrbbecSensor(A, decimation=decimation) as sensor:
+        frames = sensor.frames()
+        next(frames)
+        for _ in range(10):
+            decimation.tracked(A, 50_000_000)  # a tracker that takes 50 ms
+        times = [frame.time_ns for frame in itertools.islice(frames, 4)]
+    assert decimation.step == 2
+    assert np.diff(times).tolist() == [2 * 33_333_000] * 3
+    assert sensor.missed == 0, "left out on purpose"
+
+
+def test_interrupting_ends_the_wait_of_a_silent_sensor(two: OrbbecBus) -> None:
+    two.devices[0].silent = two.devices[0].paced = True
+    sensor = _sensor(stall_s=1e9, timeout_ms=10)
+    assert isinstance(sensor, Interruptible)
+    with sensor:
+        threading.Timer(0.05, sensor.interrupt).start()
+        assert list(sensor.frames()) == []
+
+
+def test_a_hundred_openings_leave_nothing_open(two: OrbbecBus) -> None:
+    def cycle() -> None:
+        with SensorThread(_sensor()) as thread:
+            while thread.received == 0:
+                thread.arrival.wait(10.0)
+                thread.arrival.clear()
+
+    cycle()
+    before = threading.active_count()
+    for _ in range(100):
+        cycle()
+    assert (threading.active_count(), two.open_serials, two.running, two.contexts) == (before, [], [], 1)
+
+
+def test_a_sensor_that_is_not_there_is_told_cheaply(two: OrbbecBus) -> None:
+    assert two.devices
+    with pytest.raises(AbsentError, match=rf"No Orbbec sensor with serial 999\. Connected: {A}, {B}"):
+        _sensor("999").__enter__()
+
+
+def test_without_the_package_the_way_to_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
+    with pytest.raises(DeviceError, match=r"pyorbbecsdk2.*pip install --no-deps pyorbbecsdk2"):
+        connected_orbbecs()
+    assert "3.11 to 3.13 only" in how_to_install((3, 14))
+
+
+def test_the_bindings_of_the_old_sdk_are_refused(orbbecs: OrbbecBus, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert orbbecs.devices == []
+    monkeypatch.delattr(sys.modules["pyorbbecsdk"], "PlaybackDevice")
+    with pytest.raises(DeviceError, match="is of Orbbec's SDK v1; this program needs v2"):
+        load_sdk()

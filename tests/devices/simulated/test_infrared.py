@@ -1,0 +1,158 @@
+"""Claims about the simulated infrared images and the dressed person in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from devices.sensor import DeviceError
+from devices.simulated.imaging.infrared import InfraredModel, Material, infrared_image
+from devices.simulated.imaging.rendering import FLOOR, NOTHING, WALL, surface
+from devices.simulated.kinect import simulated_pair
+from devices.simulated.person.anatomy import INDEX, LANDMARKS
+from devices.simulated.person.body_surface import capsules
+from devices.simulated.person.clothed_surface import clothed_capsules, materials
+from devices.simulated.person.movements import MOTIONS
+from devices.simulated.rig import Rig
+from fusion.intrinsics import NOMINAL_INTRINSICS
+from fusion.rigid import RigidTransform
+
+LENS = NOMINAL_INTRINSICS["azure_kinect"]
+SILENT = InfraredModel(read_noise=0.0, shot_noise=0.0)
+NO_CAPSULES = np.zeros(0, np.int8)
+
+
+def exposed(z: float, cosine: float, label: int, model: InfraredModel = SILENT) -> np.ndarray:
+    """An image of one surface that fills the view."""
+    size = (LENS.height, LENS.width)
+    return infrared_image(
+        np.full(size, z, np.float32),
+        np.full(size, label, np.int8),
+        np.full(size, cosine, np.float32),
+        NO_CAPSULES,
+        model.illumination(LENS),
+        model,
+        np.random.default_rng(0),
+    )
+
+
+def test_brightness_follows_from_material_distance_angle_and_place_in_the_image() -> None:
+    middle = round(LENS.cy), round(LENS.cx)
+    gain, wall = SILENT.gain, float(SILENT.reflectance[Material.WALL])
+    # Rounding to whole counts; the middle pixel is half a pixel off the axis.
+    assert exposed(1.0, 1.0, WALL)[middle] == pytest.approx(gain * wall, abs=0.6)
+    assert exposed(2.0, 1.0, WALL)[middle] == pytest.approx(gain * wall / 4.0, abs=0.6)
+    assert exposed(2.0, 0.5, WALL)[middle] == pytest.approx(gain * wall / 8.0, abs=0.6)
+    floor = float(SILENT.reflectance[Material.FLOOR])
+    assert exposed(2.0, 1.0, FLOOR)[middle] == pytest.approx(gain * floor / 4.0, abs=0.6)
+    assert not exposed(2.0, 1.0, NOTHING).any()
+    # A corner is farther away than z, and the illuminator is weaker there.
+    x, y = -LENS.cx / LENS.fx, -LENS.cy / LENS.fy
+    cosine = 1.0 / np.sqrt(1.0 + x * x + y * y)
+    corner = gain * wall * cosine**2 * cosine**SILENT.vignetting
+    assert exposed(1.0, 1.0, WALL)[0, 0] == pytest.approx(corner, abs=0.6)
+
+
+@pytest.mark.parametrize("z", [1.0, 2.0])
+def test_noise_is_shot_and_read_noise_and_binning_halves_it(z: float) -> None:
+    for model, factor in ((InfraredModel(), 1.0), (InfraredModel().binned(), 0.5)):
+        noise = exposed(z, 1.0, WALL, model).astype(float) - exposed(z, 1.0, WALL).astype(float)
+        middle = noise[238:338, 270:370]
+        counts = exposed(z, 1.0, WALL)[288, 320]
+        expected = factor * np.sqrt(model.read_noise**2 / factor**2 + InfraredModel().shot_noise * counts)
+        # 10,000 samples: 0.7 %, five times that; the light varies by 3 % over them, the noise by half of it;
+        # rounding adds 1/12 twice.
+        assert np.std(middle) == pytest.approx(np.hypot(expected, np.sqrt(1 / 6)), rel=0.05)
+
+
+def test_dark_and_saturated_pixels_stay_within_16_bits() -> None:
+    assert exposed(0.05, 1.0, WALL).max() == 65535
+    dark = exposed(50.0, 1.0, WALL, InfraredModel())
+    assert dark.min() == 0
+    assert dark.max() < 10 * InfraredModel().read_noise
+
+
+@pytest.mark.parametrize(("name", "time"), [("arms", 6.9), ("walk", 8.6), ("sit", 8.0), ("badminton", 6.0)])
+def test_the_clothes_move_with_the_person(name: str, time: float) -> None:
+    """Every point of the dressed surface is rigid with its segment, whatever the pose."""
+    rest, posed = (MOTIONS[motion].landmarks(at)[0] for motion, at in (("startup", 0.0), (name, time)))
+    turned = RigidTransform.of(
+        np.array(((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))), (1.0, 2.0, 3.0)
+    )
+    # The same weights in any frame: they sum to one.
+    moved = clothed_capsules(turned.apply(posed))
+    np.testing.assert_allclose(moved[:, :3], turned.apply(clothed_capsules(posed)[:, :3]), atol=1e-9)
+    head = [INDEX["HEAD"], INDEX["NOSE"], INDEX["HEAD_TOP"], INDEX["EAR_LEFT"]]
+    eyes = materials() == Material.DARK
+    for marks, shapes in ((rest, clothed_capsules(rest)), (posed, clothed_capsules(posed))):
+        apart = np.linalg.norm(shapes[eyes][:, None, :3] - marks[head], axis=2)
+        expected = np.linalg.norm(clothed_capsules(rest)[eyes][:, None, :3] - rest[head], axis=2)
+        np.testing.assert_allclose(apart, expected, atol=1e-9)
+
+
+def test_left_and_right_of_the_dressed_person_are_mirror_images() -> None:
+    upright = MOTIONS["startup"].landmarks(0.0)[0]
+    mirrored = upright * (-1.0, 1.0, 1.0)
+    names = [n.replace("LEFT", "?").replace("RIGHT", "LEFT").replace("?", "RIGHT") for n in LANDMARKS]
+    symmetric = 0.5 * (upright + mirrored[[INDEX[name] for name in names]])
+    shapes = clothed_capsules(symmetric)
+
+    def ends(at: np.ndarray) -> list[tuple[float, ...]]:
+        halves = [sorted((tuple(row[:3]), tuple(row[3:6]))) for row in at]
+        return sorted((*one, *other, *radius) for (one, other), radius in zip(halves, at[:, 6:], strict=True))
+
+    flipped = shapes * (-1.0, 1.0, 1.0, -1.0, 1.0, 1.0, 1.0)
+    np.testing.assert_allclose(ends(np.round(shapes, 9)), ends(np.round(flipped, 9)), atol=1e-6)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize(("name", "time"), [("startup", 1.0), ("arms", 6.9), ("walk", 8.6), ("sit", 8.0)])
+def test_the_dressed_surface_lies_about_the_plain_one(name: str, time: float, which: int) -> None:
+    """Depth differs by clothes and fingers only: the tracker's errors were fitted to the plain surface."""
+    sensor_from_world = Rig().world_from_sensor(which).inverse()
+    marks = sensor_from_world.apply(MOTIONS[name].landmarks(time)[0])
+    plain, plain_label, _ = surface(capsules(marks), sensor_from_world, LENS)
+    dressed, dressed_label, _ = surface(clothed_capsules(marks), sensor_from_world, LENS)
+    both = (plain_label >= 0) & (dressed_label >= 0)
+    assert both.sum() > 0.9 * (plain_label >= 0).sum()
+    # Sleeves and trousers are at most 15 mm thicker than the limb in them.
+    assert np.percentile(np.abs(plain - dressed)[both], 90) < 0.020
+
+
+def test_infrared_changes_no_skeleton_and_the_same_seed_gives_the_same_images() -> None:
+    a, _, _ = simulated_pair(motion="walk", seed=7, seconds=0.2, depth="half")
+    dressed, _, _ = simulated_pair(motion="walk", seed=7, seconds=0.2, depth="half", infrared=True)
+    for plain, frame in zip(a.frames(), dressed.frames(), strict=True):
+        assert plain.ir is None
+        assert frame.ir is not None
+        assert frame.depth is not None
+        assert plain.depth is not None
+        assert frame.ir.shape == frame.depth.shape
+        assert frame.ir.dtype == np.uint16
+        for who, skeleton in plain.people.items():
+            np.testing.assert_array_equal(skeleton.positions, frame.people[who].positions)
+            np.testing.assert_array_equal(skeleton.states, frame.people[who].states)
+    again, _, _ = simulated_pair(motion="walk", seed=7, seconds=0.2, depth="half", infrared=True)
+    for frame, same in zip(dressed.frames(), again.frames(), strict=True):
+        np.testing.assert_array_equal(frame.ir, same.ir)
+
+
+def test_face_and_hair_differ_so_that_front_and_back_do() -> None:
+    """The head is bright from in front and dark from behind."""
+    brightness = []
+    for angle in (0.0, 180.0):  # from in front; a person turned by half a turn
+        marks = MOTIONS["startup"].landmarks(1.0)[0]
+        half_turn = RigidTransform.of(np.diag((-1.0, 1.0, -1.0)), np.zeros(3))
+        sensor_from_world = Rig(angle_deg=0.0).world_from_sensor(0).inverse()
+        seen = sensor_from_world.apply(half_turn.apply(marks) if angle else marks)
+        z, label, cosine = surface(clothed_capsules(seen), sensor_from_world, LENS)
+        light = SILENT.illumination(LENS)
+        image = infrared_image(z, label, cosine, materials(), light, SILENT, np.random.default_rng(0))
+        u, v = np.rint(LENS.project(seen[INDEX["HEAD"]])).astype(int)
+        brightness.append(float(np.median(image[v - 12 : v + 8, u - 8 : u + 8])))
+    assert brightness[0] > 2.0 * brightness[1]
+
+
+def test_infrared_without_depth_is_refused() -> None:
+    with pytest.raises(DeviceError, match="depth"):
+        simulated_pair(depth="none", infrared=True)

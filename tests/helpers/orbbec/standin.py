@@ -1,0 +1,396 @@
+"""A stand-in for the module pyorbbecsdk of pyorbbecsdk2 2.1.2, and the sensors behind it.
+
+``tests/devices/orbbec/test_contract.py`` holds it and the real library to the same clauses, and compares the
+names of their classes: the stand-in has nothing that the real library lacks.
+"""
+
+from __future__ import annotations
+
+import gc
+import sys
+import time
+import types
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.helpers.orbbec import standin_values as values
+from tests.helpers.orbbec.standin_values import OBError
+
+JPEG = b"\xff\xd8 a colour image \xff\xd9"
+FEMTO_SIZES = ((640, 576), (320, 288), (512, 512))
+GEMINI_SIZES = ((1280, 800), (640, 400), (320, 200))
+_MODES = values.OBMultiDeviceSyncMode
+_FEMTO_MODES = (_MODES.STANDALONE, _MODES.PRIMARY, _MODES.SECONDARY)
+_GEMINI_MODES = (_MODES.FREE_RUN, _MODES.STANDALONE, _MODES.PRIMARY, _MODES.SECONDARY_SYNCED)
+
+
+@dataclass(eq=False)
+class Orbbec:
+    """One sensor on the stand-in's bus, and what is wrong with it."""
+
+    serial: str
+    model: str = "Orbbec Femto Bolt"
+    connection: str = "USB3.2"
+    firmware: str = "1.1.3"
+    sizes: tuple[tuple[int, int], ...] = FEMTO_SIZES
+    infrared_sizes: tuple[tuple[int, int], ...] | None = None
+    infrared: str = "Y16"
+    stereo: bool = False
+    modes: tuple[object, ...] = _FEMTO_MODES
+    scale: float = 1.0
+    plugged: bool = True
+    busy: bool = False
+    starts: bool = True
+    silent: bool = False
+    blind: bool = False  # sets of frames without depth
+    color: bool = True  # the colour camera works
+    apart: bool = False  # depth and infrared come in sets of their own
+    timed: bool = True  # frames have a time of the sensor's clock
+    calibrated: bool = True
+    distortion: str = "BROWN_CONRADY_K6"
+    keeps_delay: bool = True
+    paced: bool = False  # frames come when they are due; otherwise one per wait
+    waiting: int = 0  # sets of frames that wait in the SDK's queue beside the one that is waited for
+    skips: int = 0  # frames that the full queue dropped before each one
+    interval_us: int = 33_333
+    clock_us: int = 1_000_000
+    given: int = 0
+    synced_with_host: int = 0
+    at: dict[int, Callable[[], object]] = field(default_factory=dict)  # what happens at which frame
+    sync: dict[str, Any] = field(default_factory=lambda: {"mode": _MODES.STANDALONE, "delay_us": 0})
+    opened: weakref.WeakSet[object] = field(default_factory=weakref.WeakSet)
+
+    @classmethod
+    def gemini(cls, serial: str, **more: object) -> Orbbec:
+        """A Gemini 2: active stereo, other sizes, 8-bit infrared, SECONDARY_SYNCED."""
+        of_it = {"model": "Orbbec Gemini 2", "sizes": GEMINI_SIZES, "infrared": "Y8", "modes": _GEMINI_MODES}
+        return cls(serial, **{**of_it, "firmware": "1.4.98", "distortion": "NONE", **more})  # type: ignore[arg-type]
+
+
+@dataclass(eq=False)
+class Bag:
+    """A recording: what it plays, and what is wrong with it."""
+
+    sensor: Orbbec
+    frames: int
+    ends: bool = True  # says that it has stopped
+
+
+class OrbbecBus:
+    """What is plugged in, what is recorded, and what the module was asked."""
+
+    def __init__(self) -> None:
+        self.devices: list[Orbbec] = []
+        self.bags: dict[str, Bag] = {}
+        self.contexts = 0
+        self.log_level: object = None
+        self.timeouts: list[int] = []
+        self.started: list[str] = []
+        self.configurations: list[values.Config] = []
+        self.running: list[str] = []
+        self.fault: Exception | None = None  # of the search for sensors
+
+    def plugged(self) -> list[Orbbec]:
+        return [device for device in self.devices if device.plugged]
+
+    @property
+    def open_serials(self) -> list[str]:
+        gc.collect()  # references in the tracebacks of faults
+        return [device.serial for device in self.devices if len(device.opened)]
+
+
+def make_module(bus: OrbbecBus) -> types.ModuleType:
+    module = types.ModuleType("pyorbbecsdk")
+
+    class DeviceInfo:
+        def __init__(self, sensor: Orbbec) -> None:
+            self._sensor = sensor
+
+        def get_serial_number(self) -> str:
+            return self._sensor.serial
+
+        def get_name(self) -> str:
+            return self._sensor.model
+
+        def get_firmware_version(self) -> str:
+            return self._sensor.firmware
+
+    class Device:
+        def __init__(self, sensor: Orbbec) -> None:
+            self._sensor = sensor
+            sensor.opened.add(self)
+
+        def get_device_info(self) -> DeviceInfo:
+            return DeviceInfo(self._sensor)
+
+        def get_supported_multi_device_sync_mode_bitmap(self) -> int:
+            return sum(int(mode) for mode in self._sensor.modes)  # type: ignore[call-overload]
+
+        def get_multi_device_sync_config(self) -> values.OBMultiDeviceSyncConfig:
+            if not self._sensor.modes:
+                raise OBError("not supported")
+            found = values.OBMultiDeviceSyncConfig()
+            found.mode, found.depth_delay_us = self._sensor.sync["mode"], self._sensor.sync["delay_us"]
+            return found
+
+        def set_multi_device_sync_config(self, wanted: values.OBMultiDeviceSyncConfig) -> None:
+            if wanted.mode not in self._sensor.modes:
+                raise OBError("Invalid sync mode")
+            delay_us = wanted.depth_delay_us if self._sensor.keeps_delay else 0
+            self._sensor.sync = {
+                "mode": wanted.mode,
+                "delay_us": delay_us,
+                "color_delay_us": wanted.color_delay_us,
+                "out": wanted.trigger_out_enable,
+            }
+
+        def timer_sync_with_host(self) -> None:
+            self._sensor.synced_with_host += 1
+
+    class DeviceList:
+        def __init__(self) -> None:
+            self._devices = bus.plugged()
+
+        def _at(self, index: int) -> Orbbec:
+            if not 0 <= index < len(self._devices):
+                raise OBError('Invalid index value for argument "index"')
+            return self._devices[index]
+
+        def get_count(self) -> int:
+            return len(self._devices)
+
+        def __len__(self) -> int:
+            return len(self._devices)
+
+        def get_device_serial_number_by_index(self, index: int) -> str:
+            return self._at(index).serial
+
+        def get_device_name_by_index(self, index: int) -> str:
+            return self._at(index).model
+
+        def get_device_connection_type_by_index(self, index: int) -> str:
+            return self._at(index).connection
+
+        def get_device_by_index(self, index: int) -> Device:
+            return self._opened(self._at(index))
+
+        def get_device_by_serial_number(self, serial_number: str) -> Device:
+            for sensor in self._devices:
+                if sensor.serial == serial_number:
+                    return self._opened(sensor)
+            raise OBError(f"Device not found by serial number: {serial_number}")
+
+        def _opened(self, sensor: Orbbec) -> Device:
+            if sensor.busy:
+                raise OBError("Failed to open the device: libusb error -6")
+            return Device(sensor)
+
+    class Context:
+        @staticmethod
+        def set_logger_level(level: object) -> None:
+            assert isinstance(level, values.OBLogLevel)
+            bus.log_level = level
+
+        def __init__(self) -> None:
+            bus.contexts += 1
+            self._clock: object = values.OBClockType.REALTIME
+
+        def query_devices(self) -> DeviceList:
+            if bus.fault is not None:
+                raise bus.fault
+            return DeviceList()
+
+        def get_timestamp_clock_type(self) -> object:
+            return self._clock
+
+        def set_timestamp_clock_type(self, clock_type: object) -> None:
+            self._clock = clock_type
+
+    class PlaybackDevice(Device):
+        def __init__(self, file: str) -> None:
+            if file not in bus.bags:
+                raise RuntimeError(
+                    "Error reading from file: wanted 2021161080 bytes, read 96 bytes"
+                    if Path(file).exists()
+                    else f"Error opening file: {file}"
+                )
+            super().__init__(bus.bags[file].sensor)
+            self._bag = bus.bags[file]
+
+        def get_duration(self) -> int:
+            return self._bag.frames * self._bag.sensor.interval_us // 1000
+
+        def get_playback_status(self) -> object:
+            over = self._bag.sensor.given >= self._bag.frames and self._bag.ends
+            return values.OBPlaybackStatus.STOPPED if over else values.OBPlaybackStatus.PLAYING
+
+    class Pipeline:
+        def __init__(self, device: Device | None = None) -> None:
+            if device is None:
+                raise RuntimeError("No device found")
+            self._device, self._running = device, False
+            self._queue = 0
+            self._next_ns = 0
+
+        def get_stream_profile_list(self, sensor_type: object) -> values.StreamProfileList:
+            sensor, sensors = self._device._sensor, values.OBSensorType
+            infrared = sensors.LEFT_IR_SENSOR if sensor.stereo else sensors.IR_SENSOR
+            sizes, names = {
+                sensors.DEPTH_SENSOR: (sensor.sizes, ("Y16",)),
+                infrared: (sensor.infrared_sizes or sensor.sizes, (sensor.infrared,)),
+                sensors.COLOR_SENSOR: (((1920, 1080), (1280, 720)), ("MJPG",)),
+            }.get(sensor_type, ((), ()))
+            if not sizes:
+                raise OBError("No matched sensor found!")
+            return values.StreamProfileList(
+                [
+                    self._profile(sensor_type, *size, fps, getattr(values.OBFormat, name))
+                    for size in sizes
+                    for fps in (30, 15, 5)
+                    for name in names
+                ]
+            )
+
+        def _profile(
+            self, sensor_type: object, width: int, height: int, fps: int, image_format: object
+        ) -> values.VideoStreamProfile:
+            sensor = self._device._sensor
+            profile = values.VideoStreamProfile(sensor_type, width, height, fps, image_format)
+            if sensor.calibrated:
+                lens, distortion = values.OBCameraIntrinsic(), values.OBCameraDistortion()
+                lens.fx, lens.fy, lens.cx, lens.cy = 504.0, 505.0, 332.0, 348.0
+                lens.width, lens.height = width, height
+                distortion.model = values.OBCameraDistortionModel[sensor.distortion]  # type: ignore[index]
+                if sensor.distortion != "NONE":
+                    distortion.k1, distortion.k2, distortion.p1, distortion.p2 = 0.5, -0.02, 1e-5, -7e-5
+                    distortion.k3, distortion.k4, distortion.k5, distortion.k6 = -0.003, 0.9, 0.09, -0.01
+                profile.set_intrinsic(lens)
+                profile.set_distortion(distortion)
+                profile.get_extrinsic_to = lambda _other: _beside()  # type: ignore[method-assign]
+            return profile
+
+        def enable_frame_sync(self) -> None:
+            pass
+
+        def start(self, configuration: values.Config) -> None:
+            sensor = self._device._sensor
+            if not sensor.starts:
+                raise OBError("Failed to start stream!")
+            if not sensor.plugged:
+                raise OBError("Device is deactivated/disconnected!")
+            self._configuration, self._running = configuration, True
+            self._next_ns = time.perf_counter_ns()
+            bus.started.append(sensor.serial)
+            bus.running.append(sensor.serial)
+            bus.configurations.append(configuration)
+
+        def stop(self) -> None:
+            sensor = self._device._sensor
+            if self._running:
+                bus.running.remove(sensor.serial)
+            self._running, self._queue = False, 0
+            if not sensor.plugged:
+                raise OBError("Device is deactivated/disconnected!")
+
+        def wait_for_frames(self, timeout_ms: int) -> values.FrameSet | None:
+            sensor = self._device._sensor
+            bus.timeouts.append(timeout_ms)
+            assert self._running
+            sensor.at.pop(sensor.given, lambda: None)()
+            if isinstance(self._device, PlaybackDevice) and sensor.given >= self._device._bag.frames:
+                return None
+            if not sensor.plugged or sensor.silent or not _triggered(bus, sensor):
+                if sensor.paced:
+                    time.sleep(timeout_ms / 1000)
+                return None
+            if sensor.paced:
+                now_ns = time.perf_counter_ns()
+                if now_ns < self._next_ns:
+                    if timeout_ms == 0:
+                        return None
+                    time.sleep((self._next_ns - now_ns) * 1e-9)
+                self._next_ns += sensor.interval_us * 1000
+            elif timeout_ms:
+                self._queue = sensor.waiting
+            elif self._queue:
+                self._queue -= 1
+            else:
+                return None
+            return self._set()
+
+        def _set(self) -> values.FrameSet:
+            sensor, kinds = self._device._sensor, values.OBFrameType
+            half = sensor.apart and sensor.given % 2 == 1  # the second of two sets of one moment
+            sensor.given += 1
+            if not half:
+                sensor.clock_us += sensor.interval_us * (1 + sensor.skips)
+            profiles = {profile.get_type(): profile for profile in self._configuration._profiles}
+            sensors, found = values.OBSensorType, values.FrameSet()
+            depth = profiles[sensors.DEPTH_SENSOR]
+            width, height = depth.get_width(), depth.get_height()
+            if not sensor.blind and not half:
+                image = np.full((height, width), 2000 + sensor.given, np.uint16)
+                found.push_frame(_frame(sensor, kinds.DEPTH_FRAME, values.OBFormat.Y16, image))
+            if not sensor.apart or half:
+                kind = kinds.LEFT_IR_FRAME if sensor.stereo else kinds.IR_FRAME
+                of_kind = np.uint8 if sensor.infrared == "Y8" else np.uint16
+                image = np.full((height, width), 90, of_kind)
+                found.push_frame(_frame(sensor, kind, values.OBFormat[sensor.infrared], image))  # type: ignore[index]
+            if sensors.COLOR_SENSOR in profiles and sensor.color and not half:
+                jpeg = np.frombuffer(JPEG, np.uint8)
+                found.push_frame(_frame(sensor, kinds.COLOR_FRAME, values.OBFormat.MJPG, jpeg))
+            return found
+
+    for name in (
+        *("OBSensorType", "OBStreamType", "OBFrameType", "OBFormat", "OBLogLevel", "OBClockType"),
+        *("OBFrameAggregateOutputMode", "OBMultiDeviceSyncMode", "OBCameraDistortionModel"),
+        *("OBPlaybackStatus", "OBCameraIntrinsic", "OBCameraDistortion", "OBExtrinsic", "OBError"),
+        *("OBMultiDeviceSyncConfig", "VideoStreamProfile", "StreamProfileList", "Config", "Frame"),
+        *("VideoFrame", "DepthFrame", "IRFrame", "ColorFrame", "FrameSet"),
+    ):
+        setattr(module, name, getattr(values, name))
+    for kind in (DeviceInfo, Device, DeviceList, Context, PlaybackDevice, Pipeline):
+        setattr(module, kind.__name__, kind)
+    return module
+
+
+def _frame(sensor: Orbbec, kind: object, image_format: object, image: np.ndarray) -> values.Frame:
+    if image.ndim == 2:
+        height, width = image.shape
+        frame: values.Frame = values.Frame.create_video_frame(kind, image_format, width, height)
+    else:
+        frame = values.Frame.create_frame(kind, image_format, image.size)
+    frame.update_data(image.tobytes())
+    frame._device_us = sensor.clock_us if sensor.timed else 0
+    frame._system_us = time.perf_counter_ns() // 1000
+    frame._scale = sensor.scale
+    return frame
+
+
+def _triggered(bus: OrbbecBus, sensor: Orbbec) -> bool:
+    """Whether a sensor exposes: a secondary does only while a primary runs."""
+    if sensor.sync["mode"] not in (_MODES.SECONDARY, _MODES.SECONDARY_SYNCED):
+        return True
+    return any(
+        device.sync["mode"] is _MODES.PRIMARY and device.serial in bus.running for device in bus.devices
+    )
+
+
+def _beside() -> values.OBExtrinsic:
+    pose = values.OBExtrinsic()
+    pose.rot, pose.transform = np.eye(3), (-32.0, 0.0, 4.0)  # millimetres
+    return pose
+
+
+@pytest.fixture
+def orbbecs(monkeypatch: pytest.MonkeyPatch) -> OrbbecBus:
+    """An empty bus behind a stand-in pyorbbecsdk."""
+    result = OrbbecBus()
+    monkeypatch.setitem(sys.modules, "pyorbbecsdk", make_module(result))
+    return result

@@ -1,0 +1,311 @@
+"""What the stand-in for pyorbbecsdk hands out: enums, frames, profiles, errors. After pyorbbecsdk2 2.1.2."""
+
+from __future__ import annotations
+
+import enum
+
+import numpy as np
+
+
+class OBError(Exception):
+    """As the real one: a message and nothing else."""
+
+
+def pybind_enum(title: str, **members: int) -> type[enum.Enum]:
+    """An enum that behaves as pybind11's: it has ``int()`` and is no integer."""
+
+    class _Base(enum.Enum):
+        def __int__(self) -> int:
+            return int(self.value)
+
+        def __index__(self) -> int:
+            return int(self.value)
+
+    return _Base(title, members)  # type: ignore[return-value, call-overload]
+
+
+OBSensorType = pybind_enum("OBSensorType", IR_SENSOR=1, COLOR_SENSOR=2, DEPTH_SENSOR=3, LEFT_IR_SENSOR=6)
+OBStreamType = pybind_enum("OBStreamType", IR_STREAM=1, COLOR_STREAM=2, DEPTH_STREAM=3, LEFT_IR_STREAM=6)
+OBFrameType = pybind_enum("OBFrameType", IR_FRAME=1, COLOR_FRAME=2, DEPTH_FRAME=3, LEFT_IR_FRAME=8)
+OBFormat = pybind_enum("OBFormat", MJPG=5, Y16=8, Y8=9)
+OBLogLevel = pybind_enum("OBLogLevel", ERROR=3, NONE=5)
+OBClockType = pybind_enum("OBClockType", REALTIME=0, MONOTONIC=1)
+OBFrameAggregateOutputMode = pybind_enum(
+    "OBFrameAggregateOutputMode", FULL_FRAME_REQUIRE=0, COLOR_FRAME_REQUIRE=1, ANY_SITUATION=2, DISABLE=3
+)
+OBMultiDeviceSyncMode = pybind_enum(
+    "OBMultiDeviceSyncMode", FREE_RUN=1, STANDALONE=2, PRIMARY=4, SECONDARY=8, SECONDARY_SYNCED=16
+)
+OBCameraDistortionModel = pybind_enum(
+    "OBCameraDistortionModel",
+    NONE=0,
+    MODIFIED_BROWN_CONRADY=1,
+    INVERSE_BROWN_CONRADY=2,
+    BROWN_CONRADY=3,
+    BROWN_CONRADY_K6=4,
+    KANNALA_BRANDT4=5,
+)
+OBPlaybackStatus = pybind_enum("OBPlaybackStatus", UNKNOWN=0, PLAYING=1, PAUSED=2, STOPPED=3)
+
+
+class OBCameraIntrinsic:
+    __slots__ = ("cx", "cy", "fx", "fy", "height", "width")
+
+    def __init__(self) -> None:
+        self.fx = self.fy = self.cx = self.cy = 0.0
+        self.width = self.height = 0
+
+
+class OBCameraDistortion:
+    __slots__ = ("k1", "k2", "k3", "k4", "k5", "k6", "model", "p1", "p2")
+
+    def __init__(self) -> None:
+        self.model = OBCameraDistortionModel.NONE  # type: ignore[attr-defined]
+        self.k1 = self.k2 = self.k3 = self.k4 = self.k5 = self.k6 = self.p1 = self.p2 = 0.0
+
+
+class OBExtrinsic:
+    __slots__ = ("_rot", "_transform")
+
+    def __init__(self) -> None:
+        self._rot, self._transform = np.zeros((3, 3), np.float32), np.zeros(3, np.float32)
+
+    @property
+    def rot(self) -> np.ndarray:
+        return self._rot.copy()
+
+    @rot.setter
+    def rot(self, value: object) -> None:
+        self._rot = np.array(value, np.float32).reshape(3, 3)
+
+    @property
+    def transform(self) -> np.ndarray:
+        return self._transform.copy()
+
+    @transform.setter
+    def transform(self, value: object) -> None:
+        self._transform = np.array(value, np.float32).reshape(3)
+
+
+class OBMultiDeviceSyncConfig:
+    __slots__ = (
+        "color_delay_us",
+        "depth_delay_us",
+        "frames_per_trigger",
+        "mode",
+        "trigger_out_delay_us",
+        "trigger_out_enable",
+        "trigger_to_image_delay_us",
+    )
+
+    def __init__(self) -> None:
+        self.mode: object = None
+        self.depth_delay_us = self.color_delay_us = self.trigger_to_image_delay_us = 0
+        self.trigger_out_delay_us = self.frames_per_trigger = 0
+        self.trigger_out_enable = False
+
+
+class VideoStreamProfile:
+    def __init__(self, kind: object, width: int, height: int, fps: int, image_format: object) -> None:
+        self._kind, self._size, self._fps, self._format = kind, (width, height), fps, image_format
+        self._lens: OBCameraIntrinsic | None = None
+        self._distortion: OBCameraDistortion | None = None
+        self._poses: dict[int, OBExtrinsic] = {}
+
+    def get_type(self) -> object:
+        return self._kind
+
+    def get_format(self) -> object:
+        return self._format
+
+    def get_width(self) -> int:
+        return self._size[0]
+
+    def get_height(self) -> int:
+        return self._size[1]
+
+    def get_fps(self) -> int:
+        return self._fps
+
+    def is_video_stream_profile(self) -> bool:
+        return True
+
+    def as_video_stream_profile(self) -> VideoStreamProfile:
+        return self
+
+    def get_intrinsic(self) -> OBCameraIntrinsic:
+        if self._lens is None:
+            raise OBError("Intrinsics for the input stream profile is not found.")
+        return self._lens
+
+    def set_intrinsic(self, lens: OBCameraIntrinsic) -> None:
+        self._lens = lens
+
+    def get_distortion(self) -> OBCameraDistortion:
+        if self._distortion is None:
+            raise OBError("Distortion for the input stream profile is not found.")
+        return self._distortion
+
+    def set_distortion(self, distortion: OBCameraDistortion) -> None:
+        self._distortion = distortion
+
+    def bind_extrinsic_to(self, other: VideoStreamProfile, pose: OBExtrinsic) -> None:
+        self._poses[id(other)] = pose
+
+    def get_extrinsic_to(self, other: VideoStreamProfile) -> OBExtrinsic:
+        if id(other) not in self._poses:
+            raise OBError("From Stream profile not registered!")
+        return self._poses[id(other)]
+
+
+class StreamProfileList:
+    def __init__(self, profiles: list[VideoStreamProfile]) -> None:
+        self._profiles = profiles
+
+    def get_count(self) -> int:
+        return len(self._profiles)
+
+    def __len__(self) -> int:
+        return len(self._profiles)
+
+    def get_stream_profile_by_index(self, index: int) -> VideoStreamProfile:
+        if not 0 <= index < len(self._profiles):
+            raise OBError("ob_stream_profile_list_get_profile: index out of range!")
+        return self._profiles[index]
+
+
+class Config:
+    def __init__(self) -> None:
+        self._profiles: list[VideoStreamProfile] = []
+        self._mode: object = None
+
+    def enable_stream(self, profile: VideoStreamProfile) -> None:
+        self._profiles.append(profile)
+
+    def enable_video_stream(
+        self, stream_type: object, width: int, height: int, fps: int, image_format: object
+    ) -> None:
+        self._profiles.append(VideoStreamProfile(stream_type, width, height, fps, image_format))
+
+    def get_enabled_stream_profile_list(self) -> StreamProfileList:
+        return StreamProfileList(list(self._profiles))
+
+    def set_frame_aggregate_output_mode(self, mode: object) -> None:
+        if not isinstance(mode, OBFrameAggregateOutputMode):
+            raise TypeError("incompatible function arguments")
+        self._mode = mode
+
+
+class Frame:
+    """A frame as it is made: the real one has no depth scale before it has been in a set."""
+
+    def __init__(self, kind: object, image_format: object, size: int, shape: tuple[int, int]) -> None:
+        self._kind, self._format, self._shape = kind, image_format, shape
+        self._data = np.zeros(size, np.uint8)
+        self._device_us = self._system_us = 0
+        self._scale = 1.0
+
+    @staticmethod
+    def create_frame(kind: object, image_format: object, size: int) -> Frame:
+        return Frame(kind, image_format, size, (0, 0))
+
+    @staticmethod
+    def create_video_frame(
+        kind: object, image_format: object, width: int, height: int, stride: int = 0
+    ) -> VideoFrame:
+        assert stride == 0, "the stand-in knows rows without a gap only"
+        return VideoFrame(kind, image_format, width * height * _bytes_of(image_format), (height, width))
+
+    @staticmethod
+    def create_frame_set() -> FrameSet:
+        return FrameSet()
+
+    @staticmethod
+    def set_frame_device_timestamp_us(frame: Frame, device_us: int) -> None:
+        frame._device_us = device_us
+
+    def set_system_timestamp_us(self, system_us: int) -> None:
+        self._system_us = system_us
+
+    def update_data(self, data: bytes) -> None:
+        if len(data) != len(self._data):
+            raise RuntimeError("update_data: buffer size mismatch")
+        self._data = np.frombuffer(data, np.uint8).copy()
+
+    def get_data(self) -> np.ndarray:
+        return self._data.copy()
+
+    def get_data_size(self) -> int:
+        return len(self._data)
+
+    def get_format(self) -> object:
+        return self._format
+
+    def get_type(self) -> object:
+        return self._kind
+
+    def get_timestamp_us(self) -> int:
+        return self._device_us
+
+    def get_system_timestamp_us(self) -> int:
+        return self._system_us
+
+
+class VideoFrame(Frame):
+    def get_width(self) -> int:
+        return self._shape[1]
+
+    def get_height(self) -> int:
+        return self._shape[0]
+
+
+class DepthFrame(VideoFrame):
+    def get_depth_scale(self) -> float:
+        return self._scale
+
+
+class IRFrame(VideoFrame):
+    pass
+
+
+class ColorFrame(VideoFrame):
+    pass
+
+
+def _viewed(frame: Frame | None, kind: type[Frame]) -> Frame | None:
+    """The frame as a set gives it: another object, of the kind of its image."""
+    if frame is None:
+        return None
+    view = kind.__new__(kind)
+    view.__dict__ = frame.__dict__
+    return view
+
+
+class FrameSet:
+    def __init__(self) -> None:
+        self._frames: dict[object, Frame] = {}
+
+    def push_frame(self, frame: Frame) -> None:
+        self._frames[frame.get_type()] = frame
+
+    def get_count(self) -> int:
+        return len(self._frames)
+
+    def get_depth_frame(self) -> Frame | None:
+        return self._get("DEPTH_FRAME", DepthFrame)
+
+    def get_ir_frame(self) -> Frame | None:
+        return self._get("IR_FRAME", IRFrame)
+
+    def get_left_ir_frame(self) -> Frame | None:
+        return self._get("LEFT_IR_FRAME", IRFrame)
+
+    def get_color_frame(self) -> Frame | None:
+        return self._get("COLOR_FRAME", ColorFrame)
+
+    def _get(self, name: str, kind: type[Frame]) -> Frame | None:
+        return _viewed(self._frames.get(getattr(OBFrameType, name)), kind)
+
+
+def _bytes_of(image_format: object) -> int:
+    return 2 if image_format is OBFormat.Y16 else 1  # type: ignore[attr-defined]

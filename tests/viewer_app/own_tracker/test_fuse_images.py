@@ -1,0 +1,65 @@
+"""``duplex fuse a.mkv b.mkv`` without any SDK: from images to S* by the program's own tracker."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.azure.recording.mkv import MkvRecording
+from devices.simulated.kinect import Truth, simulated_pair
+from devices.simulated.rig import Rig
+from fusion.body import BLAZEPOSE
+from recordings.session import Session
+from tests.helpers.command_line import duplex
+from tests.helpers.machine import need_networks
+from tests.helpers.mkv_writer import INTERVAL_US, write_simulated
+
+START_NS = 336_277_000
+SECONDS = 2.5
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Truth]:
+    """Two recordings of one simulated person, with a sync cable, and the truth."""
+    need_networks("full")
+    rig = Rig(frame_seconds=INTERVAL_US * 1e-6, skew_seconds=160e-6)
+    a, b, truth = simulated_pair(
+        motion="arms", seed=41, body=BLAZEPOSE, seconds=SECONDS, depth="half", infrared=True, rig=rig
+    )
+    folder = tmp_path_factory.mktemp("simulated")
+    paths = (
+        write_simulated(folder / "a.mkv", a, START_NS, "MASTER"),
+        write_simulated(folder / "b.mkv", b, START_NS + 160_000, "SUBORDINATE"),
+    )
+    with MkvRecording(paths[0]) as written:  # the lens in the file is the simulator's
+        assert written.intrinsics is not None
+        assert a.intrinsics is not None
+        points = np.array(((0.3, -0.4, 2.0), (-0.8, 0.9, 3.0)))
+        np.testing.assert_allclose(
+            written.intrinsics.project(points), a.intrinsics.project(points), atol=1e-6
+        )
+    return *paths, truth
+
+
+def test_two_files_of_images_become_a_session_near_the_truth_that_replays_bit_for_bit(
+    recorded: tuple[Path, Path, Truth], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    a, b, truth = recorded
+    saved = tmp_path / "s.rrd"
+    assert duplex("fuse", a, b, "--no-viewer", "--tracker", "blazepose", "--save", saved) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    frames = round(SECONDS / (INTERVAL_US * 1e-6))
+    assert f"Paired {frames} frames of {frames} (A) and {frames} (B)" in said
+
+    session = Session.open(saved)
+    assert session.damage is None
+    assert session.body is BLAZEPOSE
+    assert len(session.fused) == frames
+    assert len(list(session.depth("a"))) == frames
+    off = np.linalg.norm(session.fused - truth.positions_at(np.arange(frames) * 1000 * INTERVAL_US), axis=2)
+    # The issue's goal for 90 % of the joints of one view; a wrong person, wall or side is farther off.
+    assert np.nanpercentile(off, 90) < 0.090
+
+    assert duplex("replay", saved, "--verify", "--no-viewer") == 0

@@ -1,0 +1,41 @@
+"""``duplex tracker fetch``: fetches the networks of the program's own tracker."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
+
+from devices.blazepose.networks.fetching import LICENCE, NOTICE, fetch
+from devices.blazepose.networks.files import cache_folder
+from viewer_app.options.tracker import TrackerFetchOptions
+
+
+def run(options: TrackerFetchOptions) -> None:
+    """Carries out the command.
+
+    Raises:
+        DeviceError: The networks cannot be fetched.
+    """
+    console = Console()
+    folder = options.tracker_model or cache_folder()
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), DownloadColumn(), console=console, transient=True
+    ) as bar:
+        task = bar.add_task("fetching the networks", total=None)
+        fetched = fetch(
+            options.network, folder, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    where = escape(str(folder))
+    if not fetched:
+        console.print(
+            f"The network {options.network} is in {where} already, and whole.",
+            highlight=False,
+            soft_wrap=True,
+        )
+        return
+    for path in fetched:
+        console.print(f"{path.name:28s} {path.stat().st_size / 1e6:6.1f} MB", highlight=False, markup=False)
+    console.print(
+        f"In {where}. Apache License 2.0: see {LICENCE} and {NOTICE} there.", highlight=False, soft_wrap=True
+    )

@@ -1,0 +1,201 @@
+"""The two sensors of a live session, as the options, the cables and the user choose them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+from rich.console import Console
+
+from devices.azure.kinect import KinectSensor
+from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings
+from devices.azure.pyk4a_access import ConnectedKinect
+from devices.azure.sensor_roles import NeedsChoiceError, cable_notes, choose_one, choose_two, sync_master
+from devices.blazepose.pace import TrackingPace
+from devices.blazepose.tracked_images import TrackedImages
+from devices.live.connected_sensors import connected_sensors
+from devices.live.frame_decimation import FrameDecimation
+from devices.live.sensor_pair import TwoSensors
+from devices.live.stream_pairing import LivePairing, Side
+from devices.orbbec.sensor import OrbbecSensor
+from devices.orbbec.settings import OrbbecSettings
+from devices.sensor import Sensor
+from devices.tracker_choice import TrackerChoice
+from viewer_app.network_sensors import teller
+from viewer_app.options.sensing import LiveOptions
+from viewer_app.tracker_selection import announce_tracker, tracker_of
+
+
+def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
+    """Chooses the two sensors from the options, the sync cable and the user's answers; opens neither.
+
+    Raises:
+        DeviceError: Fewer than two usable Kinects, no SDK, or a wrongly connected sync cable.
+    """
+    tracker = tracker_of(options, options.tracker_smoothing)
+    connected = connected_sensors(tracker)
+    serials = _choose(connected, options, console)
+    kinect_a, kinect_b = (next(k for k in connected if k.serial == serial) for serial in serials)
+    master = sync_master(kinect_a, kinect_b, options.sync_master)
+    for note in cable_notes(kinect_a, kinect_b, master):
+        console.print(note, style="yellow", highlight=False, markup=False)
+    if master is not None:
+        leads, follows = ("A", "B") if master == serials[0] else ("B", "A")
+        console.print(
+            f"Sync cable: {leads} leads, {follows} captures {LASER_GAP_US} µs later and is started first, to "
+            f"be there at the first pulse."
+        )
+    tracker = tracker.for_images_of([k.serial or "" for k in (kinect_a, kinect_b) if k.sdk == "orbbec"])
+    announce_tracker(tracker, console)
+    if options.processing == "cpu" and tracker.name == "k4abt":
+        console.print(
+            "A CPU tracks only about one frame per second of both sensors. To fuse every frame, "
+            "record with k4arecorder, then run duplex fuse a.mkv b.mkv.",
+            style="yellow",
+            highlight=False,
+        )
+    if options.processing == "tensorrt" and tracker.name == "k4abt":
+        console.print("TensorRT builds its engine; minutes the first time.")
+    # A slow tracker of ours leaves out frames, too, and changes to its lighter network if that lasts.
+    pace = TrackingPace(options.fps, tracker.blazepose) if tracker.name == "blazepose" else None
+    decimation = pace or FrameDecimation(options.fps)
+    a, b = (
+        _microsofts(kinect, options, master, tracker, decimation)
+        if pace is None
+        else _ours(kinect, kinect_settings(options, str(kinect.serial), master), pace)
+        for kinect in (kinect_a, kinect_b)
+    )
+    interval_ns = round(1e9 / options.fps)
+    delay_ns = {None: None, serials[0]: 1000 * LASER_GAP_US}.get(master, -1000 * LASER_GAP_US)
+    pairing = LivePairing(
+        interval_ns,
+        sync_delay_ns=delay_ns,
+    )
+    first: Side = "a" if master == serials[1] else "b"
+    return TwoSensors(
+        *(a, b),
+        pairing=pairing,
+        decimation=decimation,
+        first=first,
+        open_s=opens_within(options),
+        tell=teller(console),
+    )
+
+
+def one_of_live(options: LiveOptions, console: Console, serial: str | None) -> Sensor:
+    """The sensor of this PC, where the other one is on another PC; it runs without a sync cable."""
+    tracker = tracker_of(options, options.tracker_smoothing)
+    named = "--kinect-a or --kinect-b"
+    return one_sensor(serial, named, tracker, kinect_settings(options, "", None), console)
+
+
+def one_sensor(
+    serial: str | None, option: str, tracker: TrackerChoice, settings: KinectSettings, console: Console
+) -> Sensor:
+    """The only sensor of this PC, or the one with a serial number, with its body tracker; opens nothing.
+
+    Args:
+        serial: Its serial number; None: the only one connected.
+        option: What the option that names it is called, for the message.
+        tracker: The body tracker of an Azure Kinect.
+        settings: How the sensor runs.
+        console: Told which tracker runs.
+
+    Raises:
+        DeviceError: It is not there, or several are and none is named.
+    """
+    connected = connected_sensors(tracker)
+    chosen = choose_one(connected, serial, option)
+    kinect = next(kinect for kinect in connected if kinect.serial == chosen)
+    tracker = tracker.for_images_of([chosen] if kinect.sdk == "orbbec" else [])
+    announce_tracker(tracker, console)
+    if tracker.name == "k4abt":
+        return KinectSensor(chosen, settings, tracker.k4abt)
+    return _ours(kinect, settings, TrackingPace(settings.fps, tracker.blazepose))
+
+
+def _choose(connected: Sequence[ConnectedKinect], options: LiveOptions, console: Console) -> tuple[str, str]:
+    try:
+        return choose_two(connected, options.kinect_a, options.kinect_b, options.principal)
+    except NeedsChoiceError as choice:
+        if not sys.stdin.isatty():
+            raise
+        principal = _ask(choice, console)
+        console.print(f"Next time: --principal {principal}", highlight=False)
+        return choose_two(connected, principal=principal)
+
+
+def _ask(choice: NeedsChoiceError, console: Console) -> str:
+    one, two = choice.serials
+    console.print(f"Two Kinects are connected: [bold]1[/] {one}, [bold]2[/] {two}.", highlight=False)
+    console.print("Their serial numbers are on the labels beneath. S* will be in the principal one's frame.")
+    while True:
+        try:
+            answer = console.input("Which one is the principal sensor A? [1/2] ").strip()
+        except EOFError:
+            raise choice from None
+        if answer in ("1", one):
+            return one
+        if answer in ("2", two):
+            return two
+
+
+def _microsofts(
+    kinect: ConnectedKinect,
+    options: LiveOptions,
+    master: str | None,
+    tracker: TrackerChoice,
+    decimation: FrameDecimation,
+) -> Sensor:
+    """A sensor with libk4abt."""
+    serial = str(kinect.serial)
+    return KinectSensor(
+        serial, kinect_settings(options, serial, master), tracker.k4abt, decimation=decimation
+    )
+
+
+def _ours(kinect: ConnectedKinect, settings: KinectSettings, pace: TrackingPace) -> Sensor:
+    """A sensor with the program's own tracker."""
+    serial = str(kinect.serial)
+    images: Sensor
+    if kinect.sdk == "orbbec":
+        images = OrbbecSensor(serial, _orbbec_settings(settings), pace)
+    else:
+        images = KinectSensor(serial, replace(settings, infrared=True), track=False, decimation=pace)
+    return TrackedImages(images, pace.settings, pace=pace)
+
+
+def _orbbec_settings(settings: KinectSettings) -> OrbbecSettings:
+    return OrbbecSettings(
+        depth_mode=settings.depth_mode,
+        fps=settings.fps,
+        color=settings.color,
+        sync=_ORBBEC_SYNC[settings.sync],
+        start_s=settings.start_s,
+    )
+
+
+_ORBBEC_SYNC: dict[str, Literal["standalone", "primary", "secondary"]] = {
+    "standalone": "standalone",
+    "master": "primary",
+    "subordinate": "secondary",
+}
+
+
+def kinect_settings(options: LiveOptions, serial: str, master: str | None) -> KinectSettings:
+    """The settings of a libk4a sensor, which has its place on the cable that leads out of ``master``."""
+    return KinectSettings(
+        depth_mode=options.depth_mode,
+        fps=options.fps,
+        color=None if options.color == "off" else options.color,
+        sync="standalone" if master is None else "master" if serial == master else "subordinate",
+        trust_jacks=options.sync_master is None,
+        start_s=opens_within(options),
+    )
+
+
+def opens_within(options: LiveOptions) -> float:
+    """The time limit for opening a sensor and its body tracker, seconds."""
+    return 900.0 if options.processing == "tensorrt" else 120.0
