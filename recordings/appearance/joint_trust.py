@@ -84,10 +84,11 @@ class TrustMatrix:
     Args:
         body: The body that defines the joints.
         draft_ns: Interval between drawings of an incomplete page; a newer drawing replaces an older one.
+            None: only complete pages are drawn.
         hasty: Whether to compress drafts fast rather than small.
     """
 
-    def __init__(self, body: Body, draft_ns: int, hasty: bool = False) -> None:
+    def __init__(self, body: Body, draft_ns: int | None, hasty: bool = False) -> None:
         self._draft_ns, self._draft_level = draft_ns, _FAST if hasty else _SMALL
         self._body = body
         self._open: list[_Page] = []
@@ -104,7 +105,7 @@ class TrustMatrix:
             now = int(rows.time_ns[t])
             number = now // _BIN_NS
             before = self._open
-            if now >= self._next_ns:
+            if self._draft_ns is not None and now >= self._next_ns:
                 self._next_ns = now - now % self._draft_ns + self._draft_ns
                 for page in before[-1:]:
                     yield self._drawn(page, self._draft_level)

@@ -46,6 +46,8 @@ class Recorder:
         about: Additional properties about the session's origin.
         start_ns: Start time of the session; None: the time of the first recorded frame.
         points: Whether to log depth images as point clouds too.
+        drafts: Whether to log incomplete pages of the trust matrix, too. A stream that is written as a whole
+            does not need them, and drawing them takes a tenth of the time.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class Recorder:
         *,
         start_ns: int | None = None,
         points: bool = False,
+        drafts: bool = True,
     ) -> None:
         self._stream = stream
         self._calibration = setup.calibration
@@ -70,7 +73,7 @@ class Recorder:
         if points:
             prepare_points(*self._cameras.values())
         self._color, self._figures = ColorLog(stream), StreamFiguresLog(stream)
-        draft_ns = _MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS
+        draft_ns = (_MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS) if drafts else None
         self._matrix = TrustMatrix(setup.calibration.body, draft_ns, hasty=points)
         self._lanes = StateLanes()
         self._log_static(setup)

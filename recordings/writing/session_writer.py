@@ -66,7 +66,7 @@ def write_session(
         about["tracker"] = session.tracker
     with whole_recording(path, blueprint) as stream:
         segments = [(setup, own) for setup, own in session.setups() if own.stop > first and own.start < end]
-        recorder = Recorder(stream, segments[0][0], session.sources, about=about)
+        recorder = Recorder(stream, segments[0][0], session.sources, about=about, drafts=False)
         start_ns = int(session.rows.time_ns[first])
         for setup, own in segments:
             if own.start > first:

@@ -162,7 +162,7 @@ Oracle = Callable[[Problem, NDArray[np.float64]], tuple[NDArray[np.float64], flo
 
 
 def dense(problem: Problem, start: NDArray[np.float64]) -> tuple[NDArray[np.float64], float, bool]:
-    """Eq. (1) by the dense reference solver; from the problem's own start, because it has starts of its own."""
+    """Eq. (1) by the dense reference solver, which has starts of its own besides the problem's."""
     del start
     found = DenseSolver(problem.body).solve(problem.targets, problem.weights, problem.lengths, problem.start)
     return found.positions, found.objective, bone_error(problem, found.positions) < BONE_TOLERANCE

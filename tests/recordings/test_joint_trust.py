@@ -121,6 +121,15 @@ def test_pages_are_drawn_while_they_grow(rows: SessionArrays) -> None:
     assert amber[0] < amber[1] < amber[2]
 
 
+def test_without_drafts_each_page_is_drawn_once_and_is_the_last_draft(rows: SessionArrays) -> None:
+    minute = seconds_of(rows, 60)
+    sparing = TrustMatrix(rows.body, None)
+    once = [*sparing.add(minute), *sparing.rest()]
+    drawn = {time_ns: png for _, time_ns, png in once}
+    assert len(drawn) == len(once) == 4  # a page begins every 15 s
+    assert drawn == pages_of(TrustMatrix(rows.body, 1_000_000_000), minute)
+
+
 def test_the_matrix_shows_who_was_trusted(rows: SessionArrays) -> None:
     (page,) = pages_of(TrustMatrix(BODY, SECOND), trusting(rows, 1.0)).values()
     a, b = (layout.SKELETON_COLORS[side] for side in layout.SIDES)
