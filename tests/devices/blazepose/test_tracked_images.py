@@ -86,12 +86,8 @@ def test_colour_of_another_place_is_not_used() -> None:
 
 def test_a_frame_without_depth_or_image_has_no_people() -> None:
     ir, depth = images_of([landmarks_at("startup", 1.0)])
-    frames = (
-        SensorFrame(0, ir=ir),
-        SensorFrame(1, depth=depth),
-        SensorFrame(2),
-        SensorFrame(3, depth=depth, ir=ir[::2]),
-    )
+    frames = [SensorFrame(0, ir=ir), SensorFrame(1, depth=depth), SensorFrame(2)]
+    frames.append(SensorFrame(3, depth=depth, ir=ir[::2]))
     with tracked(Images(*frames)) as sensor:
         assert [frame.people for frame in sensor.frames()] == [{}] * 4
 
