@@ -7,6 +7,7 @@ from devices.blazepose import BlazePose, BlazePoseSettings
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 from tests.helpers.machine import need_networks
+from tests.helpers.rendered_people import FRAME_NS
 
 HEAD_OF_STATURE = 0.130  # from crown to chin; Drillis and Contini (1966). The picture ends at the waist.
 GOAL = 0.05  # of the person's height: the project's
@@ -32,7 +33,8 @@ def test_landmarks_are_within_a_twentieth_of_the_height_of_marks_made_by_hand() 
     # The picture has no depth: a wall at the distance at which a person of 1.7 m is as large.
     depth = np.full(photograph.shape[:2], round(1000 * 1.7 * camera.fy / height), dtype=np.uint16)
     with BlazePose(BlazePoseSettings(models=need_networks())) as tracker:
-        people = tracker.track(photograph, depth, camera, 0)
+        for k in range(3):  # a region follows from the landmarks of the image before, and settles
+            people = tracker.track(photograph, depth, camera, k * FRAME_NS)
     assert len(people) == 1
     pixels = camera.project(next(iter(people.values())).positions)
     misses = {
