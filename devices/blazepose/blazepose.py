@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.blazepose.grey_image import compressed
+from devices.blazepose.grey_image import compressed, evened
 from devices.blazepose.joints import joints_of
 from devices.blazepose.landmark_kinds import TRUNK
 from devices.blazepose.lifting import lift
@@ -35,6 +35,7 @@ Array = NDArray[np.float64]
 
 _LEAST_SCORE = 0.5  # of the landmark network, below which the crop holds no person; MediaPipe's
 _CANDIDATES = 3  # detections that are tried in one image
+_CLOSER = 0.62  # of the image's side: people far away are too small in the detector's 224 pixels
 _REMEMBERED_NS = 1_000_000_000  # a person who is lost for longer may be another one afterwards
 _STEP, _SPEED = 0.4, 3.0  # metres, metres per second: who moves farther between two images is another person
 
@@ -71,6 +72,7 @@ class BlazePose:
         self._networks: tuple[Detector, LandmarkNetwork] | None = None
         self._last: _Sighting | None = None
         self._person = 0
+        self._searched = 0  # images without the person in a row: every other one is searched closer
 
     def __enter__(self) -> BlazePose:
         """Loads the networks.
@@ -104,6 +106,7 @@ class BlazePose:
     def forget(self) -> None:
         """Forgets the person, for images that do not continue the ones before."""
         self.region = self._last = None
+        self._searched = 0
 
     def track(
         self,
@@ -150,8 +153,14 @@ class BlazePose:
         """Regions of the detected people, the one to follow first."""
         assert self._networks is not None
         whole = whole_image(*image.shape[:2])
-        found = self._networks[0].detect(compressed(whole.crop(image, DETECTOR_SIZE)))
-        to_image = whole.image_from_crop(DETECTOR_SIZE)
+        searched = whole
+        if self._searched % 2:
+            searched = Region(whole.u, whole.v, _CLOSER * whole.side)
+            if self._last is not None:
+                searched = replace(searched, u=self._last.region.u, v=self._last.region.v)
+        self._searched += 1
+        found = self._networks[0].detect(evened(compressed(searched.crop(image, DETECTOR_SIZE))))
+        to_image = searched.image_from_crop(DETECTOR_SIZE)
         regions = [
             Region.around(*transformed(to_image, np.array((person.centre, person.rim)))) for person in found
         ]
@@ -191,6 +200,7 @@ class BlazePose:
             self._person += 1
         elif not self._last.may_be(middle, time_ns):
             return None
+        self._searched = 0
         self.region = Region.around(pixels[CENTRE], pixels[RIM])
         self._last = _Sighting(self.region, middle, time_ns)
         return Skeleton.of(BLAZEPOSE, *joints_of(lifted, pixels[:LANDMARKS], depth), time_ns)

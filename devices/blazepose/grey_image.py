@@ -1,12 +1,20 @@
-"""Compresses infrared images to the range of the networks."""
+"""Compresses infrared images to the range of the networks.
+
+Measured on 276 images of the simulated person: the square root, linear brightness and percentiles from 0.2 to 1
+give the landmarks the same error within 1 mm; the percentiles 5 and 95 add 10 mm to the largest tenth of the
+errors. CLAHE adds 1 to 5 mm there. The detector needs it: without, it misses one of 18 people, who has low
+contrast.
+"""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_DARKEST, _BRIGHTEST = 1.0, 99.0  # percentiles that become black and white
+_DARKEST, _BRIGHTEST = 0.2, 99.8  # percentiles that become black and white
 _SAMPLE = 3  # every third pixel of a row and column gives the percentiles
+_CONTRAST_LIMIT, _TILES = 2.0, (8, 8)  # of CLAHE
 _LEAST_RANGE = 2.0  # of square roots: a range below it is sensor noise
 
 
@@ -32,3 +40,11 @@ def compressed(image: NDArray[np.generic]) -> NDArray[np.float32]:
     scale = 1.0 / max(float(bright) - float(dark), _LEAST_RANGE)
     stretched: NDArray[np.float32] = np.clip((root - np.float32(dark)) * np.float32(scale), 0.0, 1.0)
     return stretched
+
+
+def evened(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A compressed infrared image with even local contrast (CLAHE); a colour image is returned unchanged."""
+    if image.ndim == 3:
+        return image
+    even = cv2.createCLAHE(_CONTRAST_LIMIT, _TILES).apply((255.0 * image).astype(np.uint8))
+    return even.astype(np.float32) / np.float32(255.0)

@@ -86,5 +86,17 @@ def opposite() -> NDArray[np.int64]:
 FACE = np.array([j for name, j in INDEX.items() if name.split("_")[0] in ("NOSE", "EYE", "MOUTH")])
 """Landmarks of the face; their outward direction is away from the middle of the ears."""
 EARS = np.array([INDEX["EAR_LEFT"], INDEX["EAR_RIGHT"]])
+_LONG_BONES = (
+    ("SHOULDER", "ELBOW", 0.29),
+    ("ELBOW", "WRIST", 0.25),
+    ("HIP", "KNEE", 0.42),
+    ("KNEE", "ANKLE", 0.41),
+)
+LONG_BONES = np.array(
+    [(INDEX[f"{a}_{side}"], INDEX[f"{b}_{side}"]) for a, b, _ in _LONG_BONES for side in ("LEFT", "RIGHT")]
+)
+"""(8, 2) the landmarks at the ends of the limbs' bones, the nearer to the trunk first."""
+LONG_BONE_LENGTHS = np.repeat([length for _, _, length in _LONG_BONES], 2)
+"""(8,) their lengths in an adult 1.75 m tall, metres."""
 TRUNK = np.array([INDEX[f"{name}_{side}"] for name in ("SHOULDER", "HIP") for side in ("LEFT", "RIGHT")])
 """Shoulders and hips."""

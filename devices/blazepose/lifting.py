@@ -13,7 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.blazepose.landmark_kinds import EARS, FACE, column, opposite
+from devices.blazepose.landmark_kinds import (
+    EARS,
+    FACE,
+    LONG_BONE_LENGTHS,
+    LONG_BONES,
+    column,
+    opposite,
+)
 from fusion.compiling.kernels import kernel
 from fusion.intrinsics import Intrinsics
 
@@ -27,6 +34,7 @@ _WITHIN = (0.20, 0.12)  # metres between body and surface of such a landmark, at
 _SURFACE_RADIUS = 0.022  # metres: half width of the window that is read, narrower than a wrist
 _LARGEST_WINDOW = 8  # pixels to each side
 _OWN_SHARE = 0.4  # least share of a window's readings that are the landmark's own
+_SHORTEST, _LONGEST = 0.5, 1.6  # of a limb's bone, times that of an adult of the person's size
 _MARGIN = 0.1  # of the image's larger side: a landmark farther outside has no position
 
 _BENEATH = column("beneath")
@@ -97,11 +105,13 @@ def lift(
     expected = body[:, 2] - size * _BENEATH
     reading, share = _surfaces(image, pixels, inside, camera, expected - _FRONT, expected + _BACK)
     seen = inside & (share >= _OWN_SHARE) & (visibility >= _VISIBILITY) & (_outward(body) <= _TURNED)
+    z = np.where(seen, reading + size * _BENEATH, np.maximum(body[:, 2], 0.1))
+    points = np.column_stack((at * z[:, None], z))
+    seen[LONG_BONES[~_possible_bones(points, size), 1]] = False
     if np.count_nonzero(seen) < _FEWEST:
         return None
-    z = np.where(seen, reading + size * _BENEATH, np.maximum(body[:, 2], 0.1))
     near = _within(pixels, camera, _MARGIN * max(camera.width, camera.height))
-    return Lifted(np.column_stack((at * z[:, None], z)), seen, near, size)
+    return Lifted(points, seen, near, size)
 
 
 def rays(pixels: Array, camera: Intrinsics) -> Array:
@@ -156,6 +166,14 @@ def _outward(body: Array) -> Array:
     length = np.linalg.norm(outward, axis=1) * np.linalg.norm(body, axis=1)
     component = np.einsum("ij,ij->i", outward, body)
     return np.where(length > 1e-9, component / np.maximum(length, 1e-9), -1.0)
+
+
+def _possible_bones(points: Array, size: float) -> NDArray[np.bool_]:
+    """(8,) whether the limbs' bones have a possible length: a limb that leaves the view is folded into it."""
+    ends = points[LONG_BONES]
+    ratio = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / (size * LONG_BONE_LENGTHS)
+    possible: NDArray[np.bool_] = (ratio > _SHORTEST) & (ratio < _LONGEST)
+    return possible
 
 
 def _surfaces(

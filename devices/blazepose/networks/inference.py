@@ -26,7 +26,7 @@ CENTRE, RIM = 33, 34
 """The two landmarks that describe the region: middle of the hips, and a point of the circle around it."""
 
 _LANDMARK_OUTPUTS = (39 * 5, 64 * 64 * 39, 39 * 3, 1)  # values of: rows, heat maps, world, pose flag
-_LEAST_SCORE = 0.5  # of a detection; MediaPipe's
+_LEAST_SCORE = 0.3  # of a detection; MediaPipe takes 0.5. The landmark network rejects what is no person.
 _OVERLAP = 0.3  # intersection over union at which two detections are the same person; MediaPipe's
 _STRIDES = ((8, 2), (16, 2), (32, 6))  # of the detector's grids: pixels, anchors per cell
 _HEATMAP_WINDOW = 3  # cells to each side of a landmark
