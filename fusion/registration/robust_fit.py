@@ -41,10 +41,10 @@ class RobustFitSettings:
     """Assumptions of the fit.
 
     Attributes:
-        bias_sd: Metres, standard deviation σ_β of the difference of two views' biases of a joint, per axis. It
-            is the same for all joints: on 15 real pairs of Kinect v2, head and spine are placed as far off
-            along the ray (35 and 10 mm) as elbows, knees and hands (5 to 10 mm). A smaller one for the trunk
-            lets the depth error of the trunk determine t.
+        bias_sd: Metres, standard deviation σ_β of the difference of two views' biases of a joint, per axis.
+            It is the same for all joints: on 15 real pairs of Kinect v2, head and spine are as far off along
+            the ray (35 and 10 mm) as elbows, knees and hands (5 to 10 mm). A smaller one for the trunk lets
+            the depth error of the trunk determine t.
         tempering: Divisor of the information of keyframes: their errors beyond the bias are correlated over
             seconds and whole limbs. 10 gives the least error of R on the simulator.
         inflation: Factor on the covariance, for effects outside the model. On the simulator the error
