@@ -29,6 +29,7 @@ class FusedFrame:
         covariance: (J, 3, 3) m², of each joint; None likewise.
         exchanged_a, exchanged_b: Which sides of the view were exchanged: bit 0 arms, bit 1 legs, 3 the whole
             body; bit 2 where the trunk does not go with them (:mod:`fusion.facing.model`).
+        doubt_a, doubt_b: Probability that the sides of the view are wrong all the same.
     """
 
     positions: NDArray[np.float64]
@@ -45,6 +46,8 @@ class FusedFrame:
     covariance: NDArray[np.float64] | None = None
     exchanged_a: int = 0
     exchanged_b: int = 0
+    doubt_a: float = 0.0
+    doubt_b: float = 0.0
 
     @property
     def has_person(self) -> bool:

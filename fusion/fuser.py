@@ -76,7 +76,8 @@ class Fuser:
             pair: Both skeletons in their own sensors' frames, of the calibration's body. A sensor that sees
                 no one gives None, and S* comes from the other alone; with neither there is no S*.
             codes: Which sides of A and of B are exchanged, where that is known
-                (:func:`fusion.facing.sequence.relabel_sequence`); found pair by pair where None.
+                (:func:`fusion.facing.sequence.relabel_sequence`), with the doubt about it
+                (:func:`fusion.facing.exchange.with_doubt`) or without; found pair by pair where None.
         """
         a, b = pair.a or self._nobody, pair.b or self._nobody
         return self._fusion.run(

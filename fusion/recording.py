@@ -19,6 +19,7 @@ from fusion.calibration.learner import CalibrationChange
 from fusion.calibration.recording_learner import LearnedCalibration, learn_from_recording
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
+from fusion.facing.exchange import with_doubt
 from fusion.facing.model import WHOLE
 from fusion.facing.sequence import relabel_sequence
 from fusion.registration.clock_offset import ClockOffset
@@ -32,8 +33,9 @@ class RecordingPlan:
 
     Attributes:
         segments: Each calibration, with the pairs that it holds for; in order, without gaps.
-        codes: (T, 2) which sides of A and of B are exchanged, see :mod:`fusion.facing.model`; None where the
-            method or the settings use no later frames.
+        codes: (T, 2) which sides of A and of B are exchanged, with the doubt about it
+            (:func:`fusion.facing.exchange.with_doubt`); None where the method or the settings use no later
+            frames.
         changes: Events of the learner: a sensor that was moved.
         clock: Offset of B's clock, from the motion; None where unknown.
     """
@@ -117,13 +119,13 @@ class _Views:
         self.time_ns = np.array([pair.time_ns for pair in pairs], dtype=np.int64)
 
     def labels(self, segments: Sequence[tuple[Calibration, slice]]) -> NDArray[np.int64]:
-        """(T, 2) exchange codes, given these calibrations."""
+        """(T, 2) exchange codes with doubt, given these calibrations."""
         b_in_a = np.concatenate([one.a_from_b.apply(self._b[own]) for one, own in segments])
         sensor_b = segments[0][0].a_from_b.translation
         found = relabel_sequence(
             self._body, self._a, self._states_a, b_in_a, self._states_b, self.time_ns, sensor_b
         )
-        return found.codes
+        return with_doubt(found.codes, found.doubt)
 
 
 def _segments(

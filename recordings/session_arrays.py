@@ -18,6 +18,7 @@ from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.facing.model import DOUBT_STEPS
 from fusion.fuser import FusedFrame
 from fusion.skeleton import Skeleton
 from recordings import layout
@@ -198,6 +199,13 @@ class SessionArrays:
         optional=True,
     )
     """(T, J, 4) likewise of B."""
+    side_doubt: NDArray[np.uint8] | None = per_frame(
+        *(np.uint8, (2,), layout.QUALITY, "side_doubt", np.uint8),
+        lambda f: None if f.fused.sigma is None else _steps(f.fused.doubt_a, f.fused.doubt_b),
+        absent=0,
+        optional=True,
+    )
+    """(T, 2) probability that the sides of A and of B are wrong all the same, in 1/255; ``duplex`` only."""
 
     @staticmethod
     def stack(
@@ -289,6 +297,10 @@ class SessionArrays:
         seen = np.count_nonzero(~np.isnan(nearest), axis=1)
         frame = np.arange(len(nearest))
         return np.asarray((nearest[frame, (seen - 1) // 2] + nearest[frame, seen // 2]) / 2.0)
+
+
+def _steps(*doubts: float) -> list[int]:
+    return [round(DOUBT_STEPS * doubt) for doubt in doubts]
 
 
 def _witness(

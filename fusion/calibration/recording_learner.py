@@ -32,6 +32,9 @@ from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
 _KEYFRAMES = 128  # per span; the tempering of the fit was chosen for this number
+_BONE_PAIRS = 256
+"""Pairs, evenly spaced, from which a recording's bone lengths are learned. Bone lengths need no variety of
+poses but many moments, because a tracker's scale changes within a second."""
 _FEWEST = 12
 
 
@@ -79,7 +82,7 @@ def learn_from_recording(
     """Learns one calibration from a recording, or one for each span between knocks.
 
     The first pass runs the live learner over the recording and finds when a sensor was moved. The second fits
-    R and t to all keyframes of each span, and the bone lengths to those of the longest span.
+    R and t to all keyframes of each span, and the bone lengths to evenly spaced pairs of the longest span.
 
     Args:
         body: Of both views.
@@ -120,7 +123,10 @@ def learn_from_recording(
             frames.add(pairs[k], codes[k])
         calibration = _refit(body, frames.evidence, first, settings) if settings.refine else first
         spans.append(CalibrationSpan(begin_ns, calibration))
-        bone_evidence.append((frames.evidence, calibration))
+        even = within[:: max(1, len(within) // _BONE_PAIRS)]
+        evidence = evidence_of(body, [pairs[k] for k in even], [codes[k] for k in even])
+        match_sides(body, evidence, calibration.a_from_b)
+        bone_evidence.append((evidence, calibration))
     if settings.bones:
         spans = _with_bones(body, spans, bone_evidence)
     clock = None

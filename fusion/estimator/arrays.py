@@ -127,6 +127,7 @@ class Output(NamedTuple):
     sigma: Array  # (T, J)
     velocities: Array  # (T, J, 3)
     codes: NDArray[np.int64]  # (T, 2)
+    side_doubt: Array  # (T, 2)
     counts: NDArray[np.int64]  # (T, 3) iterations, stale A, stale B
 
 
@@ -248,5 +249,6 @@ def new_output(frames: int, joints: int) -> Output:
         sigma=np.empty((frames, joints)),
         velocities=np.empty((frames, joints, 3)),
         codes=np.zeros((frames, 2), dtype=np.int64),
+        side_doubt=np.zeros((frames, 2)),
         counts=np.empty((frames, 3), dtype=np.int64),
     )

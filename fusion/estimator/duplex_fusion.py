@@ -114,4 +114,6 @@ class DuplexFusion:
             covariance=output.covariance[k],
             exchanged_a=int(output.codes[k, 0]),
             exchanged_b=int(output.codes[k, 1]),
+            doubt_a=float(output.side_doubt[k, 0]),
+            doubt_b=float(output.side_doubt[k, 1]),
         )

@@ -50,7 +50,8 @@ def estimate_pairs(  # type: ignore[no-untyped-def]
         views, solve: Workspaces.
         output: Written, T pairs.
         trace: Written, input of the smoother (:mod:`fusion.estimator.smoother`); of length 0 without one.
-        codes: (T, 2) exchange codes of A and B where they are known, -1 where the facing filter finds them.
+        codes: (T, 2) exchange codes of A and B with doubt where they are known, -1 where the facing filter
+            finds them.
         time_ns, skew_ns: (T,) the pairs' times, and capture time of B minus that of A.
         a, b: (T, J, 3) float32 positions, each in its sensor's frame; NaN where not tracked.
         states_a, states_b: (T, J) uint8 tracking states; all 0 where the sensor sees no one.
@@ -176,6 +177,7 @@ def no_one(output, k):  # type: ignore[no-untyped-def]
 def report(state, views, solve, output, k):  # type: ignore[no-untyped-def]
     """Writes row k of the output: S*, and each view's share of the information on each joint."""
     output.codes[k, 0], output.codes[k, 1] = views.codes[0], views.codes[1]
+    output.side_doubt[k, 0], output.side_doubt[k, 1] = views.side_doubt[0], views.side_doubt[1]
     for i in range(output.positions.shape[1]):
         says_a = _information(views, 0, i)
         says_b = _information(views, 1, i)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.facing.model import HIP, SHOULDER, TRUNK, WHOLE
+from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS, HIP, SHOULDER, TRUNK, WHOLE
 
 _INFERRED, _TRACKED = 1, 2  # fusion.skeleton.TrackingState
 
@@ -35,6 +38,17 @@ def exchange(model, positions, states, code, out_positions, out_states):  # type
         if trunk and model.believed[j] and state == _TRACKED:
             state = _INFERRED
         out_states[j] = state
+
+
+def with_doubt(codes: ArrayLike, doubt: ArrayLike) -> NDArray[np.int64]:
+    """Labels: exchange codes together with the doubt about them, in one integer each.
+
+    Args:
+        codes: (T, 2) exchange codes of A and of B.
+        doubt: (T, 2) from 0 to 1; rounded to steps of 1/255, as sessions store it.
+    """
+    steps = np.round(DOUBT_STEPS * np.asarray(doubt, dtype=np.float64)).astype(np.int64)
+    return np.asarray(np.asarray(codes, dtype=np.int64) + (steps << DOUBT_BIT))
 
 
 @inner_kernel

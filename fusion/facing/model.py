@@ -19,6 +19,8 @@ ARMS, LEGS, WHOLE = 1, 2, 3
 TRUNK = 4
 """Added to a code if the trunk differs from it: LEGS + TRUNK exchanges legs and trunk,
 WHOLE + TRUNK arms and legs without the trunk. The trunk is shoulders, hips and face."""
+DOUBT_BIT, DOUBT_STEPS = 8, 255
+"""A label is an exchange code and, in the bits from DOUBT_BIT on, the doubt about it in 1/DOUBT_STEPS."""
 SHOULDER, HIP, ELBOW, WRIST, KNEE, ANKLE = range(6)
 """The pairs of joints that evidence comes from, as rows of ``FacingModel.pairs``."""
 

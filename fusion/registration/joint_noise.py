@@ -1,4 +1,4 @@
-"""Relative noise and bias of body trackers by kind of joint."""
+"""Relative noise of body trackers by kind of joint."""
 
 from __future__ import annotations
 
@@ -9,32 +9,31 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 
-# Name fragment → (noise, bias) relative to the spine. The order matters: "handtip" precedes "hand".
-# The values are rounded by hand; no command reproduces them. Noise: jitter of a still person and outlier rate
+# Name fragment → noise relative to the spine. The order matters: "handtip" precedes "hand".
+# The values are rounded by hand; no command reproduces them: jitter of a still person and outlier rate
 # of real Kinect v2 and published Azure recordings, compressed to a factor of four.
-# Bias: offsets against optical motion capture grow from the trunk to the limbs' ends.
 _KINDS = (
-    ("handtip", 3.5, 1.5),
-    ("thumb", 4.0, 1.7),
-    ("hand", 2.5, 1.3),
-    ("wrist", 2.0, 1.2),
-    ("elbow", 1.5, 1.1),
-    ("spineshoulder", 1.0, 0.7),
-    ("shouldercenter", 1.0, 0.7),
-    ("hipcenter", 1.0, 0.7),
-    ("shoulder", 1.2, 0.9),
-    ("clavicle", 1.2, 0.9),
-    ("hip", 1.2, 0.9),
-    ("knee", 1.3, 1.0),
-    ("ankle", 1.6, 1.1),
-    ("foot", 2.5, 1.5),
-    ("heel", 2.5, 1.5),
-    ("head", 1.2, 0.9),
-    ("nose", 1.3, 1.0),
-    ("eye", 1.3, 1.0),
-    ("ear", 1.3, 1.0),
+    ("handtip", 3.5),
+    ("thumb", 4.0),
+    ("hand", 2.5),
+    ("wrist", 2.0),
+    ("elbow", 1.5),
+    ("spineshoulder", 1.0),
+    ("shouldercenter", 1.0),
+    ("hipcenter", 1.0),
+    ("shoulder", 1.2),
+    ("clavicle", 1.2),
+    ("hip", 1.2),
+    ("knee", 1.3),
+    ("ankle", 1.6),
+    ("foot", 2.5),
+    ("heel", 2.5),
+    ("head", 1.2),
+    ("nose", 1.3),
+    ("eye", 1.3),
+    ("ear", 1.3),
 )
-_SPINE = (1.0, 0.7)
+_SPINE = 1.0
 
 ARM, LEG = 1, 2
 """The limbs whose labels a tracker can exchange on their own; the bits of an exchange code."""
@@ -43,13 +42,7 @@ ARM, LEG = 1, 2
 @lru_cache
 def relative_noise(body: Body) -> NDArray[np.float64]:
     """(J,) standard deviation of a joint's frame-to-frame error, relative to the spine's."""
-    return _fixed([_kind(name)[0] for name in body.joints])
-
-
-@lru_cache
-def relative_bias(body: Body) -> NDArray[np.float64]:
-    """(J,) standard deviation of a joint's view bias, relative to a knee's."""
-    return _fixed([_kind(name)[1] for name in body.joints])
+    return _fixed([_kind(name) for name in body.joints])
 
 
 @lru_cache
@@ -74,9 +67,9 @@ def _fixed(values: list[float]) -> NDArray[np.float64]:
     return array
 
 
-def _kind(name: str) -> tuple[float, float]:
+def _kind(name: str) -> float:
     plain = _plain(name)
-    return next(((noise, bias) for part, noise, bias in _KINDS if part in plain), _SPINE)
+    return next((noise for part, noise in _KINDS if part in plain), _SPINE)
 
 
 def _plain(name: str) -> str:

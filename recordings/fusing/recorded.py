@@ -106,7 +106,7 @@ def fuse_segments(
     Args:
         segments: Segments in order, without gaps.
         pairs: Pairs of all segments.
-        codes: (T, 2) exchange codes; None: found pair by pair.
+        codes: (T, 2) exchange codes with doubt; None: found pair by pair.
     """
     fuser: Fuser | None = None
     for setup, own in segments:

@@ -83,6 +83,29 @@ def test_many_frames_of_one_pose_do_not_drown_a_few_of_a_better_one() -> None:
     assert robust_error < 0.6 * plain_error
 
 
+def test_a_bias_of_the_trunk_counts_no_more_than_that_of_the_limbs() -> None:
+    """Lasting biases: the fit is that of the joints' mean positions with equal weights."""
+    still = moving(KINECT_V2, 1)[0]
+    trunk = [KINECT_V2.joint(name) for name in ("SpineBase", "SpineMid", "SpineShoulder", "Neck", "Head")]
+    biased = still.copy()
+    biased[trunk] += [0.0, 0.0, -0.03]
+    count = 4000  # so many frames that the noise's weights (1 to 4²) are small beside those of the biases
+    b = A_FROM_B.inverse().apply(still)
+    seen = Evidence(
+        np.tile(biased, (count, 1, 1)),
+        np.tile(b, (count, 1, 1)),
+        np.ones((count, len(KINECT_V2))),
+        np.tile([1.0, 0.0, 0.0], (count, 1)),
+        np.arange(count) * FRAME_NS,
+    )
+    equal = fit_rigid(biased, b)
+    fit = fit_robust(KINECT_V2, seen, A_FROM_B, SETTINGS, iterations=20)
+    middle = b.mean(axis=0)
+    moved = np.linalg.norm(equal.apply(middle) - A_FROM_B.apply(middle))
+    # A trunk that counts twice as much as a limb would move the person by 0.6 of this more.
+    assert np.linalg.norm(fit.a_from_b.apply(middle) - equal.apply(middle)) < 0.1 * moved
+
+
 def test_the_stated_uncertainty_does_not_shrink_with_frames_of_one_pose() -> None:
     still = moving(KINECT_V2, 1)[0]
     sds = []

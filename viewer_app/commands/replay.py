@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from fusion.facing.exchange import with_doubt
+from fusion.facing.model import DOUBT_STEPS
 from fusion.fuser import Fuser
 from fusion.recording import plan_recording
 from fusion.setup import FusionSetup
@@ -75,7 +77,8 @@ def run(options: ReplayOptions) -> None:
     else:
         segments = list(session.setups(settings))
         if settings.hindsight != "none" and session.rows.exchanged is not None:
-            codes = session.rows.exchanged.astype(np.int64)
+            doubt = session.rows.side_doubt
+            codes = with_doubt(session.rows.exchanged, 0.0 if doubt is None else doubt / DOUBT_STEPS)
     with planned.opened(segments[0][0]) as outputs:
         announce_outputs(console, outputs)
         fused = fuse_segments(segments, pairs, codes)

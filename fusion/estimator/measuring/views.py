@@ -7,6 +7,7 @@ import math
 from fusion.compiling.kernels import inner_kernel
 from fusion.facing.exchange import exchange
 from fusion.facing.filter import update_facing
+from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS
 from fusion.methods.repetition import repeats
 
 
@@ -42,7 +43,8 @@ def relabel(model, facing_model, facing, views, dt, code_a, code_b):  # type: ig
         facing: State of the facing filter (:mod:`fusion.facing.filter`); updated unless codes are given.
         views: Positions and states are written.
         dt: Seconds since the previous pair.
-        code_a, code_b: Known exchange codes, as from a pass over a whole recording; -1 where unknown.
+        code_a, code_b: Known labels, as from a pass over a whole recording: exchange codes with doubt
+            (:func:`fusion.facing.exchange.with_doubt`); -1 where unknown.
     """
     if code_a < 0 or code_b < 0:
         update_facing(
@@ -52,8 +54,9 @@ def relabel(model, facing_model, facing, views, dt, code_a, code_b):  # type: ig
         views.codes[0], views.codes[1] = facing.codes[0], facing.codes[1]
         views.side_doubt[0], views.side_doubt[1] = facing.doubt[0], facing.doubt[1]
     else:
-        views.codes[0], views.codes[1] = code_a, code_b
-        views.side_doubt[0] = views.side_doubt[1] = 0.0
+        views.codes[0], views.codes[1] = code_a & _CODE, code_b & _CODE
+        views.side_doubt[0] = (code_a >> DOUBT_BIT) / DOUBT_STEPS
+        views.side_doubt[1] = (code_b >> DOUBT_BIT) / DOUBT_STEPS
     for v in range(2):
         exchange(
             facing_model, views.reported[v], views.reported_states[v], views.codes[v], views.positions[v],
@@ -108,6 +111,7 @@ def rescale(model, state, views, dt):  # type: ignore[no-untyped-def]
                     at[i, c] = at[root, c] + (at[i, c] - at[root, c]) * shrink
 
 
+_CODE = (1 << DOUBT_BIT) - 1  # the exchange code of a label
 _SHORTEST = 0.12  # metres: shorter bones carry little information on the scale
 _USUAL = 0.15  # a relative error at which a bone's weight is a quarter
 _FEWEST = 4  # bones

@@ -1,0 +1,73 @@
+"""The doubt about a view's sides when its labels are known beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion.body import KINECT_V2
+from fusion.calibration.calibration import Calibration
+from fusion.facing.exchange import with_doubt
+from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS, WHOLE
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
+from fusion.skeleton import Skeleton, SkeletonPair
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
+
+SETUP = FusionSetup(
+    Calibration(KINECT_V2, A_FROM_B, KINECT_V2.nominal_lengths, "known"), FuserSettings(hindsight="labels")
+)
+
+
+def walk(count: int) -> list[SkeletonPair]:
+    pairs = []
+    for k, truth in enumerate(moving(KINECT_V2, count)):
+        a, b = (
+            Skeleton.of(KINECT_V2, at, None, k * FRAME_NS) for at in (truth, A_FROM_B.inverse().apply(truth))
+        )
+        pairs.append(SkeletonPair(a, b, k * FRAME_NS))
+    return pairs
+
+
+def test_a_label_is_a_code_and_its_doubt() -> None:
+    labels = with_doubt([[WHOLE, 0], [5, 7]], [[0.0, 1.0], [0.2, 0.5019]])
+    np.testing.assert_array_equal(labels & 0xFF, [[WHOLE, 0], [5, 7]])
+    # Rounded to the nearest step.
+    np.testing.assert_array_equal(labels >> DOUBT_BIT, [[0, DOUBT_STEPS], [51, 128]])
+
+
+def test_the_fused_frame_tells_code_and_doubt() -> None:
+    fuser = Fuser(SETUP)
+    label_a, label_b = with_doubt([WHOLE, 0], [0.0, 0.4]).tolist()
+    frame = fuser.update(walk(1)[0], (label_a, label_b))
+    assert (frame.exchanged_a, frame.exchanged_b) == (WHOLE, 0)
+    assert (frame.doubt_a, frame.doubt_b) == (0.0, pytest.approx(0.4))
+
+
+def test_a_view_with_doubtful_sides_pulls_the_limbs_less() -> None:
+    """B's labels become wrong after a second: with certain labels its joints count, with doubt hardly."""
+    pairs = walk(40)
+    wrong = [
+        replace(pair, b=Skeleton.of(KINECT_V2, pair.b.positions[KINECT_V2.mirror], None, pair.time_ns))
+        if k >= 30 and pair.b is not None
+        else pair
+        for k, pair in enumerate(pairs)
+    ]
+    off = []
+    for doubt in (0.0, 1.0):
+        fuser = Fuser(SETUP)
+        labels = with_doubt(np.zeros((40, 2)), [(0.0, doubt if k >= 30 else 0.0) for k in range(40)])
+        frames = fuser.fuse_sequence(wrong, labels)
+        right = Fuser(SETUP).fuse_sequence(pairs, np.zeros((40, 2), dtype=np.int64))
+        limbs = KINECT_V2.mirror != np.arange(len(KINECT_V2))
+        off.append(
+            np.mean(
+                [
+                    np.linalg.norm((f.positions - r.positions)[limbs], axis=1)
+                    for f, r in zip(frames, right, strict=True)
+                ]
+            )
+        )
+    assert off[1] < 0.7 * off[0]
