@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.body import AZURE_KINECT, Body
+from fusion.body import AZURE_KINECT, BLAZEPOSE, Body
 
 KINDS = (
     "spine", "head", "girdle", "elbow", "wrist", "hand", "tip", "thumb", "knee", "ankle", "foot", "face",
@@ -60,6 +60,12 @@ KINECT_ERRORS = JointErrors(
     (0.0184, 0.0255, 0.0280, 0.0392, 0.0384, 0.0321, 0.0344, 0.0521, 0.0237, 0.0199, 0.0261, 0.0255), _FAST
 )
 """Kinect v1 and v2: ten real pairs of Kinect v2."""
+BLAZEPOSE_ERRORS = JointErrors(
+    (0.0151, 0.0132, 0.0141, 0.0177, 0.0153, 0.0130, 0.0130, 0.0205, 0.0076, 0.0194, 0.0166, 0.0167),
+    (0.0037, 0.0026, 0.0035, 0.0037, 0.0056, 0.0048, 0.0048, 0.0049, 0.0033, 0.0044, 0.0057, 0.0033),
+)
+"""BlazePose: tracked joints on simulated images against the truth, by
+``python -m tests.campaigns.own_tracker --errors``; it has no finger tips, which have the hands' values."""
 
 _ACCELERATION = (
     0.64,
@@ -164,7 +170,7 @@ DEFAULT_SMOOTHING = 0.5
 
 def joint_errors(body: Body) -> JointErrors:
     """The errors of the body's own tracker."""
-    return AZURE_ERRORS if body is AZURE_KINECT else KINECT_ERRORS
+    return AZURE_ERRORS if body is AZURE_KINECT else BLAZEPOSE_ERRORS if body is BLAZEPOSE else KINECT_ERRORS
 
 
 def by_joint(body: Body, values: tuple[float, ...]) -> NDArray[np.float64]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,3 +59,18 @@ def test_a_pair_keeps_its_skeletons_whatever_becomes_of_its_images() -> None:
     assert shapes == {"none": None, "half": (12, 16), "full": (24, 32)}
     assert has_images(pair)
     assert not has_images(without_images(pair))
+
+
+def test_infrared_goes_with_the_depth_image_of_the_same_pixels() -> None:
+    (pair,) = frame_pairs(AZURE_KINECT, 1, depth=True)
+    assert pair.a is not None
+    pair = replace(pair, a=replace(pair.a, ir=np.arange(24 * 32, dtype=np.uint16).reshape(24, 32)))
+    half, none, bare = with_depth(pair, "half"), with_depth(pair, "none"), without_images(pair)
+    assert half.a is not None
+    assert half.a.depth is not None
+    assert half.a.ir is not None
+    assert half.a.ir.shape == half.a.depth.shape
+    assert half.a.ir[1, 1] == 2 * 32 + 2
+    for kept in (none, bare):
+        assert kept.a is not None
+        assert kept.a.ir is None

@@ -1,0 +1,174 @@
+"""Two trackers on one processor: they leave out the same frames, then use the lighter network, and say so."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from devices.blazepose.networks.files import DETECTOR, LANDMARKS
+from devices.blazepose.pace import TrackingPace
+from devices.blazepose.settings import BlazePoseSettings
+from devices.blazepose.tracked_images import TrackedImages
+from devices.live.frame_decimation import FrameDecimation
+from devices.live.sensor_pair import TwoSensors
+from devices.sensor import SensorFrame
+from devices.simulated.kinect import SimulatedKinect, simulated_pair
+from devices.simulated.real_time import PacedSensor
+from fusion.body import BLAZEPOSE
+
+MS = 1_000_000
+
+
+class Clock:
+    """Time that passes only when someone waits or works."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def wait(self, stopping: threading.Event, seconds: float) -> bool:
+        self.now += seconds
+        return stopping.is_set()
+
+
+@pytest.fixture
+def networks(tmp_path: Path) -> BlazePoseSettings:
+    """A folder with files of the networks' names; the pace looks at nothing else."""
+    for file in (DETECTOR, *LANDMARKS.values()):
+        (tmp_path / file.name).write_bytes(b"")
+    return BlazePoseSettings(models=tmp_path)
+
+
+def work(pace: FrameDecimation, results: int, milliseconds: int) -> None:
+    for _ in range(results):
+        for sensor in ("a", "b"):
+            pace.tracked(sensor, milliseconds * MS)
+
+
+def test_a_tracker_that_stays_slow_goes_on_with_lite_and_every_frame_again(
+    networks: BlazePoseSettings,
+) -> None:
+    pace = TrackingPace(30.0, networks)
+    work(pace, 10, 50)
+    assert (pace.step, pace.network) == (2, "full"), "fewer frames first"
+    assert pace.take_news() == []
+    work(pace, 40, 50)
+    assert pace.network == "lite"
+    assert [news for news in pace.take_news() if "lite" in news]
+    assert pace.take_news() == []
+    work(pace, 40, 15)
+    assert (pace.step, pace.network) == (1, "lite")
+
+
+def test_a_hitch_costs_no_accuracy(networks: BlazePoseSettings) -> None:
+    pace = TrackingPace(30.0, networks)
+    work(pace, 10, 50)
+    work(pace, 40, 15)
+    assert (pace.step, pace.network) == (1, "full")
+    work(pace, 20, 50)
+    assert pace.network == "full", "results of the first hitch do not count"
+
+
+@pytest.mark.parametrize("lacks", ["the file", "a lighter one"])
+def test_without_a_lighter_network_only_frames_are_left_out(networks: BlazePoseSettings, lacks: str) -> None:
+    if lacks == "the file":
+        assert networks.models is not None
+        (networks.models / LANDMARKS["lite"].name).unlink()
+    else:
+        networks = replace(networks, network="lite")
+    pace = TrackingPace(30.0, networks)
+    work(pace, 200, 50)
+    assert (pace.step, pace.network) == (2, networks.network)
+    assert pace.take_news() == []
+
+
+def test_the_news_and_the_advice_reach_whoever_watches_the_sensors(networks: BlazePoseSettings) -> None:
+    pace, told = TrackingPace(30.0, networks), []
+    a, b, _ = simulated_pair(motion="still", seconds=0.1)
+    with TwoSensors(a, b, decimation=pace, tell=lambda event: told.append(event.message)) as sensors:
+        work(pace, 60, 50)
+        sensors.poll(0.0)
+    assert any("lite" in text for text in told)
+    assert any("15 of 30 frames" in text and "faster processor" in text for text in told)
+
+
+def simulated(seconds: float) -> SimulatedKinect:
+    a, _, _ = simulated_pair(
+        motion="still", seconds=seconds, body=BLAZEPOSE, depth="half", infrared=True, seed=1
+    )
+    return a
+
+
+@pytest.mark.parametrize("step", [1, 2, 3])
+def test_a_paced_sensor_makes_and_gives_the_images_of_the_kept_moments_only(
+    step: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, made = Clock(), []
+
+    def rendered(z: NDArray[np.float32], *_: object) -> NDArray[np.uint16]:
+        made.append(clock.now)
+        return np.zeros(z.shape, dtype=np.uint16)
+
+    monkeypatch.setattr("devices.simulated.kinect.depth_image", rendered)
+    decimation = FrameDecimation(30.0)
+    if step > 1:
+        work(decimation, 10, 33 * step - 5)
+    assert decimation.step == step
+    source = simulated(1.0)
+    with PacedSensor(source, None, decimation, clock=clock, wait=clock.wait) as paced:
+        frames = list(paced.frames())
+    gaps = np.diff([frame.time_ns for frame in frames]) / 1e9 * 30.0
+    np.testing.assert_allclose(gaps, step, atol=1e-6)
+    assert all(frame.depth is not None and frame.ir is not None for frame in frames)
+    # The first image is made before the sensor knows its moment.
+    assert len(frames) <= len(made) <= len(frames) + 1
+    assert source.images_left_out == 0, "they were not wanted"
+
+
+class Source:
+    """A sensor with images, whose making takes a third of the time."""
+
+    name, body, warnings, making_ns = "s", BLAZEPOSE, (), 10 * MS
+
+    def __init__(self, frames: list[SensorFrame]) -> None:
+        self._frames = frames
+        self.intrinsics = simulated(0.1).intrinsics
+
+    def __enter__(self) -> Source:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        pass
+
+    def frames(self) -> Iterator[SensorFrame]:
+        yield from self._frames
+
+
+def test_tracked_images_tell_the_pace_their_time_and_follow_its_network(
+    networks: BlazePoseSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pace, used, told = TrackingPace(30.0, networks), [], []
+    image = np.ones((288, 320), np.uint16)
+    frames = [SensorFrame(k * 33 * MS, depth=image if k else None, ir=image) for k in range(80)]
+    ticks = iter(range(0, 10**12, 40 * MS))
+    tracked = TrackedImages(Source(frames), networks, pace=pace, took=told.append, clock=lambda: next(ticks))
+    monkeypatch.setattr(tracked.tracker, "track", lambda *_: {})
+
+    def use(network: str) -> None:
+        used.append(network)
+        tracked.tracker.settings = replace(tracked.tracker.settings, network=network)
+
+    monkeypatch.setattr(tracked.tracker, "use", use)
+    given = list(tracked.frames())
+    assert len(given) == len(frames)
+    assert told == [40 * MS] * 79, "an image took one tick; a frame without one is not tracked"
+    assert pace.slowest_s == pytest.approx(0.050), "with the time that making the image took"
+    assert used == ["lite"], "once"
