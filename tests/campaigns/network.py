@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from devices.live.sensor_pair import TwoSensors
+from devices.live.stream_pairing import PairingFigures
 from devices.network.remote_sensor import RemoteSensor
 from devices.network.zenoh_session import ZenohAddresses, zenoh_session
 from devices.sensor import LinkFigures
@@ -42,6 +43,7 @@ class Run:
     seconds: float = 0.0
     pairs: int = 0
     dropped: tuple[int, int] = (0, 0)
+    pairing: PairingFigures = field(default_factory=PairingFigures)
     links: tuple[LinkFigures | None, LinkFigures | None] = (None, None)
 
     def __str__(self) -> str:
@@ -79,7 +81,7 @@ def measured(sensors: TwoSensors, seconds: float) -> Run:
             break
     run.seconds = time.perf_counter() - begun - _SETTLED_S
     run.dropped = sensors.a.dropped, sensors.b.dropped
-    run.links = sensors.links
+    run.links, run.pairing = sensors.links, sensors.figures
     return run
 
 
@@ -112,6 +114,7 @@ def main() -> int:
     Fuser(FusionSetup(nominal_calibration(a.body))).warm_up()
     network = by_network(seconds)
     print(f"by network: {network}", flush=True)
+    print(f"  {network.pairing}", flush=True)
     for side, link in zip("AB", network.links, strict=True):
         print(f"  {side}: {link}", flush=True)
     direct = directly(seconds / 5.0)

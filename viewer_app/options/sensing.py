@@ -138,7 +138,7 @@ class PublishOptions(ZenohOptions, TrackerOptions):
     body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
     """With --simulate: whose body tracker."""
     depth: bool = False
-    """Publish the depth images, too, without loss: up to 10 MB per second."""
+    """Publish the depth images, too, without loss: about 5 MB per second."""
     depth_mode: Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"] = "NFOV_UNBINNED"
     """Narrow and far, or wide and near."""
     fps: Literal[5, 15, 30] = 30
