@@ -109,8 +109,8 @@ def whole_recording(
     try:
         yield stream
         if blueprint is not None:
-            # The timeline of the blueprint must exist. Without making it active, the viewer restores a
-            # remembered layout.
+            # The timeline of the blueprint must exist: what was logged comes first in the file.
+            stream.flush(timeout_sec=_FLUSH_WITHIN)
             send_blueprint(stream, blueprint)
         stream.flush(timeout_sec=_FLUSH_WITHIN)
     finally:

@@ -1,9 +1,9 @@
 """Frees the threads and buffers of Rerun's streams, so that a process can write many sessions.
 
-Rerun keeps two threads and about 1 MB (more with large sessions) of each stream until it looks for streams
-that the program no longer refers to, which only ``rr.init`` does. ``RecordingStream.send_blueprint`` makes a
-stream that even then remains, because it is never disconnected. The functions below use the same internals of
-Rerun as these two; ``pyproject.toml`` limits Rerun's version for this reason as well.
+Rerun keeps two threads and the buffers of each stream, together 1 to 4 MB, until it looks for streams that
+the program no longer refers to. Only ``rr.init`` does that. ``RecordingStream.send_blueprint`` makes another
+stream, which remains even then, because it is never disconnected. The functions below call the same internal
+functions of Rerun as these two, which is safe as long as ``pyproject.toml`` pins Rerun's minor version.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ def free_dropped_streams() -> None:
 
 
 def send_blueprint(stream: rr.RecordingStream, blueprint: Any) -> None:
-    """Sends a layout, as ``stream.send_blueprint`` does, by a stream that can be freed.
+    """Sends a layout, as ``stream.send_blueprint`` does, but the stream that it makes can be freed.
+
+    The layout is made the active one; otherwise a viewer restores the layout that it remembers.
 
     Args:
         stream: Receives the layout.
