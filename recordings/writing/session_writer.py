@@ -21,6 +21,7 @@ from recordings.errors import RecordingError
 from recordings.reading.rrd_file import damage_of
 from recordings.session import Session
 from recordings.writing.recorder import Recorder
+from recordings.writing.stream_memory import free_dropped_streams, send_blueprint
 
 _BLOCK = 2048
 _FLUSH_WITHIN = 60.0  # seconds
@@ -104,14 +105,15 @@ def whole_recording(
     Raises:
         OSError: Some logged data did not reach the file, usually because the disk is full.
     """
+    free_dropped_streams()  # of earlier files: this one is still referred to when it is complete
     stream = rr.RecordingStream(application, recording_id=uuid4())
     stream.set_sinks(rr.FileSink(str(path)))
     try:
         yield stream
         if blueprint is not None:
-            # The timeline of the blueprint must exist. Without making it active, the viewer restores a
-            # remembered layout.
-            stream.send_blueprint(blueprint)
+            # The timeline of the blueprint must exist: what was logged comes first in the file.
+            stream.flush(timeout_sec=_FLUSH_WITHIN)
+            send_blueprint(stream, blueprint)
         stream.flush(timeout_sec=_FLUSH_WITHIN)
     finally:
         stream.disconnect()
