@@ -110,7 +110,7 @@ def test_the_t_pose_has_no_rotation_and_faces_plus_z_with_its_left_at_minus_x(bo
     at, _ = world(sent)
     assert at["LeftHand"][0] < -0.6 < 0.6 < at["RightHand"][0]
     assert at["LeftToes"][2] > at["LeftFoot"][2] + 0.1
-    assert at["LeftToes"][1] == pytest.approx(0.0, abs=FLOAT32)  # on the floor
+    assert -FLOAT32 <= at["LeftToes"][1] <= 0.02  # on the floor, or their heels are
     np.testing.assert_allclose(at["Hips"][[0, 2]], 0.0, atol=FLOAT32)  # above the origin
     assert at["Head"][1] > at["Hips"][1] > 0.7
 
