@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.sensor import SensorFrame
+from fusion.body import KINECT_V1
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
@@ -47,6 +48,12 @@ def depth_witness(
     positions = np.ascontiguousarray(skeleton.positions, dtype=np.float32)
     _measure(np.ascontiguousarray(depth), pinhole, lens, positions, found)
     return found.astype(np.float16).astype(np.float32)  # precision of a session, for replays
+
+
+def warm_up() -> None:
+    """Compiles or loads the kernel, so that a sensor's first frame does not wait for it."""
+    nowhere = Skeleton.of(KINECT_V1, np.zeros((len(KINECT_V1), 3)))
+    depth_witness(np.zeros((1, 1), dtype=np.uint16), Intrinsics(1, 1, 1.0, 1.0, 0.0, 0.0), nowhere)
 
 
 def with_witness(frame: SensorFrame, intrinsics: Intrinsics) -> SensorFrame:

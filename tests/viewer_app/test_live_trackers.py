@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from devices.blazepose.blazepose import BlazePose
-from devices.depth_witness import depth_witness
 from fusion.body import BLAZEPOSE
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
-from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton
 from recordings.session import Session
@@ -44,10 +42,7 @@ def own_tracker(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
     monkeypatch.setattr(BlazePose, "__enter__", lambda self: self)
     monkeypatch.setattr(BlazePose, "track", track)
     monkeypatch.setattr("viewer_app.tracker_selection.ensure_networks", lambda *_: False)
-    # Compiling takes longer than these sessions.
-    Fuser(FusionSetup(nominal_calibration(BLAZEPOSE))).warm_up()
-    lens, depth = NOMINAL_INTRINSICS["blazepose"], np.full((576, 640), 2000, np.uint16)
-    depth_witness(depth, lens, Skeleton.of(BLAZEPOSE, standing))
+    Fuser(FusionSetup(nominal_calibration(BLAZEPOSE))).warm_up()  # compiling takes longer than these sessions
     return images
 
 

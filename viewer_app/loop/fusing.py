@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from rich.console import Console
 
+from devices import depth_witness
 from fusion.fuser import Fuser
 from recordings.images.rvl import encode_depth
 
@@ -25,6 +26,7 @@ def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = la
     notice.start()
     try:
         fuser.warm_up(meanwhile)
+        depth_witness.warm_up()
         encode_depth(np.zeros((1, 1), dtype=np.uint16))
     finally:
         notice.cancel()
