@@ -1,10 +1,10 @@
 """Fits the constants of ``devices.blazepose.landmark_kinds`` on the simulated person.
 
-``python -m tests.campaigns.fit_blazepose`` prints, for each kind of landmark, the depth beneath the surface (the
-median over landmarks in plain view) and the limits of a seen landmark: those that keep most landmarks in plain
-view, where letting hidden ones through and errors above 10 cm cost. The constants in use are rounded. Limits of
-kinds that are rarely hidden, or that the simulated person has no truth for (mouth, knuckles), are those of their
-neighbours.
+``python -m tests.campaigns.fit_blazepose`` prints, for each kind of landmark, the depth beneath the surface
+(the median over landmarks in plain view) and the limits of a seen landmark: those that keep most landmarks in
+plain view, where letting hidden ones through and errors above 10 cm cost. The constants in use are rounded.
+Limits of kinds that are rarely hidden, or that the simulated person has no truth for (mouth, knuckles), are
+those of their neighbours.
 """
 
 from __future__ import annotations
@@ -105,8 +105,8 @@ def fit(rows: Array) -> None:
             best = max(best, (score, visible, turned, front, back, seen[plain].mean(), through))
         _, visible, turned, front, back, kept, through = best
         print(
-            f"{kind:9s} {beneath:.3f}, {visible:.1f}, {turned:.1f}, {front:.2f}, {back:.2f}: seen {kept:.2f} of "
-            f"{plain.sum()} in plain view, {through:.3f} of {hidden.sum()} hidden"
+            f"{kind:9s} {beneath:.3f}, {visible:.1f}, {turned:.1f}, {front:.2f}, {back:.2f}: seen {kept:.2f} "
+            f"of {plain.sum()} in plain view, {through:.3f} of {hidden.sum()} hidden"
         )
 
 
