@@ -107,10 +107,11 @@ class LiveOutputOptions:
     """Port of a WebSocket server: JSON, and a page that draws the skeleton."""
     zenoh: str | None = None
     """Zenoh key to publish JSON under; needs the extra zenoh."""
-    zenoh_listen: tuple[str, ...] = ()
-    """With --zenoh: addresses to listen on; tcp/127.0.0.1:7447 if none is given."""
+    zenoh_listen: str | None = None
+    """With --zenoh: address to listen on, such as tcp/0.0.0.0:7447. If neither this nor --zenoh-connect is
+    given: this machine only."""
     zenoh_connect: tuple[str, ...] = ()
-    """With --zenoh: addresses of routers or peers to connect to."""
+    """With --zenoh: addresses of routers or peers to connect to, tcp/HOST:PORT."""
 
     @property
     def listens(self) -> bool:

@@ -13,13 +13,15 @@ _KEEP = 64
 _HELLO_EVERY_NS = 1_000_000_000  # for those who come later
 
 
-def addresses_of(listen: tuple[str, ...], connect: tuple[str, ...]) -> ZenohAddresses:
+def addresses_of(listen: str | None, connect: tuple[str, ...]) -> ZenohAddresses:
     """The addresses; this machine's standard one if none is given.
 
     Raises:
         DeviceError: One of them is no address.
     """
-    return ZenohAddresses(listen if listen or connect else (LOOPBACK,), connect)
+    if listen is None and not connect:
+        listen = LOOPBACK
+    return ZenohAddresses(() if listen is None else (listen,), connect)
 
 
 class ZenohOutput(LiveOutput):
