@@ -53,7 +53,7 @@ def test_a_second_session_reads_the_description_frames_and_events(fuser: Fuser) 
 
 
 def test_this_machine_only_unless_an_address_is_given() -> None:
-    assert addresses_of((), ()) == ZenohAddresses(listen=(LOOPBACK,))
-    assert addresses_of((), ("tcp/192.0.2.7:7447",)) == ZenohAddresses(connect=("tcp/192.0.2.7:7447",))
+    assert addresses_of(None, ()) == ZenohAddresses(listen=(LOOPBACK,))
+    assert addresses_of(None, ("tcp/192.0.2.7:7447",)) == ZenohAddresses(connect=("tcp/192.0.2.7:7447",))
     with pytest.raises(DeviceError, match="not a Zenoh address"):
-        addresses_of(("192.0.2.7",), ())
+        addresses_of("192.0.2.7", ())
