@@ -86,7 +86,7 @@ def test_tables_are_whole_where_there_is_no_terminal(monkeypatch: pytest.MonkeyP
         for name, off in ends.items()
     ]
     stages = dict.fromkeys(bench_update.STAGES, 1234.5)
-    update = UpdateTiming("25 joints, simulated", 1000, stages, *[12345.6] * 5, 99999.0)
+    update = UpdateTiming("25 joints, simulated", "paper", 1000, stages, *[12345.6] * 5, 99999.0)
     writing = bench_speed.Writing(99999.0, 1.5, 2.4e6, 99999.0, 99999.0)
     growth = {20: 123.4, 32: 123.4, 160: 123.4}
     console.print(bench_speed._solver_table(solvers))
@@ -128,7 +128,10 @@ def test_figures_are_written_as_json(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     monkeypatch.setattr(bench_speed, "BODIES", {"kinect_v2": KINECT_V2})
     bench_speed.run(BenchSpeedOptions(tmp_path / "speed.json"))
     figures = json.loads((tmp_path / "speed.json").read_text())
-    assert [timing["name"] for timing in figures["updates"]] == ["25 joints, simulated"]
+    updates = figures["updates"]
+    assert [timing["name"] for timing in updates] == ["25 joints, simulated"] * 2
+    assert [timing["method"] for timing in updates] == ["duplex", "paper"]  # the default first
+    assert updates[0]["median_us"] > updates[1]["median_us"]  # the filter does far more per frame
     assert figures["solvers"][-1]["frames"] > 100
     assert figures["solvers"][-1]["systems"] >= figures["solvers"][-1]["iterations"]
     assert figures["solvers"][-1]["off_mm"] is None  # nobody else looked

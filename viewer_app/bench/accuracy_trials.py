@@ -153,8 +153,8 @@ def record(trial: Trial, simulation: Simulation) -> tuple[RecordedPair, int]:
         depth=simulation.depth,
     )
     # only the few figures per joint that each image gave are kept
-    views = ([replace(frame, depth=None) for frame in sensor.frames()] for sensor in (a, b))
-    pairs = pair_recordings(*views, PERSON, PERSON).pairs
+    frames_a, frames_b = ([replace(f, depth=None) for f in sensor.frames()] for sensor in (a, b))
+    pairs = pair_recordings(frames_a, frames_b, PERSON, PERSON).pairs
     times = np.array([pair.time_ns for pair in pairs])
     calibration = calibrate(body, *find_start_up_pose(body, [pair.skeletons for pair in pairs]))
     first = int(np.searchsorted(times * 1e-9, getattr(truth.scene.motion, "begins", 0.0)))

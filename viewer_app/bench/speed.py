@@ -24,6 +24,7 @@ from devices.recorded_person import choose_person
 from devices.sensor import DeviceError
 from devices.skeletons.recording import SkeletonRecording
 from fusion.body import BODIES, KINECT_V2, Body
+from fusion.setup import Method
 from fusion.skeleton import Skeleton, SkeletonPair
 from recordings.session import Session
 from viewer_app.bench.solvers import Timing, exact, random_frames, time_solver, time_solvers
@@ -41,6 +42,7 @@ from viewer_app.errors import UsageError
 from viewer_app.options.bench import BenchSpeedOptions
 from viewer_app.output_files import check_writable, whole_file
 
+_METHODS: tuple[Method, ...] = ("duplex", "paper")
 _COLD_FRAMES = 1000
 _SECONDS = 20.0
 _SHORT, _LONG = 600, 6600  # pairs of the two recordings whose difference separates writing from start-up
@@ -93,7 +95,7 @@ def run(options: BenchSpeedOptions) -> None:
         calibration = start_up(pairs, body)
         frames = warm_frames(pairs, calibration)
         solvers.append(time_solver(f"exact, warm, {name}", exact(body), frames))
-        updates.append(time_update(name, pairs, calibration))
+        updates += [time_update(name, pairs, calibration, method) for method in _METHODS]
     growth = time_growth((20, 32, 160))
     with console.status("duplex fuse, end to end"):
         writing = time_writing(*written[1:])
@@ -235,15 +237,13 @@ def _ratios(solvers: Sequence[Timing]) -> str:
 
 def _update_table(updates: Sequence[UpdateTiming]) -> Table:
     table = _table(
-        "Fuser.update a pair, and its compiled stages, µs",
-        ("pairs", "median", "p99", "p99.9", "max", *STAGES, "batch, pairs/s"),
+        "Fuser.update a pair, and the compiled stages of the method paper, µs",
+        ("pairs", "method", "median", "p99", "p99.9", "max", *STAGES, "batch, pairs/s"),
     )
     for t in updates:
         whole = (t.median_us, t.p99_us, t.p999_us, t.max_us)
-        stages = (t.stages_us[stage] for stage in STAGES)
-        table.add_row(
-            t.name, *(f"{us:.0f}" for us in whole), *(f"{us:.1f}" for us in stages), f"{t.batch_per_s:,.0f}"
-        )
+        stages = (f"{t.stages_us[stage]:.1f}" if t.stages_us else "–" for stage in STAGES)
+        table.add_row(t.name, t.method, *(f"{us:.0f}" for us in whole), *stages, f"{t.batch_per_s:,.0f}")
     return table
 
 

@@ -18,7 +18,7 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
 from fusion.methods import paper
-from fusion.setup import FuserSettings, FusionSetup
+from fusion.setup import FuserSettings, FusionSetup, Method
 from fusion.skeleton import Skeleton, SkeletonPair
 from fusion.solvers.tree_solver import TreeSolver, solve_tree
 from fusion.solvers.tree_steps import copy
@@ -36,13 +36,15 @@ class UpdateTiming:
     Attributes:
         name: The body and the source of the pairs.
         frames: Number of pairs.
-        stages_us: Of each stage inside the compiled loop, microseconds.
+        method: Name of the method.
+        stages_us: Of each stage of the method ``paper`` inside its compiled loop, microseconds; else empty.
         median_us, p99_us, p999_us, max_us: Of ``Fuser.update`` as called from Python.
         iterations: Median number of iterations.
         batch_per_s: Pairs per second with ``fuse_sequence``.
     """
 
     name: str
+    method: Method
     frames: int
     stages_us: dict[str, float]
     median_us: float
@@ -71,9 +73,12 @@ def repeated(pairs: Sequence[SkeletonPair], times: int) -> list[SkeletonPair]:
     return [replace(pair, time_ns=k * FRAME_NS) for k, pair in enumerate(shown)]
 
 
-def time_update(name: str, pairs: Sequence[SkeletonPair], calibration: Calibration) -> UpdateTiming:
-    """Measures one recording."""
-    fuser = Fuser(FusionSetup(calibration))
+def time_update(
+    name: str, pairs: Sequence[SkeletonPair], calibration: Calibration, method: Method = "duplex"
+) -> UpdateTiming:
+    """Measures one recording with a method."""
+    setup = FusionSetup(calibration, FuserSettings(method=method))
+    fuser = Fuser(setup)
     fuser.warm_up()
     took, iterations = [], []
     for pair in pairs:
@@ -84,7 +89,7 @@ def time_update(name: str, pairs: Sequence[SkeletonPair], calibration: Calibrati
     many = repeated(pairs, max(1, 6000 // len(pairs)))
     rates = []
     for _ in range(3):
-        fuser = Fuser(FusionSetup(calibration))
+        fuser = Fuser(setup)
         before = time.perf_counter_ns()
         fuser.fuse_sequence(many)
         rates.append(len(many) / (time.perf_counter_ns() - before) * 1e9)
@@ -92,8 +97,9 @@ def time_update(name: str, pairs: Sequence[SkeletonPair], calibration: Calibrati
     median, p99, p999, most = np.percentile(microseconds, [50, 99, 99.9, 100])
     return UpdateTiming(
         name=name,
+        method=method,
         frames=len(pairs),
-        stages_us=time_stages(pairs, calibration),
+        stages_us=time_stages(pairs, calibration) if method == "paper" else {},
         median_us=float(median),
         p99_us=float(p99),
         p999_us=float(p999),
