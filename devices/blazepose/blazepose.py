@@ -158,8 +158,11 @@ class BlazePose:
             searched = Region(whole.u, whole.v, _CLOSER * whole.side)
             if self._last is not None:
                 searched = replace(searched, u=self._last.region.u, v=self._last.region.v)
+        crop = compressed(searched.crop(image, DETECTOR_SIZE))
+        if searched is whole:
+            crop = evened(crop)
         self._searched += 1
-        found = self._networks[0].detect(evened(compressed(searched.crop(image, DETECTOR_SIZE))))
+        found = self._networks[0].detect(crop)
         to_image = searched.image_from_crop(DETECTOR_SIZE)
         regions = [
             Region.around(*transformed(to_image, np.array((person.centre, person.rim)))) for person in found

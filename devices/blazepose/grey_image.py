@@ -1,7 +1,7 @@
 """Compresses infrared images to the range of the networks.
 
-Measured on 276 images of the simulated person: the square root, linear brightness and percentiles from 0.2 to 1
-give the landmarks the same error within 1 mm; the percentiles 5 and 95 add 10 mm to the largest tenth of the
+Measured on 276 images of the simulated person: the square root, linear brightness and percentiles from 0.2 to
+1 give the landmarks the same error within 1 mm; percentiles of 5 and 95 add 10 mm to the largest tenth of the
 errors. CLAHE adds 1 to 5 mm there. The detector needs it: without, it misses one of 18 people, who has low
 contrast.
 """

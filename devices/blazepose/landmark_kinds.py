@@ -26,7 +26,7 @@ class Kind(NamedTuple):
     """How the landmarks of one kind lie under the surface, and when they count as seen.
 
     Attributes:
-        beneath: Metres of the landmark beneath the surface that the sensor sees.
+        beneath: Metres of the landmark beneath the surface that the sensor sees, for a person of size 1.
         visibility: Least visibility that the network must state.
         turned: Largest component of the landmark's outward direction along the line of sight: -1 towards the
             sensor, 1 away from it. An ear of the far side is hidden, whatever lies before it.
@@ -42,21 +42,21 @@ class Kind(NamedTuple):
 
 
 CONSTANTS = {
-    "NOSE": Kind(0.000, 0.3, 0.3, 0.06, 0.10),
+    "NOSE": Kind(0.003, 0.3, 0.3, 0.06, 0.10),
     "EYE": Kind(0.009, 0.3, 0.0, 0.06, 0.20),
     "MOUTH": Kind(0.005, 0.3, 0.3, 0.06, 0.10),
-    "EAR": Kind(0.021, 0.3, 0.1, 0.08, 0.20),
-    "SHOULDER": Kind(0.071, 0.3, 0.6, 0.06, 0.10),
-    "ELBOW": Kind(0.047, 0.7, 1.0, 0.10, 0.20),
-    "WRIST": Kind(0.030, 0.8, 1.0, 0.25, 0.25),
-    "PINKY": Kind(0.020, 0.8, 1.0, 0.25, 0.25),
-    "INDEX": Kind(0.020, 0.8, 1.0, 0.25, 0.25),
+    "EAR": Kind(0.019, 0.3, 0.1, 0.08, 0.20),
+    "SHOULDER": Kind(0.066, 0.3, 0.6, 0.06, 0.10),
+    "ELBOW": Kind(0.043, 0.7, 1.0, 0.10, 0.20),
+    "WRIST": Kind(0.026, 0.8, 1.0, 0.25, 0.25),
+    "PINKY": Kind(0.019, 0.8, 1.0, 0.25, 0.25),
+    "INDEX": Kind(0.019, 0.8, 1.0, 0.25, 0.25),
     "THUMB": Kind(0.000, 0.9, 1.0, 0.25, 0.25),
-    "HIP": Kind(0.105, 0.3, 0.5, 0.15, 0.20),
-    "KNEE": Kind(0.061, 0.7, 1.0, 0.25, 0.25),
-    "ANKLE": Kind(0.062, 0.8, 1.0, 0.25, 0.20),
-    "HEEL": Kind(0.036, 0.7, 0.5, 0.20, 0.10),
-    "FOOT": Kind(0.030, 0.9, 0.3, 0.20, 0.10),
+    "HIP": Kind(0.099, 0.3, 0.5, 0.15, 0.20),
+    "KNEE": Kind(0.057, 0.7, 1.0, 0.25, 0.25),
+    "ANKLE": Kind(0.058, 0.8, 1.0, 0.25, 0.20),
+    "HEEL": Kind(0.038, 0.7, 0.5, 0.20, 0.10),
+    "FOOT": Kind(0.028, 0.9, 0.3, 0.20, 0.10),
 }
 """The constants, fitted on the simulated person: ``python -m tests.campaigns.fit_blazepose``. That person
 wears thin clothes and has the median build; no real person was measured."""

