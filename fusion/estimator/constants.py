@@ -64,8 +64,8 @@ BLAZEPOSE_ERRORS = JointErrors(
     (0.0151, 0.0132, 0.0141, 0.0177, 0.0153, 0.0130, 0.0130, 0.0205, 0.0076, 0.0194, 0.0166, 0.0167),
     (0.0037, 0.0026, 0.0035, 0.0037, 0.0056, 0.0048, 0.0048, 0.0049, 0.0033, 0.0044, 0.0057, 0.0033),
 )
-"""BlazePose: tracked joints on simulated images against the truth, by
-``python -m tests.campaigns.own_tracker --errors``; it has no finger tips, which have the hands' values."""
+"""BlazePose: tracked joints on simulated images against the truth, four scenes (seed 100). It has no finger
+tips; they have the hands' values."""
 
 _ACCELERATION = (
     0.64,

@@ -44,7 +44,7 @@ COMMON = tuple(name for name in BLAZEPOSE.joints if name in AZURE_KINECT.joints)
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What the tracker reported in T frames of one sensor, and the truth in the sensor's frame.
+    """What the tracker reported in T frames of one sensor after the start-up pose, beside the truth.
 
     Attributes:
         found: (T,) whether a person was reported.
@@ -132,6 +132,10 @@ def track(
             skeleton = next(iter(people.values()), None)
             people = {} if skeleton is None else {PERSON: skeleton}
             tracked.append(with_witness(SensorFrame(frame.time_ns, people, frame.depth), lens))
+            if len(tracked) > 1:  # fusion needs no images
+                tracked[-2] = replace(tracked[-2], depth=None)
+            if rig.captured_at(which, k) < getattr(scene.motion, "begins", 0.0):
+                continue  # the start-up pose, in which every tracker is at its best
             off = np.full((len(BLAZEPOSE), 3), np.nan) if skeleton is None else skeleton.positions - true
             states = np.zeros(len(BLAZEPOSE), np.uint8) if skeleton is None else skeleton.states
             ray = true / np.linalg.norm(true, axis=1, keepdims=True)
@@ -146,8 +150,6 @@ def track(
                     spent,
                 )
             )
-            if len(tracked) > 1:  # images of one frame only are needed
-                tracked[-2] = replace(tracked[-2], depth=None)
     return tracked, View(*(np.array(column) for column in zip(*rows, strict=True)))
 
 

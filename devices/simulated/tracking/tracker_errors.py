@@ -8,7 +8,7 @@ import numpy as np
 
 from devices.simulated.person.anatomy import Array
 from devices.simulated.tracking.mirroring import Mirroring
-from fusion.body import AZURE_KINECT, Body
+from fusion.body import AZURE_KINECT, BLAZEPOSE, Body
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,8 @@ class TrackerErrors:
     """The errors of one body tracker. Lengths are metres, times seconds; zero turns an error off.
 
     The defaults of :meth:`of` are fitted to real recordings, with the figures of
-    ``devices.simulated.realism.pair_statistics``.
+    ``devices.simulated.realism.pair_statistics``. Those of BlazePose, of which there are no recordings, were
+    read off the tracker itself on simulated images (``python -m tests.campaigns.own_tracker --joints``).
 
     Attributes:
         view_bias: Standard deviation per axis of a joint's bias, which is constant in time and depends on the
@@ -124,7 +125,7 @@ class TrackerErrors:
     @staticmethod
     def of(body: Body) -> TrackerErrors:
         """Returns the errors of the tracker that reports this body."""
-        return _AZURE if body is AZURE_KINECT else _KINECT_V2
+        return _OF.get(body.name, _KINECT_V2)
 
     @staticmethod
     def with_random_swaps(body: Body) -> TrackerErrors:
@@ -163,3 +164,15 @@ _AZURE = TrackerErrors(
     moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.35),
     swap_seconds=2.0, stale=0.04, lost=0.001,
 )  # fmt: skip
+_BLAZEPOSE = TrackerErrors(
+    view_bias=0.012, skin=0.0, seen_share=0.35,
+    unsure=JointGroups(spine=0.03, girdle=0.35, elbow=0.12, wrist=0.2, hand=0.3, thumb=0.35, knee=0.02,
+                       ankle=0.05, foot=0.2, face=0.03),
+    inferred_error=0.08, inferred_jitter=2.0, not_tracked=0.0, mistracked=0.08, snap=0.6,
+    stretch=0.5, outliers=0.02, outlier_size=0.20, rescale=0.02, rescale_seconds=0.6,
+    jitter=JointGroups(spine=0.0037, head=0.0026, girdle=0.0035, elbow=0.0037, wrist=0.0056, hand=0.0048,
+                       tip=0.0048, thumb=0.0049, knee=0.0033, ankle=0.0044, foot=0.0057, face=0.0033),
+    moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.12),
+)  # fmt: skip
+"""Rounded from four simulated scenes (seed 100). It repeats no frame: it works on each image."""
+_OF = {AZURE_KINECT.name: _AZURE, BLAZEPOSE.name: _BLAZEPOSE}

@@ -1,0 +1,50 @@
+"""``duplex demo --tracker blazepose``: the real tracker on simulated images, live."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion.body import BLAZEPOSE
+from recordings.session import Session
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.machine import need_networks
+from tests.helpers.session_text import rows_of
+
+
+def test_the_demo_runs_the_own_tracker_on_images_of_a_person(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    need_networks("full")
+    saved = tmp_path / "s.rrd"
+    arguments = ("--tracker", "blazepose", "--motion", "startup", "--seconds", "4", "--no-viewer")
+    assert duplex("demo", *arguments, "--save", saved) == 0
+    said = capsys.readouterr().out
+    assert "Distance from the true joints" in said
+    session = Session.open(saved)
+    assert session.body is BLAZEPOSE
+    # A busy machine gets fewer frames, but both sensors the same ones: pairs with both.
+    assert np.isfinite(session.fused).all(axis=(1, 2)).sum() >= 3
+    both = np.isfinite(session.skeleton_a.positions[:, 0, 0]) & np.isfinite(
+        session.skeleton_b.positions[:, 0, 0]
+    )
+    assert both.mean() > 0.5
+    assert rows_of(saved, "/kinect_a/depth") > 0
+    assert rows_of(saved, "/kinect_a/depth/infrared") == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--depth", "none"), "works on images"),
+        (("--body", "kinect_v2"), "not kinect_v2"),
+        (("--tracker-model", "nowhere"), "nowhere"),
+    ],
+)
+def test_the_demo_refuses_what_the_own_tracker_cannot_do(
+    arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert duplex("demo", "--tracker", "blazepose", "--no-viewer", *arguments) == 2
+    assert words in one_line(capsys)
