@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Generator, Sequence
 from importlib import import_module
 from typing import Any
@@ -76,7 +77,12 @@ def connect(scheduler: str) -> Any:
 
 def _check_workers(client: Any, scheduler: str) -> None:
     own = program_version()
+    deadline = time.monotonic() + _CONNECT_WITHIN
     versions = client.run(program_version, on_error="return")
+    # A scheduler still lists a worker that has just died, until it notices.
+    while any(isinstance(other, OSError) for other in versions.values()) and time.monotonic() < deadline:
+        time.sleep(0.2)
+        versions = client.run(program_version, on_error="return")
     if not versions:
         raise UsageError(f"--scheduler {scheduler} has no workers. Start some: dask worker {scheduler}")
     for worker, other in versions.items():

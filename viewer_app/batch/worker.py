@@ -45,6 +45,10 @@ def _fuse(job: Job) -> Record:
     os.environ.setdefault("RERUN_ANALYTICS", "0")
     identity = job.identity()
     job.drop_partials()
+    finished = job.record()
+    if finished is not None and finished["identity"] == identity:
+        # A cluster repeats a job if its worker is lost after the session is in its place.
+        return finished
     partial = job.partial
     partial.mkdir(parents=True)
     try:

@@ -16,6 +16,7 @@ from tests.helpers.command_line import duplex, one_line
 from tests.helpers.recorded_pairs import assert_same_session, write_pair
 from tests.helpers.waiting import eventually
 from viewer_app.batch import processes
+from viewer_app.batch.finding import Pair
 from viewer_app.batch.jobs import Job, Outcome
 from viewer_app.batch.processes import run_in_processes
 from viewer_app.batch.worker import fuse_job
@@ -180,9 +181,17 @@ def test_a_worker_that_dies_costs_its_own_job_only(tmp_path: Path, monkeypatch: 
     ]
 
 
-def _job(folder: Path, name: str) -> Job:
-    from viewer_app.batch.finding import Pair
+def test_a_job_that_a_cluster_repeats_is_not_fused_again(tmp_path: Path) -> None:
+    folder = write_pair(tmp_path / "pairs" / "p")
+    options = BatchOptions(source=folder.parent, out=tmp_path / "out")
+    job = Job(Pair("p", folder / "a.csv", folder / "b.csv"), options)
+    first = fuse_job(job)
+    made = job.session.stat().st_mtime_ns
+    assert fuse_job(job) == first
+    assert job.session.stat().st_mtime_ns == made
 
+
+def _job(folder: Path, name: str) -> Job:
     options = BatchOptions(source=folder, out=folder)
     return Job(Pair(name, folder / "a.csv", folder / "b.csv"), options)
 
