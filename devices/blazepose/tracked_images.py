@@ -5,18 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.blazepose.blazepose import BlazePose
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.settings import BlazePoseSettings
 from devices.sensor import DeviceError, Interruptible, Sensor, SensorFrame
 from fusion.body import BLAZEPOSE, Body
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
+
+if TYPE_CHECKING:
+    from devices.blazepose.blazepose import BlazePose
 
 
 class TrackedImages:
@@ -53,8 +55,11 @@ class TrackedImages:
                 use. The source leaves out the frames that it does not keep. None: every frame, one network.
             clock: Nanoseconds; tests inject their own.
         """
+        # OpenCV changes the environment when it is imported; importing this package must not.
+        from devices.blazepose.blazepose import BlazePose
+
         self.source = source
-        self.tracker = BlazePose(settings)
+        self.tracker: BlazePose = BlazePose(settings)
         self.body: Body = BLAZEPOSE
         self._registered = registered or registered_color
         self._took, self._pace, self._clock = took, pace, clock
@@ -152,5 +157,7 @@ def registered_color(frame: SensorFrame) -> NDArray[np.uint8] | None:
     same_place = np.array_equal(move.rotation, np.eye(3)) and not np.any(move.translation)
     if not same_place or (lens.height, lens.width) != depth.shape:
         return None
+    import cv2
+
     image = cv2.imdecode(np.frombuffer(color.jpeg, np.uint8), cv2.IMREAD_COLOR_RGB)
     return None if image is None else np.asarray(image, dtype=np.uint8)
