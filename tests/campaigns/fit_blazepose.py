@@ -15,7 +15,8 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.blazepose import BlazePose, blazepose
+from devices.blazepose import blazepose
+from devices.blazepose.blazepose import BlazePose
 from devices.blazepose.landmark_kinds import CONSTANTS, INDEX, column
 from devices.blazepose.lifting import _outward, lay_body
 from devices.blazepose.regions import Region

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.blazepose import BlazePose, BlazePoseSettings
+from devices.blazepose.blazepose import BlazePose
+from devices.blazepose.settings import BlazePoseSettings
 from devices.depth_witness import with_witness
 from devices.pairing import pair_recordings
 from devices.sensor import SensorFrame

@@ -10,7 +10,8 @@ import pytest
 from devices.azure.kinect import KinectSensor
 from devices.azure.tracking import availability
 from devices.azure.tracking.body_tracker import TrackerSettings
-from devices.blazepose import BlazePoseSettings, TrackedImages
+from devices.blazepose.settings import BlazePoseSettings
+from devices.blazepose.tracked_images import TrackedImages
 from devices.live.connected_sensors import connected_sensors
 from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice, choose_tracker, tracker_name

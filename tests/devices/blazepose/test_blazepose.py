@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from devices.blazepose import BlazePose, BlazePoseSettings
+from devices.blazepose.blazepose import BlazePose
+from devices.blazepose.settings import BlazePoseSettings
 from devices.sensor import DeviceError
 from fusion.body import BLAZEPOSE
 from fusion.skeleton import Skeleton, TrackingState

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from devices.blazepose import BlazePose, BlazePoseSettings
+from devices.blazepose.blazepose import BlazePose
 from devices.blazepose.networks import fetching
 from devices.blazepose.networks.files import WHEEL, NetworkFile, cache_folder
+from devices.blazepose.settings import BlazePoseSettings
 from devices.sensor import DeviceError
 from tests.helpers.machine import need_networks
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from devices.blazepose import BlazePose, BlazePoseSettings
+from devices.blazepose.blazepose import BlazePose
+from devices.blazepose.settings import BlazePoseSettings
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 from tests.helpers.machine import need_networks

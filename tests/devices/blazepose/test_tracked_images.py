@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from devices.blazepose import BlazePoseSettings, TrackedImages
+from devices.blazepose.settings import BlazePoseSettings
+from devices.blazepose.tracked_images import TrackedImages
 from devices.sensor import ColorCamera, ColorImage, DeviceError, Sensor, SensorFrame
 from devices.simulated.kinect import simulated_pair
 from fusion.body import BLAZEPOSE
