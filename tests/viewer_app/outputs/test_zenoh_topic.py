@@ -14,7 +14,7 @@ from fusion.fuser import Fuser
 from tests.helpers.live_frames import frames
 from tests.helpers.network import free_address
 from tests.helpers.waiting import eventually
-from viewer_app.outputs.zenoh_topic import ZenohOutput, addresses_of
+from viewer_app.outputs.zenoh_topic import ZenohOutput
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip install -e '.[zenoh]'")
 
@@ -53,7 +53,8 @@ def test_a_second_session_reads_the_description_frames_and_events(fuser: Fuser) 
 
 
 def test_this_machine_only_unless_an_address_is_given() -> None:
-    assert addresses_of(None, ()) == ZenohAddresses(listen=(LOOPBACK,))
-    assert addresses_of(None, ("tcp/192.0.2.7:7447",)) == ZenohAddresses(connect=("tcp/192.0.2.7:7447",))
+    assert ZenohAddresses.of_meeting_point((), ()) == ZenohAddresses(listen=(LOOPBACK,))
+    elsewhere = ("tcp/192.0.2.7:7447",)
+    assert ZenohAddresses.of_meeting_point((), elsewhere) == ZenohAddresses(connect=elsewhere)
     with pytest.raises(DeviceError, match="not a Zenoh address"):
-        addresses_of("192.0.2.7", ())
+        ZenohAddresses.of_meeting_point(("192.0.2.7",), ())
