@@ -28,7 +28,7 @@ def send_blueprint(stream: rr.RecordingStream, blueprint: Any) -> None:
         stream: Receives the layout.
         blueprint: The layout of the viewer, anything that Rerun takes as such.
     """
-    application = stream.get_application_id()
+    application = rr.get_application_id(stream)
     assert application is not None
     layout = rr.RecordingStream._from_native(
         rerun_bindings.new_blueprint(application, make_default=False, make_thread_default=False)
