@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -19,6 +16,7 @@ from fusion.fuser import Fuser
 from fusion.recording import plan_recording
 from fusion.setup import FuserSettings, Hindsight, Method
 from recordings.fusing.recorded import fuse_segments, setups_of
+from viewer_app.batch.machine_lock import one_process
 from viewer_app.loop.fusing import warm_up
 
 _SECONDS = 3.0
@@ -44,41 +42,6 @@ def compile_once(method: Method, smooth: str) -> None:
             warm_up(Fuser(segments[0][0]), Console(file=nothing))
         for _ in fuse_segments(segments, pairs, plan.codes):
             pass
-
-
-@contextmanager
-def one_process(lock: Path) -> Iterator[None]:
-    """Lets one process at a time into the block; the operating system frees the lock of a process that ends.
-
-    Args:
-        lock: A file, created if missing. If it cannot be created, nothing is locked.
-    """
-    try:
-        file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o600)
-    except OSError:
-        yield
-        return
-    try:
-        _lock(file)
-        yield
-    finally:
-        os.close(file)
-
-
-def _lock(file: int) -> None:
-    if sys.platform == "win32":
-        import msvcrt
-
-        while True:
-            try:
-                msvcrt.locking(file, msvcrt.LK_LOCK, 1)
-                return
-            except OSError:
-                continue  # it gives up after ten attempts, one per second
-    else:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX)
 
 
 def _user() -> str:

@@ -141,7 +141,9 @@ def test_a_session_that_was_being_replaced_returns(tmp_path: Path, in_this_proce
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_killed_half_way_and_resumed(number: signal.Signals, tmp_path: Path) -> None:
+def test_killed_half_way_and_resumed(
+    number: signal.Signals, tmp_path: Path, in_this_process: list[str]
+) -> None:
     pairs, out = tmp_path / "pairs", tmp_path / "out"
     for seed in range(4):
         write_pair(pairs / f"p{seed}", seed=seed)
@@ -163,6 +165,7 @@ def test_killed_half_way_and_resumed(number: signal.Signals, tmp_path: Path) -> 
         assert not (out / ".partial").exists()
     made = {name: (out / name / f"{name}.rrd").stat().st_mtime_ns for name in done}
     assert duplex("batch", pairs, "--out", out, "--processes", 1) == 0
+    assert in_this_process == [f"p{k}" for k in range(4) if f"p{k}" not in done]
     assert {name: (out / name / f"{name}.rrd").stat().st_mtime_ns for name in done} == made
     assert table(out)["state"] == ["fused"] * 4
     assert not (out / ".partial").exists()

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 
 from viewer_app.batch.finding import Pair
 from viewer_app.batch.jobs import Job
-from viewer_app.batch.kernels import one_process
+from viewer_app.batch.machine_lock import one_process
 from viewer_app.batch.summary import RANKED, Row, State, worst_first, write_page, write_parquet
 from viewer_app.options.batch import BatchOptions
 
@@ -67,7 +67,7 @@ def test_the_table_is_in_si_units_and_the_page_escapes(tmp_path: Path) -> None:
 
 def test_one_process_at_a_time_compiles(tmp_path: Path) -> None:
     program = (
-        "import sys; from pathlib import Path; from viewer_app.batch.kernels import one_process\n"
+        "import sys; from pathlib import Path; from viewer_app.batch.machine_lock import one_process\n"
         "print('ready', flush=True)\n"
         "with one_process(Path(sys.argv[1])): print('in', flush=True)"
     )
