@@ -248,7 +248,7 @@ def test_the_installed_program_answers_with_exit_code_2_and_no_traceback(tmp_pat
         [sys.executable, "-m", "viewer_app.cli", "fuse", "no.csv", "no.csv", "--no-viewer"],
         capture_output=True,
         text=True,
-        cwd=Path(__file__).resolve().parents[2],
+        cwd=Path(__file__).resolve().parents[3],
         env={**os.environ, "TMPDIR": str(tmp_path)},
         check=False,
     )

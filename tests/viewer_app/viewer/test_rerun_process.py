@@ -14,7 +14,7 @@ import pytest
 from tests.helpers.waiting import eventually
 from viewer_app.viewer.rerun_process import Hub, start_window_on_pipe, stop
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 _STARTS_A_HUB = """
 import sys
 from viewer_app.viewer.rerun_process import Hub

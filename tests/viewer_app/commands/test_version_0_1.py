@@ -17,7 +17,7 @@ import pytest
 from recordings.session import Session
 from tests.helpers.command_line import duplex
 
-DATA = Path(__file__).parents[1] / "data" / "version_0_1"
+DATA = Path(__file__).parents[2] / "data" / "version_0_1"
 
 THE_METHOD_OF_0_1: tuple[str, ...] = ("--method", "paper")
 """The options of ``duplex fuse`` that choose what version 0.1 did."""
