@@ -377,7 +377,7 @@ def _press_ctrl_c() -> None:
     signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
-def test_unplugged_beside_another_where_no_usb_list_tells(bus: Bus) -> None:
+def test_unplugged_beside_another_without_a_usb_list(bus: Bus) -> None:
     # As on Windows: only the SDK's count of sensors shows that one is missing.
     bus.devices = [Device("000123"), Device("000456")]
     with _kinect("000456"), _kinect("000123") as sensor:

@@ -160,7 +160,7 @@ def test_a_lost_sensor_says_so_while_it_is_gone(sensor: ScriptedSensor) -> None:
         go_on.set()
 
 
-def test_the_first_frame_may_take_longer_and_that_is_told_once(sensor: ScriptedSensor) -> None:
+def test_a_slow_first_frame_is_allowed_and_reported_once(sensor: ScriptedSensor) -> None:
     now = [100.0]
     with SensorThread(
         sensor, stall_s=2.0, first_s=60.0, clock=lambda: now[0], wait=lambda *_: False

@@ -340,7 +340,7 @@ def beyond_numbers() -> Problem:
     return replace(problem, targets=targets, start=ordinary_problem(9).targets)
 
 
-def test_what_is_too_far_away_for_a_number_has_not_converged():
+def test_a_problem_that_overflows_has_not_converged():
     solution = solve(beyond_numbers())
     assert not np.isfinite(solution.objective)
     assert not solution.converged
@@ -359,7 +359,7 @@ def test_without_a_hole_there_are_two_starts_only():
         ([-1, 0], [0, 1], [[0.0, 0.0, 0.0], [0.0, np.nan, 1.0]]),
     ],
 )
-def test_what_is_no_tree_or_has_no_directions_is_refused(parents, order, rest):
+def test_a_body_that_is_no_tree_or_has_no_directions_is_refused(parents, order, rest):
     with pytest.raises(FusionError, match=r"in order|at rest"):
         TreeSolver(parents, order, rest)
 

@@ -238,7 +238,7 @@ def test_a_copy_that_fails_leaves_the_file_that_grew(tmp_path: Path, monkeypatch
     assert [path.name for path in tmp_path.iterdir()] == ["s.rrd"]
 
 
-def test_a_file_of_the_name_stays_until_there_is_something_to_put_there(tmp_path: Path) -> None:
+def test_an_existing_file_stays_until_its_replacement_is_ready(tmp_path: Path) -> None:
     path = tmp_path / "s.rrd"
     path.write_text("precious")
     fuser, frames = fused_frames(10)
@@ -356,7 +356,7 @@ def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
     assert frames_in(path) == saved > 0
 
 
-def test_a_disk_with_little_room_is_said_and_used(
+def test_a_nearly_full_disk_is_reported_and_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 3_000_000))  # type: ignore[attr-defined]
@@ -366,7 +366,7 @@ def test_a_disk_with_little_room_is_said_and_used(
     assert frames_in(path) > 0
 
 
-def test_a_name_that_cannot_be_written_is_a_mistake_before_anything_runs(
+def test_an_unwritable_file_name_is_refused_before_anything_runs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     taken = tmp_path / "taken.rrd"

@@ -101,7 +101,7 @@ def seconds_of(rows: SessionArrays, seconds: int) -> SessionArrays:
     return replace(picked, frame=index, time_ns=index * (SECOND // 10))
 
 
-def test_every_moment_of_a_file_stands_in_the_page_that_is_shown_then(rows: SessionArrays) -> None:
+def test_each_moment_of_a_file_is_in_the_page_that_is_shown_at_that_time(rows: SessionArrays) -> None:
     pages = pages_of(TrustMatrix(BODY, 5 * SECOND), seconds_of(rows, 70))
     assert list(pages) == [0, 15 * SECOND, 30 * SECOND, 45 * SECOND, 60 * SECOND]
     for at in range(70):

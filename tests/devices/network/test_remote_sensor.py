@@ -98,7 +98,7 @@ def test_depth_images_arrive_if_asked_for(address: str) -> None:
                 assert np.array_equal(got.depth, image)
 
 
-def test_a_sensor_that_is_not_there_gives_one_line(address: str) -> None:
+def test_an_absent_sensor_gives_one_line(address: str) -> None:
     with pytest.raises(
         AbsentError, match=r"Nobody publishes 'lab/a' at tcp/.*Start duplex sensor --publish lab/a"
     ):

@@ -183,7 +183,7 @@ def test_hidden_spells_meet_their_fate_in_the_share_the_knob_says(knob: str, sta
     assert np.mean(found) == pytest.approx(share, abs=0.033)
 
 
-def test_a_mistracked_joint_is_called_tracked_and_stands_where_the_joint_before_it_is() -> None:
+def test_a_mistracked_joint_is_reported_as_tracked_at_the_joint_in_front_of_it() -> None:
     joints = standing()
     body = AZURE_KINECT
     hand, elbow = body.joint("HAND_LEFT"), body.joint("ELBOW_RIGHT")

@@ -109,7 +109,7 @@ def test_only_a_difference_beyond_its_spread_is_bold(lead: float, best: str | No
         (("--seconds", "1"), "leave less than a second after the start-up pose"),
     ],
 )
-def test_what_cannot_be_measured_is_one_line_and_exit_code_2(
+def test_benchmarks_that_cannot_run_give_one_line_and_exit_code_2(
     arguments: tuple[str, ...],
     words: str,
     tmp_path: Path,
@@ -201,7 +201,7 @@ def test_wins_are_counted_recording_by_recording() -> None:
     assert wins(outcomes, "mean, refined") == 1.0
 
 
-def test_where_another_method_is_nearer_on_average_is_said() -> None:
+def test_cases_where_another_method_is_nearer_on_average_are_reported() -> None:
     outcomes = made_up(dict.fromkeys(NAMES, 2.0) | {OURS: 1.0, "oracle": 0.1})
     assert lost_to(outcomes) == []
     assert "In each of 4 movements × angles" in said_of_losses(outcomes)[0]
@@ -250,7 +250,7 @@ def test_harsher_trackers_are_harsher() -> None:
     assert Simulation("kinect_v2", 9.0, 2.0, "heavy-tailed").errors_of_tracker() == scaled(tails, 2.0)
 
 
-def test_depth_images_reach_our_method_and_its_ablation_goes_without() -> None:
+def test_depth_images_reach_our_method_and_not_its_ablation() -> None:
     """Images change S*, and nothing else: the ablation on images is our method on no images."""
     trial = [Trial("arms", 90.0, 3)]
     names = ["mean, refined", OURS, WITHOUT_DEPTH]

@@ -55,7 +55,7 @@ def test_a_pair_is_judged(
         ((), "Name one or more folders with a.csv and b.csv, or two recordings."),
     ],
 )
-def test_what_cannot_be_judged_is_one_line_and_exit_code_2(
+def test_recordings_that_cannot_be_judged_give_one_line_and_exit_code_2(
     arguments: tuple[str, ...],
     words: str,
     shared: Path,

@@ -188,7 +188,7 @@ def test_writing_is_timed_with_the_recording_where_one_is_given(
 
 
 @pytest.mark.parametrize("wrong", ["recording", "json"])
-def test_what_is_asked_for_wrongly_is_said_before_the_first_timing(
+def test_wrong_options_are_reported_before_the_first_timing(
     wrong: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(bench_speed, "time_solvers", lambda problems: pytest.fail("timed"))

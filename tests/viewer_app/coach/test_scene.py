@@ -48,7 +48,7 @@ def middle_of_ring(mark: Mark) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("b", [None, A_FROM_B])
-def test_a_person_with_arms_out_is_seen_whole_where_they_are_sent(b: RigidTransform | None) -> None:
+def test_a_person_with_arms_out_is_fully_in_view_at_the_advised_place(b: RigidTransform | None) -> None:
     far = FARTHEST[BODY.name]
     spot = standing_spot(b, CAMERAS, far, 1.0)
     assert spot.room > 0.0
@@ -80,7 +80,7 @@ def test_the_circle_is_on_the_floor_and_an_arrow_leads_to_it() -> None:
     assert mark.words == f"stand here: {to_go:.1f} m to go"
 
 
-def test_on_the_circle_the_pose_is_asked_for_and_counted_down() -> None:
+def test_the_pose_is_requested_on_the_circle_and_counted_down() -> None:
     spot = standing_spot(A_FROM_B, CAMERAS, FARTHEST[BODY.name], 1.0)
     torso = PERSON[list(BODY.torso)].mean(axis=0)
     there = fused(PERSON + [spot.x - torso[0], 0.0, spot.z - torso[2]])
@@ -90,7 +90,7 @@ def test_on_the_circle_the_pose_is_asked_for_and_counted_down() -> None:
     assert "spot" not in marks(replace(now, settled=True), there)
 
 
-def test_before_anyone_was_seen_there_is_a_circle_before_a() -> None:
+def test_before_the_first_person_a_circle_is_shown_in_front_of_a() -> None:
     mark = marks(Situation(nominal_calibration(BODY), settled=False, held=0.0))["spot"]
     x, y, z = middle_of_ring(mark)
     assert (abs(x), y) == pytest.approx((0.0, 1.0), abs=0.1)
@@ -106,7 +106,7 @@ def test_a_sensor_with_a_problem_is_marked_where_it_stands() -> None:
     assert drawn["sensor_b"].lines[1][0] == pytest.approx(A_FROM_B.translation)
 
 
-def test_a_moved_sensor_marks_both_for_either_may_be_it() -> None:
+def test_a_moved_sensor_marks_both_because_either_may_have_moved() -> None:
     moved = Advice("moved", "…", "WARN", 0.3, 0.25, "AB", "moved? calibrate again")
     assert {"sensor_a", "sensor_b"} <= marks(None, None, moved).keys()
 
@@ -136,7 +136,7 @@ def test_a_good_angle_needs_no_better_place() -> None:
     assert "better_b" not in marks(now, fused())
 
 
-def test_a_mark_that_is_gone_is_wiped() -> None:
+def test_a_mark_that_is_gone_is_cleared() -> None:
     mark = Mark((((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),), "stand here", "do")
 
     def lines(page: CoachPage) -> dict[str, int]:

@@ -177,7 +177,7 @@ def test_the_verdict_says_how_many_millimetres_and_what_limits_it() -> None:
     assert "limited by" in said.text
 
 
-def test_what_is_wrong_comes_first_on_the_page() -> None:
+def test_problems_come_first_on_the_page() -> None:
     page = to_markdown(list(watched(b=False, now=Situation(KNOWN, settled=False, held=0.0)).values()))
     assert page.startswith("**Mend:** Sensor B has seen no one")
     assert "arms out" in page

@@ -158,7 +158,7 @@ def test_damaged_skeletons_are_fused_or_refused(
 
 
 @pytest.mark.parametrize("column", ["time_us", "joint", "x", "state"])
-def test_a_value_of_many_signs_is_told_in_few(
+def test_a_long_value_is_shortened_in_the_message(
     whole: dict[str, tuple[Path, Path]], tmp_path: Path, capsys: pytest.CaptureFixture[str], column: str
 ) -> None:
     a, b = whole[".csv"]

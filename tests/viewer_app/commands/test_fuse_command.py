@@ -139,7 +139,7 @@ def test_a_person_can_be_chosen(recordings: tuple[Path, Path], capsys: pytest.Ca
     assert "no person '4'" in capsys.readouterr().err
 
 
-def test_mistakes_are_one_line_and_exit_code_2(
+def test_mistakes_give_one_line_and_exit_code_2(
     recordings: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     a, b = recordings
@@ -183,7 +183,7 @@ def test_mistakes_are_one_line_and_exit_code_2(
         (("--save", "/nowhere/at/all/s.rrd"), "No folder"),
     ],
 )
-def test_settings_that_cannot_be_followed_are_one_line(
+def test_impossible_settings_give_one_line(
     recordings: tuple[Path, Path],
     capsys: pytest.CaptureFixture[str],
     flags: tuple[str, ...],

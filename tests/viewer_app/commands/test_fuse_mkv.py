@@ -126,7 +126,7 @@ def test_a_cut_off_recording_gives_what_it_has_and_says_so(
     assert 40 <= rows_of(saved, "/fused/skeleton") < FRAMES
 
 
-def test_a_clock_that_the_master_did_not_set_is_said(
+def test_a_clock_that_the_master_did_not_set_is_reported(
     recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     late_us = START_US + DELAY_US + 9_000

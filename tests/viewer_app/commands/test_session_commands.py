@@ -118,7 +118,9 @@ def test_as_many_moments_are_listed_as_asked_for(
     assert "the same in every frame" not in said
 
 
-def test_a_negative_number_of_moments_is_one_line(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_negative_number_of_moments_gives_one_line(
+    session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert duplex("compare", session, session, "--no-viewer", "--worst=-3") == 2
     assert "--worst -3" in one_line(capsys)
 
@@ -240,7 +242,7 @@ def test_the_verdict_on_a_calibration_goes_with_the_session(
         assert [line.removeprefix("calibration ") for line in verdict(capsys.readouterr().out)] == said
 
 
-def test_a_damaged_image_is_left_out_and_said(
+def test_a_damaged_image_is_left_out_and_reported(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = bytearray(session.read_bytes())
@@ -308,7 +310,7 @@ def test_the_report_of_a_replay_is_that_of_the_fusion(session: Path, tmp_path: P
     assert figures["bone_error_mm"]["fused"]["max"] < 1e-3
 
 
-def test_a_damaged_session_is_one_line(
+def test_a_damaged_session_gives_one_line(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bad = tmp_path / "bad.rrd"

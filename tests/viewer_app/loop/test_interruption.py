@@ -57,7 +57,7 @@ def test_ctrl_c_before_the_first_frame(tmp_path: Path) -> None:
     ("frames", "presses", "number"),
     [(5, 1, signal.SIGINT), (40, 1, signal.SIGINT), (25, 8, signal.SIGINT), (25, 1, signal.SIGTERM)],
 )
-def test_what_was_captured_is_saved(tmp_path: Path, frames: int, presses: int, number: int) -> None:
+def test_captured_frames_are_saved(tmp_path: Path, frames: int, presses: int, number: int) -> None:
     saved = tmp_path / "demo.rrd"
     process = demo(saved)
     wait_for_frames(process, frames)

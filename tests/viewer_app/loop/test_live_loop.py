@@ -183,7 +183,7 @@ def test_calibration_is_provisional_at_first_and_settles_on_the_start_up_pose() 
     np.testing.assert_allclose(calibrator.calibration.bone_lengths, KINECT_V2.nominal_lengths, atol=1e-5)
 
 
-def test_a_calibration_from_before_is_kept() -> None:
+def test_an_earlier_calibration_is_kept() -> None:
     pairs = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 60))]
     before = calibrate(KINECT_V2, pairs[:30], "before")
     calibrator = Calibrator(KINECT_V2, before)
@@ -285,7 +285,7 @@ def test_stacking_keeps_what_the_loop_gave() -> None:
     assert rows.bone_error.max() < 1e-9
 
 
-def test_the_demo_leaves_a_session_and_says_how_far_from_the_truth_it_is(
+def test_the_demo_saves_a_session_and_prints_its_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     saved = tmp_path / "demo.rrd"
@@ -321,7 +321,7 @@ def test_latency_settings_apply_only_while_the_loop_runs() -> None:
     assert gc.get_freeze_count() == 0
 
 
-def test_what_a_demo_saves_replaces_nothing(
+def test_a_demo_replaces_no_existing_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

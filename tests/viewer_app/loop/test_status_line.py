@@ -109,7 +109,7 @@ def test_the_coach_knows_what_the_sensors_do(statuses: list[Any]) -> None:
     assert (situation.dropped, situation.step) == ((3, 4), 2)
 
 
-def test_what_is_no_warning_is_no_event(statuses: list[Any]) -> None:
+def test_only_warnings_become_events(statuses: list[Any]) -> None:
     shown = Shown()
     shown.coach.watch.return_value = [Advice("pose", "Hold still", "INFO")]
     shown.display(statuses[0])

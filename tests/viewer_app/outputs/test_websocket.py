@@ -86,7 +86,7 @@ def test_a_client_reads_the_description_then_frames_and_events(server: WebSocket
     assert server.counts.sent == 10
 
 
-def test_nobody_in_view_is_said(server: WebSocketOutput, fuser: Fuser) -> None:
+def test_an_empty_view_is_reported(server: WebSocketOutput, fuser: Fuser) -> None:
     frame = without_person(frames(fuser, 1)[0])
     with client_of(server) as client:
         read(client)

@@ -15,7 +15,7 @@ from viewer_app.report import figures
     ("display", "command"),
     [(True, "duplex review a/long/folder/s.rrd"), (False, "duplex review a/long/folder/s.rrd --html")],
 )
-def test_the_next_step_is_one_line_and_needs_no_display_where_there_is_none(
+def test_the_next_step_is_one_line_that_works_without_a_display(
     display: bool, command: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(figures, "has_display", lambda: display)

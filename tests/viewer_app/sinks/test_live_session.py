@@ -103,7 +103,7 @@ def test_the_file_goes_after_the_viewer(
     assert turns
 
 
-def test_what_is_said_is_not_dropped_with_the_frames(stuck: ViewerFeed, fuser: Fuser) -> None:
+def test_messages_are_not_dropped_with_the_frames(stuck: ViewerFeed, fuser: Fuser) -> None:
     stuck.offer(Frame(0, frames(fuser, 1, depth=True)[0]))
     for number, frame in enumerate(frames(fuser, 60, depth=True)):
         stuck.offer(Frame(number, frame))
@@ -171,7 +171,7 @@ def test_the_file_gets_every_frame_and_closing_writes_them(fuser: Fuser, tmp_pat
     assert live.file.lost == 0
 
 
-def test_a_disk_that_stands_still_costs_images_first(
+def test_a_blocked_disk_costs_images_first(
     fuser: Fuser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SessionFile, "_run", lambda self: None)

@@ -71,13 +71,13 @@ _REFUSAL = struct.pack("<BBHHH 8s", 0, 6, 11, 0, 2, b"not you")
 
 
 @pytest.mark.parametrize("answer", [_WELCOME, _REFUSAL], ids=["welcome", "refused"])
-def test_a_display_that_answers_is_one(answer: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_display_that_answers_counts_as_a_display(answer: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     with x_server(answer) as name:
         monkeypatch.setenv("DISPLAY", name)
         assert display.has_display()
 
 
-def test_a_display_that_says_nothing_is_none_and_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_silent_display_counts_as_none_and_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(display, "_ANSWERS_WITHIN", 0.2)
     with x_server(None) as name:
         monkeypatch.setenv("DISPLAY", name)
@@ -91,7 +91,7 @@ def test_a_display_that_says_nothing_is_none_and_it_is_said(monkeypatch: pytest.
         assert time.monotonic() - before < 5.0
 
 
-def test_no_one_listening_is_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_display_without_a_server_counts_as_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DISPLAY", ":48731")
     assert not display.has_display()
     monkeypatch.delenv("DISPLAY")

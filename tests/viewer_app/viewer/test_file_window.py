@@ -66,7 +66,7 @@ def test_without_a_name_the_file_lives_for_the_window_only(
     assert damage_of(again) is None
 
 
-def test_what_failed_is_neither_kept_nor_shown(opened: Opened, tmp_path: Path) -> None:
+def test_a_failed_file_is_neither_kept_nor_shown(opened: Opened, tmp_path: Path) -> None:
     def fail() -> None:
         with file_window.written_and_shown(tmp_path / "s.rrd", True):
             raise UsageError("…")

@@ -107,7 +107,7 @@ def test_listening_to_others_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> No
         ({}, "There is no display"),
     ],
 )
-def test_options_that_contradict_are_one_line(
+def test_contradicting_options_give_one_line(
     options: dict[str, object], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")

@@ -88,7 +88,7 @@ def test_without_a_cable_it_says_what_that_costs(
     assert {config.wired_sync_mode for config in kinects.configs} == {0}
 
 
-def test_old_firmware_is_told_where_there_is_a_cable(
+def test_old_firmware_is_reported_if_there_is_a_cable(
     kinects: Bus,
     standin: Standin,
     tmp_path: Path,
@@ -133,7 +133,7 @@ def test_without_a_terminal_it_says_what_to_choose_from(
 
 
 @pytest.mark.usefixtures("kinects")
-def test_mistakes_are_one_line_before_any_sensor_opens(
+def test_mistakes_give_one_line_before_any_sensor_opens(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)

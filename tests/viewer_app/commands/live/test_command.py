@@ -154,7 +154,7 @@ def test_a_calibration_is_loaded_and_kept(kinects: Bus, standin: Standin, tmp_pa
     assert f"loaded from {before}" in text
 
 
-def test_a_calibration_that_was_never_found_is_said_and_the_session_is_kept(
+def test_a_missing_calibration_is_reported_and_the_session_is_kept(
     kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # the stand-in's joints lie on a line, which does not allow a calibration

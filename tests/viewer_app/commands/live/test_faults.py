@@ -160,7 +160,7 @@ def test_a_slow_tracker_halves_the_rate_of_both_and_is_named(
     assert 0 < rows_of(saved, "/fused/skeleton") < 0.8 * kinects.devices[0].captures
 
 
-def test_frames_lost_before_a_slow_tracker_are_told(
+def test_frames_lost_before_a_slow_tracker_are_reported(
     kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _, b = kinects.devices

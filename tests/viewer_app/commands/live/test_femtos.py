@@ -22,7 +22,7 @@ def femtos(kinects: Bus) -> Bus:
     return kinects
 
 
-def test_of_orbbecs_sensors_the_master_is_named(
+def test_the_user_names_the_master_of_orbbecs_sensors(
     femtos: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ("live", "--principal", ORBBEC[0], "--k4abt", standin.path, "--no-viewer", "--seconds", 0.5)

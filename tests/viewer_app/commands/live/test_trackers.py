@@ -88,7 +88,7 @@ def test_the_named_master_leads(bolts: OrbbecBus, tmp_path: Path) -> None:
     assert len(Session.open(saved)) > 0
 
 
-def test_what_cannot_be_is_one_line(bolts: OrbbecBus, capsys: pytest.CaptureFixture[str]) -> None:
+def test_impossible_options_give_one_line(bolts: OrbbecBus, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, message in (
         (("--tracker", "k4abt"), f"{A}: k4abt takes images of libk4a only"),
         (("--color", "3072P", "--fps", 15), "Orbbec's sensors have no colour 3072P"),
