@@ -1,4 +1,4 @@
-"""What the doctor finds on machines made up by the tests."""
+"""Checks of ``duplex doctor`` on made-up machines."""
 
 from __future__ import annotations
 

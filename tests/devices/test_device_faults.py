@@ -1,4 +1,7 @@
-"""Each fault that can befall live sensors, from the bus up to the pairs that fusion gets."""
+"""Faults of live sensors, from the bus up to the pairs that fusion gets.
+
+The module is long because it contains one test per fault.
+"""
 
 from __future__ import annotations
 
@@ -324,7 +327,7 @@ def test_tracker_hangs_at_close_and_the_other_sensor_gives_no_more_frames() -> N
         b.put(frame_at(1))
         for _ in two.pairs():
             two.stop()
-        # while the session is closed, and while A hangs
+        # while the session closes and A hangs
         b.put(*(frame_at(2 + index) for index in range(100)))
         assert closed.wait(PATIENCE_S), "B is closed before A's end is waited for"
     assert two.b.dropped == 0

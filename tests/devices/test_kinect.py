@@ -1,4 +1,7 @@
-"""Live sensors, through a stand-in for pyk4a with the real module's names and capsules."""
+"""Live sensors, through a stand-in for pyk4a with the real module's names and capsules.
+
+The module is long because it covers all data that one sensor gives: images, people, times and colour.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The fuser with the paper's method; see ``tests/fusion/estimator`` for the default."""
+"""The fuser with the paper's method; see ``tests/fusion/estimator`` for the default.
+
+The module is long because all properties of the method are tested on the same two views.
+"""
 
 from dataclasses import replace
 from typing import Any, Literal
@@ -291,7 +294,7 @@ def moved_by(skeleton: Skeleton | None, by: RigidTransform) -> Skeleton:
 def fused_in_moved_frames(
     pair: SkeletonPair, weights: Weights, by_a: RigidTransform, by_b: RigidTransform
 ) -> tuple[np.ndarray, np.ndarray]:
-    """S* of a pair, moved; and S* of the pair whose views were moved, each sensor's with its own motion."""
+    """S* of a pair, moved; and S* of the pair whose views were moved, each by its sensor's motion."""
     assert pair.a is not None
     chosen = FuserSettings(method="paper", weights=weights)
     calibration = calibration_of(pair.a.body)

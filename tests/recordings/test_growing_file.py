@@ -1,4 +1,7 @@
-"""Nothing is lost: not to a kill, not to a full disk; and a live session can be read while it grows."""
+"""A live session can be read while it grows, and survives a kill and a full disk.
+
+The module is long because all its tests share the threads and the disk that fails.
+"""
 
 from __future__ import annotations
 
@@ -274,7 +277,7 @@ def test_a_file_that_came_in_between_is_not_overwritten(tmp_path: Path) -> None:
 
 
 class Disk:
-    """Where a test's file is, and how its saving is made to fail."""
+    """The file of a test and the way in which saving fails."""
 
     def __init__(self, folder: Path, fail: Callable[[], object], words: str) -> None:
         self.folder, self.fail, self.words = folder, fail, words
@@ -333,7 +336,7 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
 
 def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
     resource = pytest.importorskip("resource", reason="only POSIX limits the size of a process's files")
-    path, limit = tmp_path / "s.rrd", 850_000  # what is static, and some seconds
+    path, limit = tmp_path / "s.rrd", 850_000  # the static part and some seconds
     arguments = ("--seconds", "10", "--depth", "none", "--no-viewer", "--save", str(path))
     done = subprocess.run(
         [sys.executable, "-m", "viewer_app.cli", "demo", *arguments],
@@ -346,7 +349,7 @@ def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
     assert done.returncode == 2
     ours = [
         line for line in done.stderr.splitlines() if "re_log_encoding" not in line
-    ]  # Rerun may say so too
+    ]  # Rerun may report it too
     assert len(ours) == 1
     assert "File too large" in ours[0]
     said = " ".join(done.stdout.split())

@@ -94,7 +94,7 @@ def column(png: bytes, first_s: float, at_s: float) -> NDArray[np.uint8]:
 
 
 def seconds_of(rows: SessionArrays, seconds: int) -> SessionArrays:
-    """So long, a frame every 100 ms, all of A."""
+    """A trust history of this length with a frame every 100 ms, all from A."""
     count = seconds * 10
     picked = trusting(rows[np.arange(count) % len(rows)], 1.0)
     index = np.arange(count)

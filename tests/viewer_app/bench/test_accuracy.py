@@ -1,4 +1,4 @@
-"""``duplex bench accuracy``: what it prints and writes is what was measured."""
+"""``duplex bench accuracy``: it prints and writes the measured figures."""
 
 import io
 import json

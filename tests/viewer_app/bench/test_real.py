@@ -1,4 +1,4 @@
-"""``duplex bench real``: what it prints and writes, and what it refuses."""
+"""``duplex bench real``: its output, and the recordings that it refuses."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_pair_is_judged(
     document = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
     assert document["mean"] == document["pairs"]["a_person_who_walks_for_a_while"]
     row = document["mean"]
-    # of 20 frames of one view at most all passes, but for what the solver's bones make of it
+    # of 20 frames of one view at most, everything passes except the part that the solver's bones change
     shares = [row[f"{fault}_{side}"] for fault in FAULTS for side in "ab"]
     assert all(0.0 <= share < 1.5 for share in shares)
     assert f"{1e3 * row['rough_a']:.1f}" in said

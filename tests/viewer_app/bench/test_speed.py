@@ -1,4 +1,4 @@
-"""Claims about ``duplex bench speed``: it compares like with like, and asks nothing of the start."""
+"""``duplex bench speed``: it compares equal problems, and its result does not depend on the start."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the coach draws: where to stand, what to mend, where B would see more."""
+"""Drawings of the coach: where to stand, which problem to solve, a better place for B."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the coach says, and when; time is the pairs' own."""
+"""The coach's advice over time. Time is that of the pairs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def watched(
     dropping: int = 0,
     frame_ns: int = FRAME_NS,
 ) -> dict[str, Advice]:
-    """What the coach says at the end of some seconds of the same sight, by topic."""
+    """The coach's advice by topic after some seconds of unchanged frames."""
     now = now or Situation(KNOWN, settled=True, held=0.0)
     coach, fuser = Coach(BODY, (CAMERA, CAMERA)), Fuser(FusionSetup(now.calibration))
     joints = standing(BODY) if truth is None else truth

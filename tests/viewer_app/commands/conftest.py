@@ -20,7 +20,7 @@ from tests.helpers.standin_pyk4a import Bus, Device, make_module
 
 @pytest.fixture
 def kinects(standin: Standin, monkeypatch: pytest.MonkeyPatch) -> Bus:
-    """Two sensors on a sync cable at a real sensor's pace; 000456 is the master. The stand-in tracks people."""
+    """Two sensors on a sync cable at a real sensor's pace, tracked by the stand-in; 000456 is the master."""
     bus = Bus(ctypes.CDLL(str(standin.path)))
     bus.devices = [
         Device("000123", jacks=(True, False), paced=True),

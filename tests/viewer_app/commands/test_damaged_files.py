@@ -75,7 +75,7 @@ WRITERS: dict[str, Callable[[Path, np.ndarray], Path]] = {".csv": _csv, ".json":
 
 @st.composite
 def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
-    """One to three wounds: a cut, a flipped bit, lost or doubled bytes, odd words where others stood."""
+    """Damages a file in one to three places: a cut, a flipped bit, lost, doubled or replaced bytes."""
     wounds = draw(
         st.lists(
             st.tuples(

@@ -1,4 +1,4 @@
-"""``duplex fuse`` from the outside: what a person types and gets."""
+"""``duplex fuse`` at the command line: arguments, output and files."""
 
 import json
 import os

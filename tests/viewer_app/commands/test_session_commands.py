@@ -1,4 +1,7 @@
-"""``duplex replay``, ``compare``, ``review``, ``export``, ``trim`` and ``info`` from the outside."""
+"""``duplex replay``, ``compare``, ``review``, ``export``, ``trim`` and ``info`` at the command line.
+
+A little over 300 lines: the commands are tested on the same session.
+"""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What version 0.1 saved opens and replays bit for bit, and what it computed is computed again."""
+"""Sessions of version 0.1 open and replay bit for bit, and real pairs give the same results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ THE_METHOD_OF_0_1: tuple[str, ...] = ("--method", "paper")
 
 @dataclass(frozen=True)
 class Saved:
-    """What version 0.1 read from its own session; the digests are SHA-256."""
+    """The contents of a session as version 0.1 read them; the digests are SHA-256."""
 
     body: str
     frames: int

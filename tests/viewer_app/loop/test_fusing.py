@@ -1,4 +1,4 @@
-"""Claims about what comes before the first frame."""
+"""Compilation before the first frame."""
 
 from __future__ import annotations
 

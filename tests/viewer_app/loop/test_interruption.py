@@ -1,4 +1,4 @@
-"""Ctrl-C at any moment of a session, from the outside: it ends at once, and what was captured is saved."""
+"""Ctrl-C at any moment of a session, in its own process: it ends at once, and captured frames are saved."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def demo(save: Path, *more: str) -> subprocess.Popen[bytes]:
 def ended(
     process: subprocess.Popen[bytes], presses: int = 1, number: int = signal.SIGINT
 ) -> tuple[int, int, str]:
-    """Presses Ctrl-C: the exit code, how many frames it told of until the end, and what else it said."""
+    """Presses Ctrl-C; returns the exit code, the number of reported frames, and the other output."""
     for _ in range(presses):
         process.send_signal(number)
         time.sleep(0.02)  # between two presses of a person in a hurry

@@ -1,4 +1,7 @@
-"""The live loop on simulated sensors that run as fast as they can."""
+"""The live loop on simulated sensors that run as fast as they can.
+
+A little over 300 lines: pacing, pairing and latency settings are tested on the same loop.
+"""
 
 import gc
 import sys
@@ -192,7 +195,7 @@ def test_an_earlier_calibration_is_kept() -> None:
 
 
 class ResetSensors:
-    """Two sensors, of which A's clock is set back by a second, and A then misses a frame."""
+    """Two sensors. The clock of A is set back by a second, then A misses a frame."""
 
     stream_figures = None
 
@@ -222,7 +225,7 @@ def test_the_truth_is_that_of_a_sensors_own_time() -> None:
 
 @dataclass
 class TwoPeople:
-    """Two sensors that see two people, with one of them in the middle of A's view, the other of B's."""
+    """Two sensors that see two people: one is in the middle of A's view, the other in the middle of B's."""
 
     where: tuple[list[float], list[float]]  # metres in K_A's frame, from the standing person
     stream_figures = None

@@ -1,4 +1,4 @@
-"""A few seconds of the soak (``python -m tests.campaigns.soak --minutes 10`` is the whole of it)."""
+"""A few seconds of the soak (``python -m tests.campaigns.soak --minutes 10`` runs all of it)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An output never holds up the loop: bounded, newest first, counted."""
+"""An output never delays the loop: its queue is bounded, the oldest frames are dropped and counted."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from viewer_app.viewer.blueprint import session_blueprint
 
 
 class Receiver(LiveOutput):
-    """An output whose receiver takes a frame only when it is let."""
+    """An output whose receiver takes a frame only when the test permits it."""
 
     def __init__(self, keep: int = 1) -> None:
         super().__init__("Receiver of a test", keep, clock=lambda: self.now_ns)

@@ -1,4 +1,4 @@
-"""Two trackers on one processor: they leave out the same frames, then use the lighter network, and say so."""
+"""Two trackers on one processor: they skip the same frames, then report a change to the lighter network."""
 
 from __future__ import annotations
 

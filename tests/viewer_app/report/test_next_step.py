@@ -1,4 +1,4 @@
-"""What a person can do next with a session that was saved, in one line that works on their machine."""
+"""The line after saving that says how to view the session on this machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The loop never waits for a viewer, and the file gets everything."""
+"""The loop never waits for a viewer, and the file gets all frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a loop makes goes to every sink, and one that fails takes no other with it."""
+"""Every sink gets the loop's frames. A sink that fails does not affect the others."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from viewer_app.sinks.sink import FanOut, NullSink, Sink
 
 
 class Kept(Sink):
-    """Keeps what it is called with; closing raises, where that is asked for."""
+    """Records its calls; ``close`` raises if requested."""
 
     def __init__(self, fault: Exception | None = None) -> None:
         self.calls: list[tuple[str, tuple[Any, ...]]] = []

@@ -1,4 +1,4 @@
-"""Each layout is looked at: no view complains, none is empty."""
+"""Pictures of each layout: no view reports a problem, and none is empty."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def saved(path: Path, fuser: Fuser, made: list[RecordedFrame], active: Layout) -
 
 
 def expected(active: Layout) -> set[str]:
-    """Names of the views that a layout shows before a tab is touched."""
+    """Names of the views that a layout shows at first."""
     if active == "report":
         bones = {bone_title(KINECT_V2.bones[joint]) for joint in KINECT_V2.bone_joints}
         return bones | {"how good; above: bones in m, S_A brown, S_B blue, S* purple, target grey"}

@@ -1,4 +1,4 @@
-"""A display that is named but does not answer costs a few seconds, not the viewer's whole patience."""
+"""A display that does not answer delays the start by a few seconds only."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _linux(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @contextmanager
 def x_server(answer: bytes | None) -> Iterator[str]:
-    """The name of a display that gives this answer to whoever says hello; None: none at all, for ever."""
+    """The name of a display that answers every connection with these bytes; None: it never answers."""
     listening = None
     for number in range(4000, 4100):
         server = socket.socket()

@@ -1,4 +1,4 @@
-"""Replays and comparisons are written first and shown then: no viewer can hold them up."""
+"""Replays and comparisons are written first and then shown, so that no viewer can delay them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BLUEPRINT = rrb.Blueprint(rrb.TextDocumentView(origin="/words", name="the only v
 
 
 class Opened:
-    """In place of a viewer: what it is given to read."""
+    """Replaces the viewer and records the files that it would show."""
 
     def __init__(self) -> None:
         self.read: list[bytes] = []

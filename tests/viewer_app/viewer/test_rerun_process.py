@@ -24,7 +24,7 @@ sys.stdin.read()
 
 
 def gone(pid: int) -> bool:
-    """Whether a process has ended; nobody may have asked for its exit code yet."""
+    """Returns whether a process has ended, even if its exit code has not been read yet."""
     try:
         return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:

@@ -1,4 +1,4 @@
-"""A session in a browser, and who can reach it."""
+"""A session in a browser, and the addresses that can reach it."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from viewer_app.options.sensing import LiveOptions
 
 
 def _pairing_settings(monkeypatch: pytest.MonkeyPatch, **options: object) -> dict[str, object]:
-    """What ``two_kinects`` makes the pairing with."""
+    """The arguments that ``two_kinects`` passes to the pairing."""
     given: dict[str, object] = {}
 
     def pairing(interval_ns: int, **more: object) -> LivePairing:

@@ -16,7 +16,7 @@ ORBBEC = ("CL8H741005K", "CL8H7410123")
 
 @pytest.fixture
 def femtos(kinects: Bus) -> Bus:
-    """Two Femto Bolts on a sync cable, which their wrapper does not tell."""
+    """Two Femto Bolts on a sync cable, which their wrapper does not report."""
     for device, serial in zip(kinects.devices, ORBBEC, strict=True):
         device.serial, device.orbbec = serial, True
     return kinects

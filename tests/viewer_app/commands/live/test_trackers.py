@@ -28,7 +28,7 @@ MODES = values.OBMultiDeviceSyncMode
 
 @pytest.fixture
 def own_tracker(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
-    """Our tracker without networks: finds a standing person in every image; gives the images that it got."""
+    """The program's tracker without networks: it finds a standing person in every image that it keeps."""
     images: list[np.ndarray] = []
     standing = moving(BLAZEPOSE, 1)[0]
 
