@@ -2,6 +2,8 @@
 
 A bone belongs to the joint at its far end, so that every joint but the root has exactly one. Left and right
 are the person's own.
+
+A little over 300 lines: the tables of four bodies.
 """
 
 from __future__ import annotations

@@ -12,6 +12,8 @@ Positions do not determine how a bone turns about itself. The convention is:
 The rotation of a bone maps its direction at rest (:attr:`fusion.body.Body.rest`: upright, arms hanging,
 facing the sensor) to its direction in S*. So p_child = p_parent + Q_child · (rest_child · length_child) gives
 S* exactly.
+
+A little over 300 lines: the convention and its kernels belong together.
 """
 
 from __future__ import annotations
@@ -88,7 +90,7 @@ _plan = cache(_Plan)
 
 
 def _common_path(body: Body, first: int, second: int) -> list[int]:
-    """The joints that the ways from the root to two joints share, the root left out."""
+    """The joints that lie on the paths from the root to both joints, without the root."""
     ways = []
     for joint in (first, second):
         way = [joint]

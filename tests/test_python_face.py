@@ -116,7 +116,7 @@ class Made:
             yield SensorFrame(skeleton.time_ns, {"1": skeleton})
 
 
-def test_a_sensor_of_ones_own_goes_through_the_live_loop() -> None:
+def test_own_sensors_run_in_the_live_loop() -> None:
     views = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 8))]
     a, b = Made("a", [pair.a for pair in views]), Made("b", [pair.b for pair in views])
     frames = list(fuse_live(a, b, FusionSetup(calibration_of(KINECT_V2))))

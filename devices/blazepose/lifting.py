@@ -1,4 +1,4 @@
-"""Landmarks of an image and its depth to landmarks in space.
+"""Lifts landmarks of an image to landmarks in space by its depth.
 
 The network states a whole body in metres, with the right shape and a doubtful place: the image fixes the
 direction of each landmark, the depth image the distance of what is seen there. The body is laid onto the seen

@@ -46,7 +46,7 @@ class TrackingPace(FrameDecimation):
 
     @property
     def advice(self) -> str:
-        """What to do about a tracker that is too slow."""
+        """Advice for a tracker that is too slow."""
         return (
             "It is the tracker, which needs a faster processor, not USB or light. Or record now and track "
             "later (duplex fuse a.mkv b.mkv)."
@@ -64,6 +64,6 @@ class TrackingPace(FrameDecimation):
             )
 
     def take_news(self) -> list[str]:
-        """What changed besides the frames that are kept, one line each; once."""
+        """Changes other than the decimation, one line each. Each is reported once."""
         news, self._news = self._news, []
         return news

@@ -50,7 +50,7 @@ class TrackedImages:
             settings: How the tracker runs.
             registered: Gives the (h, w, 3) RGB image of a frame without infrared, on the depth's pixels.
                 None: the frame's colour image, where its camera is the depth camera.
-            took: Called with the time that the tracker worked on each frame, ns.
+            took: Called for each frame with the tracker's working time, ns.
             pace: For live sensors, shared by both: it gets the tracker's times and says which network to
                 use. The source leaves out the frames that it does not keep. None: every frame, one network.
             clock: Nanoseconds; tests inject their own.
@@ -131,7 +131,7 @@ class TrackedImages:
             yield replace(frame, people=people)
 
     def _tell(self, spent_ns: int) -> None:
-        """Tells how long the tracker worked on a frame."""
+        """Reports how long the tracker worked on a frame."""
         self._took(spent_ns)
         if self._pace is not None:
             # A simulated sensor makes its images on this thread, within the same budget.

@@ -27,7 +27,7 @@ _MAGIC = b"DXKN"
 _HEADER = struct.Struct("<4sBBHIQQ")  # magic, version, kind, reserved, length, session, sequence number
 _TIMES = struct.Struct("<qqq")
 _SIZE = struct.Struct("<I")
-_RVL_SIZE = struct.Struct("<12xii")  # where an RVL image says its width and height
+_RVL_SIZE = struct.Struct("<12xii")  # place of width and height in an RVL image
 _CAMERA = struct.Struct("<II4dB")
 _MOST_PEOPLE = 16
 _MOST_PIXELS = 1 << 21
@@ -40,7 +40,7 @@ class MalformedError(DeviceError):
 
 
 class Kind(IntEnum):
-    """What a message is."""
+    """Kind of a message."""
 
     FRAME = 1
     SENSOR = 2
@@ -66,7 +66,7 @@ class FrameMessage:
 
 @dataclass(frozen=True)
 class SensorMessage:
-    """What a sensor is.
+    """Description of a sensor.
 
     Attributes:
         session: As in :class:`FrameMessage`.
@@ -159,7 +159,7 @@ def decode_frame(data: bytes) -> FrameMessage:
 
 
 def encode_sensor(message: SensorMessage) -> bytes:
-    """Encodes what a sensor is."""
+    """Encodes the description of a sensor."""
     parts = [_text(message.name[:80]), _text(message.body.name), struct.pack("<q", message.interval_ns)]
     camera = message.intrinsics
     if camera is None:
@@ -174,7 +174,7 @@ def encode_sensor(message: SensorMessage) -> bytes:
 
 
 def decode_sensor(data: bytes) -> SensorMessage:
-    """Decodes what a sensor is.
+    """Decodes the description of a sensor.
 
     Raises:
         MalformedError: It is not a whole description of this version, or its body is unknown here.
@@ -219,7 +219,7 @@ def decode_clock(data: bytes) -> ClockMessage:
 
 
 class _Rest:
-    """What of a message is not read yet."""
+    """The part of a message that is not read yet."""
 
     def __init__(self, data: memoryview) -> None:
         self._data, self._at = data, 0

@@ -99,7 +99,7 @@ class FramePublisher:
         self._stack.close()
 
     def publish(self, frame: SensorFrame) -> None:
-        """Sends a frame to whoever is there."""
+        """Sends a frame to all current subscribers."""
         if not self._depth:
             frame = replace(frame, depth=None)
         message = encode_frame(FrameMessage(self.session, self.published, frame, self._clock()))

@@ -22,7 +22,7 @@ class RemoteClock:
         self._replies: deque[tuple[int, int, int]] = deque(maxlen=_KEPT)  # when, offset, round trip
 
     def add(self, asked_ns: int, received_ns: int, answered_ns: int, now_ns: int) -> bool:
-        """Takes a reply: t1, t2, t3, t4. Returns False for one that cannot be, which is left out."""
+        """Takes a reply: t1, t2, t3, t4. Returns False for an impossible one, which is ignored."""
         trip_ns = (now_ns - asked_ns) - (answered_ns - received_ns)
         if trip_ns < 0 or answered_ns < received_ns or now_ns < asked_ns:
             return False
@@ -45,7 +45,7 @@ class RemoteClock:
         return min((trip_ns for _, _, trip_ns in self._replies), default=None)
 
     def bound_ns(self, now_ns: int) -> int | None:
-        """By how much the offset can be wrong: half of the round trip and the drift since then."""
+        """Largest error of the offset: half of the round trip, plus the drift since then."""
         best = self._best(now_ns)
         return None if best is None else round(_bound(best, now_ns))
 

@@ -1,4 +1,4 @@
-"""A sensor that hangs on another PC, where ``duplex sensor`` publishes its skeletons over Zenoh."""
+"""A sensor at another PC, where ``duplex sensor`` publishes its skeletons over Zenoh."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class RemoteSensor:
 
     @property
     def intrinsics(self) -> Intrinsics | None:
-        """Of its depth camera; known once it has described itself."""
+        """Intrinsics of its depth camera; known once it has described itself."""
         return self._known().intrinsics
 
     @property
@@ -95,7 +95,7 @@ class RemoteSensor:
         return self._stream.figures
 
     def told(self) -> list[str]:
-        """What happened to its messages since the last call."""
+        """Reports about its messages since the last call."""
         told = []
         with suppress(IndexError):
             while True:

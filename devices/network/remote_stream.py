@@ -33,7 +33,7 @@ class RemoteStream:
 
     Attributes:
         restarted: Whether a reply came from another run of the program than the current one.
-        strange: Whether a frame came from another run, so that it is worth asking now.
+        strange: Whether a frame came from another run, so that a clock request is useful now.
     """
 
     def __init__(self, patience_ns: int = PATIENCE_NS) -> None:
@@ -107,7 +107,7 @@ class RemoteStream:
         return self._order.add(message.sequence, replace(frame, host_ns=host_ns), now_ns)
 
     def poll(self, now_ns: int) -> list[SensorFrame]:
-        """The frames that need wait no longer at ``now_ns``, in order."""
+        """The frames that need not wait any longer at ``now_ns``, in order."""
         self._now_ns = now_ns
         return self._order.poll(now_ns)
 

@@ -1,4 +1,4 @@
-"""Puts numbered messages in order: waits a bounded time for one that is missing, never goes back."""
+"""Puts numbered messages in order. It waits a bounded time for a missing message."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class OrderFigures:
-    """What happened to the numbered messages so far.
+    """Counts of the numbered messages so far.
 
     Attributes:
         received: Messages that were given on.

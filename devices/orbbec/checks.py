@@ -39,8 +39,8 @@ def sensor_check(serial: str, model: str, connection: str) -> Check:
 
     Args:
         serial: Its serial number.
-        model: What the SDK calls it.
-        connection: How the SDK says that it is connected.
+        model: The SDK's name for it.
+        connection: Its connection as the SDK reports it.
     """
     name = f"Orbbec {serial}"
     try:

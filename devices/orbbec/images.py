@@ -57,7 +57,7 @@ class MomentJoiner:
         """Takes a ``FrameSet``; returns the moment that is now complete, if one is.
 
         Args:
-            frames: What the pipeline gave.
+            frames: The set of frames from the pipeline.
             now_ns: Now, on ``time.perf_counter_ns``.
         """
         self._depth = frames.get_depth_frame() or self._depth

@@ -22,11 +22,11 @@ _contexts: WeakKeyDictionary[ModuleType, Any] = WeakKeyDictionary()
 
 @dataclass(frozen=True)
 class ConnectedOrbbec:
-    """An Orbbec sensor that the SDK lists. Listing opens nothing, so it says nothing of who uses it.
+    """An Orbbec sensor that the SDK lists. Listing opens no sensor, so it cannot show that one is busy.
 
     Attributes:
         serial: Its serial number.
-        model: What its maker calls it, such as "Orbbec Femto Bolt".
+        model: The maker's name for it, such as "Orbbec Femto Bolt".
         connection: How it is connected, such as "USB3.2" or "Ethernet".
     """
 
@@ -63,7 +63,7 @@ def context_of(sdk: Any) -> Any:
             # By default it writes files into ./Log, and errors among our lines.
             sdk.Context.set_logger_level(sdk.OBLogLevel.NONE)
             context = sdk.Context()
-            # So that frames have the time of time.perf_counter on Linux and Windows.
+            # With this setting, frames have the time of time.perf_counter on Linux and Windows.
             context.set_timestamp_clock_type(sdk.OBClockType.MONOTONIC)
             _contexts[sdk] = context
         return context
@@ -142,7 +142,7 @@ def why_not_open(fault: Exception, bus: list[UsbKinect] | None = None) -> str:
 
 @contextmanager
 def _without_its_greeting() -> Iterator[None]:
-    """Sends what the library prints while it is loaded, a line with a path, nowhere."""
+    """Discards the line with a path that the library prints while it is loaded."""
     if "pyorbbecsdk" in sys.modules:
         yield
         return

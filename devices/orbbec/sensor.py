@@ -1,4 +1,4 @@
-"""Orbbec Femto Bolt, Femto Mega, Gemini 2 and their kin live, by Orbbec's SDK v2."""
+"""Orbbec Femto Bolt, Femto Mega, Gemini 2 and similar sensors live, by Orbbec's SDK v2."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class OrbbecSettings:
 def set_sync_role(sdk: Any, device: Any, serial: str, settings: OrbbecSettings) -> str:
     """Gives an opened sensor its place on the sync cable.
 
-    Sensors keep their place when they lose power, so a standalone sensor is told so: one that was left a
+    Sensors keep their place when they lose power, so standalone is set explicitly: a sensor that was left a
     secondary would wait for a primary for ever. Femto Bolt and Mega have the mode SECONDARY, Gemini 2
     SECONDARY_SYNCED (Orbbec, Multi-Device-Synchronization-Example); the sensor is asked which it has.
 

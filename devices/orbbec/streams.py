@@ -35,7 +35,7 @@ class Streams:
     color: Any = None
 
     def configuration(self, sdk: Any) -> Any:
-        """The ``Config`` that starts them.
+        """Returns the ``Config`` that starts the streams.
 
         Without colour, depth and infrared are exposed together, so every set of frames is complete. With
         colour, sets without a colour image are let through: else a colour camera that is slow in the dark
@@ -53,7 +53,7 @@ class Streams:
 
 
 def check_modes(settings: OrbbecSettings) -> None:
-    """Finds out without a sensor whether one could run so.
+    """Checks without a sensor whether one could run in these modes.
 
     Raises:
         DeviceError: A mode that no sensor has.

@@ -1,4 +1,4 @@
-"""What the doctor finds on machines made up by the tests."""
+"""Checks of ``duplex doctor`` on made-up machines."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def test_one_kinect_is_not_enough(bus: Bus, tmp_path: Path) -> None:
     assert "k4aviewer" in named["Kinect at place 1"].advice
 
 
-def test_of_three_kinects_two_must_be_chosen_as_for_live(bus: Bus, tmp_path: Path) -> None:
+def test_two_of_three_kinects_must_be_chosen_as_for_live(bus: Bus, tmp_path: Path) -> None:
     bus.devices = [Device("1"), Device("2", jacks=(False, True)), Device("3", jacks=(True, False))]
     named = _by_name(device_checks(root=tmp_path))
     assert (named["two Kinects"].ok, named["two Kinects"].needed) == (False, True)
@@ -176,7 +176,7 @@ def test_missing_usb_permission_names_the_rule(tmp_path: Path) -> None:
     assert "99-k4a.rules" in check.advice
 
 
-def test_a_usb_2_port_is_told(tmp_path: Path) -> None:
+def test_a_usb_2_port_is_reported(tmp_path: Path) -> None:
     plug_in(tmp_path, speed=480)
     check = _by_name(device_checks(root=tmp_path))["USB speed"]
     assert (check.ok, check.detail) == (False, "000123 runs at 480 Mbit/s")
@@ -206,7 +206,7 @@ def test_the_depth_engine_beside_a_wheels_library_is_found(
 @pytest.mark.parametrize(
     ("version", "ok"), [((1, 6, 102), False), ((1, 6, 110), True), ((1, 7, 0), True), (None, True)]
 )
-def test_firmware_that_is_too_old_for_a_subordinate_is_told(
+def test_firmware_that_is_too_old_for_a_subordinate_is_reported(
     bus: Bus,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -230,7 +230,7 @@ def test_firmware_that_is_too_old_for_a_subordinate_is_told(
         ("darwin", ["Windows and Linux only"]),
     ],
 )
-def test_what_building_pyk4a_needs_is_named_by_platform(platform: str, words: list[str]) -> None:
+def test_requirements_for_building_pyk4a_are_named_by_platform(platform: str, words: list[str]) -> None:
     told = how_to_install(platform)
     for word in words:
         assert word in told, word
@@ -270,7 +270,7 @@ def test_orbbecs_software_and_our_tracker_are_enough(
     assert orbbecs.open_serials == [], "each is opened briefly"
 
 
-def test_what_is_wrong_with_an_orbbec_sensor_is_said(orbbecs: OrbbecBus) -> None:
+def test_problems_of_an_orbbec_sensor_are_reported(orbbecs: OrbbecBus) -> None:
     orbbecs.devices = [
         Orbbec("CL8H741005K", busy=True),
         Orbbec("CL8H7410123", connection="USB2.1"),

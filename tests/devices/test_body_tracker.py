@@ -175,7 +175,7 @@ def test_a_depth_mode_the_tracker_cannot_use_is_refused(standin: Standin) -> Non
         BodyTracker(TrackerSettings(library=standin.path)).open(ctypes.addressof(calibration))
 
 
-def test_a_calibration_the_sdk_refuses_is_told(standin: Standin) -> None:
+def test_a_calibration_that_the_sdk_refuses_is_reported(standin: Standin) -> None:
     standin.calibration_status = 1
     with pytest.raises(DeviceError, match="refuses the recording's calibration"):
         CaptureMaker(standin.path).calibration(b"{}", "NFOV_UNBINNED")
@@ -190,7 +190,7 @@ def test_a_frame_without_infrared_cannot_be_tracked(standin: Standin) -> None:
         pass
 
 
-def test_settings_out_of_range_are_told(standin: Standin, tmp_path: Path) -> None:
+def test_settings_out_of_range_are_reported(standin: Standin, tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=r"Smoothing is 0 to 1, not 1\.5"):
         _Rig(standin, smoothing=1.5).open()
     with pytest.raises(DeviceError, match="No network at"):
@@ -203,14 +203,14 @@ def test_a_missing_library_says_how_to_get_it(tmp_path: Path) -> None:
         BodyTracker(missing).open(0)
 
 
-def test_a_library_that_is_none_is_told(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_library_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "libk4abt.so"
     path.write_text("not a library")
     with pytest.raises(DeviceError, match=r"cannot be loaded.*Body Tracking SDK"):
         BodyTracker(TrackerSettings(library=path)).open(0)
 
 
-def test_another_library_is_told() -> None:
+def test_another_library_is_reported() -> None:
     import _ctypes
 
     with pytest.raises(DeviceError, match=r"has no k4abt_tracker_create: it is not libk4abt 1\.1"):

@@ -103,7 +103,7 @@ def test_a_camera_that_fails_is_opened_again() -> None:
     assert "left is back" in told
 
 
-def test_the_trackers_time_is_told(seen: list[tuple[np.ndarray, np.ndarray]]) -> None:
+def test_the_trackers_time_is_reported(seen: list[tuple[np.ndarray, np.ndarray]]) -> None:
     took: list[int] = []
     with DepthCamera("left", lambda: iter([(DEPTH, GREY, 1)]), LENS, took=took.append) as camera:
         list(camera.frames())

@@ -1,4 +1,4 @@
-"""What is measured in a depth image, against brute force on images whose surfaces are known."""
+"""Measurements in a depth image, against brute force on images with known surfaces."""
 
 from __future__ import annotations
 

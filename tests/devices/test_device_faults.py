@@ -1,4 +1,7 @@
-"""Each fault that can befall live sensors, from the bus up to the pairs that fusion gets."""
+"""Faults of live sensors, from the bus up to the pairs that fusion gets.
+
+The module is long because it contains one test per fault.
+"""
 
 from __future__ import annotations
 
@@ -324,7 +327,7 @@ def test_tracker_hangs_at_close_and_the_other_sensor_gives_no_more_frames() -> N
         b.put(frame_at(1))
         for _ in two.pairs():
             two.stop()
-        # while the session is closed, and while A hangs
+        # while the session closes and A hangs
         b.put(*(frame_at(2 + index) for index in range(100)))
         assert closed.wait(PATIENCE_S), "B is closed before A's end is waited for"
     assert two.b.dropped == 0
@@ -377,7 +380,7 @@ def _press_ctrl_c() -> None:
     signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
-def test_unplugged_beside_another_where_no_usb_list_tells(bus: Bus) -> None:
+def test_unplugged_beside_another_without_a_usb_list(bus: Bus) -> None:
     # As on Windows: only the SDK's count of sensors shows that one is missing.
     bus.devices = [Device("000123"), Device("000456")]
     with _kinect("000456"), _kinect("000123") as sensor:

@@ -1,4 +1,4 @@
-"""Which moments two trackers get, and how that stays the same for both."""
+"""Decimation: two trackers get the same moments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much of the depth images is kept, and that everything that is made of them stays right."""
+"""Thinned depth images: their size, and the values computed from them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Live sensors, through a stand-in for pyk4a with the real module's names and capsules."""
+"""Live sensors, through a stand-in for pyk4a with the real module's names and capsules.
+
+The module is long because it covers all data that one sensor gives: images, people, times and colour.
+"""
 
 from __future__ import annotations
 
@@ -234,7 +237,7 @@ def test_a_tracker_that_is_missing_leaves_the_sensor_closed(two: Bus, tmp_path: 
     assert two.open_serials == []
 
 
-def test_without_pyk4a_the_way_to_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pyk4a_the_message_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     with pytest.raises(DeviceError, match=r"pyk4a.*pip install '\.\[kinect\]'"):
         connected_kinects()
@@ -340,7 +343,7 @@ def test_the_firmwares_version_is_read_from_libk4a(
     assert kinect.firmware == (1, 6, 102)
 
 
-def test_a_master_runs_the_colour_that_nobody_asked_for(two: Bus) -> None:
+def test_a_master_runs_its_colour_camera_unasked(two: Bus) -> None:
     with _sensor("000456", sync="subordinate"), _sensor("000123", sync="master") as master:
         (frame,) = itertools.islice(master.frames(), 1)
     assert frame.color is None, "dropped at once"

@@ -181,7 +181,7 @@ def test_a_damaged_head_gives_frames_or_a_device_error(
     assert 0 <= count <= FRAMES
 
 
-def test_a_cut_through_the_last_image_is_told(recording: Path, tmp_path: Path) -> None:
+def test_a_cut_in_the_last_image_is_reported(recording: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mkv"
     cut.write_bytes(recording.read_bytes()[:-100_000])
     _, warnings = _frames_of(cut)
@@ -202,7 +202,7 @@ def test_a_mode_that_its_images_contradict_is_refused(tmp_path: Path) -> None:
         MkvRecording(path).__enter__()
 
 
-def test_damaged_calibration_is_told(tmp_path: Path) -> None:
+def test_damaged_calibration_is_reported(tmp_path: Path) -> None:
     path = write_mkv(tmp_path / "bad.mkv", 1, calibration=b'{"CalibrationInformation": {}}')
     with pytest.raises(DeviceError, match="calibration cannot be read"):
         MkvRecording(path).__enter__()

@@ -95,7 +95,7 @@ def test_the_person_seen_longest_is_followed_unless_another_is_wanted() -> None:
         choose_person([SensorFrame(0)], None, "a.csv", "--person-a")
 
 
-def test_whoever_comes_after_is_followed_under_the_same_id() -> None:
+def test_the_next_person_is_followed_under_the_same_id() -> None:
     frames = [
         *frames_at(list(range(7)), "2"),
         SensorFrame(7),

@@ -1,4 +1,7 @@
-"""Sensors on their own threads, driven step by step: no test sleeps, each waits for an event."""
+"""Sensors on their own threads, driven step by step. No test sleeps; each waits for an event.
+
+A little over 300 lines: one state machine.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_thread
 
 
 def _after(sensor: ScriptedSensor) -> None:
-    """Returns when the sensor's thread has done all that was put before."""
+    """Returns when the sensor's thread has processed everything that was put before."""
     done = threading.Event()
     sensor.put(done.set)
     assert done.wait(PATIENCE_S)
@@ -160,7 +163,7 @@ def test_a_lost_sensor_says_so_while_it_is_gone(sensor: ScriptedSensor) -> None:
         go_on.set()
 
 
-def test_the_first_frame_may_take_longer_and_that_is_told_once(sensor: ScriptedSensor) -> None:
+def test_a_slow_first_frame_is_allowed_and_reported_once(sensor: ScriptedSensor) -> None:
     now = [100.0]
     with SensorThread(
         sensor, stall_s=2.0, first_s=60.0, clock=lambda: now[0], wait=lambda *_: False

@@ -179,7 +179,7 @@ def test_it_goes_on_with_b_while_a_is_gone_and_takes_a_back() -> None:
     assert alone.time_ns == pytest.approx(truth[id(alone.b)], abs=MILLISECOND_NS)
 
 
-def test_a_sensor_said_to_be_gone_is_not_waited_for() -> None:
+def test_a_sensor_reported_as_gone_is_not_waited_for() -> None:
     pairing = _aligned()
     pairing.set_gone("b", True)
     (pair,) = pairing.add("a", SensorFrame(30 * INTERVAL_NS), 30 * INTERVAL_NS)

@@ -47,7 +47,7 @@ def test_auto_is_k4abt_where_it_works(tmp_path: Path) -> None:
     assert (slow.name, slow.reason) == ("blazepose", "libk4abt tracks about one frame per second on a CPU")
 
 
-def test_auto_is_ours_without_libk4abt(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_auto_is_blazepose_without_libk4abt(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def missing(*_: object) -> None:
         raise DeviceError("The library k4abt cannot be loaded. Install it.")
 
@@ -57,14 +57,14 @@ def test_auto_is_ours_without_libk4abt(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert (choice.full_name, choice.reason) == ("blazepose lite", "libk4abt is not installed")
 
 
-def test_what_is_asked_for_runs(tmp_path: Path) -> None:
+def test_the_requested_tracker_runs(tmp_path: Path) -> None:
     assert choose_tracker("k4abt", root=tmp_path).name == "k4abt"
     assert choose_tracker("blazepose", root=tmp_path).name == "blazepose"
     named = choose_tracker(k4abt=TrackerSettings(library=tmp_path / "libk4abt.so"), root=tmp_path)
     assert (named.name, named.asked) == ("k4abt", True)
 
 
-def test_images_of_other_sensors_are_ours_to_track() -> None:
+def test_the_programs_tracker_takes_images_of_other_sensors() -> None:
     assert MICROSOFTS.for_images_of([]) is MICROSOFTS
     assert OURS.for_images_of([A]) is OURS
     changed = MICROSOFTS.for_images_of([A, B])

@@ -42,7 +42,7 @@ def test_noise_while_still_is_jitter(truth: np.ndarray) -> None:
     assert of.jitter == pytest.approx(0.01 * np.sqrt(3 * 0.8), rel=0.1)
 
 
-def test_bones_err_by_their_worst_and_deviate_by_their_mean(truth: np.ndarray) -> None:
+def test_bone_error_is_the_largest_and_bone_deviation_the_mean(truth: np.ndarray) -> None:
     hand, foot = KINECT_V1.joint("HandLeft"), KINECT_V1.joint("FootRight")  # ends: one bone each
     longer = np.zeros((150, 20))
     longer[:, foot] = 0.02  # always: an error, no deviation
@@ -82,13 +82,13 @@ def test_joints_that_are_missing_for_a_while_leave_the_lag(truth: np.ndarray) ->
     assert measure(found, truth).lag == pytest.approx(2, abs=0.15)
 
 
-def test_a_lag_is_not_read_out_of_noise(truth: np.ndarray) -> None:
+def test_noise_gives_no_lag(truth: np.ndarray) -> None:
     noise = np.random.default_rng(2).normal(0, 0.2, truth.shape)
     assert np.isnan(measure(truth + noise, truth).lag)
 
 
 @pytest.mark.parametrize("frames", [10, 14])
-def test_a_lag_at_the_end_of_the_search_is_none(frames: int) -> None:
+def test_a_lag_at_the_end_of_the_search_range_is_nan(frames: int) -> None:
     # a speed that rises once and falls once: the nearer the delays, the larger the correlation
     t = np.arange(150.0)
     along = np.cumsum(np.exp(-(((t - 75.0) / 30.0) ** 2)) * 0.03)

@@ -50,7 +50,7 @@ def test_arms_hanging_down_are_no_start_up_pose() -> None:
     assert how.startswith("no start-up pose found; calmest window")
 
 
-def test_a_main_joint_only_inferred_breaks_the_pose() -> None:
+def test_an_inferred_main_joint_breaks_the_pose() -> None:
     watcher = StartUpPose(KINECT_V1)
     states = np.full(20, 2)
     states[KINECT_V1.joint("KneeLeft")] = TrackingState.INFERRED
@@ -92,7 +92,7 @@ def test_bone_lengths_average_both_views_before_measuring() -> None:
     assert lengths[elbow] == pytest.approx(np.linalg.norm(upper_arm + 0.5 * shift), abs=1e-6)
 
 
-def test_a_bone_no_one_sees_takes_its_mirror_image_or_an_adults_proportions() -> None:
+def test_an_unseen_bone_takes_its_mirror_image_or_an_adults_proportions() -> None:
     body = AZURE_KINECT
     scale = 0.9
     states = np.full(len(body), 2)
@@ -111,7 +111,7 @@ def test_a_bone_no_one_sees_takes_its_mirror_image_or_an_adults_proportions() ->
     )
 
 
-def test_no_person_in_both_views_is_said() -> None:
+def test_no_person_in_both_views_is_reported() -> None:
     pair = pair_of(KINECT_V1, standing(KINECT_V1))
     with pytest.raises(CalibrationError, match="No frame shows a person to both sensors"):
         find_start_up_pose(KINECT_V1, [SkeletonPair(pair.a, None, 0)])

@@ -56,12 +56,12 @@ def test_a_clock_that_runs_slow_is_found_as_skew() -> None:
     assert found.skew_sd_ppm < 50.0
 
 
-def test_a_person_who_stands_still_tells_nothing_of_clocks() -> None:
+def test_a_person_who_stands_still_gives_no_clock_offset() -> None:
     assert clock_offset_of(KINECT_V2, swaying(0.02, speed=0.02), A_FROM_B) is None
     assert clock_offset_of(KINECT_V2, [], A_FROM_B) is None
 
 
-def test_live_the_offset_is_told_once() -> None:
+def test_a_live_session_reports_the_offset_once() -> None:
     estimator = ClockOffsetEstimator(KINECT_V2)
     told = [news for pair in swaying(0.012) if (news := estimator.observe(pair, A_FROM_B)) is not None]
     assert len(told) == 1

@@ -1,4 +1,7 @@
-"""The fuser with the paper's method; see ``tests/fusion/estimator`` for the default."""
+"""The fuser with the paper's method; see ``tests/fusion/estimator`` for the default.
+
+The module is long because all properties of the method are tested on the same two views.
+"""
 
 from dataclasses import replace
 from typing import Any, Literal
@@ -98,7 +101,7 @@ def test_a_tracked_view_outweighs_an_inferred_one() -> None:
 
 
 @pytest.mark.parametrize("weights", WEIGHTS)
-def test_a_joint_one_view_lost_takes_the_others(weights: Weights) -> None:
+def test_a_joint_that_one_view_lost_is_taken_from_the_other(weights: Weights) -> None:
     body = KINECT_V2
     truth = standing(body)
     pair = pair_of(body, truth)
@@ -111,7 +114,7 @@ def test_a_joint_one_view_lost_takes_the_others(weights: Weights) -> None:
     np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
 
 
-def test_a_joint_both_lost_hangs_on_its_bones_and_the_frame_before() -> None:
+def test_a_joint_that_both_views_lost_follows_its_bones_and_the_previous_frame() -> None:
     body = KINECT_V2
     truth = standing(body)
     pair = pair_of(body, truth)
@@ -165,7 +168,7 @@ def test_after_a_second_without_anyone_the_frame_before_is_forgotten(seconds: fl
     assert (np.linalg.norm(found[elbow] - anew[elbow]) < FLOAT32) == forgotten
 
 
-def test_a_repeated_frame_is_noticed_a_sensor_at_a_time() -> None:
+def test_a_repeated_frame_is_noticed_for_each_sensor_separately() -> None:
     body = KINECT_V1
     fuser = Fuser(FusionSetup(calibration_of(body), PAPER))
     first, second = (pair_of(body, at, t) for t, at in enumerate(moving(body, 60)[58:]))
@@ -291,7 +294,7 @@ def moved_by(skeleton: Skeleton | None, by: RigidTransform) -> Skeleton:
 def fused_in_moved_frames(
     pair: SkeletonPair, weights: Weights, by_a: RigidTransform, by_b: RigidTransform
 ) -> tuple[np.ndarray, np.ndarray]:
-    """S* of a pair, moved; and S* of the pair whose views were moved, each sensor's with its own motion."""
+    """S* of a pair, moved; and S* of the pair whose views were moved, each by its sensor's motion."""
     assert pair.a is not None
     chosen = FuserSettings(method="paper", weights=weights)
     calibration = calibration_of(pair.a.body)

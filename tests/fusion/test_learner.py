@@ -62,7 +62,7 @@ def test_a_start_5_degrees_off_is_refined_and_says_how_certain_it_is() -> None:
     assert "Registration refined" in refined[0].event
 
 
-def test_the_truth_is_not_refined_away() -> None:
+def test_refinement_keeps_a_true_registration() -> None:
     learner, _ = learned(walk(), A_FROM_B)
     assert np.degrees(learner.calibration.a_from_b.angle_to(A_FROM_B)) < 0.2
 
@@ -80,7 +80,7 @@ def test_stale_and_one_sided_pairs_teach_nothing() -> None:
     assert learner.calibration.a_from_b is OFF
 
 
-def test_bones_are_learned_and_the_change_is_told() -> None:
+def test_bones_are_learned_and_the_change_is_reported() -> None:
     learner, changes = learned(walk(), A_FROM_B)
     bones = [change for change in changes if change.kind == "bones"]
     assert bones

@@ -36,7 +36,7 @@ def test_another_process_compiles_the_solver_on_a_first_run(tmp_path: Path) -> N
     assert cold.stdout.split() == ["1", "0", "1"]
 
 
-def test_where_no_process_starts_all_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_program_continues_if_no_process_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(first_run, "_is_on_disk", lambda _: False)
     monkeypatch.setattr(sys, "executable", "/nonexistent")
     with tree_solver_compiled_meanwhile():

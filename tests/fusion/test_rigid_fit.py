@@ -26,7 +26,7 @@ def test_the_fit_finds_the_optimum_of_scipys_align_vectors(seed: int) -> None:
 
 
 @given(SEEDS)
-def test_a_mirrored_person_is_not_met_by_a_reflection(seed: int) -> None:
+def test_a_mirrored_person_is_not_fitted_by_a_reflection(seed: int) -> None:
     rng = np.random.default_rng(seed)
     q = rng.normal(size=(20, 3))
     assert np.linalg.det(fit_rigid(q * [-1.0, 1.0, 1.0], q).rotation) == pytest.approx(1.0)
@@ -91,7 +91,7 @@ def test_the_stated_certainty_is_the_error_seen_over_many_trials() -> None:
     assert np.mean(stated) == pytest.approx(worst_axis, rel=0.15)
 
 
-def test_a_fit_that_cannot_be_right_says_so() -> None:
+def test_an_implausible_fit_is_reported() -> None:
     rng = np.random.default_rng(0)
     one = pair_of(KINECT_V1, standing(KINECT_V1))
     other = Skeleton.of(KINECT_V1, rng.normal(0, 1, (20, 3)))

@@ -21,7 +21,7 @@ def test_a_joint_that_is_not_tracked_has_no_position() -> None:
     assert np.isnan(Skeleton.of(KINECT_V1, np.ones((20, 3)), states).positions[7]).all()
 
 
-def test_what_does_not_fit_the_body_is_refused() -> None:
+def test_values_that_do_not_fit_the_body_are_refused() -> None:
     with pytest.raises(FusionError, match="20 joints"):
         Skeleton.of(KINECT_V1, np.ones((25, 3)))
     with pytest.raises(FusionError, match="0, 1 or 2"):

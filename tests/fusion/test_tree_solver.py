@@ -1,4 +1,7 @@
-"""Tests of the exact solver of eq. (1)."""
+"""Tests of the exact solver of eq. (1).
+
+The module is long because all its tests share the problems and the tolerances.
+"""
 
 from __future__ import annotations
 
@@ -333,14 +336,14 @@ def test_weight_that_is_not_finite_is_refused(weight, shape):
 
 
 def beyond_numbers() -> Problem:
-    """The objective overflows wherever it starts, so that it never converges; no holes."""
+    """A problem without holes whose objective overflows at every start, so the solver never converges."""
     problem = ordinary_problem(8)
     targets = problem.targets.copy()
     targets[4] = 1e200
     return replace(problem, targets=targets, start=ordinary_problem(9).targets)
 
 
-def test_what_is_too_far_away_for_a_number_has_not_converged():
+def test_a_problem_that_overflows_has_not_converged():
     solution = solve(beyond_numbers())
     assert not np.isfinite(solution.objective)
     assert not solution.converged
@@ -359,7 +362,7 @@ def test_without_a_hole_there_are_two_starts_only():
         ([-1, 0], [0, 1], [[0.0, 0.0, 0.0], [0.0, np.nan, 1.0]]),
     ],
 )
-def test_what_is_no_tree_or_has_no_directions_is_refused(parents, order, rest):
+def test_a_body_that_is_no_tree_or_has_no_directions_is_refused(parents, order, rest):
     with pytest.raises(FusionError, match=r"in order|at rest"):
         TreeSolver(parents, order, rest)
 
@@ -371,7 +374,7 @@ def bent(x, y, z, length, reach, sx, sy, sz):
 
 @pytest.mark.parametrize("side", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (-0.6, 0.0, 0.0), (0.2, 0.5, -0.1)])
 def test_a_bone_before_a_hole_leaves_the_room_that_the_next_one_needs(side):
-    """Also if no side is given: a direction along the line to the target, or zero."""
+    """This also holds if the side is undetermined: along the line to the target, or zero."""
     at = np.array([0.4, 0.0, 0.0])  # 0.3, 0.4, 0.5: the bone is at a right angle to it
     ends = [np.array(bent(*at, 0.3, 0.5, *(sign * np.array(side)))) for sign in (1.0, -1.0)]
     for direction in ends:

@@ -66,7 +66,7 @@ def test_roughness_is_the_mean_second_difference() -> None:
     assert found.roughness_ratio == pytest.approx(2.0, rel=0.01)
 
 
-def test_only_a_jump_that_neither_view_made_is_its_own() -> None:
+def test_only_a_jump_that_neither_view_made_counts_for_the_fused_skeleton() -> None:
     still = np.repeat(standing(BODY)[None], FRAMES, axis=0)
     hand, foot = BODY.joint("HandLeft"), BODY.joint("FootRight")
     fused, a = still.copy(), still.copy()
@@ -89,7 +89,7 @@ def test_a_mirrored_spell_is_two_flips() -> None:
     assert figures_without_truth(pair(still, fused)).flips_per_minute == pytest.approx(2 / minutes)
 
 
-def test_a_joint_that_nobody_sees_is_no_figure() -> None:
+def test_an_unseen_joint_gives_no_figure() -> None:
     a = walking(1.2)
     a[20:40] = np.nan
     a[:, BODY.joint("ThumbLeft")] = np.nan
@@ -115,7 +115,7 @@ def test_a_registration_is_judged_where_the_person_is() -> None:
     assert judge_registration(turned @ A_FROM_B, a, b).rotation_off == pytest.approx(np.pi / 2)
 
 
-def test_a_fault_that_passes_whole_has_share_one_and_one_that_stays_out_none() -> None:
+def test_a_fault_that_reaches_the_skeleton_whole_has_share_one_and_a_rejected_one_zero() -> None:
     view = walking(1.0)
     for fault in FAULTS:
         faulty = with_fault(BODY, view, fault, range(100, 120))

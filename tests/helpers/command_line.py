@@ -1,4 +1,4 @@
-"""The program as a person uses it, run in this process."""
+"""Runs the program's commands in this process."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from viewer_app.cli import main
 
 
 def duplex(*arguments: object) -> int:
-    """The exit code of a command run in this process."""
+    """Runs a command in this process and returns its exit code."""
     try:
         main([str(argument) for argument in arguments])
     except SystemExit as stop:
@@ -17,7 +17,7 @@ def duplex(*arguments: object) -> int:
 
 
 def one_line(capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line on stderr that says what is wrong."""
+    """Returns the one line of error that a command printed."""
     said = capsys.readouterr().err
     assert said.startswith("duplex: ")
     assert said.count("\n") == 1

@@ -1,4 +1,4 @@
-"""A moving person as two sensors' frames: what the loop is fed with."""
+"""Frames of two sensors that see a moving person, as input of the loop."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def frame_pairs(
         gap: Frames in which no one is seen.
         only_a: Frames in which B sees no one.
         no_b: Frames that B did not deliver.
-        jitter_ns: By how much the times vary.
+        jitter_ns: Largest deviation of the times.
         noise: Metres, on each axis.
         depth: With small depth images.
     """

@@ -107,7 +107,7 @@ class Backwards:
 
 @dataclass(frozen=True)
 class Turned:
-    """A movement of a person who faces another way."""
+    """A movement of a person who faces another direction."""
 
     movement: str
     degrees: float

@@ -25,7 +25,7 @@ def free_port() -> int:
 
 @dataclass(frozen=True)
 class Journey:
-    """What happens to messages on their way.
+    """Losses, delays and duplicates of messages on their way.
 
     Attributes:
         lost: Share that never arrives.

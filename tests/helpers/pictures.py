@@ -1,4 +1,4 @@
-"""A viewer without a screen, and what can be seen in it."""
+"""A viewer without a screen, and pictures of its views."""
 
 from __future__ import annotations
 

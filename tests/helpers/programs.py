@@ -1,4 +1,4 @@
-"""``duplex`` as programs of their own, whose output is read while they run."""
+"""Runs ``duplex`` in separate processes and reads their output."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ class Program:
         return "".join(self._lines)
 
     def says(self, words: str, within: float = 120.0) -> bool:
-        """Whether it prints some words, before it ends."""
+        """Returns whether it prints some words before it ends."""
         eventually(lambda: words in self.said or self._process.poll() is not None, within)
         if self._process.poll() is not None:
             self._reader.join(10.0)
         return words in self.said
 
     def kill(self) -> None:
-        """Ends it as a power cut does."""
+        """Kills it without notice, like a power cut."""
         self._process.kill()
         self._process.wait(20.0)
 
     def end(self, within: float = 60.0) -> int:
-        """Presses Ctrl-C; the exit code."""
+        """Sends Ctrl-C and returns the exit code."""
         self._process.send_signal(signal.SIGINT)
         code = self._process.wait(within)
         self._reader.join(10.0)

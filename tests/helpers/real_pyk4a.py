@@ -61,5 +61,5 @@ def _interpreter() -> Path:
 
 
 def _quietly(command: list[str]) -> None:
-    """Runs a command; what it says may name a package registry, and is nobody's business."""
+    """Runs a command without showing its output, which may name a private package registry."""
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=600.0)

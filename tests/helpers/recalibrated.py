@@ -21,7 +21,7 @@ from recordings.writing.recorder import Recorder
 def record_recalibrated(
     path: Path, pairs: Sequence[FramePair], calibrations: Sequence[tuple[int, Calibration]]
 ) -> Session:
-    """Fuses pairs, from each of the given frames on with another calibration, and reads the session back."""
+    """Fuses pairs with a new calibration from each of the given frames on, and reads the session back."""
     stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
     stream.save(path)
     fusers = [(first, Fuser(FusionSetup(calibration))) for first, calibration in calibrations]

@@ -66,7 +66,7 @@ class ScriptedSensor:
 
 
 def all_threads_end() -> bool:
-    """Whether every thread but the caller's ends; one whose reader stopped waiting may take a moment."""
+    """Returns whether all threads but the caller's end within a time limit."""
     others = set(threading.enumerate()) - {threading.current_thread()}
     for thread in others:
         thread.join(PATIENCE_S)

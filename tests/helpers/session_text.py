@@ -1,4 +1,4 @@
-"""What stands in a saved session, for tests that ask only whether it can be read."""
+"""Contents of a saved session, for tests of the command line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from recordings.reading.rrd_file import RrdFile
 
 
 def rows_of(path: Path, entity: str) -> int:
-    """In how many frames an entity was logged; it may be in several parts in each."""
+    """Number of frames in which an entity was logged. It may consist of several parts in each frame."""
     frames: set[int] = set()
     with RrdFile(path) as file:
         for of, batch in file.chunks(images=True):

@@ -1,4 +1,4 @@
-"""Two stand-in Kinects on a sync cable with trackers that take their time, run in virtual time.
+"""Two stand-in Kinects on a sync cable with slow trackers, run in virtual time.
 
 Each sensor has a clock of its own; the one that is behind goes on, so that what they share (the decimation,
 the pairing) sees the frames in the order of time. Nothing sleeps.
@@ -26,7 +26,7 @@ SETTLED_NS = 3_000_000_000  # the trackers' times are known after this time
 
 
 class SlowTracker:
-    """A body tracker on a thread of its own: results come so long after a capture went in."""
+    """A body tracker on a thread of its own, whose results have a given delay."""
 
     patience_s = 5.0
 
@@ -58,7 +58,7 @@ class SlowTracker:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a run, after it settled.
+    """The result of a run after it settled.
 
     Attributes:
         paired: Share of the frames that both trackers could process that came out as pairs.
@@ -66,7 +66,7 @@ class Outcome:
             from libk4a.
         since_capture_ns: The same since the exposure's depth image was on the host: what capture sync held
             them back is in it.
-        step: Every which moment was tracked at the end.
+        step: The decimation at the end: one of so many moments was tracked.
         missed: Wanted frames that were lost, of both sensors.
     """
 

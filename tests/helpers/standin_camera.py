@@ -1,4 +1,4 @@
-"""One sensor on the stand-in's bus: when its images reach the host, and what the SDK's queues make of that.
+"""One sensor on the stand-in's bus: when its images reach the host, and how the SDK queues them.
 
 After libk4a 1.4: without colour, depth goes to the queue of captures as it comes. With colour, capture sync
 holds depth back until the colour image of its moment is there; where that is missing, depth goes alone when
@@ -44,7 +44,7 @@ class VirtualTime:
 
 @dataclass(frozen=True)
 class Shot:
-    """What the camera made of one moment, as it is in the queue of captures."""
+    """The images of one moment, as an entry of the queue of captures."""
 
     number: int
     clock_usec: int
@@ -76,7 +76,7 @@ class Device:
     skips: int = 0  # captures before each one that the full queue of the SDK dropped
     paced: bool = False  # captures arrive when they are due; otherwise one per wait
     time: RealTime | VirtualTime = field(default_factory=RealTime)
-    at: dict[int, Callable[[], object]] = field(default_factory=dict)  # what happens at which capture
+    at: dict[int, Callable[[], object]] = field(default_factory=dict)  # called at these capture numbers
     opened_by: object = None
     color_runs: bool = False
     synchronized_only: bool = False
@@ -87,13 +87,13 @@ class Device:
     _next: Shot | None = None
 
     def start(self, color: bool, synchronized_only: bool, begun_ns: Callable[[], int | None]) -> None:
-        """Starts the cameras; ``begun_ns`` says when the first exposure was, once the master runs."""
+        """Starts the cameras; ``begun_ns`` is the time of the first exposure once the master runs."""
         self.color_runs, self.synchronized_only, self.begun_ns = color, synchronized_only, begun_ns
         self._made, self._next = 0, None
         self._queue.clear()
 
     def next_shot(self, timeout_ms: int) -> Shot | None:
-        """The oldest capture in the queue, after waiting at most so long; None where none comes."""
+        """Returns the oldest capture in the queue after a bounded wait; None if none arrives."""
         if not self.paced:
             return self._make(self.time.now_ns()) if timeout_ms else None
         until_ns = self.time.now_ns() + timeout_ms * 1_000_000
@@ -133,7 +133,7 @@ class Device:
         return Shot(self._made, self.clock_usec, host_ns, host_ns, not self.blind, color)
 
     def _synchronized(self, shot: Shot, exposed_ns: int) -> Shot | None:
-        """The capture as capture sync lets it go; None if it never does."""
+        """The capture when capture sync releases it; None if it never does."""
         if shot.has_color:
             ready_ns = max(shot.ready_ns, exposed_ns + self.color_latency_ns)
         elif self.synchronized_only:

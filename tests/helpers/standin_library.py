@@ -70,7 +70,7 @@ def wheel_library(compiled: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 
 @pytest.fixture
 def standin(compiled: Path):
-    """The stand-in as a test finds it, and checked after: nothing left alive, no handle misused."""
+    """The stand-in in its initial state. After the test it must hold no live handle and no misuse."""
     library = Standin(compiled)
     library.reset()
     yield library

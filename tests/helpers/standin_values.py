@@ -1,4 +1,4 @@
-"""What the stand-in for pyk4a hands out: captures, calibrations, errors."""
+"""Values of the stand-in for pyk4a: captures, calibrations and errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class WouldCrashError(BaseException):
 
 
 class K4AException(Exception):  # noqa: N818
-    """As the real one: nearly always without a message."""
+    """Like the real one, it nearly always lacks a message."""
 
 
 class K4ATimeoutException(K4AException):
@@ -86,7 +86,7 @@ def give_none_away() -> None:
 
 
 class LeakyCapture(PyK4ACapture):
-    """A capture that gives a reference to None away for each image that it lacks, as pyk4a 1.5.0."""
+    """A capture that loses a reference to None for each image that it lacks, like pyk4a 1.5.0."""
 
     def __getattribute__(self, name: str) -> object:
         value = object.__getattribute__(self, name)
@@ -96,7 +96,7 @@ class LeakyCapture(PyK4ACapture):
 
 
 def borrowed(image: np.ndarray) -> np.ndarray:
-    """As pyk4a's: an array over memory that is the SDK's."""
+    """An array over the SDK's memory, like that of pyk4a."""
     return np.frombuffer(bytearray(image.tobytes()), image.dtype).reshape(image.shape)
 
 

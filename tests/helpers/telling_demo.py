@@ -1,4 +1,4 @@
-"""``duplex demo`` as a process that tells of each frame when it has been recorded: a dot on stderr."""
+"""``duplex demo`` as a process that prints a dot on stderr for each recorded frame."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def telling_demo(save: Path, *more: str) -> subprocess.Popen[bytes]:
 
 
 def wait_for_frames(process: subprocess.Popen[bytes], frames: int) -> None:
-    """Until so many more frames have been recorded."""
+    """Waits until so many more frames have been recorded."""
     assert process.stderr is not None
     told = process.stderr.read(frames)
     assert told == b"." * frames, told + process.stderr.read()

@@ -33,7 +33,7 @@ def plug_in(
 
 
 def furnish(root: Path) -> None:
-    """Puts on a made-up machine what the sensors and the tracker need beside their libraries."""
+    """Adds the files to a made-up machine that sensors and tracker need besides their libraries."""
     for file in (
         "usr/bin/dnn_model_2_0_op11.onnx",
         "usr/lib/x86_64-linux-gnu/libk4a1.4/libdepthengine.so.2.0",

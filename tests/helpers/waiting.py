@@ -1,4 +1,4 @@
-"""Waiting for another process or thread, which nobody announces: the one place in the tests that polls."""
+"""Waits for other processes and threads. Only this module polls."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 def eventually(holds: Callable[[], bool], within: float = 20.0, every: float = 0.02) -> bool:
-    """Whether something comes true within some seconds; returns as soon as it does."""
+    """Returns whether a condition becomes true within a time limit, as soon as it does."""
     deadline = time.monotonic() + within
     while time.monotonic() < deadline:
         if holds():

@@ -1,4 +1,4 @@
-"""Colour images in a session: back as they were given, and never damaged unseen."""
+"""Colour images in a session: read as given, and damage is always reported."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def test_a_spell_is_read_back_as_it_was_written(fused_run: FusedRun, tmp_path: P
     assert (turned.start, turned.end) == (TURNED, None)
 
 
-def test_a_spell_that_begins_anew_while_it_lasts_is_one() -> None:
+def test_a_spell_that_starts_again_before_its_end_stays_one_spell() -> None:
     again = replace(LOST, frame=4)
     assert [(spell.start, spell.end) for spell in spells_of([LOST, again, BACK, BACK])] == [(LOST, BACK)]
     assert spells_of([BACK, Event(0, 0, "moment", "INFO")]) == []

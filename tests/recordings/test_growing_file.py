@@ -1,4 +1,7 @@
-"""Nothing is lost: not to a kill, not to a full disk; and a live session can be read while it grows."""
+"""A live session can be read while it grows, and survives a kill and a full disk.
+
+The module is long because all its tests share the threads and the disk that fails.
+"""
 
 from __future__ import annotations
 
@@ -238,7 +241,7 @@ def test_a_copy_that_fails_leaves_the_file_that_grew(tmp_path: Path, monkeypatch
     assert [path.name for path in tmp_path.iterdir()] == ["s.rrd"]
 
 
-def test_a_file_of_the_name_stays_until_there_is_something_to_put_there(tmp_path: Path) -> None:
+def test_an_existing_file_stays_until_its_replacement_is_ready(tmp_path: Path) -> None:
     path = tmp_path / "s.rrd"
     path.write_text("precious")
     fuser, frames = fused_frames(10)
@@ -274,7 +277,7 @@ def test_a_file_that_came_in_between_is_not_overwritten(tmp_path: Path) -> None:
 
 
 class Disk:
-    """Where a test's file is, and how its saving is made to fail."""
+    """The file of a test and the way in which saving fails."""
 
     def __init__(self, folder: Path, fail: Callable[[], object], words: str) -> None:
         self.folder, self.fail, self.words = folder, fail, words
@@ -333,7 +336,7 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
 
 def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
     resource = pytest.importorskip("resource", reason="only POSIX limits the size of a process's files")
-    path, limit = tmp_path / "s.rrd", 850_000  # what is static, and some seconds
+    path, limit = tmp_path / "s.rrd", 850_000  # the static part and some seconds
     arguments = ("--seconds", "10", "--depth", "none", "--no-viewer", "--save", str(path))
     done = subprocess.run(
         [sys.executable, "-m", "viewer_app.cli", "demo", *arguments],
@@ -346,7 +349,7 @@ def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
     assert done.returncode == 2
     ours = [
         line for line in done.stderr.splitlines() if "re_log_encoding" not in line
-    ]  # Rerun may say so too
+    ]  # Rerun may report it too
     assert len(ours) == 1
     assert "File too large" in ours[0]
     said = " ".join(done.stdout.split())
@@ -356,7 +359,7 @@ def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
     assert frames_in(path) == saved > 0
 
 
-def test_a_disk_with_little_room_is_said_and_used(
+def test_a_nearly_full_disk_is_reported_and_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 3_000_000))  # type: ignore[attr-defined]
@@ -366,7 +369,7 @@ def test_a_disk_with_little_room_is_said_and_used(
     assert frames_in(path) > 0
 
 
-def test_a_name_that_cannot_be_written_is_a_mistake_before_anything_runs(
+def test_an_unwritable_file_name_is_refused_before_anything_runs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     taken = tmp_path / "taken.rrd"

@@ -94,14 +94,14 @@ def column(png: bytes, first_s: float, at_s: float) -> NDArray[np.uint8]:
 
 
 def seconds_of(rows: SessionArrays, seconds: int) -> SessionArrays:
-    """So long, a frame every 100 ms, all of A."""
+    """A trust history of this length with a frame every 100 ms, all from A."""
     count = seconds * 10
     picked = trusting(rows[np.arange(count) % len(rows)], 1.0)
     index = np.arange(count)
     return replace(picked, frame=index, time_ns=index * (SECOND // 10))
 
 
-def test_every_moment_of_a_file_stands_in_the_page_that_is_shown_then(rows: SessionArrays) -> None:
+def test_each_moment_of_a_file_is_in_the_page_that_is_shown_at_that_time(rows: SessionArrays) -> None:
     pages = pages_of(TrustMatrix(BODY, 5 * SECOND), seconds_of(rows, 70))
     assert list(pages) == [0, 15 * SECOND, 30 * SECOND, 45 * SECOND, 60 * SECOND]
     for at in range(70):

@@ -1,4 +1,4 @@
-"""What depth images say about joints is in a session, so that a replay needs no images."""
+"""A session holds the depth witness of each joint, so that a replay needs no images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is read back is what was written; what is damaged says so."""
+"""Sessions are read as they were written, and damage is reported."""
 
 import subprocess
 import sys

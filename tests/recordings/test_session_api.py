@@ -1,4 +1,4 @@
-"""What a notebook finds in a session, by name."""
+"""The attributes of a session that a notebook uses."""
 
 import doctest
 import subprocess

@@ -1,4 +1,4 @@
-"""What follows from the arrays of a session."""
+"""Figures that are derived from the arrays of a session."""
 
 from __future__ import annotations
 

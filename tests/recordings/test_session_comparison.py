@@ -1,4 +1,4 @@
-"""What ``duplex compare`` says of two fusions, where it is known beforehand."""
+"""``duplex compare`` on fusions with known differences."""
 
 from dataclasses import replace
 from pathlib import Path

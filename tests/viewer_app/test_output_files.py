@@ -1,4 +1,4 @@
-"""Files that are whole or not there, and never in place of someone else's."""
+"""Output files are complete or absent, and never replace files of others."""
 
 from pathlib import Path
 

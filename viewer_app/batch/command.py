@@ -26,7 +26,7 @@ PAGE, TABLE = "summary.html", "summary.parquet"
 
 @dataclass(frozen=True)
 class Work:
-    """What a batch has to do.
+    """The work of a batch.
 
     Attributes:
         done: Sessions that an earlier call finished.

@@ -94,7 +94,7 @@ class Job:
         )
 
     def identity(self) -> Record:
-        """What the session depends on: contents of the input files, options, and the program's version.
+        """Everything that the session depends on: contents of the input files, options, program version.
 
         Raises:
             OSError: An input file cannot be read.
@@ -129,14 +129,14 @@ class Job:
         return sorted({path.name for path in self.folder.iterdir()} - own)
 
     def restore(self) -> None:
-        """Returns a session to its place that was about to be replaced when a run was killed."""
+        """Restores a session that a killed run was about to replace."""
         for old in self._partials.glob("*.old"):
             if not self.folder.exists():
                 old.rename(self.folder)
                 self._drop_empty()
 
     def drop_partials(self) -> None:
-        """Deletes what an interrupted run left of this session."""
+        """Deletes the remains of this session from an interrupted run."""
         self.restore()
         shutil.rmtree(self._partials, ignore_errors=True)
         self._drop_empty()

@@ -1,4 +1,4 @@
-"""Opens the outputs that the options ask for, and reports how they fared."""
+"""Opens the outputs that the options ask for, and reports their counts."""
 
 from __future__ import annotations
 

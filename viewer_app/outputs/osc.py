@@ -133,7 +133,7 @@ class Address:
 
 
 class UdpSender:
-    """Sends datagrams to one address; nobody need be there, and sending never waits.
+    """Sends datagrams to one address; no receiver is needed, and sending never waits.
 
     Args:
         address: The receiver.

@@ -27,7 +27,7 @@ _PREDICTED = 0.25  # confidence of a joint without data, for methods without sta
 
 @dataclass(frozen=True)
 class OutputCounts:
-    """How an output fared.
+    """Counts of an output.
 
     Attributes:
         sent: Frames handed to the network; to each receiver, if the output knows its receivers.
@@ -77,7 +77,7 @@ class LiveOutput(Sink):
     A subclass opens its socket, then calls :meth:`start`. Its ``send_…`` methods run on the thread.
 
     Args:
-        name: Where it sends, for people: ``VMC to 127.0.0.1:39539``.
+        name: Name for messages, with the receiver: ``VMC to 127.0.0.1:39539``.
         keep: Length of the queue. 1 for receivers that show the newest pose, more for those that record.
         clock: Returns ns; tests inject their own.
     """
@@ -107,7 +107,7 @@ class LiveOutput(Sink):
 
     @property
     def counts(self) -> OutputCounts:
-        """How it fared so far."""
+        """The counts so far."""
         return OutputCounts(self._sent, self._dropped, self._late)
 
     def figures(self) -> dict[str, object]:
@@ -158,7 +158,7 @@ class LiveOutput(Sink):
         """Sends a frame on the output's thread.
 
         Returns:
-            To how many receivers; 0 if it was refused, None if nobody wanted it.
+            Number of receivers; 0 if the network refused it, None if there is no receiver.
 
         Raises:
             OSError: It could not be sent; it counts as dropped.

@@ -1,7 +1,7 @@
 """VRChat's OSC trackers: eight points of the body and the head, over UDP.
 
 https://docs.vrchat.com/docs/osc-trackers. Unity's axes, metres, Euler angles in degrees that are applied in
-the order z, x, y. ``head`` tells VRChat how this space lies to its own. Without a person nothing is sent.
+the order z, x, y. ``head`` relates this space to that of VRChat. Without a person nothing is sent.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A WebSocket server: the JSON of :mod:`viewer_app.outputs.skeleton_json` for browsers and scripts.
 
-The same port serves a page that draws the skeleton. Each client has a slot for the newest frame: one that is
-slow skips frames, one that stands still is disconnected. What clients send is counted and ignored.
+The same port serves a page that draws the skeleton. Each client has a slot for the newest frame: a slow
+client skips frames, a blocked one is disconnected. Messages of clients are counted and ignored.
 """
 
 from __future__ import annotations

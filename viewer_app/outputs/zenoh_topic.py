@@ -31,7 +31,7 @@ class ZenohOutput(LiveOutput):
         self.start()
 
     def send_frame(self, frame: TimedFrame) -> int:
-        """Publishes a frame, and once a second what describes it."""
+        """Publishes a frame, and once a second the description."""
         if frame.time_ns >= self._hello_ns:
             self._hello_ns = frame.time_ns + _HELLO_EVERY_NS
             self.send_setup(self._setup)

@@ -55,7 +55,7 @@ def fetch(network: NetworkName, folder: Path, progress: Progress = lambda *_: No
     Args:
         network: The landmark network.
         folder: Where the files go; it is created.
-        progress: Called now and then while a package arrives.
+        progress: Called from time to time while a package arrives.
 
     Returns:
         The files that were fetched; none if the folder had them all.

@@ -50,7 +50,7 @@ class Detection:
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """What the landmark network says about a crop.
+    """Output of the landmark network for a crop.
 
     Attributes:
         pixels: (39, 2) in pixels of the crop.

@@ -170,7 +170,7 @@ def test_a_tracked_joint_never_lies_where_there_is_no_depth(tracker: BlazePose, 
             assert ((readings < z + 0.02) & (readings > z - 0.26)).any(), BLAZEPOSE.joints[joint]
 
 
-def test_what_is_covered_by_a_table_is_inferred(tracker: BlazePose) -> None:
+def test_joints_covered_by_a_table_are_inferred(tracker: BlazePose) -> None:
     marks = landmarks_at("startup", 1.0)
     infrared, depth = images_of([marks])
     hips = CAMERA.project(true_joints(marks)[[BLAZEPOSE.joint("HIP_LEFT"), BLAZEPOSE.joint("HIP_RIGHT")]])

@@ -111,7 +111,7 @@ def test_an_interrupted_download_leaves_no_process_and_no_file(tmp_path: Path, p
     assert list((tmp_path / "networks").iterdir()) == []
 
 
-def test_a_damaged_package_is_told(tmp_path: Path, pip) -> None:
+def test_a_damaged_package_is_reported(tmp_path: Path, pip) -> None:
     pip("import sys; open(sys.argv[sys.argv.index('--dest') + 1] + '/a.whl', 'w').write('no zip')")
     with pytest.raises(DeviceError, match="is not the expected package"):
         fetching.fetch("full", tmp_path)
@@ -125,13 +125,13 @@ def test_the_wheel_holds_no_other_file_than_asked_for(tmp_path: Path) -> None:
     assert fetching._members(archive, ["wanted"]) == {"wanted": b"y"}
 
 
-def test_a_missing_network_is_told_in_one_line(tmp_path: Path) -> None:
+def test_a_missing_network_gives_one_line(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match="Run duplex tracker fetch") as fault, open_in(tmp_path):
         pass
     assert "\n" not in str(fault.value)
 
 
-def test_a_truncated_network_is_told_in_one_line(tmp_path: Path) -> None:
+def test_a_truncated_network_gives_one_line(tmp_path: Path) -> None:
     for path in need_networks().glob("*.tflite"):
         (tmp_path / path.name).write_bytes(path.read_bytes()[:-1])
     with (

@@ -101,7 +101,7 @@ def test_the_people_of_the_source_are_replaced() -> None:
         assert [frame.people for frame in sensor.frames()] == [{}]
 
 
-def test_a_source_without_a_known_camera_is_told() -> None:
+def test_a_source_without_a_known_camera_is_reported() -> None:
     source = Images(frame_of(*images_of([])))
     source.intrinsics = None
     with tracked(source) as sensor, pytest.raises(DeviceError, match="does not know its depth camera"):

@@ -106,7 +106,7 @@ def test_a_message_of_another_kind_or_version_is_refused() -> None:
 
 
 def test_well_formed_nonsense_is_refused() -> None:
-    """With a right checksum: a sender with a fault of its own."""
+    """Messages of a faulty sender, with a correct checksum."""
     whole = encode_frame(message())
     for at in range(28, len(whole) - 4):
         for value in (0, 255):
@@ -115,7 +115,7 @@ def test_well_formed_nonsense_is_refused() -> None:
                 frame = decode_frame(nonsense).frame
             except MalformedError:
                 continue
-            for skeleton in frame.people.values():  # what passes is a skeleton that the method can take
+            for skeleton in frame.people.values():  # decoded skeletons are valid input of the method
                 assert np.isfinite(skeleton.positions[skeleton.has_position]).all()
 
 

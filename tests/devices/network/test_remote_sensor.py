@@ -98,7 +98,7 @@ def test_depth_images_arrive_if_asked_for(address: str) -> None:
                 assert np.array_equal(got.depth, image)
 
 
-def test_a_sensor_that_is_not_there_gives_one_line(address: str) -> None:
+def test_an_absent_sensor_gives_one_line(address: str) -> None:
     with pytest.raises(
         AbsentError, match=r"Nobody publishes 'lab/a' at tcp/.*Start duplex sensor --publish lab/a"
     ):
@@ -183,7 +183,7 @@ def test_publishing_ends_with_its_sensor_and_keeps_the_order(address: str) -> No
 def remote_after(
     opening: AbstractContextManager[FramePublisher], address: str
 ) -> Iterator[tuple[FramePublisher, RemoteSensor]]:
-    """A publisher and a remote sensor that hears it."""
+    """A publisher and a remote sensor that receives its frames."""
     with opening as published, remote(address) as far:
 
         def heard() -> bool:
@@ -230,7 +230,7 @@ def test_ten_thousand_random_and_damaged_messages_change_nothing(
         frames_through(published, thread, 5)
         assert thread.state is SensorState.RUNNING
         assert thread.returns == 0
-        assert far.link.malformed > 100  # the rest was left out because the newest count
+        assert far.link.malformed > 100  # the others were dropped, because only the newest requests are kept
         assert published.malformed > 0
         assert max(memory) - memory[1] < 20e6
     said = capfd.readouterr()

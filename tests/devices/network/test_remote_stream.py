@@ -222,8 +222,8 @@ def test_pairs_go_on_with_loss_jitter_and_reordering() -> None:
     assert all(pair.a.time_ns == pair.b.time_ns for pair in both if pair.a and pair.b)
 
 
-def test_without_the_buffer_the_injected_journey_is_out_of_order() -> None:
-    """The claim above is empty if the journey keeps the order."""
+def test_without_the_buffer_the_injected_delays_change_the_order() -> None:
+    """Shows that the injected delays change the order, so that the claim above is not empty."""
     order = [at for at, _ in arrivals(20, replace(JOURNEY, twice=0.0), seed=1, host_ahead_ns=0)]
     captured = [
         at for at, _ in arrivals(20, replace(JOURNEY, twice=0.0, jitter_ns=0), seed=1, host_ahead_ns=0)

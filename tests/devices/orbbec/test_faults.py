@@ -1,4 +1,4 @@
-"""Each fault that can befall a live Orbbec sensor: the same as an Azure Kinect's."""
+"""Faults of a live Orbbec sensor: the same as those of an Azure Kinect."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def test_frames_that_are_missing_are_counted(orbbecs: OrbbecBus, tmp_path: Path)
     assert "8 frames are missing" in recording.warnings[0]
 
 
-def test_a_recording_that_never_says_that_it_ends_is_left(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+def test_a_recording_that_never_reports_its_end_is_abandoned(orbbecs: OrbbecBus, tmp_path: Path) -> None:
     path = _bag(orbbecs, tmp_path / "a.bag", ends=False)
     now = [0.0]
 
@@ -60,7 +60,7 @@ def test_a_recording_that_never_says_that_it_ends_is_left(orbbecs: OrbbecBus, tm
         assert len(list(recording.frames())) == 5
 
 
-def test_what_is_no_recording_is_called_so(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_recording_is_refused(orbbecs: OrbbecBus, tmp_path: Path) -> None:
     other = tmp_path / "other.bag"
     with pytest.raises(DeviceError, match="No file"):
         OrbbecRecording(other).__enter__()

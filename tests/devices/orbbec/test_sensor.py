@@ -156,7 +156,7 @@ def test_the_sensor_takes_its_place_on_the_sync_cable(orbbecs: OrbbecBus) -> Non
     assert orbbecs.started == [A, "AY8T43E0031", B]
 
 
-def test_a_sensor_that_was_left_a_secondary_is_told_that_it_stands_alone(two: OrbbecBus) -> None:
+def test_a_sensor_left_as_secondary_is_set_to_standalone(two: OrbbecBus) -> None:
     two.devices[0].sync = {"mode": MODES.SECONDARY, "delay_us": 160}
     with _sensor() as sensor:
         next(sensor.frames())
@@ -241,13 +241,13 @@ def test_a_hundred_openings_leave_nothing_open(two: OrbbecBus) -> None:
     assert (threading.active_count(), two.open_serials, two.running, two.contexts) == (before, [], [], 1)
 
 
-def test_a_sensor_that_is_not_there_is_told_cheaply(two: OrbbecBus) -> None:
+def test_an_absent_sensor_is_detected_cheaply(two: OrbbecBus) -> None:
     assert two.devices
     with pytest.raises(AbsentError, match=rf"No Orbbec sensor with serial 999\. Connected: {A}, {B}"):
         _sensor("999").__enter__()
 
 
-def test_without_the_package_the_way_to_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_package_the_message_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
     with pytest.raises(DeviceError, match=r"pyorbbecsdk2.*pip install --no-deps pyorbbecsdk2"):
         connected_orbbecs()

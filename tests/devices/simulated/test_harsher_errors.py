@@ -1,4 +1,4 @@
-"""Claims about trackers that nothing was fitted to: larger errors, and heavy-tailed ones."""
+"""Trackers that no constant was fitted to: with larger errors, and with heavy-tailed errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Claims about the simulated tracker that takes a back for a front."""
+"""The simulated tracker that mistakes a back for a front."""
 
 from __future__ import annotations
 

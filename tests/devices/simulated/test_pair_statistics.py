@@ -155,7 +155,7 @@ def test_the_simulated_azure_pair_errs_like_the_published_ones() -> None:
     assert not far
 
 
-def test_what_a_recording_does_not_tell_is_said_and_why() -> None:
+def test_figures_that_a_recording_lacks_are_reported_with_the_reason() -> None:
     real = statistics(*views("still", replace(NONE, jitter=JointGroups(hand=0.003), stale=0.05)))
     simulated = replace(real, swapped=0.02, swap_frames=5.0, inferred=0.1)
     by_name = {figure.name: figure for figure in figures(real, simulated, standing=True)}
@@ -184,7 +184,7 @@ def test_what_a_recording_does_not_tell_is_said_and_why() -> None:
     assert none["swap_frames"].printed() == ("swap frames (frames)", "3.0", "–", "–")
 
 
-def test_published_figures_are_of_settings_and_statistics_that_there_are() -> None:
+def test_published_figures_name_existing_settings_and_statistics() -> None:
     some = statistics(*views("still", NONE))
     for name in PUBLISHED:
         assert name in COUNTERPARTS

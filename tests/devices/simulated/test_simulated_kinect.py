@@ -154,7 +154,7 @@ def test_a_sensor_without_an_end_goes_on() -> None:
     assert [next(frames).time_ns for _ in range(100)][-1] == round(99 / 30 * 1e9)
 
 
-def test_what_makes_no_sense_is_refused_with_the_way_out() -> None:
+def test_senseless_options_are_refused_with_advice() -> None:
     with pytest.raises(DeviceError, match="walk"):
         simulated_pair(motion="flying")
     with pytest.raises(DeviceError, match="angle"):

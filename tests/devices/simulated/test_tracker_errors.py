@@ -1,4 +1,4 @@
-"""Claims about each knob of the simulated tracker: the figure that it is there for follows it."""
+"""Each parameter of the simulated tracker changes the figure that it is meant to change."""
 
 from __future__ import annotations
 

@@ -102,14 +102,14 @@ def test_one_by_one_and_all_at_once_are_the_same_bits_with_images() -> None:
     assert same_bits(one_by_one, fused(pairs))
 
 
-def test_the_paper_knows_no_images() -> None:
+def test_the_papers_methods_ignore_images() -> None:
     pairs = recording(5)
     seen = [witnessed(pair, confirming(), confirming()) for pair in pairs]
     assert same_bits(fused(pairs, "paper"), fused(seen, "paper"))
 
 
 @pytest.mark.parametrize("code", [0, ARMS, WHOLE])
-def test_what_the_image_says_goes_with_the_joint(code: int) -> None:
+def test_the_evidence_of_an_image_follows_its_joint(code: int) -> None:
     witness = confirming()
     witness[LEFT] = 0.5, -0.1, 0.0, 0.0  # seen past
     _, views, skeleton = asked(code, witness)

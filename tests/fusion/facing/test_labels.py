@@ -119,7 +119,7 @@ def test_arms_or_legs_alone_are_found(part: str, bit: int, girdle: bool) -> None
     assert wrong[364:].mean() <= 0.01
 
 
-def test_nobody_is_relabelled_who_faces_the_sensors() -> None:
+def test_a_person_who_faces_the_sensors_is_not_relabelled() -> None:
     for motion in ("arms", "boxing", "squat", "bow", "sit"):
         for body in ("kinect_v2", "azure_kinect"):
             labels = simulated_views(motion, body, tracker="right").relabel(smooth=False)
@@ -180,7 +180,7 @@ def test_stale_skeletons_are_no_evidence() -> None:
     assert state.confidence[0] < 0.95  # less certain after a second without evidence
 
 
-def test_a_posture_that_is_held_does_not_talk_anyone_round() -> None:
+def test_a_held_posture_does_not_change_the_labels() -> None:
     views = simulated_views("walk", tracker="right")
     model, state = new_facing_model(KINECT_V2), new_facing_state(KINECT_V2)
     for k in range(60):

@@ -43,7 +43,7 @@ def _folder() -> Path:
         pytest.skip("pyorbbecsdk2 2.1.2 has wheels for CPython 3.11 to 3.13 only")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        # What pip says may name a package registry, and is nobody's business.
+        # The output of pip is not shown: it may name a private package registry.
         subprocess.run(
             [
                 sys.executable,

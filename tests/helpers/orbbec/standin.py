@@ -2,6 +2,8 @@
 
 ``tests/devices/orbbec/test_contract.py`` holds it and the real library to the same clauses, and compares the
 names of their classes: the stand-in has nothing that the real library lacks.
+
+The module is longer than 300 lines because it is a single foreign module in miniature.
 """
 
 from __future__ import annotations
@@ -62,7 +64,7 @@ class Orbbec:
     clock_us: int = 1_000_000
     given: int = 0
     synced_with_host: int = 0
-    at: dict[int, Callable[[], object]] = field(default_factory=dict)  # what happens at which frame
+    at: dict[int, Callable[[], object]] = field(default_factory=dict)  # function to call at each frame number
     sync: dict[str, Any] = field(default_factory=lambda: {"mode": _MODES.STANDALONE, "delay_us": 0})
     opened: weakref.WeakSet[object] = field(default_factory=weakref.WeakSet)
 
@@ -390,7 +392,7 @@ def _beside() -> values.OBExtrinsic:
 
 @pytest.fixture
 def orbbecs(monkeypatch: pytest.MonkeyPatch) -> OrbbecBus:
-    """An empty bus behind a stand-in pyorbbecsdk."""
+    """Returns an empty bus behind a stand-in pyorbbecsdk."""
     result = OrbbecBus()
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", make_module(result))
     return result

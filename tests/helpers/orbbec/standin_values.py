@@ -1,4 +1,7 @@
-"""What the stand-in for pyorbbecsdk hands out: enums, frames, profiles, errors. After pyorbbecsdk2 2.1.2."""
+"""Values of the stand-in for pyorbbecsdk: enums, frames, profiles and errors, as in pyorbbecsdk2 2.1.2.
+
+A little over 300 lines: the enums are the list of the library's constants.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import numpy as np
 
 
 class OBError(Exception):
-    """As the real one: a message and nothing else."""
+    """Has a message only, like the real one."""
 
 
 def pybind_enum(title: str, **members: int) -> type[enum.Enum]:
@@ -197,7 +200,7 @@ class Config:
 
 
 class Frame:
-    """A frame as it is made: the real one has no depth scale before it has been in a set."""
+    """A newly made frame. The real one has no depth scale until it is part of a set."""
 
     def __init__(self, kind: object, image_format: object, size: int, shape: tuple[int, int]) -> None:
         self._kind, self._format, self._shape = kind, image_format, shape
@@ -273,7 +276,7 @@ class ColorFrame(VideoFrame):
 
 
 def _viewed(frame: Frame | None, kind: type[Frame]) -> Frame | None:
-    """The frame as a set gives it: another object, of the kind of its image."""
+    """Returns the frame as a set gives it: another object whose class depends on the image."""
     if frame is None:
         return None
     view = kind.__new__(kind)

@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 @pytest.fixture
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Lets the command fuse in this process, which saves starting others; the names of what was fused."""
+    """Makes the command fuse in this process; returns the names of the fused pairs."""
     fused: list[str] = []
 
     def run(jobs: list[Job], _: int) -> object:
@@ -91,7 +91,7 @@ def test_only_what_is_not_done_is_fused(
     write_pair(pairs, "two_a.csv", "two_b.csv", seed=2)
     assert duplex("batch", pairs, "--out", out) == 0
     assert in_this_process == ["one", "two"]
-    (out / "two" / "two.rrd").unlink()  # not complete any more
+    (out / "two" / "two.rrd").unlink()  # no longer complete
     write_pair(pairs, "six_a.csv", "six_b.csv", seed=6)
     assert duplex("batch", pairs, "--out", out) == 0
     assert in_this_process == ["one", "two", "six", "two"]
@@ -128,7 +128,7 @@ def test_a_replacement_that_fails_keeps_the_old_session(tmp_path: Path, in_this_
 def test_a_session_that_was_being_replaced_returns(tmp_path: Path, in_this_process: list[str]) -> None:
     pairs, out = write_pair(tmp_path / "pairs" / "p"), tmp_path / "out"
     assert duplex("batch", pairs.parent, "--out", out) == 0
-    # what a kill between the two renames leaves
+    # the state after a kill between the two renames
     (out / ".partial" / "p").mkdir(parents=True)
     (out / "p").rename(out / ".partial" / "p" / "host-1.old")
     assert duplex("batch", pairs.parent, "--out", out) == 0

@@ -93,7 +93,7 @@ def test_a_manifest(tmp_path: Path) -> None:
         ('name,a,b\nwalk,"one.csv,two.csv\n', "is not a manifest: unexpected end of data"),
     ],
 )
-def test_a_wrong_manifest_is_one_line_and_exit_code_2(
+def test_a_wrong_manifest_gives_one_line_and_exit_code_2(
     text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     touch(tmp_path, "one.csv", "two.csv")
@@ -118,7 +118,7 @@ def test_a_wrong_manifest_is_one_line_and_exit_code_2(
         (("pairs", "--scheduler", "127.0.0.1:1"), "name an address such as tcp://"),
     ],
 )
-def test_usage_errors_are_one_line_and_exit_code_2(
+def test_usage_errors_give_one_line_and_exit_code_2(
     arguments: tuple[str, ...],
     words: str,
     tmp_path: Path,

@@ -30,7 +30,7 @@ def order(*rows: Row) -> list[str]:
     return [of.job.name for of in worst_first(rows)]
 
 
-def test_failed_first_then_the_worst_then_what_is_not_fused() -> None:
+def test_failed_rows_come_first_then_the_worst_then_pending_ones() -> None:
     assert order(
         row("calm", apart=0.03, jumps_fused=0.0),
         row("left", "pending"),

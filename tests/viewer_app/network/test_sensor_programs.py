@@ -1,4 +1,4 @@
-"""Sensors on several PCs, as programs: two publish, one fuses; one is killed and started anew."""
+"""Sensors on several PCs: two programs publish, one fuses. One is killed and started again."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def frames_in(saved: Path) -> int:
 
 
 def goes_on(saved: Path, frames: int = 30) -> bool:
-    """Whether so many more frames are saved."""
+    """Returns whether so many more frames are saved in time."""
     wanted = frames_in(saved) + frames
     # reading the whole file costs the programs under test their time
     return eventually(lambda: frames_in(saved) >= wanted, SLOW_S, every=0.5)
 
 
 def test_one_of_two_sensor_programs_is_killed_and_started_anew(tmp_path: Path) -> None:
-    """S* goes on with the other sensor, then with both."""
+    """S* continues with the other sensor, then with both."""
     address, saved, report = free_address(), tmp_path / "s.rrd", tmp_path / "s.json"
 
     def sensor(which: str) -> Program:

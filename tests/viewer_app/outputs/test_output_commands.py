@@ -127,14 +127,14 @@ def test_each_frame_is_played_when_it_is_due_and_events_with_theirs(fuser: Fuser
         (("--listen", "127.0.0.1"), "--listen 127.0.0.1 is the address of --web"),
     ],
 )
-def test_a_wrong_address_is_one_line(
+def test_a_wrong_address_gives_one_line(
     options: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert duplex("demo", "--no-viewer", "--seconds", 1, "--depth", "none", *options) == 2
     assert words in one_line(capsys)
 
 
-def test_a_port_in_use_is_one_line_and_opens_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_gives_one_line_and_opens_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()

@@ -1,4 +1,4 @@
-"""An output never holds up the loop: bounded, newest first, counted."""
+"""An output never delays the loop: its queue is bounded, the oldest frames are dropped and counted."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from viewer_app.viewer.blueprint import session_blueprint
 
 
 class Receiver(LiveOutput):
-    """An output whose receiver takes a frame only when it is let."""
+    """An output whose receiver takes a frame only when the test permits it."""
 
     def __init__(self, keep: int = 1) -> None:
         super().__init__("Receiver of a test", keep, clock=lambda: self.now_ns)
@@ -47,7 +47,7 @@ class Receiver(LiveOutput):
         self.said.append(note.text)
 
 
-def test_a_receiver_that_stands_still_costs_the_oldest_frames(fuser: Fuser) -> None:
+def test_a_blocked_receiver_loses_the_oldest_frames(fuser: Fuser) -> None:
     output = Receiver(keep=3)
     made = frames(fuser, 50)
     output.write(made[0])
@@ -74,7 +74,7 @@ def test_lateness_is_counted(fuser: Fuser) -> None:
     assert output.counts.late == 1
 
 
-def test_what_the_network_refuses_is_dropped_and_the_next_is_tried(fuser: Fuser) -> None:
+def test_a_candidate_that_the_network_rejects_is_dropped_and_the_next_is_tried(fuser: Fuser) -> None:
     output = Receiver(keep=8)
     output.refuses = True
     for frame in frames(fuser, 3):

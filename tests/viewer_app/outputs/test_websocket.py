@@ -1,4 +1,7 @@
-"""The WebSocket server, read back by the ``websockets`` client and by a browser; fuzzed."""
+"""The WebSocket server, read by the ``websockets`` client and by a browser, and attacked by random data.
+
+A little over 300 lines: all tests share the server and its clients.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +89,7 @@ def test_a_client_reads_the_description_then_frames_and_events(server: WebSocket
     assert server.counts.sent == 10
 
 
-def test_nobody_in_view_is_said(server: WebSocketOutput, fuser: Fuser) -> None:
+def test_an_empty_view_is_reported(server: WebSocketOutput, fuser: Fuser) -> None:
     frame = without_person(frames(fuser, 1)[0])
     with client_of(server) as client:
         read(client)
@@ -121,7 +124,7 @@ def test_a_client_that_does_not_read_skips_frames_and_costs_others_nothing(
                 numbers.append(read(client)["number"])
             assert numbers == list(range(300))
             assert server.counts.dropped > 0
-            assert slowest < 3.0  # it would be for ever if it waited
+            assert slowest < 3.0  # a loop that waited would never return
 
 
 def handshake(port: int) -> bytes:
@@ -253,7 +256,7 @@ def test_text_that_clients_send_is_counted_and_ignored(server: WebSocketOutput) 
         read(client)
         for _ in range(50):
             client.send('{"type": "frame"}')
-        client.send(b"\x80\x04.")  # a pickle, had anybody read it
+        client.send(b"\x80\x04.")  # a pickle
         assert eventually(lambda: server.ignored == 51)
     with client_of(server) as client:
         read(client)
@@ -271,7 +274,7 @@ def test_a_page_in_a_browser_draws_the_skeleton(
     with playwright.sync_playwright() as p:
         browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         try:
-            # the page forbids eval, by which playwright waits
+            # The page forbids eval, which playwright uses for waiting.
             tab = browser.new_page(
                 viewport={"width": 800, "height": 800}, color_scheme="light", bypass_csp=True
             )

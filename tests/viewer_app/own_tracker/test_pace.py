@@ -1,4 +1,4 @@
-"""Two trackers on one processor: they leave out the same frames, then use the lighter network, and say so."""
+"""Two trackers on one processor: they skip the same frames, then report a change to the lighter network."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_without_a_lighter_network_only_frames_are_left_out(networks: BlazePoseS
     assert pace.take_news() == []
 
 
-def test_the_news_and_the_advice_reach_whoever_watches_the_sensors(networks: BlazePoseSettings) -> None:
+def test_changes_and_advice_reach_the_reader_of_the_sensors(networks: BlazePoseSettings) -> None:
     pace, told = TrackingPace(30.0, networks), []
     a, b, _ = simulated_pair(motion="still", seconds=0.1)
     with TwoSensors(a, b, decimation=pace, tell=lambda event: told.append(event.message)) as sensors:

@@ -1,0 +1,151 @@
+"""Drawings of the coach: where to stand, which problem to solve, a better place for B."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rerun as rr
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fusion.body import KINECT_V2
+from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
+from fusion.fuser import FusedFrame, Fuser
+from fusion.intrinsics import NOMINAL_INTRINSICS
+from fusion.rigid import RigidTransform
+from fusion.setup import FusionSetup
+from recordings import layout
+from recordings.appearance.coach_page import CoachPage, Mark
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
+from viewer_app.coach.advice import Advice
+from viewer_app.coach.scene import CoachScene
+from viewer_app.coach.setup_coach import HOLD, Situation
+from viewer_app.coach.standing_spot import ARM, FARTHEST, nearest, standing_spot
+
+BODY = KINECT_V2
+CAMERA = NOMINAL_INTRINSICS[BODY.name]
+CAMERAS = (CAMERA, CAMERA)
+KNOWN = Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")
+PERSON = standing(BODY)
+
+
+def fused(at: NDArray[np.float64] = PERSON) -> FusedFrame:
+    return Fuser(FusionSetup(KNOWN)).update(pair_of(BODY, at))
+
+
+def marks(now: Situation | None = None, seen: FusedFrame | None = None, *advice: Advice) -> dict[str, Mark]:
+    now = now or Situation(KNOWN, settled=False, held=0.0)
+    return dict(CoachScene(BODY, CAMERAS).page(advice, now, seen).marks)
+
+
+def middle_of_ring(mark: Mark) -> NDArray[np.float64]:
+    under, ring = (np.array(line) for line in mark.lines[:2])
+    assert under[0, 1] > ring[0, 1]  # the words' place
+    assert ring[0] == pytest.approx(ring[-1])
+    return np.asarray(ring[:-1].mean(axis=0))
+
+
+@pytest.mark.parametrize("b", [None, A_FROM_B])
+def test_a_person_with_arms_out_is_fully_in_view_at_the_advised_place(b: RigidTransform | None) -> None:
+    far = FARTHEST[BODY.name]
+    spot = standing_spot(b, CAMERAS, far, 1.0)
+    assert spot.room > 0.0
+    for sensor in (RigidTransform.identity(), b):
+        if sensor is None:
+            continue
+        torso = sensor.inverse().apply([spot.x, 0.0, spot.z])
+        assert nearest(CAMERA) <= torso[2] <= far
+        for side in (-ARM, ARM):
+            pixel = CAMERA.project(torso + [side, 0.0, 0.0])
+            assert 0.0 <= pixel[0] <= CAMERA.width
+
+
+def test_sensors_that_look_away_from_each_other_leave_no_place() -> None:
+    back = RigidTransform.of(Rotation.from_euler("y", 180, degrees=True).as_matrix(), [0.0, 0.0, 0.0])
+    assert standing_spot(back, CAMERAS, FARTHEST[BODY.name], 1.0).room < 0.0
+
+
+def test_the_circle_is_on_the_floor_and_an_arrow_leads_to_it() -> None:
+    away = fused(PERSON + [1.5, 0.0, 0.3])
+    mark = marks(seen=away)["spot"]
+    floor = max(away.positions[BODY.joint(f"ANKLE_{side}"), 1] for side in ("LEFT", "RIGHT")) + 0.08
+    assert middle_of_ring(mark)[1] == pytest.approx(floor, abs=0.051)  # drawn in steps of 0.1 m
+    arrow = np.array(mark.lines[3])
+    torso = away.positions[list(BODY.torso)].mean(axis=0)
+    assert np.linalg.norm(arrow[0] - torso, axis=0) > 0.3  # on the floor, not in the body
+    assert np.abs(arrow[0] - torso)[[0, 2]].max() < 0.051
+    to_go = np.linalg.norm((middle_of_ring(mark) - arrow[0])[[0, 2]])
+    assert mark.words == f"stand here: {to_go:.1f} m to go"
+
+
+def test_the_pose_is_requested_on_the_circle_and_counted_down() -> None:
+    spot = standing_spot(A_FROM_B, CAMERAS, FARTHEST[BODY.name], 1.0)
+    torso = PERSON[list(BODY.torso)].mean(axis=0)
+    there = fused(PERSON + [spot.x - torso[0], 0.0, spot.z - torso[2]])
+    assert "hold still" in marks(seen=there)["spot"].words
+    now = Situation(KNOWN, settled=False, held=HOLD - 1.4)
+    assert marks(now, there)["spot"].words == "hold still: 2 s"
+    assert "spot" not in marks(replace(now, settled=True), there)
+
+
+def test_before_the_first_person_a_circle_is_shown_in_front_of_a() -> None:
+    mark = marks(Situation(nominal_calibration(BODY), settled=False, held=0.0))["spot"]
+    x, y, z = middle_of_ring(mark)
+    assert (abs(x), y) == pytest.approx((0.0, 1.0), abs=0.1)
+    assert nearest(CAMERA) < z < FARTHEST[BODY.name]
+
+
+def test_a_sensor_with_a_problem_is_marked_where_it_stands() -> None:
+    problem = Advice("person B", "…", "WARN", 2.0, 1.0, "B", "sees no one")
+    drawn = marks(None, None, problem, replace(problem, topic="x", level="INFO", sensors="A"))
+    assert "sensor_a" not in drawn
+    assert drawn["sensor_b"].words == "B: sees no one"
+    assert drawn["sensor_b"].meaning == "mend"
+    assert drawn["sensor_b"].lines[1][0] == pytest.approx(A_FROM_B.translation)
+
+
+def test_a_moved_sensor_marks_both_because_either_may_have_moved() -> None:
+    moved = Advice("moved", "…", "WARN", 0.3, 0.25, "AB", "moved? calibrate again")
+    assert {"sensor_a", "sensor_b"} <= marks(None, None, moved).keys()
+
+
+@pytest.mark.parametrize("angle", [30.0, 150.0])
+def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle: float) -> None:
+    rotation = Rotation.from_euler("y", -angle, degrees=True).as_matrix()
+    person = np.array([0.0, 0.0, 2.6])
+    a_from_b = RigidTransform.of(rotation, person - rotation @ [0.0, 0.0, 2.6])
+    pairs = [pair_of(BODY, PERSON, k * FRAME_NS, a_from_b) for k in range(30)]
+    now = Situation(calibrate(BODY, pairs, "start-up pose"), settled=True, held=0.0)
+    mark = marks(now, fused())["better_b"]
+    way = np.array(mark.lines[-1])
+    assert way[0] == pytest.approx(a_from_b.translation, abs=1e-3)
+    spot = standing_spot(a_from_b, CAMERAS, FARTHEST[BODY.name], 1.0)
+    away = np.array([spot.x, 0.0, spot.z])
+    # the floor is known to 0.1 m only, which moves the spot by a step at most
+    assert np.linalg.norm(way[-1] - away) == pytest.approx(np.linalg.norm(way[0] - away), abs=0.15)
+    looks = np.mean([line[1] for line in mark.lines[1:5]], axis=0) - mark.lines[1][0]
+    assert looks[2] / np.linalg.norm(looks) == pytest.approx(0.0, abs=0.02)  # at a right angle to A's axis
+    assert "90°" in mark.words
+
+
+def test_a_good_angle_needs_no_better_place() -> None:
+    pairs = [pair_of(BODY, PERSON, k * FRAME_NS) for k in range(30)]
+    now = Situation(calibrate(BODY, pairs, "start-up pose"), settled=True, held=0.0)
+    assert "better_b" not in marks(now, fused())
+
+
+def test_a_mark_that_is_gone_is_cleared() -> None:
+    mark = Mark((((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),), "stand here", "do")
+
+    def lines(page: CoachPage) -> dict[str, int]:
+        return {
+            entity: len(what.strips.as_arrow_array())
+            for entity, what in page.entities()
+            if isinstance(what, rr.LineStrips3D)
+        }
+
+    spot = layout.coach_mark("spot")
+    assert lines(CoachPage("…", (("spot", mark),)))[spot] == 1
+    assert lines(CoachPage("…")) == {layout.coach_mark(name): 0 for name in layout.COACH_MARKS}

@@ -1,0 +1,184 @@
+"""The coach's advice over time. Time is that of the pairs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from devices.pairing import FramePair
+from devices.sensor import SensorFrame
+from fusion.body import KINECT_V2
+from fusion.calibration.calibration import Calibration, calibrate
+from fusion.fuser import Fuser
+from fusion.intrinsics import NOMINAL_INTRINSICS
+from fusion.rigid import RigidTransform
+from fusion.setup import FusionSetup
+from fusion.skeleton import Skeleton, TrackingState
+from recordings.fusing.recorded import fuse_one
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
+from viewer_app.coach.advice import ANGLES, Advice, to_markdown, verdict
+from viewer_app.coach.setup_coach import HOLD, MOVED, Coach, Situation
+from viewer_app.coach.standing_spot import FARTHEST, nearest
+
+BODY = KINECT_V2
+CAMERA = NOMINAL_INTRINSICS[BODY.name]
+KNOWN = Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")
+
+
+def watched(
+    truth: NDArray[np.float64] | None = None,
+    *,
+    seconds: float = 3.0,
+    now: Situation | None = None,
+    really: RigidTransform = A_FROM_B,
+    a: bool = True,
+    b: bool = True,
+    skew_ns: int = 0,
+    every: int = 1,
+    lost_feet: bool = False,
+    dropping: int = 0,
+    frame_ns: int = FRAME_NS,
+) -> dict[str, Advice]:
+    """The coach's advice by topic after some seconds of unchanged frames."""
+    now = now or Situation(KNOWN, settled=True, held=0.0)
+    coach, fuser = Coach(BODY, (CAMERA, CAMERA)), Fuser(FusionSetup(now.calibration))
+    joints = standing(BODY) if truth is None else truth
+    advice: list[Advice] = []
+    for k in range(0, round(seconds * 1e9 / frame_ns) + 1, every):
+        time_ns = k * frame_ns
+        seen = pair_of(BODY, joints, time_ns, really)
+        people: list[dict[str, Skeleton]] = []
+        for shown, skeleton in ((a, seen.a), (b, seen.b)):
+            assert skeleton is not None
+            if lost_feet:
+                states = np.array(skeleton.states)
+                states[BODY.joint("ANKLE_LEFT")] = TrackingState.INFERRED
+                skeleton = Skeleton.of(BODY, skeleton.positions, states, time_ns)
+            people.append({"1": skeleton} if shown else {})
+        pair = FramePair.of(
+            SensorFrame(time_ns, people[0]), SensorFrame(time_ns, people[1]), "1", "1", time_ns, skew_ns
+        )
+        drops = replace(now, dropped=(k * dropping, 0))
+        advice = coach.watch(fuse_one(fuser, pair), drops)
+    return {each.topic: each for each in advice}
+
+
+def wrong(said: dict[str, Advice]) -> set[str]:
+    return {topic for topic, advice in said.items() if advice.level == "WARN"}
+
+
+def test_nothing_is_wrong_with_a_person_in_both_views() -> None:
+    assert wrong(watched()) == set()
+
+
+def test_a_sensor_that_sees_no_one_is_named_after_a_second() -> None:
+    assert wrong(watched(b=False, seconds=0.9)) == set()
+    said = watched(b=False, seconds=3.0)
+    assert wrong(said) == {"person B"}
+    assert said["person B"].figure == pytest.approx(3.0, abs=0.01)
+
+
+def test_a_sensor_that_is_slightly_too_slow_is_below_the_limit_in_words_too() -> None:
+    said = watched(seconds=12.0, frame_ns=42_700_000)["rate A"]  # 23.5 in two seconds
+    assert said.text.startswith("Sensor A gives 23 frames per second; below 24 movements are missed.")
+
+
+@pytest.mark.parametrize("lost", ["states", "image"])
+def test_feet_that_are_hidden_or_outside_the_image_are_noticed(lost: str) -> None:
+    lowered = standing(BODY) + [0.0, 1.2, 0.0]
+    said = watched(lost_feet=True) if lost == "states" else watched(lowered)
+    assert {"feet A", "feet B"} <= wrong(said)
+    assert said["feet A"].figure == 1.0
+
+
+def test_too_close_and_too_far_name_the_distance_and_the_limit() -> None:
+    torso = standing(BODY)[list(BODY.torso), 2].mean()
+    for distance, words in ((1.0, "Too close"), (5.5, "Too far")):
+        said = watched(standing(BODY) + [0.0, 0.0, distance - torso])["distance A"]
+        assert said.text.startswith(words)
+        assert said.figure == pytest.approx(distance, abs=0.01)
+    assert nearest(CAMERA) < 2.6 < FARTHEST[BODY.name]
+
+
+def test_a_tall_person_fits_into_the_image_at_the_nearest_distance() -> None:
+    top, bottom = CAMERA.project([[0.0, -1.0, nearest(CAMERA)], [0.0, 1.0, nearest(CAMERA)]])[:, 1]
+    assert bottom - top == pytest.approx(CAMERA.height)
+
+
+@pytest.mark.parametrize(("angle", "advice"), [(30.0, "apart"), (150.0, "together"), (90.0, None)])
+def test_the_angle_between_the_sensors_is_judged(angle: float, advice: str | None) -> None:
+    rotation = Rotation.from_euler("y", -angle, degrees=True).as_matrix()
+    person = standing(BODY).mean(axis=0)
+    a_from_b = RigidTransform.of(rotation, person - rotation @ [0.0, 0.0, 2.6])
+    pairs = [pair_of(BODY, standing(BODY), k * FRAME_NS, a_from_b) for k in range(30)]
+    now = Situation(calibrate(BODY, pairs, "start-up pose"), settled=True, held=0.0)
+    said = watched(now=now, really=a_from_b)
+    if advice is None:
+        assert "angle" not in said
+    else:
+        assert f"further {advice}" in said["angle"].text
+        assert said["angle"].figure == pytest.approx(angle, abs=0.1)
+        assert said["angle"].threshold in ANGLES
+
+
+def test_the_start_up_pose_is_counted_down() -> None:
+    def text(held: float) -> str:
+        return watched(now=Situation(KNOWN, settled=False, held=held))["pose"].text
+
+    assert "arms out" in text(0.0)
+    assert text(0.5) == "Hold still: 3 s more."
+    assert text(HOLD - 0.2) == "Hold still: 1 s more."
+    assert "pose" not in watched()
+
+
+def test_frames_left_out_for_a_slow_tracker_are_not_blamed_on_usb_or_light() -> None:
+    halved = Situation(KNOWN, settled=True, held=0.0, step=2)
+    assert wrong(watched(every=2, now=halved)) == set()
+    said = watched(every=3, now=halved)["rate A"]
+    assert said.text.startswith("Sensor A gives 10 frames per second; below 12 movements are missed.")
+
+
+def test_slow_late_and_dropping_sensors_are_named() -> None:
+    assert wrong(watched(every=2)) == {"rate A", "rate B"}
+    assert wrong(watched(skew_ns=-20_000_000)) == {"skew"}
+    assert wrong(watched(skew_ns=15_000_000)) == set()
+    said = watched(dropping=1)
+    assert wrong(said) == {"drops A"}
+    assert said["drops A"].figure == 60  # in two seconds
+
+
+def test_a_turned_sensor_asks_for_a_new_calibration() -> None:
+    turned = Rotation.from_euler("y", 8.0, degrees=True).as_matrix()
+    really = RigidTransform.of(A_FROM_B.rotation @ turned, A_FROM_B.translation)
+    assert "moved" not in watched(really=really, seconds=5.0)  # not before eight seconds agree
+    said = watched(really=really, seconds=9.0)["moved"]
+    assert said.figure > MOVED
+    assert "Calibrate again" in said.text
+    assert "moved" not in watched(seconds=9.0)
+
+
+def test_the_verdict_says_how_many_millimetres_and_what_limits_it() -> None:
+    rng = np.random.default_rng(0)
+    noisy = []
+    for k in range(60):
+        pair = pair_of(BODY, standing(BODY), k * FRAME_NS)
+        assert pair.b is not None
+        joints = pair.b.positions + rng.normal(0, 0.06, (len(BODY), 3)).astype(np.float32)
+        noisy.append(replace(pair, b=Skeleton.of(BODY, joints, None, k * FRAME_NS)))
+    said = verdict(calibrate(BODY, noisy, "start-up pose"))
+    # noise of 60 mm an axis in one view: a Maxwell median of 1.538 · 60 mm
+    assert said.figure == pytest.approx(92.3, rel=0.05)
+    assert said.level == "WARN"
+    assert "poor" in said.text
+    assert "limited by" in said.text
+
+
+def test_problems_come_first_on_the_page() -> None:
+    page = to_markdown(list(watched(b=False, now=Situation(KNOWN, settled=False, held=0.0)).values()))
+    assert page.startswith("**Mend:** Sensor B has seen no one")
+    assert "arms out" in page
+    assert to_markdown([]).startswith("## All is well")

@@ -1,0 +1,169 @@
+"""Which sensors ``duplex live`` opens, how it pairs them, and what it refuses before it starts."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from devices.azure import pyk4a_access
+from devices.live.sensor_thread import SensorThread
+from devices.live.stream_pairing import LivePairing
+from tests.helpers.command_line import duplex
+from tests.helpers.live_program import live
+from tests.helpers.standin_library import Standin
+from tests.helpers.standin_pyk4a import Bus, Device
+from viewer_app.live_sensors import two_kinects
+from viewer_app.options.sensing import LiveOptions
+
+
+def _pairing_settings(monkeypatch: pytest.MonkeyPatch, **options: object) -> dict[str, object]:
+    """The arguments that ``two_kinects`` passes to the pairing."""
+    given: dict[str, object] = {}
+
+    def pairing(interval_ns: int, **more: object) -> LivePairing:
+        given.update(interval_ns=interval_ns, **more)
+        return LivePairing(interval_ns, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("viewer_app.live_sensors.LivePairing", pairing)
+    two_kinects(LiveOptions(**options), Console())  # type: ignore[arg-type]
+    return given
+
+
+@pytest.mark.usefixtures("kinects")
+@pytest.mark.parametrize(("principal", "b_later_ns"), [("000456", 160_000), ("000123", -160_000)])
+def test_b_captures_later_where_a_leads_and_earlier_where_it_follows(
+    principal: str, b_later_ns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the cable leads from 000456 to 000123
+    assert _pairing_settings(monkeypatch, principal=principal)["sync_delay_ns"] == b_later_ns
+
+
+@pytest.mark.parametrize("fps", [5, 15, 30])
+def test_pairing_has_the_interval_of_the_cameras(
+    kinects: Bus, monkeypatch: pytest.MonkeyPatch, fps: int
+) -> None:
+    for device in kinects.devices:
+        device.jacks = (False, False)
+    given = _pairing_settings(monkeypatch, principal="000123", fps=fps)
+    assert given == {"sync_delay_ns": None, "interval_ns": round(1e9 / fps)}
+
+
+@pytest.mark.usefixtures("kinects")
+def test_on_a_cpu_it_says_that_frames_are_few(capsys: pytest.CaptureFixture[str]) -> None:
+    two_kinects(LiveOptions(principal="000123", processing="cpu"), Console())
+    said = " ".join(capsys.readouterr().out.split())
+    assert "about one frame per second" in said
+    assert "duplex fuse a.mkv b.mkv" in said
+
+
+@pytest.mark.parametrize(("processing", "within_s"), [("gpu", 120.0), ("tensorrt", 900.0)])
+@pytest.mark.usefixtures("kinects")
+def test_tensorrt_has_time_to_build_its_engine(
+    processing: str, within_s: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given: list[float] = []
+
+    def open_thread(thread: SensorThread, within_s: float) -> SensorThread:
+        given.extend((within_s, thread.sensor.settings.start_s))
+        return thread
+
+    monkeypatch.setattr(SensorThread, "open", open_thread)
+    options = LiveOptions(kinect_a="000123", kinect_b="000456", processing=processing)
+    with two_kinects(options, Console()):
+        assert given == [within_s] * 4
+    assert ("TensorRT builds its engine; minutes" in capsys.readouterr().out) == (processing == "tensorrt")
+
+
+def test_without_a_cable_it_says_what_that_costs(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for device in kinects.devices:
+        device.jacks = (False, False)
+    assert live(standin, tmp_path / "s.rrd", seconds=0.2) == 0
+    assert "No sync cable" in capsys.readouterr().out
+    assert {config.wired_sync_mode for config in kinects.configs} == {0}
+
+
+def test_old_firmware_is_reported_if_there_is_a_cable(
+    kinects: Bus,
+    standin: Standin,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(pyk4a_access, "firmware_version", lambda _: (1, 6, 102))
+    assert live(standin, tmp_path / "s.rrd", seconds=0.3) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.count("has firmware 1.6.102. Before 1.6.110 a subordinate cannot be started again") == 2
+    for device in kinects.devices:
+        device.jacks = (False, False)
+    assert live(standin, tmp_path / "t.rrd", seconds=0.3) == 0
+    assert "has firmware" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("answer", "principal"), [("1\n", "000123"), ("x\n\n000456\n", "000456")])
+@pytest.mark.usefixtures("kinects")
+def test_it_asks_which_is_which(
+    standin: Standin,
+    answer: str,
+    principal: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    terminal = io.StringIO(answer)
+    terminal.isatty = lambda: True  # type: ignore[method-assign]
+    monkeypatch.setattr(sys, "stdin", terminal)
+    assert duplex("live", "--k4abt", standin.path, "--no-viewer", "--seconds", 0.2) == 0
+    said = capsys.readouterr().out
+    assert f"Next time: --principal {principal}" in said
+    assert f"Opening {principal} (A)" in said
+
+
+@pytest.mark.usefixtures("kinects")
+def test_without_a_terminal_it_says_what_to_choose_from(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    assert duplex("live", "--no-viewer") == 2
+    assert "--principal 000123 or --principal 000456" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("kinects")
+def test_mistakes_give_one_line_before_any_sensor_opens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    taken = tmp_path / "taken.rrd"
+    taken.touch()
+    for arguments, words in (
+        ([], "no display"),
+        (["--no-viewer", "--save", taken], "exists already"),
+        (["--no-viewer", "--seconds", -1], "--seconds must be"),
+        (["--no-viewer", "--calibrate", tmp_path / "none.json"], "neither auto nor an existing file"),
+        (["--no-viewer", "--color", "3072P"], "Colour 3072P runs at 15 fps at most"),
+        (["--no-viewer", "--smoothing", 3], "Smoothing is 0 to 1, not 3.0"),
+        (["--no-viewer", "--kinect-a", "000999"], "No Kinect with serial 000999"),
+        (["--no-viewer", "--principal", "000123", "--h", 2], "h must lie"),
+    ):
+        assert duplex("live", *arguments) == 2
+        printed = capsys.readouterr()
+        assert words in printed.err
+        assert printed.err.count("\n") == 1
+        assert "Opening" not in printed.out
+
+
+def test_no_device(bus: Bus, capsys: pytest.CaptureFixture[str]) -> None:
+    assert bus.devices == []
+    assert duplex("live", "--no-viewer") == 2
+    assert capsys.readouterr().err.startswith("duplex: No Kinect is connected. Plug in two")
+
+
+def test_one_device(bus: Bus, capsys: pytest.CaptureFixture[str]) -> None:
+    bus.devices = [Device("000456")]
+    assert duplex("live", "--no-viewer") == 2
+    assert "Only one Kinect is connected, 000456" in capsys.readouterr().err

@@ -1,0 +1,180 @@
+"""``duplex live`` on stand-ins for two Kinects and their body tracker: sessions, options and reports."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.pairing import Pairing
+from fusion.body import AZURE_KINECT
+from fusion.calibration.calibration import nominal_calibration
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings
+from recordings.calibration_file import calibration_to_json
+from recordings.reading.rrd_file import read_columns
+from recordings.session import Session
+from tests.helpers.command_line import duplex
+from tests.helpers.live_program import live
+from tests.helpers.session_text import rows_of
+from tests.helpers.standin_library import Standin
+from tests.helpers.standin_pyk4a import JPEG, Bus
+from viewer_app.commands import live as live_command
+from viewer_app.report.figures import FusionResult
+from viewer_app.report.figures import report as report_of
+
+
+def test_two_sensors_become_a_session_and_a_summary(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved = tmp_path / "live.rrd"
+    assert live(standin, saved) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    for words in ("Sync cable: B leads, A captures 160 µs later", "Paired", "Largest bone error", "Saved"):
+        assert words in said
+    captures = min(device.captures for device in kinects.devices)
+    # the first and the last may lack the other sensor; a busy machine drops some
+    assert 0.5 * captures <= rows_of(saved, "/fused/skeleton") <= captures + 2
+    assert kinects.open_serials == []
+    assert kinects.started == ["000123", "000456"], "the subordinate first"
+    modes = [(config.wired_sync_mode, config.subordinate_delay_off_master_usec) for config in kinects.configs]
+    assert modes == [(2, 160), (1, 0)]
+    assert [path.name for path in tmp_path.iterdir()] == ["live.rrd"]
+
+
+@pytest.mark.usefixtures("kinects")
+def test_it_warms_up_before_the_first_frame(
+    standin: Standin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class WarmedUpError(Exception):
+        pass
+
+    def warm_up(*_: object) -> None:
+        raise WarmedUpError
+
+    monkeypatch.setattr(live_command, "warm_up", warm_up)
+    monkeypatch.setattr(Fuser, "update", lambda *_: pytest.fail("a frame"))
+    with pytest.raises(WarmedUpError):
+        live(standin, tmp_path / "x.rrd")
+
+
+def test_options_reach_the_sensors_and_the_tracker(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    options = ("--fps", 15, "--depth-mode", "WFOV_2X2BINNED", "--color", "1080P", "--processing", "cuda")
+    for device in kinects.devices:
+        device.interval_usec = 66_667
+    assert live(standin, tmp_path / "s.rrd", *options, "--tracker-smoothing", 0.5, seconds=0.3) == 0
+    module = sys.modules["pyk4a"]
+    for config in kinects.configs:
+        assert config.camera_fps == module.FPS.FPS_15
+        assert config.depth_mode == module.DepthMode.WFOV_2X2BINNED
+        assert config.color_resolution == module.ColorResolution.RES_1080P
+    assert (standin.processing, standin.smoothing) == (2, 0.5)
+
+
+@pytest.mark.parametrize(("depth", "shape"), [("none", None), ("half", (288, 320)), ("full", (576, 640))])
+def test_as_much_depth_is_saved_as_asked_for(
+    kinects: Bus, standin: Standin, tmp_path: Path, depth: str, shape: tuple[int, int] | None
+) -> None:
+    assert len(kinects.devices) == 2
+    assert live(standin, tmp_path / "s.rrd", "--depth", depth, seconds=0.4) == 0
+    session = Session.open(tmp_path / "s.rrd")
+    assert {image.shape for side in "ab" for _, image in session.depth(side)} == ({shape} if shape else set())
+
+
+def test_colour_and_depth_of_one_moment_are_in_the_session(
+    kinects: Bus, standin: Standin, tmp_path: Path
+) -> None:
+    for device in kinects.devices:
+        device.color = True
+    saved, part, again = (tmp_path / name for name in ("s.rrd", "part.rrd", "again.rrd"))
+    assert live(standin, saved, "--color", "720P") == 0
+    session = Session.open(saved)
+    for side in ("a", "b"):
+        depths, colors = [frame for frame, _ in session.depth(side)], dict(session.color(side))
+        assert len(colors) >= 5
+        assert [*colors] == depths
+        image = next(iter(colors.values()))
+        assert image.jpeg == JPEG, "as the camera made it"
+        assert image.camera.intrinsics.width == 1280
+        assert image.camera.color_from_depth.translation.tolist() == [-0.032, 0.0, 0.004]
+    assert duplex("trim", saved, "--from", 0.2, "--save", part) == 0
+    trimmed = Session.open(part)
+    assert 0 < len(dict(trimmed.color("a"))) == len(dict(trimmed.depth("a"))) < len(dict(session.color("a")))
+    assert duplex("replay", saved, "--no-viewer", "--save", again) == 0
+    assert [*dict(Session.open(again).color("b"))] == [*dict(session.color("b"))]
+
+
+def test_colour_is_off_unless_asked_for(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    for device in kinects.devices:
+        device.color = True
+    assert live(standin, tmp_path / "s.rrd", seconds=0.4) == 0
+    assert rows_of(tmp_path / "s.rrd", "/kinect_a/color") == 0
+
+
+def test_skew_drift_and_drops_are_on_the_timeline(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    _, b = kinects.devices
+    b.interval_usec = 40_000
+    saved = tmp_path / "s.rrd"
+    assert live(standin, saved, seconds=1.5) == 0
+    assert np.ptp(Session.open(saved).rows.skew_ns) > 0
+    for name in ("drift_ppm", "dropped", "unpaired"):
+        assert rows_of(saved, f"/quality/{name}") >= 2, name
+    counted = read_columns(saved, lambda entity: entity == "/quality/unpaired").values
+    unpaired = counted["/quality/unpaired", "Scalars:scalars"][1]
+    # one of six frames of A has no partner
+    assert unpaired[-1, 0] >= rows_of(saved, "/fused/skeleton") // 6 - 2 > 0
+    assert (np.diff(unpaired, axis=0) >= 0).all()
+
+
+def test_a_report_has_what_that_of_fuse_has(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    assert len(kinects.devices) == 2
+    report = tmp_path / "report.json"
+    assert live(standin, tmp_path / "s.rrd", "--report", report) == 0
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert figures["frames"]["a"] >= figures["paired"] > 0
+    assert figures["streams"]["clock_resets"] == 0
+    rows = Session.open(tmp_path / "s.rrd").rows
+    of_fuse = report_of(
+        FusionResult(Pairing([], 0, 0, 0, 0), nominal_calibration(AZURE_KINECT), FuserSettings(), rows)
+    )
+    assert of_fuse.keys() <= figures.keys()
+    assert live(standin, tmp_path / "t.rrd", "--report", report) == 2, "it exists already"
+
+
+def test_a_calibration_is_loaded_and_kept(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
+    assert len(kinects.devices) == 2
+    before, after = tmp_path / "before.json", tmp_path / "after.json"
+    before.write_text(calibration_to_json(nominal_calibration(AZURE_KINECT)), encoding="utf-8")
+    options = ("--calibrate", before, "--save-calibration", after)
+    assert live(standin, tmp_path / "s.rrd", *options, seconds=0.3) == 0
+    text = after.read_text(encoding="utf-8")
+    assert f"loaded from {before}" in text
+
+
+def test_a_missing_calibration_is_reported_and_the_session_is_kept(
+    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # the stand-in's joints lie on a line, which does not allow a calibration
+    assert len(kinects.devices) == 2
+    saved, wanted = tmp_path / "s.rrd", tmp_path / "calibration.json"
+    assert live(standin, saved, "--save-calibration", wanted, seconds=0.3) == 2
+    assert "no calibration was found" in capsys.readouterr().err
+    assert rows_of(saved, "/fused/skeleton") > 0
+    assert not wanted.exists()
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_a_cable_makes_both_colour_cameras_run(
+    kinects: Bus, standin: Standin, tmp_path: Path, asked: bool
+) -> None:
+    saved = tmp_path / "s.rrd"
+    assert live(standin, saved, *(("--color", "1080P") if asked else ()), seconds=0.5) == 0
+    module = sys.modules["pyk4a"]
+    wanted = module.ColorResolution.RES_1080P if asked else module.ColorResolution.RES_720P
+    assert {config.color_resolution for config in kinects.configs} == {wanted}
+    assert {config.color_format for config in kinects.configs} == {module.ImageFormat.COLOR_MJPG}
+    assert {config.synchronized_images_only for config in kinects.configs} == {False}
+    assert (rows_of(saved, "/kinect_a/color") > 0) == asked

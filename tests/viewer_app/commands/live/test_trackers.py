@@ -1,0 +1,118 @@
+"""``duplex live`` on Orbbec sensors, and on Azure Kinects with the program's own tracker."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.blazepose.blazepose import BlazePose
+from fusion.body import BLAZEPOSE
+from fusion.calibration.calibration import nominal_calibration
+from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
+from fusion.skeleton import Skeleton
+from recordings.session import Session
+from tests.helpers.command_line import duplex
+from tests.helpers.orbbec import standin_values as values
+from tests.helpers.orbbec.standin import Orbbec, OrbbecBus
+from tests.helpers.session_text import rows_of
+from tests.helpers.standin_pyk4a import Bus, Device
+from tests.helpers.two_views import moving
+
+A, B = "CL8H741005K", "CL8H7410123"
+MODES = values.OBMultiDeviceSyncMode
+
+
+@pytest.fixture
+def own_tracker(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
+    """The program's tracker without networks: it finds a standing person in every image that it keeps."""
+    images: list[np.ndarray] = []
+    standing = moving(BLAZEPOSE, 1)[0]
+
+    def track(
+        _self: BlazePose, image: np.ndarray, depth: np.ndarray, _camera: object, time_ns: int
+    ) -> dict[str, Skeleton]:
+        assert image.shape == depth.shape
+        images.append(image)
+        return {"1": Skeleton.of(BLAZEPOSE, standing, time_ns=time_ns)}
+
+    monkeypatch.setattr(BlazePose, "__enter__", lambda self: self)
+    monkeypatch.setattr(BlazePose, "track", track)
+    monkeypatch.setattr("viewer_app.tracker_selection.ensure_networks", lambda *_: False)
+    Fuser(FusionSetup(nominal_calibration(BLAZEPOSE))).warm_up()  # compiling takes longer than these sessions
+    return images
+
+
+@pytest.fixture
+def bolts(orbbecs: OrbbecBus, own_tracker: list[np.ndarray], monkeypatch: pytest.MonkeyPatch) -> OrbbecBus:
+    """Two Femto Bolts at a real sensor's pace, on a machine without pyk4a."""
+    assert own_tracker == []
+    monkeypatch.setitem(sys.modules, "pyk4a", None)
+    orbbecs.devices = [Orbbec(A, paced=True), Orbbec(B, paced=True)]
+    return orbbecs
+
+
+def _live(*arguments: object, seconds: float = 1.0) -> int:
+    return duplex("live", "--kinect-a", A, "--kinect-b", B, "--no-viewer", "--seconds", seconds, *arguments)
+
+
+def test_two_orbbec_sensors_become_a_session(
+    bolts: OrbbecBus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved = tmp_path / "live.rrd"
+    assert _live("--save", saved) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Body tracker: blazepose full (" in said
+    assert "Saved" in said
+    assert "Orbbec's SDK does not say whether a cable is in the jacks" in said
+    session = Session.open(saved)
+    assert (session.tracker, session.body) == ("blazepose full", BLAZEPOSE)
+    assert session.sources == (A, B)
+    assert 0 < len(session) <= 1 + min(device.given for device in bolts.devices)
+    assert session.intrinsics_a.width == 320, "half of the depth image"
+    assert rows_of(saved, "/kinect_a/depth") > 0
+    assert bolts.open_serials == []
+    assert [device.sync["mode"] for device in bolts.devices] == [MODES.STANDALONE] * 2
+    assert duplex("info", saved) == 0
+    assert "blazepose full" in capsys.readouterr().out
+
+
+def test_the_named_master_leads(bolts: OrbbecBus, tmp_path: Path) -> None:
+    saved = tmp_path / "live.rrd"
+    assert _live("--sync-master", A, "--save", saved) == 0
+    assert bolts.started == [B, A], "the secondary first"
+    assert [device.sync["mode"] for device in bolts.devices] == [MODES.PRIMARY, MODES.SECONDARY]
+    assert len(Session.open(saved)) > 0
+
+
+def test_impossible_options_give_one_line(bolts: OrbbecBus, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, message in (
+        (("--tracker", "k4abt"), f"{A}: k4abt takes images of libk4a only"),
+        (("--color", "3072P", "--fps", 15), "Orbbec's sensors have no colour 3072P"),
+        (("--sync-master", "999"), "--sync-master 999 is neither of the two"),
+    ):
+        assert _live(*arguments, seconds=0.2) == 2
+        said = capsys.readouterr().err
+        assert message in said
+        assert said.count("\n") == 1
+    assert bolts.open_serials == []
+
+
+def test_azure_kinects_are_tracked_by_our_tracker(
+    bus: Bus, own_tracker: list[np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
+    bus.devices = [Device("000123", paced=True), Device("000456", paced=True)]
+    saved = tmp_path / "live.rrd"
+    code = duplex(
+        *("live", "--kinect-a", "000123", "--kinect-b", "000456", "--tracker", "blazepose"),
+        *("--tracker-network", "lite", "--no-viewer", "--seconds", 1.0, "--save", saved),
+    )
+    assert code == 0
+    session = Session.open(saved)
+    assert (session.tracker, session.body) == ("blazepose lite", BLAZEPOSE)
+    assert len(session) > 0
+    assert {int(image[0, 0]) for image in own_tracker} == {900}, "the infrared images"

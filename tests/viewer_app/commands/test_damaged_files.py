@@ -1,0 +1,214 @@
+"""Files damaged at random: each is read, or refused with one line and exit code 2; never a traceback."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fusion.body import AZURE_KINECT, KINECT_V2, Body
+from fusion.calibration.calibration import nominal_calibration
+from recordings.calibration_file import calibration_to_json
+from tests.helpers.command_line import duplex
+from tests.helpers.mkv_writer import write_mkv
+from tests.helpers.skeleton_views import write_view
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
+
+FRAMES = 12
+_EXAMPLES = settings(
+    max_examples=40,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+_ODD = (
+    "nan",
+    "-1",
+    "1e999",
+    "9" * 400,
+    "null",
+    "[]",
+    "{}",
+    '""',
+    "é",
+    "\0",
+    "0x1",
+    ",",
+    "\n",
+    "true",
+    "1e-320",
+)
+
+
+def _csv(path: Path, at: np.ndarray) -> Path:
+    return write_view(path, KINECT_V2, at)
+
+
+def _json(path: Path, at: np.ndarray) -> Path:
+    frames = [
+        {
+            "timestamp_usec": t * FRAME_NS // 1000,
+            "bodies": [{"body_id": 1, "joint_positions": (positions * 1e3).tolist()}],
+        }
+        for t, positions in enumerate(at)
+    ]
+    path.write_text(json.dumps({"joint_names": KINECT_V2.joints, "frames": frames}), encoding="utf-8")
+    return path
+
+
+def _ntu(path: Path, at: np.ndarray) -> Path:
+    lines = [str(len(at))]
+    for positions in at:
+        lines += ["1", "7 0 0 0 0 0 0 0 0 2", "25"]
+        lines += [f"{-x:.5f} {-y:.5f} {z:.5f} 0 0 0 0 0 0 0 1 2" for x, y, z in positions]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+WRITERS: dict[str, Callable[[Path, np.ndarray], Path]] = {".csv": _csv, ".json": _json, ".skeleton": _ntu}
+
+
+@st.composite
+def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
+    """Damages a file in one to three places: a cut, a flipped bit, lost, doubled or replaced bytes."""
+    wounds = draw(
+        st.lists(
+            st.tuples(
+                st.sampled_from(("cut", "flip", "lose", "double", "odd")),
+                st.floats(0, 1, exclude_max=True),
+                st.integers(1, 200),
+                st.sampled_from(_ODD),
+            ),
+            min_size=1,
+            max_size=3,
+        )
+    )
+
+    def apply(data: bytes) -> bytes:
+        for kind, place, length, odd in wounds:
+            offset = int(place * len(data))
+            before, there, after = data[:offset], data[offset : offset + length], data[offset + length :]
+            if kind == "cut":
+                data = before
+            elif kind == "flip" and there:
+                data = before + bytes([there[0] ^ (1 << length % 8)]) + there[1:] + after
+            elif kind == "lose":
+                data = before + after
+            elif kind == "double":
+                data = before + there + there + after
+            elif kind == "odd":
+                data = before + odd.encode() + there[length // 20 :] + after
+        return data
+
+    return apply
+
+
+def _must_be_fused_or_refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> int:
+    code = duplex("fuse", *arguments, "--no-viewer")  # a traceback is an exception here
+    said = capsys.readouterr().err
+    if code == 0:
+        assert said == ""
+    else:
+        assert code == 2
+        assert said.startswith("duplex: ")
+        assert said.endswith("\n")
+        assert said.count("\n") == 1
+        assert len(said) < 800, "one line that can be read"
+    return code
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Path]]:
+    """A's and B's recording in every format."""
+    folder = tmp_path_factory.mktemp("whole")
+    offset = moving(KINECT_V2, FRAMES)
+    seen_by_b = A_FROM_B.inverse().apply(offset)
+    return {
+        ending: (write(folder / f"a{ending}", offset), write(folder / f"b{ending}", seen_by_b))
+        for ending, write in WRITERS.items()
+    }
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+def test_whole_files_are_fused(
+    whole: dict[str, tuple[Path, Path]], ending: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _must_be_fused_or_refused(capsys, *whole[ending]) == 0
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+@_EXAMPLES
+@given(wound=damage())
+def test_damaged_skeletons_are_fused_or_refused(
+    whole: dict[str, tuple[Path, Path]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    ending: str,
+    wound: Callable[[bytes], bytes],
+) -> None:
+    a, b = whole[ending]
+    damaged = tmp_path / f"damaged{ending}"
+    damaged.write_bytes(wound(b.read_bytes()))
+    _must_be_fused_or_refused(capsys, a, damaged)
+
+
+@pytest.mark.parametrize("column", ["time_us", "joint", "x", "state"])
+def test_a_long_value_is_shortened_in_the_message(
+    whole: dict[str, tuple[Path, Path]], tmp_path: Path, capsys: pytest.CaptureFixture[str], column: str
+) -> None:
+    a, b = whole[".csv"]
+    header, first, *rest = b.read_text(encoding="utf-8").splitlines()
+    cells = dict(zip(header.split(","), first.split(","), strict=True)) | {column: "7x" * 400}
+    damaged = tmp_path / "damaged.csv"
+    damaged.write_text("\n".join([header, ",".join(cells.values()), *rest]) + "\n", encoding="utf-8")
+    assert _must_be_fused_or_refused(capsys, a, damaged) == 2
+
+
+@_EXAMPLES
+@given(wound=damage())
+def test_damaged_calibrations_are_used_or_refused(
+    whole: dict[str, tuple[Path, Path]],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    wound: Callable[[bytes], bytes],
+) -> None:
+    calibration = tmp_path / "calibration.json"
+    calibration.write_bytes(wound(calibration_to_json(nominal_calibration(KINECT_V2)).encode()))
+    _must_be_fused_or_refused(capsys, *whole[".csv"], "--calibrate", calibration)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Two recordings of sensors on a cable, with the skeletons that belong to them."""
+    folder = tmp_path_factory.mktemp("recorded")
+    offset = moving(AZURE_KINECT, FRAMES)
+    files = {
+        "a": write_mkv(folder / "a.mkv", FRAMES, sync="MASTER"),
+        "b": write_mkv(folder / "b.mkv", FRAMES, sync="SUBORDINATE"),
+    }
+    for side, positions in (("a", offset), ("b", A_FROM_B.inverse().apply(offset))):
+        files[f"skeletons_{side}"] = _of_recording(folder / f"{side}.csv", AZURE_KINECT, positions)
+    return files
+
+
+def _of_recording(path: Path, body: Body, at: np.ndarray) -> Path:
+    return write_view(path, body, at, start_us=336_277)
+
+
+@settings(_EXAMPLES, max_examples=15)
+@given(wound=damage())
+def test_damaged_recordings_are_fused_or_refused(
+    recorded: dict[str, Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    wound: Callable[[bytes], bytes],
+) -> None:
+    damaged = tmp_path / "damaged.mkv"
+    damaged.write_bytes(wound(recorded["b"].read_bytes()))
+    skeletons = ("--skeletons-a", recorded["skeletons_a"], "--skeletons-b", recorded["skeletons_b"])
+    _must_be_fused_or_refused(capsys, recorded["a"], damaged, *skeletons)

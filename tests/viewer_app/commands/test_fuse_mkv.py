@@ -1,0 +1,202 @@
+"""``duplex fuse`` on Azure Kinect recordings, written by the tests in the real layout."""
+
+from __future__ import annotations
+
+import shutil
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.sources import open_source, without_images
+from fusion.body import AZURE_KINECT
+from fusion.rigid import RigidTransform
+from recordings.session import Session
+from tests.helpers.command_line import duplex
+from tests.helpers.mkv_writer import INTERVAL_US, depth_image, write_mkv
+from tests.helpers.session_text import events_of, rows_of
+from tests.helpers.standin_library import Standin
+from tests.helpers.two_views import A_FROM_B, moving
+
+FRAMES = 60
+START_US = 336_277
+DELAY_US = 160
+
+
+def write_skeletons(path: Path, start_us: int, place: RigidTransform | None = None) -> Path:
+    """The people of a recording as .csv, exact, on the recording's clock."""
+    rows = ["time_us,body,joint,x,y,z"]
+    truth = moving(AZURE_KINECT, FRAMES)
+    seen = truth if place is None else place.apply(truth)
+    for t, at in enumerate(seen):
+        rows += [
+            f"{start_us + t * INTERVAL_US},0,{joint},{x:.6f},{y:.6f},{z:.6f}"
+            for joint, (x, y, z) in zip(AZURE_KINECT.joints, at, strict=True)
+        ]
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A master and a subordinate that captured 160 µs later, and their skeletons."""
+    folder = tmp_path_factory.mktemp("mkv")
+    b_us = START_US + DELAY_US
+    return {
+        "a": write_mkv(folder / "a.mkv", FRAMES, start_offset_ns=START_US * 1000, sync="MASTER"),
+        "b": write_mkv(folder / "b.mkv", FRAMES, start_offset_ns=b_us * 1000),
+        "skeletons_a": write_skeletons(folder / "a.csv", START_US),
+        "skeletons_b": write_skeletons(folder / "b.csv", b_us, A_FROM_B.inverse()),
+    }
+
+
+def fuse(recorded: dict[str, Path], *more: object) -> int:
+    return duplex(
+        *("fuse", recorded["a"], recorded["b"], "--no-viewer"),
+        *("--skeletons-a", recorded["skeletons_a"], "--skeletons-b", recorded["skeletons_b"], *more),
+    )
+
+
+def test_recordings_with_saved_skeletons_become_a_session(
+    recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved = tmp_path / "s.rrd"
+    assert fuse(recorded, "--save", saved) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"Paired {FRAMES} frames of {FRAMES} (A) and {FRAMES} (B)" in said
+    assert "axes are 85° apart" in said
+    assert "clock" not in said, "one clock by the cable: nothing to warn of"
+    assert rows_of(saved, "/fused/skeleton") == FRAMES
+
+
+def test_depth_and_the_fused_skeleton_are_in_one_session(recorded: dict[str, Path], tmp_path: Path) -> None:
+    saved = tmp_path / "s.rrd"
+    assert fuse(recorded, "--save", saved) == 0
+    session = Session.open(saved)
+    assert session.damage is None
+    for side in ("a", "b"):
+        images = list(session.depth(side))
+        assert [frame for frame, _ in images] == list(range(FRAMES))
+        assert all((image == depth_image(frame)).all() for frame, image in images)
+
+
+@pytest.mark.parametrize("depth", ["none", "half"])
+def test_as_much_depth_is_kept_as_asked_for(recorded: dict[str, Path], tmp_path: Path, depth: str) -> None:
+    saved = tmp_path / "s.rrd"
+    assert fuse(recorded, "--save", saved, "--depth", depth) == 0
+    session = Session.open(saved)
+    images = list(session.depth("a"))
+    assert len(images) == (0 if depth == "none" else FRAMES)
+    assert all((image == depth_image(frame)[::2, ::2]).all() for frame, image in images)
+    assert all(
+        image.shape == (session.intrinsics_a.height, session.intrinsics_a.width) for _, image in images
+    )
+    assert duplex("replay", saved, "--verify", "--no-viewer") == 0
+
+
+def test_the_recordings_own_intrinsics_are_used(
+    recorded: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from viewer_app.commands import fuse as command
+
+    seen = []
+    original = command.Fuser
+
+    def noting(*arguments: object) -> object:
+        seen.append(arguments[2:])
+        return original(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(command, "Fuser", noting)
+    assert fuse(recorded, "--save", tmp_path / "s.rrd") == 0
+    for lens in seen[0]:
+        assert (lens.width, lens.height) == (320, 288)
+
+
+def test_a_cut_off_recording_gives_what_it_has_and_says_so(
+    recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = recorded["b"].read_bytes()
+    cut = tmp_path / "cut.mkv"
+    cut.write_bytes(whole[: int(0.8 * len(whole))])
+    saved = tmp_path / "s.rrd"
+    assert fuse({**recorded, "b": cut}, "--save", saved) == 0
+    assert "cut.mkv is cut off" in capsys.readouterr().out
+    assert any("cut.mkv is cut off" in text for text in events_of(saved))
+    assert 40 <= rows_of(saved, "/fused/skeleton") < FRAMES
+
+
+def test_a_clock_that_the_master_did_not_set_is_reported(
+    recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    late_us = START_US + DELAY_US + 9_000
+    b = write_mkv(tmp_path / "b.mkv", FRAMES, start_offset_ns=late_us * 1000)
+    skeletons = write_skeletons(tmp_path / "b.csv", late_us, A_FROM_B.inverse())
+    assert fuse({**recorded, "b": b, "skeletons_b": skeletons}) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "captured 0.16 ms apart by their cable, but their times lie 9.2 ms apart" in said
+
+
+def test_sensors_without_a_cable_have_no_common_clock(
+    recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    b = write_mkv(tmp_path / "b.mkv", FRAMES, start_offset_ns=(START_US + DELAY_US) * 1000, sync="STANDALONE")
+    assert fuse({**recorded, "b": b}) == 0
+    assert "without a common clock (master, standalone)" in " ".join(capsys.readouterr().out.split())
+
+
+def test_without_a_tracker_the_way_out_is_said(
+    recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    missing = tmp_path / "libk4abt.so"
+    (tmp_path / "libk4a.so").touch()
+    assert duplex("fuse", recorded["a"], recorded["b"], "--no-viewer", "--k4abt", missing) == 2
+    said = capsys.readouterr().err
+    assert "Or give its skeletons, saved before, with --skeletons-a FILE." in said
+    assert said.count("\n") == 1
+
+
+def test_skeletons_for_a_skeleton_file_are_refused(
+    recorded: dict[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fuse({**recorded, "a": recorded["skeletons_a"]}) == 2
+    assert "a.csv has its own skeletons" in capsys.readouterr().err
+
+
+def test_the_body_tracker_runs_over_both_recordings(
+    standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, sync in (("a", "MASTER"), ("b", "SUBORDINATE")):
+        write_mkv(tmp_path / f"{name}.mkv", 40, mode="NFOV_UNBINNED", sync=sync)
+    # one library for both, as the loader sees it
+    (tmp_path / "libk4a.so").hardlink_to(standin.path) if _same_disk(standin.path, tmp_path) else (
+        shutil.copy(standin.path, tmp_path / "libk4a.so")
+    )
+    (tmp_path / "libk4abt.so").symlink_to(standin.path)
+    saved = tmp_path / "s.rrd"
+    code = duplex(
+        *("fuse", tmp_path / "a.mkv", tmp_path / "b.mkv", "--no-viewer", "--save", saved),
+        *("--k4abt", tmp_path / "libk4abt.so", "--calibrate", "seconds:5"),
+    )
+    assert code == 0
+    assert "Paired 40 frames" in capsys.readouterr().out
+    assert rows_of(saved, "/fused/skeleton") == 40
+
+
+def _same_disk(one: Path, other: Path) -> bool:
+    return one.stat().st_dev == other.stat().st_dev
+
+
+def test_memory_does_not_grow_with_the_images(recorded: dict[str, Path]) -> None:
+    image = 320 * 288 * 2
+    tracemalloc.start()
+    try:
+        with open_source(recorded["a"], recorded["skeletons_a"]) as source:
+            frames = list(without_images(source))
+            _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(frames) == FRAMES
+    assert np.isfinite(most)
+    # depth and infrared of all frames would be 120 images; a few captures are in work at a time
+    assert most < 40 * image

@@ -1,0 +1,345 @@
+"""``duplex replay``, ``compare``, ``review``, ``export``, ``trim`` and ``info`` at the command line.
+
+A little over 300 lines: the commands are tested on the same session.
+"""
+
+import json
+from dataclasses import replace
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from fusion.body import KINECT_V2
+from fusion.fuser import Fuser
+from recordings.images.rvl import encode_depth
+from recordings.session import Session
+from recordings.testing import FusedRun, fused_run
+from recordings.writing.session_writer import write_session
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.recalibrated import record_recalibrated
+from tests.helpers.skeleton_views import REAL
+from tests.helpers.two_views import calibration_of
+from viewer_app.commands.replay import verify
+
+__all__ = ["fused_run"]  # a fixture
+
+
+@pytest.fixture
+def session(fused_run: FusedRun) -> Path:
+    pairs = frame_pairs(KINECT_V2, 90, gap=(30,), no_b=(20,), depth=True)
+    return fused_run(pairs, calibration_of(KINECT_V2), depth_every=1).path
+
+
+def test_a_replay_is_verified_and_can_be_replayed_again(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    again = tmp_path / "again.rrd"
+    assert duplex("replay", session, "--verify", "--save", again) == 0
+    assert "all 90 frames is the recorded one, bit for bit" in capsys.readouterr().out.replace("\n", " ")
+    assert duplex("replay", again, "--verify") == 0
+    one, two = Session.open(session), Session.open(again)
+    np.testing.assert_array_equal(one.fused_checksums, two.fused_checksums)
+    np.testing.assert_array_equal(dict(one.depth("b"))[60], dict(two.depth("b"))[60])
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_recordings_replay_bit_for_bit(name: str, shared: Path, tmp_path: Path) -> None:
+    folder, saved = shared / "real" / f"kinect_v2_90deg_{name}", tmp_path / "s.rrd"
+    assert duplex("fuse", folder / "a.csv", folder / "b.csv", "--no-viewer", "--save", saved) == 0
+    assert duplex("replay", saved, "--verify") == 0
+
+
+def test_a_difference_is_exit_code_1_with_frame_and_joint(
+    session: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    true_setups = Session.setups
+
+    def biased(self: Session, *arguments: object) -> object:
+        self.calibration.bone_lengths[KINECT_V2.joint("WristLeft")] *= 1.001
+        return true_setups(self, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Session, "setups", biased)
+    assert duplex("replay", session, "--verify") == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "S* differs from the recorded one in 89 of 90 frames, first at frame 0, joint" in said
+
+
+@pytest.mark.parametrize("seen", [False, True])
+def test_the_first_frame_that_differs_is_named_also_where_float32_does_not_show_it(
+    seen: bool, session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded = Session.open(session)
+    ((setup, _),) = recorded.setups()
+    fuser = Fuser(setup)
+    fused = np.array([fuser.update(pair.skeletons).positions for pair in recorded.pairs()])
+    wrist, knee = KINECT_V2.joint("WristLeft"), KINECT_V2.joint("KneeRight")
+    fused[40, knee] += 0.01
+    assert verify(Console(width=300), recorded, fused) is False
+    assert "in 1 of 90 frames, first at frame 40, joint KneeRight, by 17.3 mm" in capsys.readouterr().out
+    fused[12, wrist, 1] = 0.0 if seen else np.nextafter(fused[12, wrist, 1], 9.0)
+    assert verify(Console(width=300), recorded, fused) is False
+    said = capsys.readouterr().out
+    assert "in 2 of 90 frames, first at frame 12, joint WristLeft, by" in said
+    assert ("by less than the file's float32 shows" in said) is not seen
+
+
+def test_verifying_other_settings_is_refused(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert duplex("replay", session, "--verify", "--smoothing", "0.9") == 2
+    assert "duplex compare" in one_line(capsys)
+
+
+def test_a_replay_with_other_settings_is_compared_with_the_first(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other, compared = tmp_path / "equal.rrd", tmp_path / "compared.rrd"
+    assert duplex("replay", session, "--no-viewer", "--method", "paper", "--save", other) == 0
+    capsys.readouterr()
+    assert duplex("compare", session, other, "--no-viewer", "--save", compared, "--worst", "3") == 0
+    said = capsys.readouterr().out
+    assert "method: duplex against paper" in said
+    assert "90 frames in common" in said
+    assert said.count(" differs by ") == 3
+    assert compared.stat().st_size > 10_000
+    assert duplex("compare", session, session, "--no-viewer") == 0
+    assert "S* is the same in every frame" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_as_many_moments_are_listed_as_asked_for(
+    count: int, session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "equal.rrd"
+    assert duplex("replay", session, "--no-viewer", "--method", "paper", "--save", other) == 0
+    capsys.readouterr()
+    assert duplex("compare", session, other, "--no-viewer", "--worst", count) == 0
+    said = capsys.readouterr().out
+    assert said.count(" differs by ") == count
+    assert "the same in every frame" not in said
+
+
+def test_a_negative_number_of_moments_gives_one_line(
+    session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert duplex("compare", session, session, "--no-viewer", "--worst=-3") == 2
+    assert "--worst -3" in one_line(capsys)
+
+
+def test_no_command_writes_two_things_into_one_file_or_over_what_it_reads(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    same, before = tmp_path / "same.rrd", session.read_bytes()
+    assert duplex("replay", session, "--no-viewer", "--save", same, "--report", same) == 2
+    assert "written twice" in one_line(capsys)
+    assert not same.exists()
+    for command in (
+        ("replay", session, "--no-viewer", "--save", session),
+        ("compare", session, session, "--no-viewer", "--save", session),
+        ("trim", session, "--save", session),
+        ("review", session, "--no-viewer", "--html", session),
+    ):
+        assert duplex(*command, "--force") == 2
+        assert "also read" in one_line(capsys)
+        assert session.read_bytes() == before
+    table = session.rename(session.with_suffix(".csv"))
+    assert duplex("export", table, "--to", table, "--force") == 2
+    assert table.read_bytes() == before
+
+
+def test_names_with_brackets_are_printed_as_they_are(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "300")
+    for name in ("[red]a.rrd", "[/bold]a.rrd", "c[bold].rrd"):
+        path = Path(name)
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(session.read_bytes()[:-50])  # reported as cut off, with its name
+        out = path.with_suffix("")
+        for command in (
+            ("info", path),
+            ("replay", path, "--no-viewer", "--save", f"{out}_2.rrd", "--report", f"{out}.json"),
+            ("review", path, "--no-viewer", "--html", f"{out}.html"),
+            ("compare", path, path, "--no-viewer", "--save", f"{out}_3.rrd"),
+            ("export", path, "--to", f"{out}.csv"),
+            ("trim", path, "--to", "1", "--save", f"{out}_4.rrd"),
+        ):
+            assert duplex(*command) == 0
+            said = capsys.readouterr().out
+            assert name in said
+            assert all(str(part) in said for part in command[3:] if str(part).endswith(("_2.rrd", ".html")))
+
+
+def test_sessions_of_other_captures_are_not_compared(
+    session: Path, fused_run: FusedRun, capsys: pytest.CaptureFixture[str]
+) -> None:
+    later = [pair for pair in frame_pairs(KINECT_V2, 200) if pair.time_ns > 4_000_000_000]
+    other = fused_run(later, calibration_of(KINECT_V2)).path
+    assert duplex("compare", session, other, "--no-viewer") == 2
+    assert "not the same capture" in one_line(capsys)
+
+
+def test_a_trimmed_session_is_a_session(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = tmp_path / "part.rrd"
+    assert duplex("trim", session, "--from", "1.0", "--to", "2.0", "--save", part) == 0
+    whole, cut = Session.open(session), Session.open(part)
+    assert len(cut) == 30  # frame 30 is 10 ns before the second
+    np.testing.assert_array_equal(cut.rows.fused, whole.rows.fused[31:61])
+    assert duplex("replay", part, "--verify") == 0
+    capsys.readouterr()
+    assert duplex("trim", session, "--from", "9", "--save", tmp_path / "none.rrd") == 2
+    assert "runs from 0 to" in one_line(capsys)
+
+
+def test_a_trim_from_later_says_what_it_was_calibrated_on(session: Path, tmp_path: Path) -> None:
+    part = tmp_path / "part.rrd"
+    assert duplex("trim", session, "--from", "1.0", "--save", part) == 0
+    (event,) = Session.open(part).events
+    assert (event.frame, event.time_ns, event.text) == (0, 0, "calibrated: known truth")
+
+
+def test_a_trim_keeps_each_calibration_s_event_once(tmp_path: Path) -> None:
+    first = calibration_of(KINECT_V2)
+    second, third = replace(first, how="two"), replace(first, how="three")
+    pairs = frame_pairs(KINECT_V2, 30)
+    whole = record_recalibrated(tmp_path / "s.rrd", pairs, [(0, first), (10, second), (20, third)])
+    write_session(whole, tmp_path / "part.rrd", first=15, end=28)
+    texts = [event.text for event in Session.open(tmp_path / "part.rrd").events]
+    assert texts == ["calibrated: two", "calibrated: three"]
+
+
+def verdict(said: str) -> list[str]:
+    """The lines of a calibration's verdict."""
+    words = ("the views differ by", "axes are")
+    return [" ".join(line.split()) for line in said.split("\n") if any(w in line for w in words)]
+
+
+def test_the_verdict_on_a_calibration_goes_with_the_session(
+    shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
+    folder, saved = shared / "real" / f"kinect_v2_90deg_{REAL[0]}", tmp_path / "s.rrd"
+    report, html = tmp_path / "r.json", tmp_path / "r.html"
+    fuse = ("fuse", folder / "a.csv", folder / "b.csv", "--no-viewer")
+    assert duplex(*fuse, "--save", saved, "--report", report) == 0
+    said = verdict(capsys.readouterr().out)
+    assert len(said) == 2
+    again, part = tmp_path / "again.rrd", tmp_path / "part.rrd"
+    assert duplex("replay", saved, "--no-viewer", "--save", again, "--report", tmp_path / "again.json") == 0
+    assert verdict(capsys.readouterr().out) == said
+    one, two = (json.loads(p.read_text(encoding="utf-8")) for p in (report, tmp_path / "again.json"))
+    assert one["calibration"] == two["calibration"]
+    assert duplex("trim", again, "--from", "1", "--save", part) == 0
+    for path in (saved, again, part):
+        capsys.readouterr()
+        assert duplex("review", path, "--no-viewer", "--html", html, "--force") == 0
+        assert verdict(capsys.readouterr().out) == said
+        page = unescape(html.read_text(encoding="utf-8"))
+        assert all(line in page for line in said)
+        assert duplex("info", path) == 0
+        assert [line.removeprefix("calibration ") for line in verdict(capsys.readouterr().out)] == said
+
+
+def test_a_damaged_image_is_left_out_and_reported(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray(session.read_bytes())
+    offset = data.find(encode_depth(dict(Session.open(session).depth("b"))[60])[200:260])
+    assert offset > 0
+    data[offset + 20] ^= 1
+    bad = tmp_path / "bad.rrd"
+    bad.write_bytes(data)
+    assert duplex("info", bad) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "depth images A 90, B 88" in said
+    assert "whole no: 1 damaged depth images of B" in said
+    for command, count in (
+        (("trim", bad, "--save", tmp_path / "t.rrd"), 1),
+        (("trim", bad, "--to", "1", "--save", tmp_path / "u.rrd"), 0),
+        (("replay", bad, "--no-viewer", "--save", tmp_path / "v.rrd"), 1),
+    ):
+        assert duplex(*command) == 0
+        assert ("1 damaged images were skipped" in capsys.readouterr().out) is bool(count)
+        saved = Session.open(command[-1])
+        assert saved.depth("b").count() == saved.depth("a").count() - 1 - count  # one frame B did not deliver
+
+
+def test_info_says_what_is_in_it_and_what_is_missing(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert duplex("info", session) == 0
+    said = capsys.readouterr().out
+    for words in (
+        "kinect_v2, 25 joints",
+        "90 in",
+        "A 90, B 89",
+        "85° apart",
+        "whole",
+        "calibrated: known truth",
+    ):
+        assert words in said
+    cut = tmp_path / "cut.rrd"
+    cut.write_bytes(session.read_bytes()[:-50])
+    assert duplex("info", cut) == 0
+    assert "cut off" in capsys.readouterr().out
+
+
+def test_export_writes_by_the_files_ending(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("s.bvh", "s.c3d", "T.C3D", "s.csv", "s.npz", "s.parquet", "s.trc"):
+        assert duplex("export", session, "--to", tmp_path / name) == 0
+        assert (tmp_path / name).stat().st_size > 1000
+        assert f"{name}: 90 frames" in capsys.readouterr().out
+    assert sorted(p.name for p in tmp_path.iterdir() if p.suffix != ".rrd") == sorted(
+        ["s.bvh", "s.c3d", "T.C3D", "s.csv", "s.npz", "s.parquet", "s.trc"]
+    )
+    assert duplex("export", session, "--to", tmp_path / "s.fbx") == 2
+    assert "Known: .bvh" in one_line(capsys)
+    assert duplex("export", session, "--to", tmp_path / "s.bvh") == 2
+    assert "--force" in one_line(capsys)
+
+
+def test_the_report_of_a_replay_is_that_of_the_fusion(session: Path, tmp_path: Path) -> None:
+    report = tmp_path / "r.json"
+    assert duplex("replay", session, "--no-viewer", "--report", report) == 0
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert figures["paired"] == 90
+    assert figures["bone_error_mm"]["fused"]["max"] < 1e-3
+
+
+def test_a_damaged_session_gives_one_line(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.rrd"
+    bad.write_bytes(session.read_bytes()[:3000])
+    for command in (
+        ("replay", bad),
+        ("info", bad),
+        ("review", bad),
+        ("compare", bad, session),
+        ("export", bad, "--to", tmp_path / "x.csv"),
+    ):
+        assert duplex(*command) == 2
+        assert "bad.rrd" in one_line(capsys)
+
+
+def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved, part = tmp_path / "demo.rrd", tmp_path / "part.rrd"
+    assert duplex("demo", "--no-viewer", "--seconds", "5", "--depth", "none", "--save", saved) == 0
+    session = Session.open(saved)
+    assert session.damage is None
+    assert session.rows.truth is not None
+    assert len(session.calibrations) > 1
+    assert duplex("replay", saved, "--verify") == 0
+    assert "bit for bit" in " ".join(capsys.readouterr().out.split())
+    assert duplex("trim", saved, "--from", "2", "--save", part) == 0
+    assert Session.open(part).calibrations[0][1].how == session.calibrations[-2][1].how
+    assert duplex("replay", part, "--verify") == 0

@@ -1,0 +1,146 @@
+"""Sessions of version 0.1 open and replay bit for bit, and real pairs give the same results."""
+
+from __future__ import annotations
+
+import hashlib
+import lzma
+import os
+import platform
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recordings.session import Session
+from tests.helpers.command_line import duplex
+
+DATA = Path(__file__).parents[2] / "data" / "version_0_1"
+
+THE_METHOD_OF_0_1: tuple[str, ...] = ("--method", "paper")
+"""The options of ``duplex fuse`` that choose what version 0.1 did."""
+
+
+@dataclass(frozen=True)
+class Saved:
+    """The contents of a session as version 0.1 read them; the digests are SHA-256."""
+
+    body: str
+    frames: int
+    fused: str
+    depth_images: int
+    depth: str
+    events: tuple[str, ...]
+
+
+_NOTHING = hashlib.sha256(b"").hexdigest()
+SESSIONS = {
+    "demo": Saved(
+        "azure_kinect",
+        24,
+        "53353ea178fba666fa88f91be25891eb5313ae913e25a51b618b3322ec311188",
+        0,
+        _NOTHING,
+        ("calibrated: provisional, 1 frames of any pose",),
+    ),
+    "fused": Saved(
+        "kinect_v2",
+        25,
+        "4abdddf3a57044c766c3dececcc10cd0b95c2a6b1ffa9e7e8fb2096729509cf8",
+        0,
+        _NOTHING,
+        ("calibrated: start-up pose at 0.0 s, 91 frames",),
+    ),
+    "live": Saved(
+        "kinect_v1",
+        36,
+        "c892b21cd02d5962cedfe7f9dd18334151201d45772303881a7542eb0b34b27f",
+        6,
+        "9bc023088aa63d814b256b60f9d6f2ae3369c17e53454339d5d410ef19fe3e69",
+        ("calibrated: known truth", "calibrated: known truth, moved by 20 mm"),
+    ),
+    "published": Saved(
+        "kinect_v2",
+        20,
+        "33d8d049eaffc089004a16e8522984531cb4f85a28e6b1b26f1842106a537b12",
+        0,
+        _NOTHING,
+        ("calibrated: known truth",),
+    ),
+}
+
+
+@pytest.fixture(params=SESSIONS)
+def saved(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, Saved]:
+    path = tmp_path / f"{request.param}.rrd"
+    path.write_bytes(lzma.decompress((DATA / f"{request.param}.rrd.xz").read_bytes()))
+    return path, SESSIONS[request.param]
+
+
+def test_a_session_of_0_1_reads_as_0_1_read_it(saved: tuple[Path, Saved]) -> None:
+    path, expected = saved
+    session = Session.open(path)
+    assert session.damage is None
+    assert (session.body.name, len(session)) == (expected.body, expected.frames)
+    assert tuple(event.text for event in session.events) == expected.events
+    assert digest(np.asarray(session.fused, dtype=np.float32)) == expected.fused
+    images = [image for side in ("a", "b") for _, image in session.depth(side)]
+    assert len(images) == 2 * expected.depth_images
+    assert hashlib.sha256(b"".join(image.tobytes() for image in images)).hexdigest() == expected.depth
+
+
+def test_a_session_of_0_1_replays_bit_for_bit(
+    saved: tuple[Path, Saved], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, expected = saved
+    assert duplex("replay", path, "--verify", "--no-viewer") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"S* of all {expected.frames} frames is the recorded one, bit for bit" in said
+
+
+REAL_PAIRS = {
+    "stationary": (
+        "caba6c367270a850f82dff5730a983d8dace8c85f1aa83d49b2cb266972dd7fb",
+        "a2ca8b9ab99f33b8fb5996d4fa9a4f8fe48559e6415e94ab2ac133da4fb08a12",
+    ),
+    "steps": (
+        "c169fa0ea911545595789d1bae2a92cd966762080512636a80b3b4424296c116",
+        "61587c512f7e37c11eb892f77b6f5dec9a3fd59420898b28bfb6383d239663ce",
+    ),
+    "walk": (
+        "cccce858b7acfb649cf74772fcca37fad001a4ac1d961dcc0a566b76fbe3d1e4",
+        "f9c6c9665120b4bba95c16c2ca95b22808dacf8d78b9461c7c5a02d1c9dc937c",
+    ),
+}
+"""SHA-256 of version 0.1's S*: of the float32 joints in the file, and of the float64 joints' checksums."""
+
+
+@pytest.mark.skipif(
+    platform.machine().lower() not in ("x86_64", "amd64"), reason="the digests are of x86-64 processors"
+)
+@pytest.mark.parametrize("name", REAL_PAIRS)
+def test_a_real_pair_gives_the_fused_skeleton_of_0_1_to_the_bit(
+    name: str, shared: Path, tmp_path: Path
+) -> None:
+    folder, file = shared / "real" / f"kinect_v2_90deg_{name}", tmp_path / "s.rrd"
+    recordings = [str(folder / "a.csv"), str(folder / "b.csv")]
+    options = ["--no-viewer", "--save", str(file), *THE_METHOD_OF_0_1]
+    # The last bits of the calibration's SVD depend on the processor, for which OpenBLAS chooses a kernel.
+    # The digests are of the kernel that every x86-64 processor can run.
+    subprocess.run(
+        [sys.executable, "-m", "viewer_app.cli", "fuse", *recordings, *options],
+        check=True,
+        capture_output=True,
+        env={**os.environ, "OPENBLAS_CORETYPE": "Prescott"},
+    )
+    session = Session.open(file)
+    as_float32, checksums = REAL_PAIRS[name]
+    assert digest(np.asarray(session.fused, dtype=np.float32)) == as_float32
+    assert digest(session.fused_checksums) == checksums
+
+
+def digest(values: np.ndarray) -> str:
+    """SHA-256 of an array's bytes."""
+    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()

@@ -1,0 +1,106 @@
+"""Ctrl-C at any moment of a session, in its own process: it ends at once, and captured frames are saved."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.session_text import rows_of
+from tests.helpers.telling_demo import telling_demo, wait_for_frames
+from viewer_app.loop.interruption import CtrlC
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs POSIX signals")
+
+HANGS_S = 20.0  # on an idle machine it ends within 2 s
+AFTER_ALL_WAS_SAVED = (0, 130, -signal.SIGINT)  # the last while Python itself shuts down
+
+
+def demo(save: Path, *more: str) -> subprocess.Popen[bytes]:
+    return telling_demo(save, "--depth", "none", *more)
+
+
+def ended(
+    process: subprocess.Popen[bytes], presses: int = 1, number: int = signal.SIGINT
+) -> tuple[int, int, str]:
+    """Presses Ctrl-C; returns the exit code, the number of reported frames, and the other output."""
+    for _ in range(presses):
+        process.send_signal(number)
+        time.sleep(0.02)  # between two presses of a person in a hurry
+    try:
+        _, said = process.communicate(timeout=HANGS_S)
+    finally:
+        process.kill()
+    assert b"Traceback" not in said
+    words = said.lstrip(b".")
+    return process.returncode, len(said) - len(words), words.decode()
+
+
+def test_ctrl_c_before_the_first_frame(tmp_path: Path) -> None:
+    process = demo(tmp_path / "demo.rrd")
+    assert process.stdout is not None
+    while b"A simulated person" not in process.stdout.readline():
+        assert process.poll() is None
+    code, frames, said = ended(process)
+    if code == 130:  # before the sensors ran: nothing to save, no file remains
+        assert (frames, said) == (0, "duplex: stopped\n")
+    else:
+        assert code == 0
+    assert [path.name for path in tmp_path.iterdir()] == (["demo.rrd"] if frames else [])
+
+
+@pytest.mark.parametrize(
+    ("frames", "presses", "number"),
+    [(5, 1, signal.SIGINT), (40, 1, signal.SIGINT), (25, 8, signal.SIGINT), (25, 1, signal.SIGTERM)],
+)
+def test_captured_frames_are_saved(tmp_path: Path, frames: int, presses: int, number: int) -> None:
+    saved = tmp_path / "demo.rrd"
+    process = demo(saved)
+    wait_for_frames(process, frames)
+    code, more, _ = ended(process, presses, number)
+    assert code in (AFTER_ALL_WAS_SAVED if presses > 1 else (0,))
+    assert [path.name for path in tmp_path.iterdir()] == ["demo.rrd"]
+    assert rows_of(saved, "/fused/skeleton") == frames + more
+
+
+@pytest.mark.parametrize("before_end", [3, 0])
+def test_ctrl_c_while_it_saves(tmp_path: Path, before_end: int) -> None:
+    saved = tmp_path / "demo.rrd"
+    process = demo(saved, "--seconds", "0.6")
+    frames = 15 - before_end
+    wait_for_frames(process, frames)
+    code, more, _ = ended(process)
+    assert code in AFTER_ALL_WAS_SAVED
+    assert rows_of(saved, "/fused/skeleton") == frames + more
+
+
+@pytest.mark.parametrize("after_s", [0.05, 0.4])
+def test_ctrl_c_while_it_starts(tmp_path: Path, after_s: float) -> None:
+    process = demo(tmp_path / "demo.rrd", "--seconds", "30")
+    time.sleep(after_s)  # the moment of the press, which is what varies
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=HANGS_S)
+    # 1: during Python's start-up, before the program's first line
+    assert process.returncode in (0, 1, 130, -signal.SIGINT)
+    assert not list(tmp_path.glob(".*partial*"))
+
+
+def test_handlers_are_given_back() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    pressed: list[int] = []
+    with CtrlC() as ctrl_c, pytest.raises(KeyboardInterrupt), ctrl_c.raising():
+        signal.raise_signal(signal.SIGINT)
+    with CtrlC() as ctrl_c:
+        signal.raise_signal(signal.SIGINT)  # remembered
+        with pytest.raises(KeyboardInterrupt):
+            ctrl_c.calls(lambda: None)
+    with CtrlC() as ctrl_c:
+        ctrl_c.calls(lambda: pressed.append(1))
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGTERM)
+    assert pressed == [1, 1]
+    assert signal.getsignal(signal.SIGINT) is before

@@ -1,0 +1,117 @@
+"""The status line's fields, and a warning as one event and one when it is over."""
+
+from __future__ import annotations
+
+import io
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
+
+import pytest
+from rich.console import Console
+
+from fusion.calibration.calibration import Calibration
+from fusion.fuser import Fuser
+from fusion.setup import FusionSetup
+from tests.helpers.live_frames import BODY, frames
+from tests.helpers.two_views import A_FROM_B
+from viewer_app.coach.advice import Advice
+from viewer_app.loop.status_line import LiveDisplay
+
+WARNING = Advice("A's view", "Sensor A sees no one: 0 of 25 joints", "WARN", sensors="A", label="no one")
+
+
+@pytest.fixture
+def statuses() -> list[Any]:
+    """Two seconds at 30 fps; A has dropped 3 frames, B 4."""
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
+    sensors = SimpleNamespace(a=SimpleNamespace(dropped=3), b=SimpleNamespace(dropped=4), step=2)
+    calibrator = SimpleNamespace(calibration=fuser.setup.calibration, settled=True, held=0.0)
+    return [
+        SimpleNamespace(frame=frame, sensors=sensors, calibrator=calibrator, events=())
+        for frame in frames(fuser, 60)
+    ]
+
+
+class Shown:
+    """A display, a session that only listens, a coach whose advice the test gives, and what is printed."""
+
+    def __init__(self, width: int = 80, **options: bool) -> None:
+        self.printed = io.StringIO()
+        self.session = MagicMock(
+            file=MagicMock(failure=None, saves=True, saved_bytes=12_340_000, lost=0),
+            viewer=MagicMock(dropped=0, window_closed=False),
+        )
+        self.coach = MagicMock(body=BODY, intrinsics=(MagicMock(), MagicMock()))
+        self.coach.watch.return_value = []
+        self.now = 0.0
+        console = Console(file=self.printed, width=width, color_system=None)
+        self.display = LiveDisplay(console, self.session, self.coach, clock=lambda: self.now, **options)
+        self.display._scene = MagicMock()
+
+    def events(self) -> list[tuple[str, ...]]:
+        return [call.args for call in self.session.event.call_args_list]
+
+
+def test_the_status_line_has_every_figure(statuses: list[Any]) -> None:
+    shown = Shown()
+    for status in statuses:
+        assert shown.display(status)
+    rates, skew, trust, fuse, saving = shown.display.line().split(" · ")
+    assert rates == "fps 30/30"
+    assert skew == "skew 0.0 ms"
+    in_a, in_b = (float(of) for of in trust.removeprefix("trust ").split("/"))
+    mean = [status.frame.fused.weights_a.mean() for status in statuses]
+    assert in_a == pytest.approx(sum(mean) / len(mean), abs=0.006)
+    assert 0.0 < in_b <= 1.0
+    assert fuse.startswith("fuse ")
+    assert fuse.endswith(" µs")
+    assert saving == "saving 12.3 MB"
+
+
+def test_the_status_line_says_what_goes_wrong(statuses: list[Any]) -> None:
+    shown = Shown()
+    shown.display(statuses[0])
+    shown.session.file.configure_mock(failure="The disk is full.", lost=2)
+    shown.session.viewer.configure_mock(dropped=5, window_closed=True)
+    assert shown.display.line().split(" · ")[-4:] == [
+        "SAVING STOPPED", "5 not shown", "2 NOT SAVED", "viewer closed",
+    ]  # fmt: skip
+
+
+def test_verbose_prints_one_unbroken_line_every_half_second(statuses: list[Any]) -> None:
+    shown = Shown(verbose=True)
+    for status in statuses:
+        shown.display(status)
+        shown.now += 1 / 30
+    lines = shown.printed.getvalue().splitlines()
+    assert len(lines) == 4
+    assert all(line.startswith("fps ") and line.endswith("dropped 3/4") for line in lines)
+    assert max(map(len, lines)) > 80
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_warning_is_one_event_and_one_when_it_is_over(statuses: list[Any], quiet: bool) -> None:
+    shown = Shown(quiet=quiet)
+    advised = [[], *[[WARNING]] * 5, *[[]] * 3, [WARNING]]
+    for status, advice in zip(statuses, advised, strict=False):
+        shown.coach.watch.return_value = advice
+        shown.display(status)
+    begins = (WARNING.text, "WARN")
+    assert shown.events() == [begins, (f"{WARNING.topic}: all right again",), begins]
+    assert shown.printed.getvalue() == f"{WARNING.text}\n" * 2
+
+
+def test_the_coach_knows_what_the_sensors_do(statuses: list[Any]) -> None:
+    shown = Shown()
+    shown.display(statuses[0])
+    situation = shown.coach.watch.call_args.args[1]
+    assert (situation.dropped, situation.step) == ((3, 4), 2)
+
+
+def test_only_warnings_become_events(statuses: list[Any]) -> None:
+    shown = Shown()
+    shown.coach.watch.return_value = [Advice("pose", "Hold still", "INFO")]
+    shown.display(statuses[0])
+    assert shown.events() == []
+    assert shown.printed.getvalue() == ""

@@ -1,0 +1,27 @@
+"""The line after saving that says how to view the session on this machine."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from viewer_app.report import figures
+
+
+@pytest.mark.parametrize(
+    ("display", "command"),
+    [(True, "duplex review a/long/folder/s.rrd"), (False, "duplex review a/long/folder/s.rrd --html")],
+)
+def test_the_next_step_is_one_line_that_works_without_a_display(
+    display: bool, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(figures, "has_display", lambda: display)
+    monkeypatch.setattr("sys.argv", ["pytest"])
+    out = io.StringIO()
+    figures.say_saved(Console(file=out, width=40), Path("a/long/folder/s.rrd"))
+    (line,) = out.getvalue().splitlines()
+    assert command in line
+    assert line.endswith(".html") is not display

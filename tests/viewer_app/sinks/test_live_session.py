@@ -1,0 +1,250 @@
+"""The loop never waits for a viewer, and the file gets all frames."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+import rerun as rr
+
+from fusion.fuser import Fuser
+from recordings import layout
+from recordings.session_arrays import RecordedFrame
+from recordings.writing.recorder import Recorder
+from tests.helpers.live_frames import frames, numbers_in, session
+from tests.helpers.machine import need_viewer
+from tests.helpers.pictures import headless_viewer
+from tests.helpers.waiting import eventually
+from viewer_app.sinks.image_turns import ImageTurns
+from viewer_app.sinks.queue_items import Frame, Note
+from viewer_app.sinks.session_file import SessionFile
+from viewer_app.sinks.viewer_feed import ViewerFeed
+from viewer_app.viewer.rerun_process import Hub, stop
+
+STUCK = [sys.executable, "-c", "import time; time.sleep(600)"]
+"""A process that never reads: a frozen viewer."""
+HUNGRY = [sys.executable, "-c", "import sys; print(len(sys.stdin.buffer.read()))"]
+"""A process that reads all, and says at the end how much that was."""
+
+
+def feed_into(command: list[str], fuser: Fuser, **options: object) -> ViewerFeed:
+    return ViewerFeed(
+        lambda: subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, bufsize=0, start_new_session=True
+        ),
+        rr.RecordingStream("test"),
+        lambda stream: Recorder(stream, fuser.setup, ("a", "b")),
+        **options,  # type: ignore[arg-type]
+    )
+
+
+@pytest.fixture
+def stuck(fuser: Fuser) -> Iterator[ViewerFeed]:
+    feed = feed_into(STUCK, fuser, keep=10, patience=60.0)
+    yield feed
+    feed.close(end_process=True)
+
+
+def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
+    stuck: ViewerFeed, fuser: Fuser
+) -> None:
+    made = frames(fuser, 100, depth=True)  # 87 MB: more than the capacity of a pipe
+    slowest = 0.0
+    for number, frame in enumerate(made):
+        before = time.perf_counter()
+        stuck.offer(Frame(number, frame))
+        slowest = max(slowest, time.perf_counter() - before)
+        time.sleep(0.002)  # the pace of a fast loop, in which the feed's thread gets its turns
+    assert stuck.dropped >= 50
+    waiting = [item.number for item in stuck._queue if isinstance(item, Frame)]
+    assert waiting == list(range(90, 100))
+    assert slowest < 3.0  # it would be 60 s, the patience, if it waited
+
+
+def test_a_turn_is_over_when_the_feed_has_written_or_time_is_up(stuck: ViewerFeed, fuser: Fuser) -> None:
+    feed = feed_into(HUNGRY, fuser)
+    begun = time.monotonic()
+    for number, frame in enumerate(frames(fuser, 2)):
+        feed.offer(Frame(number, frame))
+        feed.wait_for_turn(30.0)
+    assert time.monotonic() - begun < 30.0
+    feed.close(end_process=True)
+    for number, frame in enumerate(frames(fuser, 100, depth=True)):  # more than any pipe takes
+        stuck.offer(Frame(number, frame))
+        time.sleep(0.002)  # the pace of a fast loop, in which the feed's thread gets its turns
+    stuck._turn_over.set()  # from an earlier turn
+    begun = time.monotonic()
+    stuck.wait_for_turn(0.3)
+    assert time.monotonic() - begun >= 0.3
+
+
+def test_the_file_goes_after_the_viewer(
+    fuser: Fuser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turns: list[float] = []
+    wait_for_turn = ViewerFeed.wait_for_turn
+    monkeypatch.setattr(
+        ViewerFeed,
+        "wait_for_turn",
+        lambda feed, seconds: (turns.append(seconds), wait_for_turn(feed, seconds)),
+    )
+    with session(fuser, tmp_path / "s.rrd", Hub.on_free_ports(web=False)) as live:
+        for frame in frames(fuser, 3):
+            live.write(frame)
+        assert eventually(lambda: live.file.saved == 3)
+    assert turns
+
+
+def test_messages_are_not_dropped_with_the_frames(stuck: ViewerFeed, fuser: Fuser) -> None:
+    stuck.offer(Frame(0, frames(fuser, 1, depth=True)[0]))
+    for number, frame in enumerate(frames(fuser, 60, depth=True)):
+        stuck.offer(Frame(number, frame))
+        time.sleep(0.002)  # the pace of a fast loop, in which the feed's thread gets its turns
+    stuck.offer(Note("sensor lost"))
+    for number, frame in enumerate(frames(fuser, 30)):
+        stuck.offer(Frame(60 + number, frame))
+    assert sum(isinstance(item, Note) for item in stuck._queue) == 1
+    assert len(stuck._queue) == 10
+
+
+def test_closing_with_a_frozen_viewer_takes_no_time(fuser: Fuser) -> None:
+    feed = feed_into(STUCK, fuser, keep=10, patience=60.0)
+    for number, frame in enumerate(frames(fuser, 40, depth=True)):
+        feed.offer(Frame(number, frame))
+    before = time.perf_counter()
+    feed.close(end_process=True)
+    assert time.perf_counter() - before < 20.0  # it would be 600 s if it waited for the process
+    assert feed.process.poll() is not None
+
+
+def test_a_process_without_progress_is_replaced(fuser: Fuser) -> None:
+    feed = feed_into(STUCK, fuser, keep=10, patience=0.2, retry=0.01)
+    made = frames(fuser, 60, depth=True)
+    try:
+        for number, frame in enumerate(made):
+            feed.offer(Frame(number, frame))
+        assert eventually(lambda: feed.starts >= 2)
+    finally:
+        feed.close(end_process=True)
+
+
+def test_a_complete_feed_passes_every_frame_on(fuser: Fuser) -> None:
+    written: list[int] = []
+
+    class Spy(Recorder):
+        def record_all(self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None = None) -> Any:
+            written.extend(numbers or ())
+            time.sleep(0.01)  # slower than the frames arrive
+            return super().record_all(frames, numbers)
+
+    feed = ViewerFeed(
+        lambda: subprocess.Popen(HUNGRY, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0),
+        rr.RecordingStream("test"),
+        lambda stream: Spy(stream, fuser.setup, ("a", "b")),
+        keep=None,
+        restart=False,
+    )
+    for number, frame in enumerate(frames(fuser, 300)):
+        feed.offer(Frame(number, frame))
+    assert feed.finish(20.0)
+    assert written == list(range(300))
+    feed.close(end_process=False)
+    assert feed.process.stdout is not None
+    assert int(feed.process.stdout.read()) > 300 * 25 * 3 * 4  # S* alone, as float32
+
+
+def test_the_file_gets_every_frame_and_closing_writes_them(fuser: Fuser, tmp_path: Path) -> None:
+    out = tmp_path / "s.rrd"
+    with session(fuser, out) as live:
+        for frame in frames(fuser, 200):
+            live.write(frame)
+        live.finish()
+    assert numbers_in(out) == list(range(200))
+    assert live.file.lost == 0
+
+
+def test_a_blocked_disk_costs_images_first(
+    fuser: Fuser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SessionFile, "_run", lambda self: None)
+    file = SessionFile(
+        tmp_path / "s.rrd",
+        lambda: rr.RecordingStream("test"),
+        lambda stream: Recorder(stream, fuser.setup, ("a", "b")),
+    )
+    made = frames(fuser, 70, depth=True)
+    for number in range(2000):
+        file.write(made[number % 70])
+    assert file.without_images == 1800 - 60
+    assert file.lost == 200
+    with_images = [
+        item for item in file._queue if isinstance(item, Frame) and item.frame.pair.a.depth is not None
+    ]
+    assert len(with_images) == 60
+
+
+def test_the_viewer_gets_images_at_a_capped_rate(fuser: Fuser) -> None:
+    turns = ImageTurns(10.0)
+    shown = [turns.capped(frame) for frame in frames(fuser, 60, depth=True)]
+    with_images = [
+        [k for k, frame in enumerate(shown) if getattr(frame.pair, side).depth is not None] for side in "ab"
+    ]
+    assert with_images == [list(range(1, 60, 3)), list(range(2, 60, 3))]  # 10 Hz, one at a time
+
+
+def test_a_viewer_killed_again_and_again_loses_no_frame_of_the_file(fuser: Fuser, tmp_path: Path) -> None:
+    need_viewer()
+    out = tmp_path / "s.rrd"
+    made = frames(fuser, 600)
+    hub = Hub.on_free_ports(web=False)
+    kills = 0
+    with session(fuser, out, hub, window=True) as live:
+        assert live.viewer.feed is not None
+        assert live.viewer.window is not None
+        for k, frame in enumerate(made):
+            live.write(frame)
+            if k % 100 == 50:
+                victim = (live.viewer.window.process, live.viewer.feed.process)[kills % 2]
+                os.kill(victim.pid, signal.SIGSTOP if k == 550 else signal.SIGKILL)
+                kills += 1
+            time.sleep(0.01)  # the pace of a loop, so that viewers die in the middle of it
+        assert live.viewer.feed.starts >= 2
+        live.finish()
+        live.save()
+        window = live.viewer.window.process
+    stop(window)
+    assert kills == 6
+    assert numbers_in(out) == list(range(600))
+
+
+def test_a_viewer_that_comes_later_sees_the_history(fuser: Fuser) -> None:
+    hub = Hub.on_free_ports(web=False)
+    with session(fuser, None, hub) as live:
+        for frame in frames(fuser, 60):
+            live.write(frame)
+        assert live.viewer.feed is not None
+        assert live.viewer.feed.finish(10.0)
+        with headless_viewer("--connect", hub.url) as viewer:
+
+            def sees_all() -> bool:
+                timelines = [t for r in viewer.get_state().recordings for t in r.timelines]
+                return any(t.name == layout.FRAME and t.start == 0 and t.end == 59 for t in timelines)
+
+            assert eventually(sees_all)
+
+
+def test_nothing_is_left_running(fuser: Fuser) -> None:
+    hub = Hub.on_free_ports(web=False)
+    with session(fuser, None, hub) as live:
+        assert live.viewer.feed is not None
+        process = live.viewer.feed.process
+        assert psutil.pid_exists(process.pid)
+    assert process.poll() is not None

@@ -1,0 +1,60 @@
+"""Every sink gets the loop's frames. A sink that fails does not affect the others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.helpers.live_frames import frames, known_fuser
+from viewer_app.sinks.sink import FanOut, NullSink, Sink
+
+
+class Kept(Sink):
+    """Records its calls; ``close`` raises if requested."""
+
+    def __init__(self, fault: Exception | None = None) -> None:
+        self.calls: list[tuple[str, tuple[Any, ...]]] = []
+        self._fault = fault
+
+    def __getattribute__(self, name: str) -> Any:
+        if name.startswith("_") or name == "calls":
+            return super().__getattribute__(name)
+
+        def call(*arguments: Any) -> None:
+            self.calls.append((name, arguments))
+            if name == "close" and self._fault is not None:
+                raise self._fault
+
+        return call
+
+
+def use(sink: Sink) -> None:
+    fuser = known_fuser()
+    sink.write(frames(fuser, 1)[0])
+    sink.event("A is lost", "WARN", "A", "start")
+    sink.recalibrated(fuser.setup)
+    sink.coach(None)  # type: ignore[arg-type]
+    sink.finish()
+    sink.close()
+
+
+def test_every_sink_gets_everything_in_order() -> None:
+    one, two = Kept(), Kept()
+    use(FanOut((one, two)))
+    assert [name for name, _ in one.calls] == [
+        "write", "event", "recalibrated", "coach", "finish", "close",
+    ]  # fmt: skip
+    assert [name for name, _ in two.calls] == [name for name, _ in one.calls]
+    assert one.calls[1] == ("event", ("A is lost", "WARN", "A", "start"))
+
+
+def test_all_are_closed_although_one_fails() -> None:
+    one, two, three = Kept(), Kept(OSError("the disk is full")), Kept()
+    with pytest.raises(OSError, match="the disk is full"):
+        FanOut((one, two, three)).close()
+    assert one.calls == two.calls == three.calls == [("close", ())]
+
+
+def test_a_null_sink_takes_everything() -> None:
+    use(NullSink())
