@@ -26,5 +26,7 @@ class OwnSensor:
 
 
 camera_a, camera_b, _ = simulated_pair(motion="walk", seconds=5.0, body=KINECT_V2)
-for frame in fuse_live(OwnSensor("left", camera_a), OwnSensor("right", camera_b)):
+frames = fuse_live(OwnSensor("left", camera_a), OwnSensor("right", camera_b), keep=True)
+for frame in frames:
     print("head at", frame.fused.positions[KINECT_V2.joint("Head")].round(3), "m")
+print(frames.session)  # frames.session.save("own.rrd") writes it

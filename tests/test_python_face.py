@@ -17,7 +17,7 @@ import fusion
 import recordings
 from devices import SensorFrame
 from fusion import KINECT_V2, Fuser, FusionSetup, Skeleton, SkeletonPair, calibrate
-from recordings import Session, fuse, fuse_live
+from recordings import RecordingError, Session, fuse, fuse_live
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, pair_of
 
 PACKAGES = (fusion, devices, recordings)
@@ -123,3 +123,20 @@ def test_own_sensors_run_in_the_live_loop() -> None:
     assert frames
     assert all(frame.fused.has_person for frame in frames)
     assert np.allclose(frames[0].fused.a_from_b.rotation, A_FROM_B.rotation)
+
+
+def test_a_live_session_is_kept_on_request_and_saved(tmp_path: Path) -> None:
+    views = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 8))]
+    setup = FusionSetup(calibration_of(KINECT_V2))
+    made = [Made(name, [getattr(pair, name) for pair in views]) for name in "ab"]
+    running = fuse_live(made[0], made[1], setup, keep=True)
+    with pytest.raises(RecordingError, match="no frame yet"):
+        _ = running.setup
+    frames = list(running)
+    running.session.save(tmp_path / "own.rrd")
+    session = Session.load(tmp_path / "own.rrd")
+    assert np.array_equal(session.fused, [frame.fused.positions for frame in frames])
+    assert session.sources == ("a", "b")
+    assert running.setup is setup
+    with pytest.raises(RecordingError, match="keep=True"):
+        _ = fuse_live(made[0], made[1], setup).session

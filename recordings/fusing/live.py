@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from dataclasses import replace
 
+from devices import depth_witness
 from devices.following import PersonOfPair
+from devices.image_thinning import without_images
 from devices.live.sensor_pair import TwoSensors
 from devices.pairing import FramePair
 from devices.sensor import Sensor
+from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration
 from fusion.calibration.calibrator import Calibrator
 from fusion.calibration.learner import CalibrationChange, CalibrationLearner
 from fusion.facing.model import WHOLE
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
+from recordings.errors import RecordingError
+from recordings.events import Event
 from recordings.fusing.exchanged_sides import ExchangedSides, Told
 from recordings.fusing.recorded import fuse_one
+from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 
 
@@ -88,23 +95,99 @@ class LiveFusion:
         return self._told
 
 
-def fuse_live(a: Sensor, b: Sensor, setup: FusionSetup | None = None) -> Iterator[RecordedFrame]:
+class LiveFrames(Iterator[RecordedFrame]):
+    """The fused frames of two running sensors, one after another.
+
+    Args:
+        sensors: The two sensors, not yet open.
+        setup: A setup whose calibration is kept. None: calibrate while frames arrive.
+        keep: Whether to keep all frames for :attr:`session`.
+    """
+
+    def __init__(self, sensors: TwoSensors, setup: FusionSetup | None, keep: bool) -> None:
+        self._sensors, self._given, self._keep = sensors, setup, keep
+        self._setup: FusionSetup | None = None
+        self._kept: list[tuple[FusionSetup, list[RecordedFrame]]] = []
+        self._events: list[Event] = []
+        self._count, self._start_ns = 0, 0
+        self._frames = self._fuse()
+
+    def __next__(self) -> RecordedFrame:
+        """Waits for the next pair and fuses it.
+
+        Raises:
+            DeviceError: A sensor cannot be opened.
+        """
+        return next(self._frames)
+
+    def close(self) -> None:
+        """Closes the sensors."""
+        self._frames.close()
+
+    @property
+    def setup(self) -> FusionSetup:
+        """The setup of the last frame: calibration, settings, intrinsics.
+
+        Raises:
+            RecordingError: There is no frame yet.
+        """
+        if self._setup is None:
+            raise RecordingError("There is no frame yet, so nothing has been calibrated.")
+        return self._setup
+
+    @property
+    def session(self) -> Session:
+        """All frames so far, without images; ``session.save(path)`` writes them.
+
+        Raises:
+            RecordingError: There is no frame, or ``fuse_live`` was not told to keep them.
+        """
+        if not self._keep:
+            raise RecordingError("The frames were not kept: use fuse_live(a, b, keep=True).")
+        names = self._sensors.a.sensor.name, self._sensors.b.sensor.name
+        return Session.of(self._kept, names, events=self._events)
+
+    def _fuse(self) -> Generator[RecordedFrame]:
+        a, b = self._sensors.a.sensor, self._sensors.b.sensor
+        # The first call of a kernel may compile it, which must not happen while frames arrive. Kernels are
+        # the same for all bodies; a sensor may know its body only once it is open.
+        Fuser(self._given or FusionSetup(nominal_calibration(KINECT_V1))).warm_up()
+        depth_witness.warm_up()
+        with self._sensors as sensors:
+            setup = self._given or FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
+            fusion = LiveFusion(setup, self._given is not None)
+            for pair in sensors.pairs():
+                pair = fusion.chosen(pair)
+                fusion.recalibrated(pair)
+                frame = fusion.fuse(pair)
+                self._note(fusion, frame)
+                yield frame
+
+    def _note(self, fusion: LiveFusion, frame: RecordedFrame) -> None:
+        if self._setup is not fusion.setup:
+            self._setup = fusion.setup
+            self._kept = [*self._kept, (fusion.setup, [])] if self._keep else []
+        if not self._keep:
+            return
+        self._start_ns = frame.pair.time_ns if self._count == 0 else self._start_ns
+        since_ns = frame.pair.time_ns - self._start_ns
+        self._events += [Event(self._count, since_ns, *told) for told in fusion.told()]
+        self._kept[-1][1].append(replace(frame, pair=without_images(frame.pair)))
+        self._count += 1
+
+
+def fuse_live(a: Sensor, b: Sensor, setup: FusionSetup | None = None, *, keep: bool = False) -> LiveFrames:
     """Fuses the frames of two sensors as they arrive, until both sensors end.
 
-    Each sensor runs on its own thread. A sensor that fails is reopened until it works again.
+    Each sensor runs on its own thread. A sensor that fails is reopened until it works again. All kernels are
+    compiled before the sensors are opened: the first run takes about a minute.
 
     Args:
         a, b: The principal sensor K_A and the secondary sensor K_B, both not yet open. S* is in K_A's frame.
         setup: A setup whose calibration is kept. None: calibrate while frames arrive.
+        keep: Whether to keep the frames, without images, so that :attr:`LiveFrames.session` has them all.
 
-    Raises:
-        DeviceError: A sensor cannot be opened.
+    Returns:
+        An iterator over the frames; sensors are opened at the first.
     """
-    with TwoSensors(a, b) as sensors:
-        calibrated = setup is not None
-        setup = setup or FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
-        fusion = LiveFusion(setup, calibrated)
-        for pair in sensors.pairs():
-            pair = fusion.chosen(pair)
-            fusion.recalibrated(pair)
-            yield fusion.fuse(pair)
+    return LiveFrames(TwoSensors(a, b), setup, keep)

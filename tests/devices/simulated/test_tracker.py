@@ -299,10 +299,8 @@ def test_the_real_defaults_have_every_error_turned_on() -> None:
         errors = TrackerErrors.of(body)
         for knob in TrackerErrors.knobs():
             # durations, what mirroring replaces, and the tails of a tracker that nothing was fitted to
-            off = ("lost_seconds", "swap_seconds", "swapped", "tail", "tail_spread")
-            if (
-                body is BLAZEPOSE
-            ):  # which gives one skeleton for each image, places all joints, and saw everyone
+            off = {"lost_seconds", "swap_seconds", "swapped", "tail", "tail_spread"}
+            if body is BLAZEPOSE:  # it gives one skeleton per image, places all joints, and lost nobody
                 off |= {"not_tracked", "stale", "lost", "skin"}
             assert getattr(errors, knob) != getattr(NONE, knob) or knob in off, knob
         assert TrackerErrors.with_random_swaps(body).swapped > 0.0
