@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from devices.blazepose.networks.files import cache_folder, missing
+from devices.blazepose.networks.files import cache_folder, fetch_command, missing
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
 from devices.live.frame_decimation import FrameDecimation
 
@@ -34,8 +34,10 @@ class TrackingPace(FrameDecimation):
         settings = settings or BlazePoseSettings()
         self.settings = settings
         self._network: NetworkName = settings.network
-        lite = missing("lite", settings.models or cache_folder())
-        self._has_lighter = settings.network == "full" and not lite
+        folder = settings.models or cache_folder()
+        wants_lighter, lacks_lite = settings.network == "full", bool(missing("lite", folder))
+        self._has_lighter = wants_lighter and not lacks_lite
+        self._fetch_lighter = fetch_command("lite", folder) if wants_lighter and lacks_lite else ""
         self._slow_results = 0
         self._news: list[str] = []
 
@@ -47,9 +49,10 @@ class TrackingPace(FrameDecimation):
     @property
     def advice(self) -> str:
         """What to do about a tracker that is too slow."""
+        lighter = f"Or get its faster network: {self._fetch_lighter}. " if self._fetch_lighter else ""
         return (
-            "It is the tracker, which needs a faster processor, not USB or light. Or record now and track "
-            "later (duplex fuse a.mkv b.mkv)."
+            f"It is the tracker, which needs a faster processor, not USB or light. {lighter}"
+            f"Or record now and track later (duplex fuse a.mkv b.mkv)."
         )
 
     def tracked(self, sensor: str, time_ns: int) -> None:

@@ -87,6 +87,7 @@ def test_without_a_lighter_network_only_frames_are_left_out(networks: BlazePoseS
     pace = TrackingPace(30.0, networks)
     work(pace, 200, 50)
     assert (pace.step, pace.network) == (2, networks.network)
+    assert ("fetch --network lite" in pace.advice) == (lacks == "the file")
     assert pace.take_news() == []
 
 
