@@ -159,5 +159,5 @@ def registered_color(frame: SensorFrame) -> NDArray[np.uint8] | None:
         return None
     import cv2
 
-    image = cv2.imdecode(np.frombuffer(color.jpeg, np.uint8), cv2.IMREAD_COLOR_RGB)
-    return None if image is None else np.asarray(image, dtype=np.uint8)
+    image = cv2.imdecode(np.frombuffer(color.jpeg, np.uint8), cv2.IMREAD_COLOR)
+    return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
