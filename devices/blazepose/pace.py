@@ -5,6 +5,7 @@ from __future__ import annotations
 from devices.blazepose.networks.files import cache_folder, fetch_command, missing
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
 from devices.live.frame_decimation import FrameDecimation
+from devices.sensor import DeviceError
 
 _PATIENCE = 60
 """Results of both sensors together, with fewer frames than the cameras give, after which ``lite`` is used.
@@ -65,6 +66,11 @@ class TrackingPace(FrameDecimation):
             self._news.append(
                 "The body tracker goes on with its network lite, which is faster and less accurate than full."
             )
+
+    def stay(self, network: NetworkName, why: DeviceError) -> None:
+        """Goes on with the network that a tracker has, because the other one cannot be loaded."""
+        self._network = network
+        self._news.append(f"{why} The body tracker goes on with its network {network}.")
 
     def take_news(self) -> list[str]:
         """What changed besides the frames that are kept, one line each; once."""

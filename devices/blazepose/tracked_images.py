@@ -124,7 +124,10 @@ class TrackedImages:
                 yield replace(frame, people={})
                 continue
             if self._pace is not None and self.tracker.settings.network != self._pace.network:
-                self.tracker.use(self._pace.network)
+                try:
+                    self.tracker.use(self._pace.network)
+                except DeviceError as fault:  # a damaged file must not end the session
+                    self._pace.stay(self.tracker.settings.network, fault)
             begun_ns = self._clock()
             people = self._people(frame)
             self._tell(self._clock() - begun_ns)
