@@ -127,7 +127,7 @@ class BlazePose:
             The skeleton of the person by an id that changes with the person; empty without a person.
 
         Raises:
-            DeviceError: The tracker is not open, or the images have different sizes.
+            DeviceError: The tracker is not open, or images and intrinsics have different sizes.
         """
         if self._networks is None:
             raise DeviceError("The body tracker is not open: use it in a with statement.")
@@ -135,6 +135,11 @@ class BlazePose:
             raise DeviceError(
                 f"The image has {image.shape[1]} × {image.shape[0]} pixels, the depth image "
                 f"{depth.shape[1]} × {depth.shape[0]}: register the image to the depth camera first."
+            )
+        if depth.shape != (intrinsics.height, intrinsics.width):
+            raise DeviceError(
+                f"The depth image has {depth.shape[1]} × {depth.shape[0]} pixels, its intrinsics are of "
+                f"{intrinsics.width} × {intrinsics.height}."
             )
         if self.region is not None:
             skeleton = self._follow(self.region, image, depth, intrinsics, time_ns)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from devices.blazepose.networks.files import FETCH, cache_folder, checked_content, files_of, missing
+from devices.blazepose.networks.files import cache_folder, checked_content, fetch_command, files_of, missing
 from devices.blazepose.settings import BlazePoseSettings
 from devices.check import Check, failed
 from devices.sensor import DeviceError
@@ -23,7 +23,9 @@ def networks_check(settings: BlazePoseSettings) -> Check:
         return Check(_NAME, False, "its runtime ai-edge-litert is not installed", advice)
     folder = settings.models or cache_folder()
     if settings.models is None and missing(settings.network, folder):
-        advice = f"They are fetched at the first use, with pip; now: {FETCH}."
+        by = "pip" if settings.network == "full" else "npm"
+        command = fetch_command(settings.network, folder)
+        advice = f"They are fetched at the first use, with {by}; now: {command}."
         return Check(_NAME, False, f"its networks are not in {folder} yet", advice, needed=False)
     try:
         for file in files_of(settings.network):

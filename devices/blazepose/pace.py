@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from devices.blazepose.networks.files import cache_folder, missing
+from devices.blazepose.networks.files import cache_folder, fetch_command, missing
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
 from devices.live.frame_decimation import FrameDecimation
+from devices.sensor import DeviceError
 
 _PATIENCE = 60
 """Results of both sensors together, with fewer frames than the cameras give, after which ``lite`` is used.
@@ -34,8 +35,10 @@ class TrackingPace(FrameDecimation):
         settings = settings or BlazePoseSettings()
         self.settings = settings
         self._network: NetworkName = settings.network
-        lite = missing("lite", settings.models or cache_folder())
-        self._has_lighter = settings.network == "full" and not lite
+        folder = settings.models or cache_folder()
+        wants_lighter, lacks_lite = settings.network == "full", bool(missing("lite", folder))
+        self._has_lighter = wants_lighter and not lacks_lite
+        self._fetch_lighter = fetch_command("lite", folder) if wants_lighter and lacks_lite else ""
         self._slow_results = 0
         self._news: list[str] = []
 
@@ -47,9 +50,10 @@ class TrackingPace(FrameDecimation):
     @property
     def advice(self) -> str:
         """Advice for a tracker that is too slow."""
+        lighter = f"Or get its faster network: {self._fetch_lighter}. " if self._fetch_lighter else ""
         return (
-            "It is the tracker, which needs a faster processor, not USB or light. Or record now and track "
-            "later (duplex fuse a.mkv b.mkv)."
+            f"It is the tracker, which needs a faster processor, not USB or light. {lighter}"
+            f"Or record now and track later (duplex fuse a.mkv b.mkv)."
         )
 
     def tracked(self, sensor: str, time_ns: int) -> None:
@@ -62,6 +66,11 @@ class TrackingPace(FrameDecimation):
             self._news.append(
                 "The body tracker goes on with its network lite, which is faster and less accurate than full."
             )
+
+    def stay(self, network: NetworkName, why: DeviceError) -> None:
+        """Goes on with the network that a tracker has, because the other one cannot be loaded."""
+        self._network = network
+        self._news.append(f"{why} The body tracker goes on with its network {network}.")
 
     def take_news(self) -> list[str]:
         """Changes other than the decimation, one line each. Each is reported once."""

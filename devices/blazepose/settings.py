@@ -15,8 +15,8 @@ class BlazePoseSettings:
 
     Attributes:
         network: The landmark network: ``full``, or ``lite``, which is faster and less accurate.
-        models: Folder of the network files. None: the user's cache folder, into which missing files are
-            fetched.
+        models: Folder of the network files. None: the user's cache folder, into which the commands fetch
+            missing files; in Python, :func:`devices.blazepose.networks.fetching.fetch` does.
         threads: CPU threads of the networks.
     """
 

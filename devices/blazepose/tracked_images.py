@@ -124,7 +124,10 @@ class TrackedImages:
                 yield replace(frame, people={})
                 continue
             if self._pace is not None and self.tracker.settings.network != self._pace.network:
-                self.tracker.use(self._pace.network)
+                try:
+                    self.tracker.use(self._pace.network)
+                except DeviceError as fault:  # a damaged file must not end the session
+                    self._pace.stay(self.tracker.settings.network, fault)
             begun_ns = self._clock()
             people = self._people(frame)
             self._tell(self._clock() - begun_ns)
@@ -159,5 +162,5 @@ def registered_color(frame: SensorFrame) -> NDArray[np.uint8] | None:
         return None
     import cv2
 
-    image = cv2.imdecode(np.frombuffer(color.jpeg, np.uint8), cv2.IMREAD_COLOR_RGB)
-    return None if image is None else np.asarray(image, dtype=np.uint8)
+    image = cv2.imdecode(np.frombuffer(color.jpeg, np.uint8), cv2.IMREAD_COLOR)
+    return None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)

@@ -8,18 +8,17 @@ all of it. (D. Mills, RFC 5905, sec. 8.) The reply whose bound is the smallest n
 
 from __future__ import annotations
 
-from collections import deque
-
 _KEPT = 64
 _DRIFT = 50e-6
 """How fast the bound of an old reply grows: two quartz clocks drift apart by at most some 50 ppm."""
 
 
 class RemoteClock:
-    """The offset of another machine's clock; bounded memory."""
+    """The offset of another machine's clock; bounded memory. One thread adds, others may read meanwhile."""
 
     def __init__(self) -> None:
-        self._replies: deque[tuple[int, int, int]] = deque(maxlen=_KEPT)  # when, offset, round trip
+        # when, offset, round trip; replaced as a whole, as a deque cannot be read while another thread adds
+        self._replies: tuple[tuple[int, int, int], ...] = ()
 
     def add(self, asked_ns: int, received_ns: int, answered_ns: int, now_ns: int) -> bool:
         """Takes a reply: t1, t2, t3, t4. Returns False for an impossible one, which is ignored."""
@@ -27,7 +26,7 @@ class RemoteClock:
         if trip_ns < 0 or answered_ns < received_ns or now_ns < asked_ns:
             return False
         offset_ns = ((received_ns - asked_ns) + (answered_ns - now_ns)) // 2
-        self._replies.append((now_ns, offset_ns, trip_ns))
+        self._replies = (*self._replies, (now_ns, offset_ns, trip_ns))[-_KEPT:]
         return True
 
     @property

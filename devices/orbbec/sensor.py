@@ -26,10 +26,10 @@ _TIMELESS = (
 class OrbbecSensor:
     """One Orbbec sensor: a :class:`~devices.sensor.Sensor` whose frames have depth and infrared, no people.
 
-    :class:`~devices.blazepose.TrackedImages` finds the people. Times are those of the sensor's own clock,
-    which is set to this machine's once, before the cameras start; from then on its drift is followed where
-    frames are paired. The SDK's global time stamps are not used: they are refitted every second, and each
-    fit moves all later times.
+    :class:`~devices.blazepose.tracked_images.TrackedImages` finds the people. Times are those of the sensor's
+    own clock, which is set to this machine's once, before the cameras start; from then on its drift is
+    followed where frames are paired. The SDK's global time stamps are not used: they are refitted every
+    second, and each fit moves all later times.
 
     Attributes:
         name: Its serial number.

@@ -270,7 +270,7 @@ def simulated_pair(
         angle_deg: Between the sensors; ignored where a rig is given.
         seconds: How long; None for ever.
         height: The person's stature, metres.
-        depth: Whether frames carry a depth image: ``off``, ``half`` or ``full``.
+        depth: Whether frames carry a depth image: ``none``, ``half`` or ``full``.
         errors: Of the body trackers; the real ones of the body where None.
         depth_errors: Of the depth images.
         rig: Where the sensors stand.

@@ -105,7 +105,7 @@ class Job:
             "program": program_version(),
             "files": {side: None if path is None else checksum(path) for side, path in files.items()},
             "persons": [pair.person_a, pair.person_b],
-            "options": {name: _value(getattr(self.options, name)) for name in _SHARED},
+            "options": {name: _value(name, getattr(self.options, name)) for name in _SHARED},
         }
 
     def record(self) -> Record | None:
@@ -201,8 +201,9 @@ def checksum(path: Path) -> str:
     return digest.hexdigest()
 
 
-def _value(option: Any) -> Any:
+def _value(name: str, option: Any) -> Any:
     """An option for the record; a file is represented by its content."""
-    if isinstance(option, (str, Path)) and str(option) and Path(option).is_file():
+    # A word such as duplex is no file, even if the present folder has a file of this name.
+    if (isinstance(option, Path) or name == "calibrate") and Path(option).is_file():
         return f"sha256:{checksum(Path(option))}"
     return str(option) if isinstance(option, Path) else option

@@ -51,6 +51,7 @@ def read_avatar(path: Path) -> Avatar:
         IndexError,
         TypeError,
         ValueError,
+        OverflowError,
         AttributeError,
         struct.error,
         RecursionError,

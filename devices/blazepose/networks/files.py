@@ -11,8 +11,7 @@ from pathlib import Path
 from devices.blazepose.settings import NetworkName
 from devices.sensor import DeviceError
 
-FETCH = "duplex tracker fetch"
-"""The command that fetches the files."""
+_FETCH = "duplex tracker fetch"
 
 
 @dataclass(frozen=True)
@@ -79,6 +78,13 @@ def cache_folder() -> Path:
     return Path(base) / "duplex-kinects" / "blazepose"
 
 
+def fetch_command(network: NetworkName, folder: Path) -> str:
+    """The command that fetches the missing and the damaged files of a network into a folder."""
+    only_lite = " --network lite" if network == "lite" else ""
+    elsewhere = "" if folder == cache_folder() else f" --tracker-model {folder}"
+    return f"{_FETCH}{only_lite}{elsewhere}"
+
+
 def missing(network: NetworkName, folder: Path) -> list[NetworkFile]:
     """The files of a network that the folder lacks."""
     return [file for file in files_of(network) if not (folder / file.name).is_file()]
@@ -91,11 +97,12 @@ def checked_content(file: NetworkFile, folder: Path) -> bytes:
         DeviceError: The file is missing, truncated or another one.
     """
     path = folder / file.name
+    fetch = fetch_command("lite" if file == LANDMARKS["lite"] else "full", folder)
     try:
         content = path.read_bytes()
     except FileNotFoundError:
         raise DeviceError(
-            f"The body tracker's network {file.name} is not in {folder}. Run {FETCH}, "
+            f"The body tracker's network {file.name} is not in {folder}. Run {fetch}, "
             f"or name the folder that has it with --tracker-model."
         ) from None
     except OSError as fault:
@@ -105,6 +112,6 @@ def checked_content(file: NetworkFile, folder: Path) -> bytes:
     if hashlib.sha256(content).hexdigest() != file.sha256:
         raise DeviceError(
             f"The body tracker's network {path} is damaged or another one: its SHA-256 differs "
-            f"({len(content)} bytes). Delete it and run {FETCH}."
+            f"({len(content)} bytes). Run {fetch}."
         )
     return content

@@ -221,6 +221,8 @@ def test_images_of_different_sizes_are_refused_in_one_line(tracker: BlazePose) -
     infrared, depth = images_of([])
     with pytest.raises(DeviceError, match=r"640 × 576 pixels, the depth image 320 × 288"):
         tracker.track(infrared, depth[::2, ::2], CAMERA, 0)
+    with pytest.raises(DeviceError, match=r"320 × 288 pixels, its intrinsics are of 640 × 576"):
+        tracker.track(infrared[::2, ::2], depth[::2, ::2], CAMERA, 0)
 
 
 def test_a_tracker_that_is_not_open_says_so() -> None:

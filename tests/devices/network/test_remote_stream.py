@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from devices.live.stream_pairing import LivePairing
+from devices.network import remote_clock
 from devices.network.messages import ClockMessage, FrameMessage, SensorMessage, encode_clock, encode_frame
 from devices.network.remote_clock import RemoteClock
 from devices.network.remote_stream import PATIENCE_NS, RemoteStream
@@ -110,6 +111,21 @@ def test_an_impossible_reply_is_left_out(reply: tuple[int, int, int, int]) -> No
     clock = RemoteClock()
     assert not clock.add(*reply)
     assert clock.offset_ns(0) is None
+
+
+def test_the_clock_is_read_while_a_reply_arrives(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loop reads the figures, the sensor's thread takes the replies; a deque raised RuntimeError."""
+    clock, bound = RemoteClock(), remote_clock._bound
+    for now_ns in (1_000, 2_000):
+        assert clock.add(now_ns - 1_000, 0, 0, now_ns)
+
+    def meanwhile(reply: tuple[int, int, int], now_ns: int) -> float:
+        assert clock.add(2_000, 0, 0, 2_500)
+        return bound(reply, now_ns)
+
+    monkeypatch.setattr(remote_clock, "_bound", meanwhile)
+    assert clock.bound_ns(2_000) == 500
+    assert clock.replies > 2
 
 
 def test_capture_times_come_to_this_machines_clock() -> None:

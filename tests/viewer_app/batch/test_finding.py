@@ -8,8 +8,10 @@ import pytest
 
 from tests.helpers.command_line import duplex, one_line
 from viewer_app.batch.finding import Pair, find_pairs
+from viewer_app.batch.jobs import Job
 from viewer_app.batch.manifest import read_manifest
 from viewer_app.errors import UsageError
+from viewer_app.options.batch import BatchOptions
 
 
 def touch(root: Path, *names: str) -> None:
@@ -131,3 +133,16 @@ def test_usage_errors_give_one_line_and_exit_code_2(
     out = () if "--out" in arguments else ("--out", "out")
     assert duplex("batch", *arguments, *out) == 2
     assert words in one_line(capsys)
+
+
+def test_a_file_that_is_named_like_an_option_does_not_change_a_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text("", encoding="utf-8")
+    pair = Pair("walk", tmp_path / "a.csv", tmp_path / "b.csv")
+    job = Job(pair, BatchOptions(source=tmp_path, out=tmp_path / "out"))
+    before = job.identity()
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "duplex").write_text("", encoding="utf-8")
+    assert job.identity() == before

@@ -272,3 +272,18 @@ def test_a_file_that_is_no_avatar_gives_one_line(tmp_path: Path) -> None:
             assert "\n" not in str(fault)  # noqa: PT017
     with pytest.raises(UsageError, match=r"--avatar .*none\.vrm"):
         read_avatar(tmp_path / "none.vrm")
+
+
+@pytest.mark.parametrize(
+    ("number", "huge"), [(b'"node": 1', b'"node": 1e999'), (b"[0, 0.1", b"[" + b"9" * 400 + b", 0.1")]
+)
+def test_an_avatar_with_a_number_that_is_too_large_gives_one_line(
+    tmp_path: Path, number: bytes, huge: bytes
+) -> None:
+    whole = vrm(tmp_path / "a.vrm", 1).read_bytes()
+    content = whole[20:].replace(number, huge, 1)
+    assert content != whole[20:]
+    bad = tmp_path / "bad.vrm"
+    bad.write_bytes(struct.pack("<4sIIII", b"glTF", 2, 20 + len(content), len(content), 0x4E4F534A) + content)
+    with pytest.raises(UsageError, match=r"not a readable \.vrm"):
+        read_avatar(bad)

@@ -21,6 +21,7 @@ from devices.sensor import SensorFrame
 from devices.simulated.kinect import SimulatedKinect, simulated_pair
 from devices.simulated.real_time import PacedSensor
 from fusion.body import BLAZEPOSE
+from tests.helpers.machine import need_networks
 
 MS = 1_000_000
 
@@ -87,6 +88,7 @@ def test_without_a_lighter_network_only_frames_are_left_out(networks: BlazePoseS
     pace = TrackingPace(30.0, networks)
     work(pace, 200, 50)
     assert (pace.step, pace.network) == (2, networks.network)
+    assert ("fetch --network lite" in pace.advice) == (lacks == "the file")
     assert pace.take_news() == []
 
 
@@ -172,3 +174,16 @@ def test_tracked_images_tell_the_pace_their_time_and_follow_its_network(
     assert told == [40 * MS] * 79, "an image took one tick; a frame without one is not tracked"
     assert pace.slowest_s == pytest.approx(0.050), "with the time that making the image took"
     assert used == ["lite"], "once"
+
+
+def test_a_damaged_lighter_network_does_not_end_the_session(tmp_path: Path) -> None:
+    for file in (DETECTOR, LANDMARKS["full"]):
+        (tmp_path / file.name).write_bytes((need_networks() / file.name).read_bytes())
+    (tmp_path / LANDMARKS["lite"].name).write_bytes(b"damaged")
+    pace = TrackingPace(30.0, BlazePoseSettings(models=tmp_path))
+    work(pace, 60, 50)
+    assert pace.network == "lite"
+    with TrackedImages(simulated(0.1), pace.settings, pace=pace) as sensor:
+        assert len(list(sensor.frames())) == 3
+    assert pace.network == "full"
+    assert "goes on with its network full" in pace.take_news()[-1]
