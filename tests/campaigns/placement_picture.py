@@ -10,6 +10,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -39,7 +40,9 @@ def seen_by_both(b: RigidTransform, points: NDArray[np.float64]) -> NDArray[np.b
 def _seen(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     across, away = points[..., 0], points[..., 2]
     half = away * CAMERA.width / 2.0 / CAMERA.fx - ARM
-    inside: NDArray[np.bool_] = (away >= nearest(CAMERA)) & (away <= FARTHEST[BODY]) & (np.abs(across) <= half)
+    inside: NDArray[np.bool_] = (
+        (away >= nearest(CAMERA)) & (away <= FARTHEST[BODY]) & (np.abs(across) <= half)
+    )
     return inside
 
 
@@ -65,14 +68,8 @@ def draw(path: Path, angle_deg: float = 90.0) -> None:
     axes.annotate("stand here", (spot.x, spot.z), (14, 14), textcoords="offset points")
     axes.set(xlabel="x of sensor A (m)", ylabel="z of sensor A (m)", aspect="equal", ylim=(-0.6, 4.6))
     # no date and fixed identifiers: the same call writes the same file
-    with _repeatable():
+    with rc_context({"svg.hashsalt": "duplex-kinects"}):
         figure.savefig(path, metadata={"Date": None})
-
-
-def _repeatable():  # type: ignore[no-untyped-def]
-    import matplotlib as mpl
-
-    return mpl.rc_context({"svg.hashsalt": "duplex-kinects", "svg.fonttype": "path"})
 
 
 if __name__ == "__main__":
