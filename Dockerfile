@@ -8,12 +8,12 @@ COPY fusion fusion
 COPY devices devices
 COPY recordings recordings
 COPY viewer_app viewer_app
-RUN pip wheel --no-cache-dir --no-deps --wheel-dir /dist .
+RUN pip wheel --no-cache-dir --no-deps --wheel-dir /dist . \
+    && echo "duplex-kinects[export,cluster,zenoh] @ file://$(echo /dist/*.whl)" > /dist/requirements.txt
 
 FROM python:3.13-slim-bookworm
 COPY --from=build /dist /dist
-RUN wheel="$(echo /dist/*.whl)" \
-    && pip install --no-cache-dir "${wheel}[export,cluster,zenoh]" \
+RUN pip install --no-cache-dir --requirement /dist/requirements.txt \
     && useradd --create-home --uid 1000 duplex \
     && mkdir /cache /data \
     && chown duplex /cache /data
@@ -22,7 +22,7 @@ RUN wheel="$(echo /dist/*.whl)" \
 ENV NUMBA_CACHE_DIR=/cache/kernels \
     DUPLEX_TRACKER_MODELS=/cache/blazepose \
     OPENBLAS_NUM_THREADS=1
-USER duplex
+USER 1000
 WORKDIR /data
 ENTRYPOINT ["duplex"]
 CMD ["--help"]
