@@ -69,6 +69,8 @@ def test_any_depth_camera_gives_joints(tmp_path: Path) -> None:
 def test_a_session_is_read_in_a_notebook(tmp_path: Path) -> None:
     session = tmp_path / "demo.rrd"
     assert duplex("demo", "--seconds", "1", "--depth", "none", "--no-viewer", "--save", session) == 0
+    paper = tmp_path / "paper.rrd"
+    assert duplex("replay", session, "--method", "paper", "--no-viewer", "--save", paper) == 0
     done = run(tmp_path, EXAMPLES / "session_in_a_notebook.py")
     assert done.returncode == 0, done.stderr
     assert "the views differ by" in done.stdout

@@ -77,7 +77,7 @@ def pictures(session: Session, moments: Sequence[float], size: tuple[int, int]) 
     Args:
         session: What to draw.
         moments: Seconds of the session's timeline.
-        size: Width and height in pixels.
+        size: Width and height of the viewer's window in pixels; the scene is lower.
 
     Raises:
         UsageError: There is no viewer that draws without a screen.
@@ -106,8 +106,9 @@ def _drawn(viewer: ViewerClient, moment: float) -> Image.Image:
     def settled() -> bool:
         try:
             viewer.set_time(layout.TIME, duration=moment, play_state="paused")
-            picture = Image.open(io.BytesIO(viewer.take_screenshot())).convert("RGB")
-        except (ConnectionError, RuntimeError, ValueError):  # the file is not loaded yet
+            view = viewer.get_state().views[0]
+            picture = Image.open(io.BytesIO(viewer.take_screenshot(view.view_id))).convert("RGB")
+        except (ConnectionError, RuntimeError, ValueError, IndexError):  # the file is not loaded yet
             return False
         alike = bool(found) and found[-1].tobytes() == picture.tobytes()
         found[:] = [picture]
