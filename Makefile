@@ -8,7 +8,7 @@ export OPENBLAS_NUM_THREADS := 1
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test coverage check bench clean
+.PHONY: demo test coverage check docs pictures package bench clean
 
 demo: $(READY)
 	$(BIN)/duplex demo
@@ -26,6 +26,20 @@ check: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# The documentation as a site in site/; make docs OPTIONS="serve" shows it while it is edited.
+docs: $(READY)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs $(if $(OPTIONS),$(OPTIONS),build --strict)
+
+# The pictures of the documentation that a command makes; needs a graphics driver or mesa-vulkan-drivers.
+pictures: $(READY)
+	$(BIN)/python -m tests.campaigns.placement_picture
+	$(BIN)/python -m tests.campaigns.moving_picture
+
+# An sdist and a wheel in dist/, checked and tried in a fresh environment.
+package: $(READY)
+	.ci/package dist
 
 bench: $(READY)
 	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only

@@ -8,29 +8,18 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from fusion import KINECT_V2, FuserSettings
+from fusion import FuserSettings
 from fusion.setup import Method
 from recordings import Session, fuse
 from tests.helpers.command_line import duplex
 from tests.helpers.machine import need_networks
-from tests.helpers.skeleton_views import write_view
-from tests.helpers.two_views import A_FROM_B, moving
+from tests.helpers.written_recordings import write_recordings
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
 TESTED_ELSEWHERE = ("kinect_v2_on_another_pc.py",)  # tests/devices/network/test_kinect_v2_example.py
-
-
-def write_recordings(folder: Path, noise_m: float = 0.01) -> tuple[Path, Path]:
-    """Two noisy views of a person, ``a.csv`` and ``b.csv``."""
-    rng = np.random.default_rng(0)
-    truth = moving(KINECT_V2, 70)
-    a = truth + rng.normal(0.0, noise_m, truth.shape)
-    b = A_FROM_B.inverse().apply(truth) + rng.normal(0.0, noise_m, truth.shape)
-    return write_view(folder / "a.csv", KINECT_V2, a), write_view(folder / "b.csv", KINECT_V2, b)
 
 
 def run(folder: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
@@ -80,6 +69,8 @@ def test_any_depth_camera_gives_joints(tmp_path: Path) -> None:
 def test_a_session_is_read_in_a_notebook(tmp_path: Path) -> None:
     session = tmp_path / "demo.rrd"
     assert duplex("demo", "--seconds", "1", "--depth", "none", "--no-viewer", "--save", session) == 0
+    paper = tmp_path / "paper.rrd"
+    assert duplex("replay", session, "--method", "paper", "--no-viewer", "--save", paper) == 0
     done = run(tmp_path, EXAMPLES / "session_in_a_notebook.py")
     assert done.returncode == 0, done.stderr
     assert "the views differ by" in done.stdout

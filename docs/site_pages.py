@@ -1,0 +1,64 @@
+"""Hooks of MkDocs: pages made from files outside of this folder, links to them, and equations.
+
+Equations become MathML, which browsers draw by themselves: the site loads no script from elsewhere.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parents[1]
+_COPIED = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+_MODULES = {"fusion/joint_rotations.py": "python.md#fusion.joint_rotations"}
+"""Modules that pages link to, and where the site describes them."""
+_LINK = re.compile(r"\]\((?P<up>(?:\.\./)*)(?P<path>[^)#:]+)(?P<anchor>#[^)]*)?\)")
+_EQUATION = re.compile(r"^```math\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Adds the pages that are not in this folder."""
+    for source, page in _COPIED.items():
+        files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
+    files.append(File.generated(config, "examples.md", content=_examples()))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Redirects links that leave this folder, and turns equations into MathML."""
+    copied = page.file.src_uri in _COPIED.values()
+    markdown = _LINK.sub(lambda link: _redirected(link, copied), markdown)
+    return _EQUATION.sub(lambda equation: _mathml(equation[1]), markdown)
+
+
+def _redirected(link: re.Match[str], from_root: bool) -> str:
+    path, anchor = link["path"], link["anchor"] or ""
+    if not (link["up"] or from_root):
+        return link[0]
+    if path.startswith("docs/"):
+        return f"]({path.removeprefix('docs/')}{anchor})"
+    if path.startswith("examples/") and path.endswith(".py"):
+        return f"](examples.md#{Path(path).stem})"
+    if path == "README.md":
+        return f"](index.md{anchor})"
+    target = _COPIED.get(path) or _MODULES.get(path)
+    return link[0] if target is None else f"]({target}{anchor})"
+
+
+def _mathml(latex: str) -> str:
+    return f'<div class="equation">{convert(" ".join(latex.split()), display="block")}</div>\n'
+
+
+def _examples() -> str:
+    """The programs in ``examples/``, each with the first line of its docstring."""
+    parts = ["# Examples\n\nEach is a file in `examples/`, and a test runs it.\n"]
+    for path in sorted((ROOT / "examples").glob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        about = (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0]
+        parts.append(f"## {path.name} {{ #{path.stem} }}\n\n{about}\n\n```python\n{source.rstrip()}\n```\n")
+    return "\n".join(parts)

@@ -1,0 +1,78 @@
+"""Draws two sensors from above, and where both see a whole person, for the documentation.
+
+``python -m tests.campaigns.placement_picture`` writes ``docs/pictures/placement.svg``. The area and the best
+place come from :mod:`viewer_app.coach.standing_spot`, as in the viewer.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fusion.intrinsics import NOMINAL_INTRINSICS
+from fusion.rigid import RigidTransform
+from viewer_app.coach.standing_spot import ARM, CAMERA_HEIGHT, FARTHEST, nearest, standing_spot
+
+PICTURE = Path(__file__).resolve().parents[2] / "docs" / "pictures" / "placement.svg"
+BODY = "azure_kinect"
+CAMERA = NOMINAL_INTRINSICS[BODY]
+COLORS = ("#d9822b", "#2b7bba")
+PERSON_AT = np.array([0.0, 0.0, 2.6])
+
+
+def a_from_b(angle_deg: float) -> RigidTransform:
+    """Sensor B, turned round the person by an angle; both look at the person."""
+    turn = Rotation.from_euler("y", -angle_deg, degrees=True).as_matrix()
+    return RigidTransform(turn, PERSON_AT - turn @ PERSON_AT)
+
+
+def seen_by_both(b: RigidTransform, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether points (…, 3) in A's frame are places for a person whom both sensors see whole."""
+    return _seen(points) & _seen(b.inverse().apply(points))
+
+
+def _seen(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    across, away = points[..., 0], points[..., 2]
+    half = away * CAMERA.width / 2.0 / CAMERA.fx - ARM
+    inside: NDArray[np.bool_] = (
+        (away >= nearest(CAMERA)) & (away <= FARTHEST[BODY]) & (np.abs(across) <= half)
+    )
+    return inside
+
+
+def draw(path: Path, angle_deg: float = 90.0) -> None:
+    """Writes the picture; x of K_A's frame to the right, its z upwards."""
+    b = a_from_b(angle_deg)
+    figure = Figure(figsize=(6.4, 5.0), layout="constrained")
+    axes = figure.subplots()
+    x, z = np.meshgrid(np.arange(-1.6, 3.6, 0.01), np.arange(-0.6, 4.6, 0.01))
+    both = seen_by_both(b, np.stack((x, np.zeros_like(x), z), axis=-1))
+    axes.contourf(x, z, both, levels=[0.5, 1.5], colors=["#7fb3d9"])
+    edge = CAMERA.width / 2.0 / CAMERA.fx * FARTHEST[BODY]
+    corners = np.array([[-edge, 0.0, FARTHEST[BODY]], [0.0, 0.0, 0.0], [edge, 0.0, FARTHEST[BODY]]])
+    for name, pose, color in zip("AB", (RigidTransform.identity(), b), COLORS, strict=True):
+        cone = pose.apply(corners)
+        axes.fill(cone[:, 0], cone[:, 2], color=color, alpha=0.12)
+        axes.plot(*pose.apply(np.zeros(3))[[0, 2]], "s", color=color, markersize=11)
+        axes.annotate(
+            f"sensor {name}", pose.apply(np.zeros(3))[[0, 2]], (10, -14), textcoords="offset points"
+        )
+    spot = standing_spot(b, (CAMERA, CAMERA), FARTHEST[BODY], CAMERA_HEIGHT)
+    axes.plot(spot.x, spot.z, "o", color="black", markersize=20, fillstyle="none", markeredgewidth=2)
+    axes.annotate("stand here", (spot.x, spot.z), (14, 14), textcoords="offset points")
+    axes.set(xlabel="x of sensor A (m)", ylabel="z of sensor A (m)", aspect="equal", ylim=(-0.6, 4.6))
+    # no date and fixed identifiers: the same call writes the same file
+    with rc_context({"svg.hashsalt": "duplex-kinects"}):
+        figure.savefig(path, metadata={"Date": None})
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=PICTURE)
+    draw(parser.parse_args().out)

@@ -1,0 +1,68 @@
+"""Every command in the documents is one that the program takes; those that need no sensor are run."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from recordings import Session
+from tests.helpers.command_line import duplex
+from tests.helpers.documents import ROOT, commands_of, documents, mentions_of
+from tests.helpers.written_recordings import write_recordings
+from viewer_app import cli
+
+NAMES = [document.relative_to(ROOT).as_posix() for document in documents()]
+RUN = ("demo", "fuse", "review", "info", "export", "trim", "replay", "compare")
+"""Commands of the start page that are run; the others need sensors."""
+WITH_VIEWER = ("demo", "fuse", "review", "replay", "compare")
+
+
+@pytest.fixture
+def parsed(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Options of the commands that were given; nothing is carried out."""
+    seen: list[Any] = []
+    stand_in = SimpleNamespace(import_module=lambda _: SimpleNamespace(run=seen.append))
+    monkeypatch.setattr(cli, "importlib", stand_in)
+    return seen
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_command_is_understood(
+    name: str, parsed: list[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    commands = list(commands_of(ROOT / name))
+    refused = [command for command in commands if duplex(*shlex.split(command)[1:]) != 0]
+    assert not refused, capsys.readouterr().err
+    # --help ends before anything is carried out
+    assert len(parsed) == sum("--help" not in command for command in commands)
+
+
+def test_the_documents_have_commands() -> None:
+    assert sum(len(list(commands_of(document))) for document in documents()) > 30
+
+
+def test_commands_in_sentences_exist() -> None:
+    known = {name for command in cli._COMMANDS for name in (command, command.partition(" ")[0])}
+    for document in documents():
+        for mention in mentions_of(document):
+            words = mention.split()
+            assert {words[1], " ".join(words[1:3])} & known, f"{document.name}: {mention}"
+
+
+def test_the_start_page_works_from_top_to_bottom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_recordings(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for command in commands_of(ROOT / "docs" / "start.md"):
+        _, name, *rest = shlex.split(command)
+        if name not in RUN:
+            continue
+        rest += ["--no-viewer"] if name in WITH_VIEWER else []
+        rest += ["--seconds", "1", "--depth", "none"] if name == "demo" else []  # the last --seconds counts
+        assert duplex(name, *rest) == 0, command
+    assert len(Session.open(tmp_path / "walk.rrd")) == 70
+    assert (tmp_path / "demo.html").stat().st_size > 10_000
+    assert (tmp_path / "walk.bvh").exists()

@@ -1,0 +1,53 @@
+"""The pages of the site: their links, their messages, their pictures."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from tests.campaigns.placement_picture import PERSON_AT, a_from_b, seen_by_both
+from tests.helpers.documents import ROOT, documents, message_templates
+
+HEADING = re.compile(r"^### `(.*)`$", re.MULTILINE)
+LINK = re.compile(r"\]\(([^)#\s]+)(#[^)]*)?\)")
+TROUBLES = HEADING.findall((ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def templates() -> list[str]:
+    return sorted(message_templates())
+
+
+@pytest.mark.parametrize("message", TROUBLES)
+def test_every_message_of_the_troubleshooting_page_is_one_of_the_program(
+    message: str, templates: list[str]
+) -> None:
+    words = message.rstrip("…").rstrip()  # the rest may be a value
+    assert any(words in template for template in templates)
+
+
+def test_every_link_between_documents_leads_somewhere() -> None:
+    pages = {"examples.md", "contributing.md", "changelog.md"}  # made by docs/site_pages.py
+    for document in documents():
+        for path, _ in LINK.findall(document.read_text(encoding="utf-8")):
+            if not re.match(r"[a-z]+:", path) and path not in pages:
+                assert (document.parent / path).exists(), f"{document.name}: {path}"
+
+
+def test_the_site_has_every_page() -> None:
+    nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").glob("*.md"):
+        assert f": {page.name}\n" in nav
+
+
+@pytest.mark.parametrize("angle", [60.0, 90.0, 120.0])
+def test_both_sensors_see_the_person_where_the_picture_says(angle: float) -> None:
+    b = a_from_b(angle)
+    assert seen_by_both(b, PERSON_AT)
+    assert not seen_by_both(b, np.zeros(3)), "nobody stands in a sensor"
+    to_b = b.translation - PERSON_AT
+    to_a = -PERSON_AT
+    cosine = to_a @ to_b / np.linalg.norm(to_a) / np.linalg.norm(to_b)
+    np.testing.assert_allclose(np.degrees(np.arccos(cosine)), angle, atol=1e-6)

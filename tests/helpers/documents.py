@@ -1,0 +1,46 @@
+"""The documents of the project, and the commands and messages in them."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("fusion", "devices", "recordings", "viewer_app")
+_FENCE = re.compile(r"^```sh\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_SPAN = re.compile(r"(?<!`)`(duplex [a-z][^`\n]*)`")
+
+
+def documents() -> list[Path]:
+    """All documents of the project."""
+    return [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+
+
+def commands_of(document: Path) -> Iterator[str]:
+    """The command lines of ``duplex`` in a document's shell blocks, without comments."""
+    for block in _FENCE.findall(document.read_text(encoding="utf-8")):
+        for line in block.replace("\\\n", " ").splitlines():
+            command = line.partition(" #")[0].strip()
+            if command.startswith("duplex "):
+                yield command
+
+
+def mentions_of(document: Path) -> Iterator[str]:
+    """The commands of ``duplex`` that a document mentions in its sentences."""
+    yield from _SPAN.findall(document.read_text(encoding="utf-8"))
+
+
+def message_templates() -> set[str]:
+    """Every text in the program, with an ellipsis for each value that is put into it."""
+    found = set()
+    for package in PACKAGES:
+        for module in (ROOT / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.JoinedStr):
+                    parts = [part.value if isinstance(part, ast.Constant) else "…" for part in node.values]
+                    found.add("".join(map(str, parts)))
+                elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    found.add(node.value)
+    return found
