@@ -44,8 +44,9 @@ def methods_of(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def rivals_of(outcomes: Sequence[Outcome]) -> list[str]:
-    """The methods that ours competes with: no ablation of it, and no bound that uses the truth."""
-    return [m for m in methods_of(outcomes) if m != OURS and _KINDS[m] not in ("bound", "ablation")]
+    """The methods that ours competes with: no variant or ablation of it, and no bound that uses the truth."""
+    others = [m for m in methods_of(outcomes) if m != OURS and not m.startswith(f"{OURS}, ")]
+    return [m for m in others if _KINDS[m] not in ("bound", "ablation")]
 
 
 def tables_of_methods(outcomes: list[Outcome]) -> list[Table]:

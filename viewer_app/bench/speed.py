@@ -237,7 +237,7 @@ def _ratios(solvers: Sequence[Timing]) -> str:
 
 def _update_table(updates: Sequence[UpdateTiming]) -> Table:
     table = _table(
-        "Fuser.update a pair, and the compiled stages of the method paper, µs",
+        "Fuser.update a pair, and the compiled stages of the method paper: processor time, µs",
         ("pairs", "method", "median", "p99", "p99.9", "max", *STAGES, "batch, pairs/s"),
     )
     for t in updates:

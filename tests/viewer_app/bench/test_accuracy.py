@@ -216,6 +216,13 @@ def test_cases_where_another_method_is_nearer_on_average_are_reported() -> None:
     assert "oracle" not in rivals_of(outcomes)
 
 
+def test_ours_is_no_rival_of_itself() -> None:
+    rivals = rivals_of(made_up())
+    assert "duplex, smoothed" in NAMES
+    assert not any(name.startswith(OURS) for name in rivals)
+    assert "Kalman, refined" in rivals
+
+
 def test_the_oracle_is_never_the_best() -> None:
     assert clearly_best(made_up({"oracle": 0.0}), "mpjpe") is None
 
