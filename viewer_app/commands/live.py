@@ -14,6 +14,7 @@ from rich.markup import escape
 
 from devices.azure.kinect_settings import check_modes
 from devices.azure.tracking.body_tracker import check_smoothing
+from devices.blazepose.tracked_images import TrackedImages
 from devices.image_thinning import thinned_camera
 from devices.live.sensor_pair import TwoSensors
 from devices.sensor import Sensor
@@ -106,15 +107,22 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             if options.save is not None:
                 warn_of_little_room(options.save, console)
             announce(viewing, console)
-            blueprint = session_blueprint(
-                nominal, _PERSON_AT, options.layout, live=True, color=options.color != "off"
+            kept, shown = (
+                session_blueprint(
+                    *(nominal, _PERSON_AT, options.layout),
+                    live=True,
+                    color=options.color != "off",
+                    infrared=infrared,
+                )
+                for infrared in (False, _has_infrared(options, sensors))
             )
             session = opened.enter_context(
                 LiveSession(
-                    *(nominal, (a.name, b.name), blueprint),
+                    *(nominal, (a.name, b.name), shown),
                     file=options.save,
                     overwrite=options.force,
                     viewing=viewing,
+                    file_blueprint=kept,
                     others=outputs,
                     about={"tracker": tracker_name(a)} if tracker_name(a) else None,
                 )
@@ -145,6 +153,13 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
         if options.save_calibration is not None:
             _save_calibration(options.save_calibration, watch.settled)
         check_saved(session.file)
+
+
+def _has_infrared(options: LiveOptions, sensors: TwoSensors) -> bool:
+    """Whether the viewer gets infrared of both sensors, on which the program's own tracker works."""
+    if options.depth == "none":  # without depth images there are no others
+        return False
+    return all(isinstance(stream.sensor, TrackedImages) for stream in (sensors.a, sensors.b))
 
 
 def _viewing(options: LiveOptions) -> Viewing | None:
