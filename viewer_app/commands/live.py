@@ -30,14 +30,13 @@ from viewer_app.live_sensors import kinect_settings, one_of_live, two_kinects
 from viewer_app.loop.fusing import warm_up
 from viewer_app.loop.interruption import CtrlC
 from viewer_app.loop.live_loop import Status, run_live
-from viewer_app.loop.live_summary import check_saved, print_saved, print_session, session_report
+from viewer_app.loop.live_summary import check_saved, print_saved, print_session, save_report, session_report
 from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.method_options import check_paper_options
 from viewer_app.network_sensors import names_remote, sensors_by_network
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
-from viewer_app.report.figures import report_to_json
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.blueprint import session_blueprint
@@ -146,9 +145,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             console.print(warning, style="yellow", highlight=False, markup=False)
         print_session(console, setup, frames, sensors, outputs)
         if options.report is not None:
-            with whole_file(options.report) as unfinished:
-                figures = session_report(setup, frames, sensors, outputs)
-                unfinished.write_text(report_to_json(figures), encoding="utf-8")
+            save_report(options.report, session_report(setup, frames, sensors, outputs))
         print_saved(console, session.file)
         if options.save_calibration is not None:
             _save_calibration(options.save_calibration, watch.settled)
