@@ -66,7 +66,7 @@ JOINT_WEIGHTS = _weights()
 
 _MAGNITUDES = np.abs(JOINT_WEIGHTS) / np.abs(JOINT_WEIGHTS).sum(axis=1, keepdims=True)
 _DERIVED = np.array([BLAZEPOSE.joint(name) for name in ("PELVIS", "SPINE_NAVEL", "NECK", "HEAD")])
-_PARTS = JOINT_WEIGHTS >= 0.3  # the landmarks of a joint, not those that it is moved along
+_PARTS: NDArray[np.bool_] = JOINT_WEIGHTS >= 0.3  # the landmarks of a joint, not those that it is moved along
 _PARTS[_DERIVED] = JOINT_WEIGHTS[_DERIVED] != 0.0
 
 
@@ -83,7 +83,7 @@ def joints_of(lifted: Lifted, pixels: Array, depth: NDArray[np.uint16]) -> tuple
     """
     positions = JOINT_WEIGHTS @ lifted.positions
     states = np.full(len(positions), TrackingState.NOT_TRACKED, dtype=np.uint8)
-    known = ~(_PARTS & ~lifted.known).any(axis=1)
+    known: NDArray[np.bool_] = ~np.any(_PARTS & ~lifted.known, axis=1)
     states[known] = TrackingState.INFERRED
     states[known & ~(_PARTS & ~lifted.seen).any(axis=1)] = TrackingState.TRACKED
     seen_share = _MAGNITUDES @ lifted.seen

@@ -2,8 +2,8 @@
 
 Prints for each scene how often the person was found, the error of tracked joints, the share of hidden joints
 reported as tracked (also of those of which nothing is visible), S* beside that of the simulated Azure
-tracker, and the CPU time of an image. It is a
-campaign and not a ``bench`` command: its figures describe the tracker and the simulator, not the machine.
+tracker, and the CPU time of an image. It is a campaign and not a ``bench`` command: its figures describe the
+tracker and the simulator, not the machine.
 """
 
 from __future__ import annotations
