@@ -43,6 +43,8 @@ class RecordedFrame:
     """(J, 3) true joint positions in K_A's frame, metres; simulations only."""
     streams: StreamFigures | None = None
     """Figures of the two streams; live sensors only."""
+    latency_ns: int | None = None
+    """From the arrival of the pair's first images to S*; live sensors only. It is not recorded."""
 
 
 POINTS = "Points3D:positions"

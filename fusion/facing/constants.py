@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fusion.body import AZURE_KINECT, Body
+from fusion.body import AZURE_KINECT, BLAZEPOSE, Body
 
 Table = tuple[float, float, float, float, float]
 
@@ -102,8 +102,11 @@ class FacingConstants:
         """The constants of a body's tracker.
 
         No recording with turned backs is available for the Azure Kinect. Its share of mirrored frames is
-        assumed: smaller than the Kinect v2's, so that the evidence decides.
+        assumed: smaller than the Kinect v2's, so that the evidence decides. BlazePose's share was measured on
+        the tracker itself on simulated images (seed 100): 12 %. The cues' tables are the Kinect v2's.
         """
+        if body is BLAZEPOSE:
+            return FacingConstants(mirrored_back=0.12)
         if body is AZURE_KINECT:
             return FacingConstants(mirrored_back=0.4)
         return FacingConstants()

@@ -28,7 +28,7 @@ from viewer_app.errors import UsageError
 from viewer_app.loop.fusing import warm_up
 from viewer_app.loop.interruption import CtrlC
 from viewer_app.loop.live_loop import run_live
-from viewer_app.loop.live_summary import check_saved, print_saved, print_session
+from viewer_app.loop.live_summary import check_saved, print_saved, print_session, save_report, session_report
 from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.options.sensing import DemoOptions
 from viewer_app.output_files import check_writable, free_name, warn_of_little_room
@@ -64,6 +64,8 @@ def run(options: DemoOptions) -> None:
     plan = plan_outputs(options, options.listen)
     if save is not None:
         check_writable(save, options.force)
+    if options.report is not None:
+        check_writable(options.report, options.force)
     own_tracker = options.tracker == "blazepose"
     body = BLAZEPOSE if own_tracker else BODIES[options.body]
     if own_tracker and options.body not in ("azure_kinect", "blazepose"):
@@ -131,6 +133,8 @@ def run(options: DemoOptions) -> None:
             )
         if frames:
             _print_truth(console, setup, frames, truth)
+        if options.report is not None:
+            save_report(options.report, session_report(setup, frames, sensors, outputs))
         print_saved(console, session.file)
         check_saved(session.file)
 

@@ -14,6 +14,7 @@ from rich.markup import escape
 
 from devices.azure.kinect_settings import check_modes
 from devices.azure.tracking.body_tracker import check_smoothing
+from devices.blazepose.tracked_images import TrackedImages
 from devices.image_thinning import thinned_camera
 from devices.live.sensor_pair import TwoSensors
 from devices.sensor import Sensor
@@ -29,14 +30,13 @@ from viewer_app.live_sensors import kinect_settings, one_of_live, two_kinects
 from viewer_app.loop.fusing import warm_up
 from viewer_app.loop.interruption import CtrlC
 from viewer_app.loop.live_loop import Status, run_live
-from viewer_app.loop.live_summary import check_saved, print_saved, print_session, session_report
+from viewer_app.loop.live_summary import check_saved, print_saved, print_session, save_report, session_report
 from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.method_options import check_paper_options
 from viewer_app.network_sensors import names_remote, sensors_by_network
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
-from viewer_app.report.figures import report_to_json
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.blueprint import session_blueprint
@@ -106,15 +106,22 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             if options.save is not None:
                 warn_of_little_room(options.save, console)
             announce(viewing, console)
-            blueprint = session_blueprint(
-                nominal, _PERSON_AT, options.layout, live=True, color=options.color != "off"
+            kept, shown = (
+                session_blueprint(
+                    *(nominal, _PERSON_AT, options.layout),
+                    live=True,
+                    color=options.color != "off",
+                    infrared=infrared,
+                )
+                for infrared in (False, _has_infrared(options, sensors))
             )
             session = opened.enter_context(
                 LiveSession(
-                    *(nominal, (a.name, b.name), blueprint),
+                    *(nominal, (a.name, b.name), shown),
                     file=options.save,
                     overwrite=options.force,
                     viewing=viewing,
+                    file_blueprint=kept,
                     others=outputs,
                     about={"tracker": tracker_name(a)} if tracker_name(a) else None,
                 )
@@ -138,13 +145,18 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
             console.print(warning, style="yellow", highlight=False, markup=False)
         print_session(console, setup, frames, sensors, outputs)
         if options.report is not None:
-            with whole_file(options.report) as unfinished:
-                figures = session_report(setup, frames, sensors, outputs)
-                unfinished.write_text(report_to_json(figures), encoding="utf-8")
+            save_report(options.report, session_report(setup, frames, sensors, outputs))
         print_saved(console, session.file)
         if options.save_calibration is not None:
             _save_calibration(options.save_calibration, watch.settled)
         check_saved(session.file)
+
+
+def _has_infrared(options: LiveOptions, sensors: TwoSensors) -> bool:
+    """Whether the viewer gets infrared of both sensors, on which the program's own tracker works."""
+    if options.depth == "none":  # without depth images there are no others
+        return False
+    return all(isinstance(stream.sensor, TrackedImages) for stream in (sensors.a, sensors.b))
 
 
 def _viewing(options: LiveOptions) -> Viewing | None:

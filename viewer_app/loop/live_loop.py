@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from devices.image_thinning import Depth, with_depth, without_images
 from devices.live.sensor_pair import TwoSensors
+from devices.pairing import FramePair
 from fusion.calibration.calibrator import Calibrator
 from fusion.setup import FusionSetup
 from recordings.fusing.live import LiveFusion
@@ -64,6 +66,7 @@ def run_live(
     depth: Depth = "full",
     truth_at: Callable[[int], NDArray[np.float64]] | None = None,
     go_on: Callable[[Status], bool] = lambda _: True,
+    clock: Callable[[], int] = time.perf_counter_ns,
 ) -> tuple[FusionSetup, list[RecordedFrame]]:
     """Fuses and records the frames of two open sensors until they end or ``go_on`` returns False.
 
@@ -75,6 +78,7 @@ def run_live(
         depth: Which depth images are recorded.
         truth_at: Returns the true joints (J, 3) at a time of A's clock; None if they are unknown.
         go_on: Called with the status after each frame; returns whether to continue.
+        clock: Nanoseconds, of the frames' ``host_ns``; tests inject their own.
 
     Returns:
         The last setup, and the frames of the last minute without their images.
@@ -87,7 +91,8 @@ def run_live(
         recalibrated = fusion.recalibrated(pair)
         if recalibrated:
             sink.recalibrated(fusion.setup)
-        frame = replace(fusion.fuse(pair), streams=sensors.stream_figures)
+        frame = fusion.fuse(pair)
+        frame = replace(frame, streams=sensors.stream_figures, latency_ns=_latency_ns(pair, clock()))
         if truth_at is not None:
             if pair.a is not None:  # the pair's time continues when A's clock is reset
                 ahead_ns = pair.time_ns - pair.a.time_ns
@@ -107,3 +112,9 @@ def run_live(
         sink.event(late.message, "WARN")
     sink.finish()
     return fusion.setup, list(kept)
+
+
+def _latency_ns(pair: FramePair, now_ns: int) -> int | None:
+    """Time since the first images of a pair arrived; None where no sensor tells."""
+    arrivals = [seen.host_ns for seen in (pair.a, pair.b) if seen is not None and seen.host_ns is not None]
+    return now_ns - min(arrivals) if arrivals else None

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from devices.live.sensor_pair import TwoSensors
@@ -12,9 +14,17 @@ from devices.sensor import LinkFigures
 from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.errors import UsageError
+from viewer_app.output_files import whole_file
 from viewer_app.outputs.opening import print_outputs
 from viewer_app.outputs.output import LiveOutput
-from viewer_app.report.figures import Figures, fusion_figures, method_figures, print_method, say_saved
+from viewer_app.report.figures import (
+    Figures,
+    fusion_figures,
+    method_figures,
+    print_method,
+    report_to_json,
+    say_saved,
+)
 from viewer_app.sinks.session_file import FileSink
 
 
@@ -111,7 +121,25 @@ def session_report(
     if rows is not None:
         figures["seconds"] = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
         figures |= fusion_figures(setup.calibration, setup.settings, rows)
-    return figures
+    return figures | {"latency_ms": latency_figures(frames)}
+
+
+def latency_figures(frames: Sequence[RecordedFrame]) -> dict[str, float | None]:
+    """Milliseconds from the arrival of a pair's first images to S*: median, 99th percentile and largest."""
+    known = [frame.latency_ns * 1e-6 for frame in frames if frame.latency_ns is not None]
+    if not known:
+        return {"p50": None, "p99": None, "max": None}
+    return {
+        "p50": float(np.median(known)),
+        "p99": float(np.percentile(known, 99)),
+        "max": float(max(known)),
+    }
+
+
+def save_report(path: Path, figures: Figures) -> None:
+    """Writes a report; an unfinished file is never left behind."""
+    with whole_file(path) as unfinished:
+        unfinished.write_text(report_to_json(figures), encoding="utf-8")
 
 
 def print_session(
@@ -132,6 +160,12 @@ def print_session(
     rate = f", {(len(rows) - 1) / seconds:.1f} per second" if seconds > 0.0 else ""
     console.print(f"[bold]The last {seconds:.1f} s[/]: {len(rows)} frames{rate}.")
     print_method(console, setup.calibration, method_figures(rows))
+    ms = latency_figures(frames)
+    if ms["p50"] is not None:
+        console.print(
+            f"[bold]From images to S*[/]: {ms['p50']:.0f} ms (median), 99 % {ms['p99']:.0f} ms, max "
+            f"{ms['max']:.0f} ms"
+        )
 
 
 def print_saved(console: Console, file: FileSink) -> None:

@@ -74,6 +74,8 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions):
     full, images are dropped, skeletons never."""
     save: Path | None = None
     """Keep the session as an .rrd file; without a display demo.rrd if not given."""
+    report: Path | None = None
+    """Write the figures of the session to this .json file."""
     force: bool = False
     """Overwrite files that exist."""
 

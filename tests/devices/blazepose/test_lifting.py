@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from devices.blazepose.joints import JOINT_WEIGHTS
+from devices.blazepose.joints import JOINT_WEIGHTS, joints_of
 from devices.blazepose.landmark_kinds import CONSTANTS, INDEX, KINDS, LANDMARK_NAMES, column
-from devices.blazepose.lifting import lift, rays
+from devices.blazepose.lifting import Lifted, lift, rays
 from devices.blazepose.networks.files import DETECTOR, checked_content
 from devices.blazepose.networks.inference import Detector
 from devices.blazepose.regions import Region, transformed, whole_image
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
+from fusion.skeleton import TrackingState
 from tests.helpers.machine import need_networks
 from tests.helpers.rendered_people import CAMERA
 
@@ -123,6 +124,28 @@ def test_every_joint_is_a_mean_of_landmarks() -> None:
     other = [INDEX[_mirrored(name)] for name in LANDMARK_NAMES]
     np.testing.assert_allclose(JOINT_WEIGHTS[BLAZEPOSE.mirror][:, other], JOINT_WEIGHTS)
     assert set(KINDS) == set(CONSTANTS)
+
+
+def test_a_joint_is_moved_along_its_bone_and_keeps_its_own_state() -> None:
+    """A landmark that is hidden, or out of sight, changes the state of its own joint only."""
+    points = body()
+    landmarks = len(LANDMARK_NAMES)
+    seen, known = np.ones(landmarks, dtype=bool), np.ones(landmarks, dtype=bool)
+    seen[INDEX["SHOULDER_LEFT"]] = seen[INDEX["PINKY_LEFT"]] = False
+    known[INDEX["KNEE_LEFT"]] = seen[INDEX["KNEE_LEFT"]] = False
+    lifted = Lifted(points, seen, known, 1.0)
+    positions, states = joints_of(lifted, CAMERA.project(points), depth_of(points))
+    for name, state in (
+        ("SHOULDER_LEFT", TrackingState.INFERRED),
+        ("ELBOW_LEFT", TrackingState.TRACKED),
+        ("HAND_LEFT", TrackingState.INFERRED),
+        ("HAND_RIGHT", TrackingState.TRACKED),
+        ("KNEE_LEFT", TrackingState.NOT_TRACKED),
+        ("ANKLE_LEFT", TrackingState.TRACKED),
+    ):
+        assert states[BLAZEPOSE.joint(name)] == state, name
+    shoulder, elbow = points[INDEX["SHOULDER_LEFT"]], points[INDEX["ELBOW_LEFT"]]
+    np.testing.assert_allclose(positions[BLAZEPOSE.joint("ELBOW_LEFT")], elbow + 0.09 * (elbow - shoulder))
 
 
 def _mirrored(name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +21,13 @@ def test_the_demo_runs_the_own_tracker_on_images_of_a_person(
     need_networks("full")
     saved = tmp_path / "s.rrd"
     arguments = ("--tracker", "blazepose", "--motion", "startup", "--seconds", "4", "--no-viewer")
-    assert duplex("demo", *arguments, "--save", saved) == 0
+    report = tmp_path / "r.json"
+    assert duplex("demo", *arguments, "--save", saved, "--report", report) == 0
     said = capsys.readouterr().out
+    assert "From images to S*" in said
+    figures = json.loads(report.read_text())
+    # Tracking alone takes milliseconds.
+    assert 1.0 < figures["latency_ms"]["p50"] <= figures["latency_ms"]["p99"] <= figures["latency_ms"]["max"]
     assert "Distance from the true joints" in said
     session = Session.open(saved)
     assert session.body is BLAZEPOSE

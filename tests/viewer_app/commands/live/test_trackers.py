@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 
 from devices.blazepose.blazepose import BlazePose
 from fusion.body import BLAZEPOSE
@@ -21,6 +23,7 @@ from tests.helpers.orbbec.standin import Orbbec, OrbbecBus
 from tests.helpers.session_text import rows_of
 from tests.helpers.standin_pyk4a import Bus, Device
 from tests.helpers.two_views import moving
+from viewer_app.sinks.live_session import LiveSession
 
 A, B = "CL8H741005K", "CL8H7410123"
 MODES = values.OBMultiDeviceSyncMode
@@ -116,3 +119,33 @@ def test_azure_kinects_are_tracked_by_our_tracker(
     assert (session.tracker, session.body) == ("blazepose lite", BLAZEPOSE)
     assert len(session) > 0
     assert {int(image[0, 0]) for image in own_tracker} == {900}, "the infrared images"
+
+
+def _view_names(blueprint: rrb.Blueprint) -> set[str]:
+    def names(part: Any) -> set[str]:
+        return {str(part.name)}.union(
+            *(names(inner) for inner in getattr(part, "contents", ()) if hasattr(inner, "name"))
+        )
+
+    return names(blueprint.root_container)
+
+
+@pytest.mark.parametrize(("depth", "shown"), [("half", True), ("none", False)])
+def test_the_viewer_shows_the_infrared_that_our_tracker_works_on(
+    bolts: OrbbecBus, depth: str, shown: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert len(bolts.devices) == 2
+    given: list[tuple[rrb.Blueprint, rrb.Blueprint]] = []
+
+    class Watched(LiveSession):
+        def __init__(self, setup: Any, sources: Any, blueprint: Any, **more: Any) -> None:
+            given.append((blueprint, more["file_blueprint"]))
+            super().__init__(setup, sources, blueprint, **more)
+
+    monkeypatch.setattr("viewer_app.commands.live.LiveSession", Watched)
+    assert _live("--depth", depth, seconds=0.5) == 0
+    ((viewer, file),) = (tuple(map(_view_names, pair)) for pair in given)
+    infrared = {"Kinect A, infrared", "Kinect B, infrared"}
+    assert infrared <= viewer if shown else not infrared & viewer
+    assert {"Kinect A", "Kinect B"} <= file, "files hold no infrared"
+    assert not infrared & file
