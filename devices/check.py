@@ -17,6 +17,7 @@ class Check:
         detail: What was found.
         advice: What to do if it fails; empty if it works.
         needed: Whether live capture requires it.
+        alternative: Name of another check; if both fail, one of the two is enough. Empty if there is none.
     """
 
     name: str
@@ -24,6 +25,7 @@ class Check:
     detail: str
     advice: str = ""
     needed: bool = True
+    alternative: str = ""
 
 
 def failed(name: str, fault: DeviceError, needed: bool = True) -> Check:

@@ -27,6 +27,8 @@ Times are capture times on any clock that does not jump.
 class DepthCamera(TrackedImages):
     """A sensor with people from the images of any depth camera.
 
+    The tracker's networks must be there: ``duplex tracker fetch`` fetches them once.
+
     >>> def images():
     ...     with my_camera() as camera:
     ...         while True:

@@ -1,4 +1,7 @@
-"""Two depth cameras of any make, with the program's own body tracker: python any_depth_camera.py"""
+"""Two depth cameras of any make, with the program's own body tracker: python any_depth_camera.py
+
+It needs the tracker's networks: duplex tracker fetch.
+"""
 
 import time
 

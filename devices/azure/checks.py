@@ -59,16 +59,15 @@ def device_checks(
     tracker = tracker or choose_tracker(root=root)
     sdk, orbbec = _sdk(), sdk_check()
     kinects = _kinects(tracker, choice, named_master) if sdk.ok or orbbec.ok else [_NO_SDK]
-    with_k4a = sdk.ok or not orbbec.ok
     with_k4abt = tracker.name == "k4abt"
     k4abt = [_tracker_library(tracker.k4abt)]
     if with_k4abt or k4abt[0].ok:
         k4abt += [_tracker_network(tracker.k4abt, root), _gpu(tracker.k4abt, root)]
     k4abt = [_needed_if(with_k4abt, check) for check in k4abt]
     return [
-        replace(sdk, needed=not orbbec.ok),
-        replace(orbbec, needed=not sdk.ok),
-        _needed_if(with_k4a, _depth_engine(root, x_answers)),
+        replace(sdk, needed=not orbbec.ok, alternative=orbbec.name),
+        replace(orbbec, needed=not sdk.ok, alternative=sdk.name),
+        _needed_if(sdk.ok, _depth_engine(root, x_answers)),
         Check("body tracker to run", True, f"{tracker.full_name}: {tracker.reason}", needed=False),
         *k4abt,
         _needed_if(not with_k4abt, networks_check(tracker.blazepose)),
@@ -133,14 +132,14 @@ def _tracker_library(tracker: TrackerSettings) -> Check:
     try:
         library = load_library("k4abt", tracker.library, INSTALL)
     except DeviceError as fault:
-        return failed("body tracker", fault)
+        return failed("k4abt", fault)
     if not hasattr(library, "k4abt_tracker_create"):
-        return Check("body tracker", False, f"{library._name} is another library.", INSTALL)
-    return Check("body tracker", True, str(library._name))
+        return Check("k4abt", False, f"{library._name} is another library.", INSTALL)
+    return Check("k4abt", True, str(library._name))
 
 
 def _tracker_network(tracker: TrackerSettings, root: Path) -> Check:
-    name = "body tracker's network"
+    name = "k4abt's network"
     if tracker.model is not None:
         advice = "" if tracker.model.is_file() else "Check the path, or leave it out."
         return Check(name, tracker.model.is_file(), str(tracker.model), advice)

@@ -63,11 +63,11 @@ class Region:
         """
         transform = self.image_from_crop(size)
         shrink = self.side / size
-        if shrink > 1.6:  # bilinear sampling of an image at half its scale would skip pixels
-            half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        while shrink > 1.6:  # bilinear sampling of an image at half its scale would skip pixels
+            image = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             transform = transform * 0.5
             transform[:, 2] -= 0.25
-            image = half
+            shrink *= 0.5
         return cv2.warpAffine(image, transform, (size, size), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
 
 

@@ -33,8 +33,8 @@ class LinkEvents:
         said = []
         if lost:
             said.append(
-                f"{self._name}: {lost} of {lost + came} frames were lost or late on their way in the last "
-                f"10 s. Check the network between the two PCs; a cable is better than Wi-Fi."
+                f"{self._name}: frames lost or late on their way in the last 10 s: {lost} of {lost + came}. "
+                f"Check the network between the two PCs; a cable is better than Wi-Fi."
             )
         elif not self._sound and came:
             said.append(f"{self._name}: all frames of the last 10 s arrived.")

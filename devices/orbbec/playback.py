@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -133,10 +134,11 @@ class OrbbecRecording:
         except faults_of(sdk) as fault:
             raise DeviceError(f"{self.name} is damaged ({fault}). Play it in OrbbecViewer.") from fault
         finally:
-            pipeline.stop()
+            with suppress(*faults_of(sdk)):  # a fault of reading, which is told, often makes this fail, too
+                pipeline.stop()
             if missing:
                 self.warnings.append(
-                    f"{self.name}: {missing} frames are missing; they are not in the recording, or reading "
+                    f"{self.name}: frames are missing: {missing}; they are not in the recording, or reading "
                     f"was slower than its {1e9 / self.interval_ns:.3g} frames per second."
                 )
 

@@ -150,7 +150,8 @@ class SimulatedKinect:
         Attributes:
             hurried: While True, frames have no depth image, which takes most of a frame's time.
             imaging: While False, no images are wanted.
-            images_left_out: Number of wanted images dropped so far.
+            images_wanted: Number of depth images wanted since ``frames`` began.
+            images_left_out: Number of those that were dropped.
     """
 
     def __init__(
@@ -182,7 +183,7 @@ class SimulatedKinect:
             self._infrared = InfraredModel().binned() if depth == "half" else InfraredModel()
         self._light = self._infrared.illumination(self._lens) if self._infrared else None
         self.hurried, self.imaging = False, True
-        self.images_left_out = 0
+        self.images_wanted = self.images_left_out = 0
 
     @property
     def clock_at_start_ns(self) -> int:
@@ -199,6 +200,7 @@ class SimulatedKinect:
     def frames(self) -> Iterator[SensorFrame]:
         """The frames in capture order; each call starts again with the same frames."""
         scene, rig, which = self._scene, self._rig, self._which
+        self.images_wanted = self.images_left_out = 0
         # Separate random streams: dropping a frame or requesting depth does not change other errors.
         tracking, dropping = (np.random.default_rng([scene.seed, which, k]) for k in range(2))
         sensor_from_world = rig.world_from_sensor(which).inverse()
@@ -212,10 +214,12 @@ class SimulatedKinect:
             skeleton = tracker.report(joints, visibility(joints, shapes, flesh, self._lens), time_ns)
             dropped = dropping.random() < rig.dropped
             depth = ir = None
-            if self._depth != "none" and self.imaging and self.hurried:
-                self.images_left_out += 1
-            elif self._depth != "none" and self.imaging:
-                depth, ir = self._images(positions, shapes, frame)
+            if self._depth != "none" and self.imaging:
+                self.images_wanted += 1
+                if self.hurried:
+                    self.images_left_out += 1
+                else:
+                    depth, ir = self._images(positions, shapes, frame)
             if not dropped:
                 people = {} if skeleton is None else {PERSON: skeleton}
                 yield with_witness(SensorFrame(time_ns, people, depth, ir=ir), self._lens)

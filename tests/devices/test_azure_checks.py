@@ -51,15 +51,15 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
     for name in (
         "pyk4a and the Sensor SDK",
         "pyorbbecsdk2 (Orbbec's SDK v2)",
-        "body tracker",
-        "body tracker's network",
-        "depth engine",
+        "k4abt",
+        "k4abt's network",
         "USB permission",
         "two Kinects",
         "GPU",
     ):
         assert not named[name].ok, name
         assert named[name].needed, name
+    assert not named["depth engine"].needed, "only libk4a needs it"
     assert all(check.advice for check in checks if not check.ok)
     assert "pip install '.[kinect]'" in named["pyk4a and the Sensor SDK"].advice
     assert named["two Kinects"].detail == "cannot be looked for without pyk4a or pyorbbecsdk2", (
@@ -89,7 +89,7 @@ def test_a_machine_with_all_of_it_can_start(
         ("DISPLAY", "depth engine", True),
         ("libdepthengine", "depth engine", False),
         ("nvidia", "GPU", True),
-        ("onnx", "body tracker's network", True),
+        ("onnx", "k4abt's network", True),
     ],
 )
 @pytest.mark.usefixtures("bus")
@@ -103,7 +103,7 @@ def test_one_thing_that_is_missing_is_the_one_that_fails(
         if lacks in str(file.relative_to(tmp_path)) and file.is_file():
             file.unlink()
     named = _by_name(device_checks(choose_tracker("k4abt", TrackerSettings(library=standin.path)), tmp_path))
-    wanted = {"depth engine", "GPU", "body tracker's network", "body tracker"}
+    wanted = {"depth engine", "GPU", "k4abt's network", "k4abt"}
     assert [name for name in named if name in wanted and not named[name].ok] == [check]
     assert named[check].needed == needed
     assert named[check].advice

@@ -52,7 +52,7 @@ def run(options: BatchOptions) -> None:
     _make_folder(options.out)
     work = plan_work([Job(pair, options) for pair in pairs], options.force)
     if work.done:
-        console.print(f"{len(work.done)} of {len(pairs)} sessions are fused already.", highlight=False)
+        console.print(f"Sessions fused already: {len(work.done)} of {len(pairs)}.", highlight=False)
     rows: dict[str, Row] = {row.job.name: row for row in work.done}
     jobs = {job.name: job for job in work.jobs}
     try:
@@ -70,7 +70,7 @@ def run(options: BatchOptions) -> None:
             _write_summary([*rows.values(), *pending], options.out)
     failed = sum(row.state == "failed" for row in rows.values())
     console.print(
-        f"{len(rows) - failed} sessions fused, {failed} failed. Summary: {options.out / PAGE}",
+        f"Sessions fused: {len(rows) - failed}, failed: {failed}. Summary: {options.out / PAGE}",
         highlight=False,
         markup=False,
         soft_wrap=True,

@@ -38,6 +38,7 @@ MOVED = 0.25
 seconds' median by up to 0.19; turning a sensor by 5° shifts it by 0.26 at 3 m."""
 WARM_UP = 2400.0
 """Seconds until an Azure Kinect's distances stay the same (Tölgyessy et al. 2021: 40 to 50 minutes)."""
+_BUSY = "The body tracker needs more of this machine. Close other programs."
 _SECOND, _RATE_WINDOW, _MOVED_WINDOW = 1.0, 2.0, 8.0  # seconds
 
 
@@ -171,13 +172,15 @@ class Coach:
         for k, side in enumerate("AB"):
             came = sum(view.came for view in self._views[k]) / _RATE_WINDOW
             # What is left out for a slow body tracker is no fault of USB or light, and is told as it begins.
-            least = RATE * self._rate / max(view.step for view in self._views[k])
+            step = max(view.step for view in self._views[k])
+            least = RATE * self._rate / step
             if came < least:
                 few = int(came)  # rounded it might be the limit itself
+                remedy = "Give it a USB controller of its own, and light." if step == 1 else _BUSY
                 yield Advice(
                     f"rate {side}",
                     f"Sensor {side} gives {few} frames per second; below {least:.3g} "
-                    "movements are missed. Give it a USB controller of its own, and light.",
+                    f"movements are missed. {remedy}",
                     "WARN",
                     came,
                     least,

@@ -18,6 +18,7 @@ from devices.live.sensor_pair import TwoSensors
 from devices.simulated.kinect import SimulatedKinect, Truth, TruthAhead, simulated_pair
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.real_time import paced_together
+from devices.tracker_choice import tracker_name
 from fusion.body import BLAZEPOSE, BODIES
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
@@ -72,6 +73,9 @@ def run(options: DemoOptions) -> None:
         raise UsageError(f"--tracker blazepose reports the body blazepose, not {options.body}.")
     if own_tracker and options.depth == "none":
         raise UsageError("--tracker blazepose works on images: give --depth half or full.")
+    if not own_tracker and (options.tracker_model is not None or options.tracker_network != "full"):
+        given = "--tracker-network" if options.tracker_model is None else "--tracker-model"
+        raise UsageError(f"{given} is of the program's own tracker: add --tracker blazepose.")
     a, b, truth = simulated_pair(
         motion=options.motion,
         seed=options.seed,
@@ -99,6 +103,7 @@ def run(options: DemoOptions) -> None:
     if save is not None:
         warn_of_little_room(save, console)
     announce(viewing, console)
+    both = _together(a, b, pace)
     with CtrlC() as ctrl_c:
         with ExitStack() as stack:
             outputs = stack.enter_context(plan.opened(nominal))
@@ -111,9 +116,10 @@ def run(options: DemoOptions) -> None:
                     viewing=viewing,
                     file_blueprint=blueprint,
                     others=outputs,
+                    about={"tracker": tracker_name(both.a.sensor)} if own_tracker else None,
                 )
             )
-            sensors = stack.enter_context(_together(a, b, pace))
+            sensors = stack.enter_context(both)
             ctrl_c.calls(sensors.stop)
             coach = Coach(body, nominal.intrinsics)
             show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))
@@ -126,9 +132,9 @@ def run(options: DemoOptions) -> None:
         print_session(console, setup, frames, sensors, outputs)
         left_out = a.images_left_out + b.images_left_out
         if left_out:
-            received = sensors.a.received + sensors.b.received
+            wanted = a.images_wanted + b.images_wanted
             console.print(
-                f"To keep pace, {left_out} of {received} depth images were dropped; use a smaller --depth.",
+                f"To keep pace, {left_out} of {wanted} depth images were dropped; use a smaller --depth.",
                 highlight=False,
             )
         if frames:

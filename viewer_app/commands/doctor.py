@@ -33,11 +33,21 @@ def run(options: DoctorOptions) -> None:
     checks = [*devices, *program_checks()]
     for check in checks:
         console.print(line(check), soft_wrap=True)
-    missing = [check.name for check in checks if check.needed and not check.ok]
+    missing = lacks(checks)
     if missing:
         console.print(f"duplex live cannot start: {', '.join(missing)}.", highlight=False, soft_wrap=True)
         sys.exit(1)
     console.print("duplex live can start.")
+
+
+def lacks(checks: list[Check]) -> list[str]:
+    """What ``duplex live`` lacks, in words; of two checks of which one is enough, one item."""
+    failures = [check for check in checks if check.needed and not check.ok]
+    words: dict[str, str] = {}
+    for check in failures:
+        if check.alternative not in words:
+            words[check.name] = f"{check.name} or {check.alternative}" if check.alternative else check.name
+    return list(words.values())
 
 
 def line(check: Check) -> Text:

@@ -132,7 +132,7 @@ def _sensor(options: PublishOptions, console: Console) -> Sensor:
 
 
 def _summary(thread: SensorThread, publisher: FramePublisher) -> str:
-    said = f"{publisher.published} frames published, {publisher.bytes_sent * 1e-6:.1f} MB"
+    said = f"frames published: {publisher.published}, {publisher.bytes_sent * 1e-6:.1f} MB"
     if thread.dropped:
         said += f", {thread.dropped} dropped: this PC is too slow"
     if not publisher.requests:

@@ -65,7 +65,7 @@ def _link_in_words(link: LinkFigures) -> str:
         "restarts": link.restarts,
     }
     said = ", ".join(f"{what} {count}" for what, count in counts.items() if count)
-    said = f"{link.received} frames arrived, {said or 'none lost'}"
+    said = f"frames arrived: {link.received}, {said or 'none lost'}"
     if link.round_trip_ns is None or link.clock_bound_ns is None:
         return f"{said}; the clocks of the two PCs could not be related"
     trip_ms, bound_ms = link.round_trip_ns * 1e-6, link.clock_bound_ns * 1e-6

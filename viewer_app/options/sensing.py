@@ -68,7 +68,8 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions):
     """Folder of blazepose's networks; if not given, the user's cache folder, into which they are fetched
     once."""
     tracker_network: Literal["full", "lite"] = "full"
-    """Network of blazepose; lite is faster and less accurate. full gives way to lite where it is too slow."""
+    """Network of blazepose; lite is faster and less accurate. full gives way to lite where it is
+    too slow, if the network lite was fetched (duplex tracker fetch --network lite)."""
     depth: Literal["none", "half", "full"] = "half"
     """Depth images: none, half the sensor's resolution, or full. If the machine is too slow, as most are for
     full, images are dropped, skeletons never."""

@@ -148,7 +148,7 @@ def print_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:
     """Prints the counts of each output, and why one stopped."""
     for output in outputs:
         counts = output.counts
-        said = f"{output.name}: {counts.sent} frames sent, {counts.dropped} dropped, {counts.late} late."
+        said = f"{output.name}: frames sent {counts.sent}, dropped {counts.dropped}, late {counts.late}."
         console.print(said, highlight=False, markup=False, soft_wrap=True)
         if output.failure is not None:
             console.print(output.failure, style="yellow", highlight=False, markup=False, soft_wrap=True)

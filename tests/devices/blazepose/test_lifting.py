@@ -178,6 +178,14 @@ def test_a_crop_shows_what_its_transform_says(size: float) -> None:
     )
 
 
+@pytest.mark.parametrize("side", [1024, 2048])
+def test_a_crop_of_a_large_image_skips_no_pixel(side: int) -> None:
+    """Black and white columns, two pixels wide, are grey in a crop of a quarter of the size or less."""
+    image = np.where(np.arange(side) % 4 < 2, 200, 0).astype(np.uint8)
+    crop = whole_image(side, side).crop(np.tile(image, (side, 1)), 224)[8:-8, 8:-8]
+    np.testing.assert_allclose(crop.astype(float), 100.0, atol=1.0)  # the rounding of uint8
+
+
 def test_the_detector_has_an_anchor_for_each_output() -> None:
     detector = Detector(checked_content(DETECTOR, need_networks()))
     assert detector._anchors.shape == (2254, 2)

@@ -45,7 +45,7 @@ def test_frames_that_are_missing_are_counted(orbbecs: OrbbecBus, tmp_path: Path)
     path = _bag(orbbecs, tmp_path / "a.bag", skips=2)
     with OrbbecRecording(path) as recording:
         assert len(list(recording.frames())) == 5
-    assert "8 frames are missing" in recording.warnings[0]
+    assert "frames are missing: 8;" in recording.warnings[0]
 
 
 def test_a_recording_that_never_reports_its_end_is_abandoned(orbbecs: OrbbecBus, tmp_path: Path) -> None:
@@ -58,6 +58,15 @@ def test_a_recording_that_never_reports_its_end_is_abandoned(orbbecs: OrbbecBus,
 
     with OrbbecRecording(path, clock) as recording:
         assert len(list(recording.frames())) == 5
+
+
+def test_a_fault_of_closing_does_not_hide_what_was_read(orbbecs: OrbbecBus, tmp_path: Path) -> None:
+    path = _bag(orbbecs, tmp_path / "a.bag")
+    with OrbbecRecording(path) as recording:
+        frames = recording.frames()
+        next(frames)
+        orbbecs.bags[str(path)].sensor.plugged = False  # the stand-in's stop now fails
+        frames.close()  # type: ignore[attr-defined]
 
 
 def test_a_file_that_is_not_a_recording_is_refused(orbbecs: OrbbecBus, tmp_path: Path) -> None:

@@ -140,10 +140,13 @@ def test_frames_left_out_for_a_slow_tracker_are_not_blamed_on_usb_or_light() -> 
     assert wrong(watched(every=2, now=halved)) == set()
     said = watched(every=3, now=halved)["rate A"]
     assert said.text.startswith("Sensor A gives 10 frames per second; below 12 movements are missed.")
+    assert "USB" not in said.text
+    assert "Close other programs" in said.text
 
 
 def test_slow_late_and_dropping_sensors_are_named() -> None:
     assert wrong(watched(every=2)) == {"rate A", "rate B"}
+    assert "USB" in watched(every=2)["rate A"].text
     assert wrong(watched(skew_ns=-20_000_000)) == {"skew"}
     assert wrong(watched(skew_ns=15_000_000)) == set()
     said = watched(dropping=1)

@@ -31,6 +31,7 @@ def test_the_demo_runs_the_own_tracker_on_images_of_a_person(
     assert "Distance from the true joints" in said
     session = Session.open(saved)
     assert session.body is BLAZEPOSE
+    assert session.tracker == "blazepose full"
     # A busy machine gets fewer frames, but both sensors the same ones: pairs with both.
     assert np.isfinite(session.fused).all(axis=(1, 2)).sum() >= 3
     both = np.isfinite(session.skeleton_a.positions[:, 0, 0]) & np.isfinite(
@@ -54,3 +55,11 @@ def test_the_demo_refuses_what_the_own_tracker_cannot_do(
 ) -> None:
     assert duplex("demo", "--tracker", "blazepose", "--no-viewer", *arguments) == 2
     assert words in one_line(capsys)
+
+
+@pytest.mark.parametrize("option", [("--tracker-network", "lite"), ("--tracker-model", "networks")])
+def test_options_of_the_own_tracker_are_refused_without_it(
+    option: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert duplex("demo", "--no-viewer", *option) == 2
+    assert f"{option[0]} is of the program's own tracker" in one_line(capsys)
