@@ -175,6 +175,8 @@ def test_two_programs_that_answer_one_request_are_a_double_key_and_no_restart(or
         stream.clock_request(asked)
         for delay, session in enumerate(order, 1):
             stream.clock_reply(encode_clock(ClockMessage(session, asked, 0, 0)), asked + delay * MS)
+            stream.poll(asked + delay * MS)
+            assert not stream.restarted
         stream.poll(asked + 400 * MS)
         assert not stream.restarted
     assert stream.doubled == stream.replies == 20
