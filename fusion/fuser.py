@@ -14,6 +14,7 @@ from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.fused_frame import FusedFrame as FusedFrame
 from fusion.methods.paper_fusion import PaperFusion
+from fusion.registration import robust_fit
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
 
@@ -41,7 +42,9 @@ class Fuser:
             self._fusion = PaperFusion(setup)
 
     def warm_up(self, meanwhile: Callable[[], object] = lambda: None) -> None:
-        """Compiles everything that :meth:`update` runs; the state of this fuser does not change.
+        """Compiles everything that :meth:`update` and the live calibration run.
+
+        The state of this fuser does not change.
 
         Args:
             meanwhile: Called while another process compiles, on a first run; for further compilation.
@@ -54,6 +57,8 @@ class Fuser:
                 meanwhile()
                 other._fusion.compile(self._nobody.positions, self._nobody.states)
         other.update(SkeletonPair(None, None, 0))
+        if self.setup.settings.method == "duplex":
+            robust_fit.warm_up()
 
     def recalibrate(self, setup: FusionSetup) -> None:
         """Continues with another calibration and keeps the state of the person.

@@ -24,8 +24,14 @@ from devices.network.messages import (
     encode_sensor,
 )
 from devices.network.remote_sensor import CLOCK, FRAMES, SENSOR
-from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zenoh, zenoh_session
-from devices.sensor import Sensor, SensorFrame
+from devices.network.zenoh_session import (
+    ZenohAddresses,
+    checked_key,
+    first_words,
+    load_zenoh,
+    zenoh_session,
+)
+from devices.sensor import DeviceError, Sensor, SensorFrame
 
 _LARGEST_REQUEST = 256  # bytes; a clock request has 56
 _POLL_S = 0.05
@@ -99,11 +105,18 @@ class FramePublisher:
         self._stack.close()
 
     def publish(self, frame: SensorFrame) -> None:
-        """Sends a frame to all current subscribers."""
+        """Sends a frame to all current subscribers.
+
+        Raises:
+            DeviceError: Zenoh cannot send, as after its session was closed.
+        """
         if not self._depth:
             frame = replace(frame, depth=None)
         message = encode_frame(FrameMessage(self.session, self.published, frame, self._clock()))
-        self._publisher.put(message)
+        try:
+            self._publisher.put(message)
+        except load_zenoh().ZError as fault:
+            raise DeviceError(f"Zenoh cannot send under {self._key!r}: {first_words(str(fault))}.") from fault
         self.published += 1
         self.bytes_sent += len(message)
 

@@ -12,7 +12,13 @@ from typing import Any
 from devices.network.link_events import LinkEvents
 from devices.network.messages import MalformedError, SensorMessage, decode_sensor
 from devices.network.remote_stream import RemoteStream
-from devices.network.zenoh_session import LARGEST_MESSAGE, ZenohAddresses, checked_key, zenoh_session
+from devices.network.zenoh_session import (
+    LARGEST_MESSAGE,
+    ZenohAddresses,
+    checked_key,
+    load_zenoh,
+    zenoh_session,
+)
 from devices.sensor import AbsentError, DeviceError, LinkFigures, SensorFrame
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
@@ -141,6 +147,7 @@ class RemoteSensor:
         """
         asked_ns = before_ns = self._clock()
         silent_ns = 0
+        doubled_told = False
         while not self._interrupted.is_set():
             due_ns = self._stream.due_ns
             wait_s = _POLL_S if due_ns is None else min(_POLL_S, max(0.0, (due_ns - self._clock()) * 1e-9))
@@ -166,6 +173,12 @@ class RemoteSensor:
                 raise AbsentError(
                     f"{self.name} is silent for {_SILENT_NS * 1e-9:g} s: its program, its PC or the network "
                     f"is down."
+                )
+            if self._stream.doubled and not doubled_told:
+                doubled_told = True
+                self._told.append(
+                    f"{self.name}: two programs publish under {self._key!r}; one of them is left out. Give "
+                    f"each sensor its own key."
                 )
             if now_ns - asked_ns > (_ASK_NS // 5 if self._stream.strange else _ASK_NS):
                 asked_ns = now_ns
@@ -237,17 +250,36 @@ class RemoteSensor:
     def _relate_clocks(self) -> None:
         until_s = time.monotonic() + _REPLIES_S
         while self._stream.replies < _FIRST_REPLIES and time.monotonic() < until_s:
-            self._arrival.clear()
+            if self._interrupted.is_set():
+                return
             self._ask_clock()
-            self._arrival.wait(_POLL_S)
+            self._await_reply(time.monotonic() + _POLL_S)
+
+    def _await_reply(self, until_s: float) -> None:
+        """Waits for a clock reply; frames that arrive meanwhile do not end the wait."""
+        before = self._stream.replies
+        while self._stream.replies == before and not self._interrupted.is_set():
+            self._arrival.wait(max(0.0, until_s - time.monotonic()))
+            self._arrival.clear()
             for part, data, at_ns in self._arrived():
                 if part == CLOCK:
                     self._stream.clock_reply(data, at_ns)
+            if time.monotonic() >= until_s:
+                return
 
     def _ask_clock(self) -> None:
         def take(reply: Any) -> None:
             if reply.ok is not None:
                 self._take(CLOCK, reply.ok.payload)
 
+        zenoh = load_zenoh()
         request = self._stream.clock_request(self._clock())
-        self._session.get(f"{self._key}/{CLOCK}", take, payload=request, timeout=_ANSWER_S)
+        self._session.get(
+            f"{self._key}/{CLOCK}",
+            take,
+            payload=request,
+            timeout=_ANSWER_S,
+            # Else Zenoh gives one reply of two programs that publish under the same key.
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )

@@ -22,7 +22,10 @@ from devices.sensor import LinkFigures, SensorFrame
 
 PATIENCE_NS = 40_000_000
 """How long a frame waits for an earlier one: longer than one frame, shorter than for its partner."""
-_ASKED = 16
+_ASKED = 64
+"""Requests whose replies are still known: more than are sent while Zenoh waits for a reply."""
+_SETTLED_NS = 100_000_000
+"""How long after another run's reply the followed run may still answer, before it counts as ended."""
 
 
 class RemoteStream:
@@ -33,6 +36,7 @@ class RemoteStream:
 
     Attributes:
         restarted: Whether a reply came from another run of the program than the current one.
+        doubled: How many requests were answered by two programs: both publish under this key.
         strange: Whether a frame came from another run, so that a clock request is useful now.
     """
 
@@ -43,24 +47,33 @@ class RemoteStream:
         self._order: ReorderBuffer[SensorFrame] = ReorderBuffer(patience_ns)
         self._clock = RemoteClock()
         self._asked: deque[int] = deque(maxlen=_ASKED)
+        self._answered: deque[tuple[int, int]] = deque(maxlen=_ASKED)  # request, session
         self._malformed = self._restarts = 0
         self._now_ns = 0
-        self.restarted = self.strange = False
+        self._other_since_ns: int | None = None
+        self.doubled = 0
+        self.strange = False
 
     @property
     def figures(self) -> LinkFigures:
         """Counts over all runs, and the present relation of the clocks."""
-        past, now = self._past, self._order.figures
+        order = self._past + self._order.figures
         return LinkFigures(
-            past.received + now.received,
-            past.lost + now.lost,
-            past.reordered + now.reordered,
-            past.duplicates + now.duplicates,
-            self._malformed,
+            order.received,
+            order.lost,
+            order.reordered,
+            order.duplicates,
+            self._malformed + order.strange,
             self._restarts,
             self._clock.round_trip_ns(),
             self._clock.bound_ns(self._now_ns),
         )
+
+    @property
+    def restarted(self) -> bool:
+        """Whether another run of the program replies, and the current one does not."""
+        since_ns = self._other_since_ns
+        return since_ns is not None and self._now_ns - since_ns >= _SETTLED_NS
 
     @property
     def replies(self) -> int:
@@ -77,17 +90,12 @@ class RemoteStream:
         if self._session is not None and sensor.session != self._session:
             self._restarts += 1
         if sensor.session != self._session:
-            past, now = self._past, self._order.figures
-            self._past = OrderFigures(
-                past.received + now.received,
-                past.lost + now.lost,
-                past.reordered + now.reordered,
-                past.duplicates + now.duplicates,
-            )
+            self._past += self._order.figures
             self._order = ReorderBuffer(self._patience_ns)
             self._clock = RemoteClock()
         self._session = sensor.session
-        self.restarted = self.strange = False
+        self._other_since_ns = None
+        self.strange = False
 
     def receive(self, data: bytes, now_ns: int) -> list[SensorFrame]:
         """Takes a frame message that arrived at ``now_ns``; gives the frames that need not wait, in order."""
@@ -124,11 +132,16 @@ class RemoteStream:
         except MalformedError:
             self._malformed += 1
             return False
-        if reply.asked_ns not in self._asked:
+        sessions = {session for asked_ns, session in self._answered if asked_ns == reply.asked_ns}
+        if reply.asked_ns not in self._asked or reply.session in sessions:
             self._malformed += 1
             return False
-        self._asked.remove(reply.asked_ns)
+        self._answered.append((reply.asked_ns, reply.session))
+        self.doubled += bool(sessions)
         if reply.session != self._session:
-            self.restarted = True
+            # Where the current run has answered the same request, it goes on: the key is used twice.
+            if self._other_since_ns is None and self._session not in sessions:
+                self._other_since_ns = now_ns
             return False
+        self._other_since_ns = None
         return self._clock.add(reply.asked_ns, reply.received_ns, reply.answered_ns, now_ns)

@@ -111,7 +111,7 @@ def _open(addresses: ZenohAddresses) -> Any:
         return zenoh.open(configuration)
     except zenoh.ZError as fault:
         where = ", ".join((*addresses.listen, *addresses.connect))
-        raise DeviceError(f"Zenoh cannot use {where}: {_first_words(str(fault))}.") from fault
+        raise DeviceError(f"Zenoh cannot use {where}: {first_words(str(fault))}.") from fault
 
 
 def load_zenoh() -> Any:
@@ -146,6 +146,6 @@ def _settings(addresses: ZenohAddresses) -> dict[str, Any]:
     }
 
 
-def _first_words(fault: str) -> str:
+def first_words(fault: str) -> str:
     """Zenoh's message without the lines of its sources."""
     return re.split(r"\s+at /|: \[", fault)[0].strip().rstrip(".")

@@ -144,11 +144,9 @@ def fit_robust(
     information, centre = np.zeros((6, 6)), np.zeros(3)
     for _ in range(iterations):
         centre = _centre(evidence, weights, R, t)
-        sums = _new_sums(len(body))
-        _accumulate(
-            evidence.a, evidence.b, weights, evidence.basis, R, t, beta, noise, noise_sd,
-            settings.tempering, DEGREES_OF_FREEDOM, centre, sums,
-        )  # fmt: skip
+        sums = _sums(
+            evidence, weights, RigidTransform(R, t), beta, noise, noise_sd, settings.tempering, centre
+        )
         information, gradient, own, coupled = _eliminate_biases(sums, bias_information)
         if prior is not None:
             _add_prior(information, gradient, prior, settings.inflation, R, t, centre)
@@ -189,12 +187,9 @@ def disagreement(
     beta = np.zeros((3, len(body), 3))
     cost = 0.0
     for k in range(iterations + 1):
-        sums = _new_sums(len(body))
-        _accumulate(
-            evidence.a, evidence.b, evidence.weights, evidence.basis, a_from_b.rotation,
-            a_from_b.translation, beta, noise, noise_sd, settings.tempering, DEGREES_OF_FREEDOM,
-            np.zeros(3), sums,
-        )  # fmt: skip
+        sums = _sums(
+            evidence, evidence.weights, a_from_b, beta, noise, noise_sd, settings.tempering, np.zeros(3)
+        )
         cost = float(sums.figures[0]) + 0.5 * float(
             np.sum(beta**2 * (bias_information[None, :, None] / _BASIS_VARIANCE[:, None, None]))
         )
@@ -204,8 +199,28 @@ def disagreement(
     return cost
 
 
-def _new_sums(joints: int) -> _Sums:
-    return _Sums(
+def warm_up() -> None:
+    """Compiles or loads the kernel, so that no frame of a live session waits for it."""
+    nothing = Evidence(
+        np.zeros((1, 1, 3)), np.zeros((1, 1, 3)), np.zeros((1, 1)), np.zeros((1, 3)), np.zeros(1, np.int64)
+    )
+    beta, noise, centre = np.zeros((3, 1, 3)), np.ones(1), np.zeros(3)
+    _sums(nothing, nothing.weights, RigidTransform.identity(), beta, noise, 1.0, 1.0, centre)
+
+
+def _sums(
+    evidence: Evidence,
+    weights: Array,
+    a_from_b: RigidTransform,
+    beta: Array,
+    noise: Array,
+    noise_sd: float,
+    tempering: float,
+    centre: Array,
+) -> _Sums:
+    """The sums under a transform and biases. Every call has the types for which the kernel is compiled."""
+    joints = evidence.a.shape[1]
+    sums = _Sums(
         np.zeros((joints, 3)),
         np.zeros((joints, 3, 3)),
         np.zeros((joints, 3, 3)),
@@ -214,6 +229,17 @@ def _new_sums(joints: int) -> _Sums:
         np.zeros(6),
         np.zeros(3),
     )
+    _accumulate(
+        _plain(evidence.a), _plain(evidence.b), _plain(weights), _plain(evidence.basis),
+        _plain(a_from_b.rotation), _plain(a_from_b.translation), _plain(beta), _plain(noise), float(noise_sd),
+        float(tempering), DEGREES_OF_FREEDOM, _plain(centre), sums,
+    )  # fmt: skip
+    return sums
+
+
+def _plain(values: Array) -> Array:
+    """The values in a contiguous, writable array: numba compiles anew for any other layout."""
+    return np.require(values, np.float64, ("C", "W"))
 
 
 def _centre(evidence: Evidence, weights: Array, R: Array, t: Array) -> Array:

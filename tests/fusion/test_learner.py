@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import pytest
+from numba.core import event
 from scipy.spatial.transform import Rotation
 
 from fusion.body import KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.calibration.bone_statistics import robust_bone_lengths
 from fusion.calibration.calibration import Calibration
-from fusion.calibration.learner import CalibrationChange, CalibrationLearner
+from fusion.calibration.learner import CalibrationChange, CalibrationLearner, register_anew
 from fusion.calibration.recording_learner import learn_from_recording
+from fusion.compiling.kernels import kernel
+from fusion.fuser import Fuser
+from fusion.registration import robust_fit
 from fusion.registration.keyframes import evidence_of
+from fusion.registration.robust_fit import RobustFitSettings
 from fusion.rigid import RigidTransform
+from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
@@ -132,3 +141,20 @@ def test_learning_twice_gives_the_same_to_the_last_bit() -> None:
     first, _ = learned(walk(200), OFF)
     second, _ = learned(walk(200), OFF)
     np.testing.assert_array_equal(first.calibration.a_from_b.rotation, second.calibration.a_from_b.rotation)
+
+
+def test_a_learner_compiles_nothing_after_the_fuser_is_warm(monkeypatch: pytest.MonkeyPatch) -> None:
+    fresh: Any = kernel(robust_fit._accumulate.py_func)  # as in a new process
+    monkeypatch.setattr(robust_fit, "_accumulate", fresh)
+    pairs = walk(200)
+    start = Calibration(KINECT_V2, OFF, KINECT_V2.nominal_lengths, "start")
+    Fuser(FusionSetup(start)).warm_up()
+    assert len(fresh.signatures) == 1
+    with event.install_recorder("numba:compile") as compiling:
+        _, changes = learned(pairs, OFF)
+        learn_from_recording(KINECT_V2, pairs)
+        transposed = RigidTransform(np.asfortranarray(OFF.rotation), OFF.translation)  # as an inverse is
+        register_anew(KINECT_V2, evidence_of(KINECT_V2, pairs), transposed, RobustFitSettings())
+    assert any(change.kind == "refined" for change in changes)
+    assert compiling.buffer == []
+    assert len(fresh.signatures) == 1  # a kernel found on disk here would have to be compiled elsewhere

@@ -152,6 +152,36 @@ def test_a_program_that_is_replaced_within_a_moment_is_noticed(address: str) -> 
             assert thread.sensor.link.restarts == 1
 
 
+def test_two_programs_under_one_key_are_reported_and_the_first_goes_on(address: str) -> None:
+    with ExitStack() as stack:
+        published = stack.enter_context(publisher(address))
+        thread = stack.enter_context(SensorThread(remote(address), keep=64))
+        frames_through(published, thread, 5)
+        elsewhere = ZenohAddresses(connect=(address, address))  # a session of its own
+        second = stack.enter_context(FramePublisher(KEY, elsewhere, ScriptedSensor()))
+        said: list[str] = []
+
+        def reported() -> bool:
+            second.publish(frame_at(0, people=True))
+            frames_through(published, thread, 1)
+            said.extend(thread.sensor.told())
+            return bool(said)
+
+        assert eventually(reported)
+        assert said[0].startswith("zenoh:lab/a: two programs publish under 'lab/a'")
+        frames_through(published, thread, 20)
+        assert thread.state is SensorState.RUNNING
+        assert (thread.returns, thread.sensor.link.restarts, thread.sensor.link.malformed) == (0, 0, 0)
+
+
+def test_publishing_in_a_closed_session_gives_one_line(address: str) -> None:
+    with publisher(address) as published:
+        pass
+    with pytest.raises(DeviceError, match=r"Zenoh cannot send under 'lab/a': [^\n]*\.$"):
+        published.publish(frame_at(0))
+    assert published.published == 0
+
+
 def test_another_body_after_a_restart_gives_one_line(address: str) -> None:
     far = remote(address)
     with publisher(address), far:

@@ -12,7 +12,7 @@ from devices.network import remote_clock
 from devices.network.messages import ClockMessage, FrameMessage, SensorMessage, encode_clock, encode_frame
 from devices.network.remote_clock import RemoteClock
 from devices.network.remote_stream import PATIENCE_NS, RemoteStream
-from devices.network.reordering import ReorderBuffer
+from devices.network.reordering import LARGEST_STEP, ReorderBuffer
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.body import AZURE_KINECT
@@ -30,6 +30,10 @@ def opened(session: int = 1) -> RemoteStream:
 
 def frame(sequence: int, session: int = 1, host_ns: int = 0) -> bytes:
     return encode_frame(FrameMessage(session, sequence, SensorFrame(sequence * 33 * MS, host_ns=host_ns), 0))
+
+
+def numbered(sequence: int) -> bytes:
+    return encode_frame(FrameMessage(1, sequence, SensorFrame(min(sequence, 1 << 40)), 0))
 
 
 def times(frames: list[SensorFrame]) -> list[int]:
@@ -153,12 +157,69 @@ def test_another_run_of_the_program_is_noticed_and_its_numbers_start_anew() -> N
     assert not stream.restarted
     stream.clock_request(5)
     assert not stream.clock_reply(encode_clock(ClockMessage(2, 5, 6, 7)), 8)
+    assert not stream.restarted  # the first run may still answer
+    stream.poll(8 + 100 * MS)
     assert stream.restarted
     stream.begin(SensorMessage(2, "k", AZURE_KINECT, None, 33_333_333))
     assert times(stream.receive(frame(1, 2), 9)) == [1]
     assert stream.receive(frame(501, 1), 10) == []  # still on its way when the program ended
     assert stream.figures.restarts == 1
     assert stream.figures.received == 2
+
+
+@pytest.mark.parametrize("order", [(1, 2), (2, 1)])
+def test_two_programs_that_answer_one_request_are_a_double_key_and_no_restart(order: tuple[int, int]) -> None:
+    stream = opened(session=1)
+    for k in range(20):
+        asked = k * SECOND // 2
+        stream.clock_request(asked)
+        for delay, session in enumerate(order, 1):
+            stream.clock_reply(encode_clock(ClockMessage(session, asked, 0, 0)), asked + delay * MS)
+            stream.poll(asked + delay * MS)
+            assert not stream.restarted
+        stream.poll(asked + 400 * MS)
+        assert not stream.restarted
+    assert stream.doubled == stream.replies == 20
+    assert stream.figures.malformed == 0
+
+
+def test_a_slow_reply_is_taken_after_many_further_requests() -> None:
+    stream = opened()
+    for k in range(40):  # two seconds
+        stream.clock_request(k * 50 * MS)
+    assert stream.clock_reply(encode_clock(ClockMessage(1, 0, SECOND, SECOND)), 2 * SECOND)
+    assert stream.figures.malformed == 0
+
+
+def test_a_reply_that_comes_twice_counts_once() -> None:
+    stream = opened()
+    stream.clock_request(5)
+    reply = encode_clock(ClockMessage(1, 5, 6, 7))
+    assert [stream.clock_reply(reply, 8 + k) for k in range(2)] == [True, False]
+    assert (stream.replies, stream.doubled, stream.figures.malformed) == (1, 0, 1)
+
+
+@pytest.mark.parametrize("at", [0, 5], ids=["first", "later"])
+@pytest.mark.parametrize("absurd", [LARGEST_STEP + 1_006, 1 << 60, 2**64 - 1])
+def test_one_absurd_number_does_not_end_a_sensor(absurd: int, at: int) -> None:
+    stream = opened()
+    given = []
+    for sequence in range(1_000, 1_020):
+        if sequence == 1_000 + at:
+            given += stream.receive(numbered(absurd), sequence * 33 * MS)
+        given += stream.receive(numbered(sequence), sequence * 33 * MS)
+    # as the very first, it is believed until two others contradict it
+    good = [frame.time_ns for frame in given if frame.time_ns < 1_020]
+    assert good == list(range(1_001 if at == 0 else 1_000, 1_020))
+    assert stream.figures.malformed == 1
+    assert stream.figures.lost == 0
+
+
+def test_a_run_is_taken_back_after_a_long_break_of_the_network() -> None:
+    buffer = ReorderBuffer[int](PATIENCE_NS)
+    numbers = (0, 1, 3, 20_000, 20_001, 20_002)
+    assert [n for at, k in enumerate(numbers) for n in buffer.add(k, k, at)] == [0, 1, 3, 20_001, 20_002]
+    assert (buffer.figures.strange, buffer.figures.lost) == (1, 19_997)
 
 
 def test_a_broken_connection_to_the_same_run_is_no_restart() -> None:
