@@ -13,15 +13,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from fusion.setup import FuserSettings
-from viewer_app.batch.finding import Pair, find_pairs
+from viewer_app.batch.finding import PAGE, TABLE, Pair, find_pairs
 from viewer_app.batch.jobs import Job, Outcome
 from viewer_app.batch.manifest import read_manifest
 from viewer_app.batch.summary import Row, worst_first, write_page, write_parquet
 from viewer_app.errors import UsageError
 from viewer_app.method_options import check_paper_options
 from viewer_app.options.batch import BatchOptions
-
-PAGE, TABLE = "summary.html", "summary.parquet"
 
 
 @dataclass(frozen=True)

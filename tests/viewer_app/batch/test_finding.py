@@ -65,6 +65,13 @@ def test_two_pairs_of_one_name_are_refused(tmp_path: Path) -> None:
         find_pairs(tmp_path, tmp_path / "out")
 
 
+@pytest.mark.parametrize("name", ["summary.parquet", "SUMMARY.html"])
+def test_no_session_takes_the_place_of_the_summary(name: str, tmp_path: Path) -> None:
+    touch(tmp_path, f"{name}_a.csv", f"{name}_b.csv")
+    with pytest.raises(UsageError, match=f"would be session {name}"):
+        find_pairs(tmp_path, tmp_path / "out")
+
+
 def test_a_manifest(tmp_path: Path) -> None:
     touch(tmp_path, "one.csv", "two.csv", "deep/three.mkv", "s.json")
     manifest = tmp_path / "m.csv"
@@ -89,6 +96,7 @@ def test_a_manifest(tmp_path: Path) -> None:
         ("name,a,b\nwalk,one.csv,\n", "line 2: b is empty."),
         ("name,a,b\n,one.csv,two.csv\n", "line 2: '' is not a name for a folder."),
         ("name,a,b\n../x,one.csv,two.csv\n", "line 2: '../x' is not a name for a folder."),
+        ("name,a,b\nSummary.html,one.csv,two.csv\n", "line 2: Summary.html is the name of the summary"),
         ("name,a,b\nwalk,one.csv,no.csv\n", "line 2: no file"),
         ("name,a,b\nwalk,one.csv,one.csv\n", "line 2: a and b are the same file."),
         ("name,a,b\nx,one.csv,two.csv\n\nX,two.csv,one.csv\n", "line 4: the name X occurs twice."),
