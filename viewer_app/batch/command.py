@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from fusion.setup import FuserSettings
 from viewer_app.batch.finding import PAGE, TABLE, Pair, find_pairs
-from viewer_app.batch.jobs import Job, Outcome
+from viewer_app.batch.jobs import Job, Outcome, calibration_file
 from viewer_app.batch.manifest import read_manifest
 from viewer_app.batch.summary import Row, worst_first, write_page, write_parquet
 from viewer_app.errors import UsageError
@@ -43,7 +43,7 @@ def run(options: BatchOptions) -> None:
     """
     console = Console()
     _check(options)
-    options = replace(options, out=options.out.absolute(), source=options.source.absolute())
+    options = _absolute(options)
     pairs, alone = _pairs(options)
     for line in alone:
         console.print(line, style="yellow", highlight=False, markup=False)
@@ -126,6 +126,19 @@ def _difference(before: dict[str, object], now: dict[str, object]) -> str:
     return "from other recordings" if before.get("files") != now["files"] else "with other persons"
 
 
+def _absolute(options: BatchOptions) -> BatchOptions:
+    """The options with absolute paths: a worker of a cluster has another working directory."""
+    calibration = calibration_file(options.calibrate)
+    return replace(
+        options,
+        source=options.source.absolute(),
+        out=options.out.absolute(),
+        calibrate=options.calibrate if calibration is None else str(calibration.absolute()),
+        tracker_model=None if options.tracker_model is None else options.tracker_model.absolute(),
+        k4abt=None if options.k4abt is None else options.k4abt.absolute(),
+    )
+
+
 def _check(options: BatchOptions) -> None:
     if options.processes < 0:
         raise UsageError(f"--processes must be 0 or more; got {options.processes}.")
@@ -133,7 +146,8 @@ def _check(options: BatchOptions) -> None:
         raise UsageError(f"--smooth whole needs --method duplex; got --method {options.method}.")
     check_paper_options(FuserSettings(options.method, options.h, options.weights, options.smoothing))
     kind, _, seconds = options.calibrate.partition(":")
-    if options.calibrate != "auto" and kind != "seconds" and not Path(options.calibrate).is_file():
+    calibration = calibration_file(options.calibrate)
+    if calibration is not None and not calibration.is_file():
         raise UsageError(
             f"--calibrate {options.calibrate}: neither auto, nor seconds:N, nor an existing file. Make one "
             "with --save-calibration."
