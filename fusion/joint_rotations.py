@@ -12,6 +12,8 @@ Positions do not determine how a bone turns about itself. The convention is:
 The rotation of a bone maps its direction at rest (:attr:`fusion.body.Body.rest`: upright, arms hanging,
 facing the sensor) to its direction in S*. So p_child = p_parent + Q_child · (rest_child · length_child) gives
 S* exactly.
+
+A little over 300 lines: the convention and its kernels belong together.
 """
 
 from __future__ import annotations
