@@ -180,7 +180,7 @@ def _make_folder(out: Path) -> None:
         raise UsageError(f"The folder {out} is not writable.")
 
 
-def _outcomes(jobs: Sequence[Job], options: BatchOptions) -> Generator[Outcome, None, None]:
+def _outcomes(jobs: Sequence[Job], options: BatchOptions) -> Generator[Outcome | str, None, None]:
     if options.scheduler is not None:
         from viewer_app.batch.cluster import run_on_cluster
 
@@ -190,12 +190,30 @@ def _outcomes(jobs: Sequence[Job], options: BatchOptions) -> Generator[Outcome, 
     return run_in_processes(jobs, options.processes or os.cpu_count() or 1)
 
 
-def _shown(outcomes: Iterator[Outcome], total: int, console: Console) -> Iterator[Outcome]:
-    """The outcomes with a progress bar."""
+def _shown(outcomes: Iterator[Outcome | str], total: int, console: Console) -> Iterator[Outcome]:
+    """The outcomes, with a progress bar on a terminal; elsewhere with a line for each fused session.
+
+    A notice is printed once, although each worker may send it.
+    """
+    notices: set[str] = set()
+    finished = 0
     columns = TextColumn("fusing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("fusing", total=total)
         for outcome in outcomes:
+            if isinstance(outcome, str):
+                if outcome not in notices:
+                    console.print(outcome, highlight=False, markup=False)
+                notices.add(outcome)
+                continue
+            finished += 1
+            if not console.is_terminal and not outcome.error:
+                console.print(
+                    f"{outcome.name}: fused, {finished} of {total}.",
+                    highlight=False,
+                    markup=False,
+                    soft_wrap=True,
+                )
             yield outcome
             progress.advance(task)
 
