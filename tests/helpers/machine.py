@@ -19,8 +19,9 @@ from rerun.experimental import ViewerClient
 
 from devices.blazepose.networks.files import cache_folder, missing
 from devices.blazepose.settings import NetworkName
+from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
-from viewer_app.viewer.rerun_process import LOOPBACK, start_viewer, stop
+from viewer_app.viewer.rerun_process import start_viewer, stop
 
 _LACKS = "this machine lacks"
 _COMPILERS = ("cc", "gcc", "clang")

@@ -13,7 +13,8 @@ from rerun.experimental import ViewerClient
 
 from recordings import layout
 from tests.helpers.machine import need_viewer
-from viewer_app.viewer.rerun_process import LOOPBACK, start_viewer, stop
+from viewer_app.addresses import LOOPBACK
+from viewer_app.viewer.rerun_process import start_viewer, stop
 
 
 @contextlib.contextmanager

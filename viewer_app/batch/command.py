@@ -13,15 +13,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from fusion.setup import FuserSettings
-from viewer_app.batch.finding import Pair, find_pairs
-from viewer_app.batch.jobs import Job, Outcome
+from viewer_app.batch.finding import PAGE, TABLE, Pair, find_pairs
+from viewer_app.batch.jobs import Job, Outcome, calibration_file
 from viewer_app.batch.manifest import read_manifest
 from viewer_app.batch.summary import Row, worst_first, write_page, write_parquet
 from viewer_app.errors import UsageError
 from viewer_app.method_options import check_paper_options
 from viewer_app.options.batch import BatchOptions
-
-PAGE, TABLE = "summary.html", "summary.parquet"
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ def run(options: BatchOptions) -> None:
     """
     console = Console()
     _check(options)
-    options = replace(options, out=options.out.absolute(), source=options.source.absolute())
+    options = _absolute(options)
     pairs, alone = _pairs(options)
     for line in alone:
         console.print(line, style="yellow", highlight=False, markup=False)
@@ -128,6 +126,19 @@ def _difference(before: dict[str, object], now: dict[str, object]) -> str:
     return "from other recordings" if before.get("files") != now["files"] else "with other persons"
 
 
+def _absolute(options: BatchOptions) -> BatchOptions:
+    """The options with absolute paths: a worker of a cluster has another working directory."""
+    calibration = calibration_file(options.calibrate)
+    return replace(
+        options,
+        source=options.source.absolute(),
+        out=options.out.absolute(),
+        calibrate=options.calibrate if calibration is None else str(calibration.absolute()),
+        tracker_model=None if options.tracker_model is None else options.tracker_model.absolute(),
+        k4abt=None if options.k4abt is None else options.k4abt.absolute(),
+    )
+
+
 def _check(options: BatchOptions) -> None:
     if options.processes < 0:
         raise UsageError(f"--processes must be 0 or more; got {options.processes}.")
@@ -135,7 +146,8 @@ def _check(options: BatchOptions) -> None:
         raise UsageError(f"--smooth whole needs --method duplex; got --method {options.method}.")
     check_paper_options(FuserSettings(options.method, options.h, options.weights, options.smoothing))
     kind, _, seconds = options.calibrate.partition(":")
-    if options.calibrate != "auto" and kind != "seconds" and not Path(options.calibrate).is_file():
+    calibration = calibration_file(options.calibrate)
+    if calibration is not None and not calibration.is_file():
         raise UsageError(
             f"--calibrate {options.calibrate}: neither auto, nor seconds:N, nor an existing file. Make one "
             "with --save-calibration."
@@ -168,7 +180,7 @@ def _make_folder(out: Path) -> None:
         raise UsageError(f"The folder {out} is not writable.")
 
 
-def _outcomes(jobs: Sequence[Job], options: BatchOptions) -> Generator[Outcome, None, None]:
+def _outcomes(jobs: Sequence[Job], options: BatchOptions) -> Generator[Outcome | str, None, None]:
     if options.scheduler is not None:
         from viewer_app.batch.cluster import run_on_cluster
 
@@ -178,12 +190,30 @@ def _outcomes(jobs: Sequence[Job], options: BatchOptions) -> Generator[Outcome, 
     return run_in_processes(jobs, options.processes or os.cpu_count() or 1)
 
 
-def _shown(outcomes: Iterator[Outcome], total: int, console: Console) -> Iterator[Outcome]:
-    """The outcomes with a progress bar."""
+def _shown(outcomes: Iterator[Outcome | str], total: int, console: Console) -> Iterator[Outcome]:
+    """The outcomes, with a progress bar on a terminal; elsewhere with a line for each fused session.
+
+    A notice is printed once, although each worker may send it.
+    """
+    notices: set[str] = set()
+    finished = 0
     columns = TextColumn("fusing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("fusing", total=total)
         for outcome in outcomes:
+            if isinstance(outcome, str):
+                if outcome not in notices:
+                    console.print(outcome, highlight=False, markup=False)
+                notices.add(outcome)
+                continue
+            finished += 1
+            if not console.is_terminal and not outcome.error:
+                console.print(
+                    f"{outcome.name}: fused, {finished} of {total}.",
+                    highlight=False,
+                    markup=False,
+                    soft_wrap=True,
+                )
             yield outcome
             progress.advance(task)
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 from viewer_app.errors import UsageError
 
+PAGE, TABLE = "summary.html", "summary.parquet"
+"""The summary, which lies beside the sessions' folders; no session can have these names."""
 SUFFIXES = (".mkv", ".csv", ".json", ".skeleton")
 """Formats of recordings; if a pair exists in several, the first is taken."""
 
@@ -53,7 +55,7 @@ def find_pairs(folder: Path, out: Path) -> tuple[list[Pair], list[str]]:
         The pairs by name, and a line for each recording without a partner.
 
     Raises:
-        UsageError: No pair is found, or two pairs have the same name.
+        UsageError: No pair is found, two pairs have the same name, or a pair has the name of the summary.
     """
     found: dict[str, Pair] = {}
     alone: list[str] = []
@@ -66,6 +68,8 @@ def find_pairs(folder: Path, out: Path) -> tuple[list[Pair], list[str]]:
             alone += missing
             if pair is None:
                 continue
+            if is_summary(pair.name):
+                raise UsageError(f"{pair.a} would be session {pair.name}, which is the name of the summary.")
             other = found.get(pair.name.casefold())
             if other is not None:
                 raise UsageError(
@@ -78,6 +82,11 @@ def find_pairs(folder: Path, out: Path) -> tuple[list[Pair], list[str]]:
             f"(or {', '.join(suffix for suffix in SUFFIXES if suffix != '.csv')}), also not in subfolders."
         )
     return sorted(found.values(), key=lambda pair: pair.name), alone
+
+
+def is_summary(name: str) -> bool:
+    """Whether a session's folder of this name would take the place of the summary."""
+    return name.casefold() in (PAGE, TABLE)
 
 
 def _is_new(folder: Path, known: set[str]) -> bool:

@@ -97,7 +97,7 @@ class Job:
         """Everything that the session depends on: contents of the input files, options, program version.
 
         Raises:
-            OSError: An input file cannot be read.
+            OSError: An input file or the calibration cannot be read.
         """
         pair = self.pair
         files = {"a": pair.a, "b": pair.b, "skeletons_a": pair.skeletons_a, "skeletons_b": pair.skeletons_b}
@@ -201,9 +201,17 @@ def checksum(path: Path) -> str:
     return digest.hexdigest()
 
 
+def calibration_file(calibrate: str) -> Path | None:
+    """The file that ``--calibrate`` names; None for ``auto`` and ``seconds:N``."""
+    return None if calibrate == "auto" or calibrate.startswith("seconds:") else Path(calibrate)
+
+
 def _value(name: str, option: Any) -> Any:
     """An option for the record; a file is represented by its content."""
     # A word such as duplex is no file, even if the present folder has a file of this name.
-    if (isinstance(option, Path) or name == "calibrate") and Path(option).is_file():
-        return f"sha256:{checksum(Path(option))}"
+    calibration = calibration_file(option) if name == "calibrate" else None
+    if calibration is not None:
+        return f"sha256:{checksum(calibration)}"
+    if isinstance(option, Path) and option.is_file():
+        return f"sha256:{checksum(option)}"
     return str(option) if isinstance(option, Path) else option

@@ -6,7 +6,7 @@ import csv
 import re
 from pathlib import Path
 
-from viewer_app.batch.finding import Pair
+from viewer_app.batch.finding import Pair, is_summary
 from viewer_app.errors import UsageError
 
 _NEEDED = ("name", "a", "b")
@@ -20,7 +20,7 @@ def read_manifest(path: Path) -> list[Pair]:
 
     Raises:
         UsageError: The file cannot be read, a column is missing or unknown, or a row is wrong: an empty or
-            repeated name, or a file that does not exist. The message names the line.
+            repeated name, the summary's name, or a file that does not exist. The message names the line.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -62,6 +62,8 @@ def _pair(where: str, folder: Path, cells: dict[str, str]) -> Pair:
     name = cells["name"]
     if not name or _BAD_NAME.search(name):
         raise UsageError(f"{where}: {name!r} is not a name for a folder.")
+    if is_summary(name):
+        raise UsageError(f"{where}: {name} is the name of the summary; choose another.")
 
     def file(column: str) -> Path | None:
         given = cells.get(column, "")

@@ -22,8 +22,10 @@ from viewer_app.batch.jobs import Job, Outcome
 _END_WITHIN = 5.0  # seconds
 
 
-def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Outcome, None, None]:
-    """Runs the jobs and yields each outcome when it is known. Closing the generator ends all processes.
+def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Outcome | str, None, None]:
+    """Runs the jobs and yields each outcome, and each notice of a worker, when it is known.
+
+    Closing the generator ends all processes.
 
     Args:
         jobs: The jobs, started in this order.
@@ -68,13 +70,15 @@ class _Worker:
         with suppress(BrokenPipeError):  # it died; reading its outcome tells
             self.connection.send(job)
 
-    def outcome(self) -> tuple[Outcome, bool]:
-        """The outcome of the job, and whether the process lives."""
+    def outcome(self) -> tuple[Outcome | str, bool]:
+        """The outcome of the job, or a notice if it still runs; and whether the process lives."""
         assert self.job is not None
         job, self.job = self.job, None
         try:
-            outcome: Outcome = self.connection.recv()
-            return outcome, True
+            received: Outcome | str = self.connection.recv()
+            if isinstance(received, str):
+                self.job = job
+            return received, True
         except (EOFError, ConnectionError):
             self._process.join(_END_WITHIN)
             job.drop_partials()
@@ -135,7 +139,7 @@ def _serve(pipe: Connection) -> None:
             job = pipe.recv()
         except EOFError:
             return
-        pipe.send(fuse_job(job))
+        pipe.send(fuse_job(job, pipe.send))
 
 
 def _end_with_parent() -> None:

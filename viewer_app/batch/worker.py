@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from fusion.errors import FusionError
 from recordings.errors import RecordingError
 from viewer_app.batch.figures import session_figures
 from viewer_app.batch.jobs import RECORD, Job, Outcome, Record
-from viewer_app.batch.kernels import compile_once
+from viewer_app.batch.kernels import compile_once, nobody
 from viewer_app.commands.fuse import fuse_files
 from viewer_app.errors import UsageError
 from viewer_app.report.figures import report
@@ -25,11 +26,16 @@ _ONE_AT_A_TIME = threading.Lock()
 """A Dask worker may have several threads; the memory of one recording is enough."""
 
 
-def fuse_job(job: Job) -> Outcome:
-    """Fuses a pair into its folder. Every error becomes the line of the outcome."""
+def fuse_job(job: Job, say: Callable[[str], object] = nobody) -> Outcome:
+    """Fuses a pair into its folder. Every error becomes the line of the outcome.
+
+    Args:
+        job: The pair.
+        say: Receives notices, such as that the kernels are compiled.
+    """
     with _ONE_AT_A_TIME:
         try:
-            return Outcome(job.name, _fuse(job))
+            return Outcome(job.name, _fuse(job, say))
         except _MISTAKES as error:
             return Outcome(job.name, None, _one_line(str(error)))
         except OSError as error:
@@ -41,7 +47,7 @@ def fuse_job(job: Job) -> Outcome:
             return Outcome(job.name, None, _one_line(f"internal error, {type(error).__name__}: {error}"))
 
 
-def _fuse(job: Job) -> Record:
+def _fuse(job: Job, say: Callable[[str], object]) -> Record:
     os.environ.setdefault("RERUN_ANALYTICS", "0")
     identity = job.identity()
     job.drop_partials()
@@ -53,7 +59,7 @@ def _fuse(job: Job) -> Record:
     partial.mkdir(parents=True)
     try:
         options = job.fuse_options(partial)
-        compile_once(options.method, options.smooth)
+        compile_once(options.method, options.smooth, say)
         with Path(os.devnull).open("w", encoding="utf-8") as nothing:
             session, result = fuse_files(options, Console(file=nothing))
         if job.options.pages:

@@ -23,6 +23,7 @@ from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame
+from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
 from viewer_app.loop.live_loop import run_live
 from viewer_app.options.bench import BenchOutputsOptions
@@ -30,7 +31,7 @@ from viewer_app.options.shared import LiveOutputOptions
 from viewer_app.output_files import check_writable, whole_file
 from viewer_app.outputs.lab_streaming import sample
 from viewer_app.outputs.opening import plan_outputs
-from viewer_app.outputs.osc import LOOPBACK, Address
+from viewer_app.outputs.osc import Address
 from viewer_app.outputs.output import LiveOutput, OutputCounts, TimedFrame
 from viewer_app.outputs.skeleton_json import SkeletonJson
 from viewer_app.outputs.vmc import VmcEncoder, VmcOutput
@@ -42,7 +43,7 @@ _SETTLING = 30  # frames that are not counted: caches and the receiver's start
 _RECEIVER = """
 import select, socket, struct, sys, time
 receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-receiver.bind(("127.0.0.1", 0))
+receiver.bind((sys.argv[1], 0))
 print(receiver.getsockname()[1], flush=True)
 while True:
     ready = select.select([receiver, sys.stdin], [], [])[0]
@@ -153,7 +154,7 @@ def encoding_us(body: Body, frames: Sequence[RecordedFrame]) -> dict[str, float]
 def vmc_delay(body: Body, seconds: float) -> Delay:
     """The live loop with a VMC output, and a receiver in another process."""
     with subprocess.Popen(
-        [sys.executable, "-c", _RECEIVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", _RECEIVER, LOOPBACK], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as receiver:
         assert receiver.stdout is not None
         plan_outputs(LiveOutputOptions(vmc=f"{LOOPBACK}:9")).warm_up(body)

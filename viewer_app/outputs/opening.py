@@ -13,11 +13,11 @@ from fusion.body import Body
 from fusion.setup import FusionSetup
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import LiveOutputOptions
-from viewer_app.outputs.osc import Address
+from viewer_app.outputs.osc import Address, looked_up
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.outputs.vrm import Avatar, read_avatar
 
-_VMC_PORT, _VRCHAT_PORT = 39539, 9000
+_VMC_PORT, _VRCHAT_PORT = 39539, 9000  # the usual ones of the receivers
 
 
 @dataclass(frozen=True)
@@ -109,10 +109,13 @@ def plan_outputs(
         remote_sensors: Whether the Zenoh addresses are used by sensors as well.
 
     Raises:
-        DeviceError, UsageError: An option is wrong, or its package is missing.
+        DeviceError, UsageError: An option is wrong, a host is unknown, or a package is missing.
     """
     vmc = None if options.vmc is None else Address.of(options.vmc, "--vmc", _VMC_PORT)
     vrchat = None if options.vrchat is None else Address.of(options.vrchat, "--vrchat", _VRCHAT_PORT)
+    for address, option in ((vmc, "--vmc"), (vrchat, "--vrchat")):
+        if address is not None:
+            looked_up(address, option)
     if options.avatar is not None and vmc is None:
         raise UsageError("--avatar gives the proportions for --vmc; give both.")
     if options.websocket is not None and not 0 < options.websocket < 65536:

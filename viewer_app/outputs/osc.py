@@ -11,16 +11,17 @@ import socket
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from viewer_app.addresses import LOOPBACK, in_url
 from viewer_app.errors import UsageError
 
 LARGEST_DATAGRAM = 1472
 """Bytes: what fits into one Ethernet frame with the headers of IPv4 and UDP."""
 _BUNDLE = b"#bundle\0" + struct.pack(">Q", 1)  # time tag 1: immediately
-LOOPBACK = "127.0.0.1"
 
 Argument = str | int | float | None
 
@@ -117,7 +118,7 @@ class Address:
     port: int
 
     def __str__(self) -> str:
-        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+        return f"{in_url(self.host)}:{self.port}"
 
     @staticmethod
     def of(text: str, option: str, example: int) -> Address:
@@ -132,6 +133,20 @@ class Address:
         return Address((found[1] or LOOPBACK).strip("[]"), int(found[2]))
 
 
+def looked_up(address: Address, option: str) -> tuple[socket.AddressFamily, Any]:
+    """The family and the socket address of a UDP receiver.
+
+    Raises:
+        UsageError: The host is unknown; the message names the command's option.
+    """
+    try:
+        found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError) as fault:
+        reason = getattr(fault, "strerror", None) or fault
+        raise UsageError(f"{option} {address}: unknown host {address.host!r} ({reason}).") from fault
+    return found[0][0], found[0][4]
+
+
 class UdpSender:
     """Sends datagrams to one address; no receiver is needed, and sending never waits.
 
@@ -144,12 +159,7 @@ class UdpSender:
     """
 
     def __init__(self, address: Address, option: str) -> None:
-        try:
-            found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
-        except (OSError, UnicodeError) as fault:
-            reason = getattr(fault, "strerror", None) or fault
-            raise UsageError(f"{option} {address}: unknown host {address.host!r} ({reason}).") from fault
-        family, self._to = found[0][0], found[0][4]
+        family, self._to = looked_up(address, option)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 

@@ -16,8 +16,6 @@ from viewer_app.outputs.output import LiveOutput, TimedFrame
 from viewer_app.outputs.unity_pose import UnitySkeleton
 from viewer_app.outputs.vrm import Avatar
 
-PORT = 39539
-"""The usual port of a program that shows an avatar."""
 _HERE = (1, 3, 0)  # loaded; calibrated; in the normal calibration mode
 
 

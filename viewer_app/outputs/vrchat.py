@@ -16,9 +16,6 @@ from viewer_app.outputs.osc import Address, OscMessage, UdpSender, filled, split
 from viewer_app.outputs.output import LiveOutput, TimedFrame
 from viewer_app.outputs.unity_pose import UnitySkeleton
 
-PORT = 9000
-"""The port on which VRChat listens."""
-
 # slot: (bone whose rotation it has, bone at whose beginning it is)
 TRACKERS = {
     "1": ("Hips", "Hips"),

@@ -18,6 +18,11 @@ from scipy.spatial.transform import Rotation
 from viewer_app.errors import UsageError
 
 _LARGEST = 64 << 20  # bytes of JSON
+_HEADER = struct.Struct("<4sII I4s")  # of the file and of its first chunk
+
+
+class _VrmError(ValueError):
+    """What is wrong with a file, for a message."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,28 +51,32 @@ def read_avatar(path: Path) -> Avatar:
         return _avatar(_json_of(path.read_bytes()))
     except OSError as fault:
         raise UsageError(f"--avatar {path}: {fault.strerror}.") from fault
+    except _VrmError as fault:
+        raise UsageError(f"--avatar {path}: not a readable .vrm ({fault}).") from fault
+    except KeyError as fault:
+        raise UsageError(f"--avatar {path}: not a readable .vrm (it has no {fault}).") from fault
     except (
-        KeyError,
         IndexError,
         TypeError,
         ValueError,
         OverflowError,
         AttributeError,
-        struct.error,
         RecursionError,
     ) as fault:
-        raise UsageError(f"--avatar {path}: not a readable .vrm ({fault}).") from fault
+        raise UsageError(f"--avatar {path}: not a readable .vrm (its content is damaged).") from fault
 
 
 def _json_of(data: bytes) -> dict[str, Any]:
-    magic, version, _, length, kind = struct.unpack_from("<4sII I4s", data)
+    if len(data) < _HEADER.size:
+        raise _VrmError("shorter than a header")
+    magic, version, _, length, kind = _HEADER.unpack_from(data)
     if magic != b"glTF" or version != 2 or kind != b"JSON":
-        raise ValueError("no binary glTF 2.0")
+        raise _VrmError("no binary glTF 2.0")
     if length > min(_LARGEST, len(data) - 20):
-        raise ValueError("cut off")
+        raise _VrmError("cut off")
     read = json.loads(data[20 : 20 + length])
     if not isinstance(read, dict):
-        raise ValueError("no glTF")
+        raise _VrmError("no glTF")
     return read
 
 
@@ -82,7 +91,7 @@ def _avatar(gltf: dict[str, Any]) -> Avatar:
         bones = {bone["bone"]: bone["node"] for bone in extensions["VRM"]["humanoid"]["humanBones"]}
         to_unity = np.array([1.0, 1.0, -1.0])
     else:
-        raise ValueError("no VRM extension")
+        raise _VrmError("no VRM extension")
     nodes = gltf["nodes"]
     above = {child: k for k, node in enumerate(nodes) for child in node.get("children", ())}
     places: dict[int, NDArray[np.float64]] = {}
@@ -93,7 +102,7 @@ def _avatar(gltf: dict[str, Any]) -> Avatar:
         while way[-1] in above:
             way.append(above[way[-1]])
             if len(way) > len(nodes):
-                raise ValueError("nodes in a circle")
+                raise _VrmError("nodes in a circle")
         matrix = np.eye(4)
         for each in reversed(way):
             matrix = matrix @ _matrix(nodes[each])
@@ -103,7 +112,7 @@ def _avatar(gltf: dict[str, Any]) -> Avatar:
         for each in {node, above.get(node, node)}:
             places[each] = place(each)[:3, 3] * to_unity
     if not np.isfinite(list(places.values())).all():
-        raise ValueError("a place that is not finite")
+        raise _VrmError("a place that is not finite")
     origin = np.zeros(3)
     translations = {
         _unity_name(name): places[int(n)] - (places[above[int(n)]] if int(n) in above else origin)
@@ -111,7 +120,7 @@ def _avatar(gltf: dict[str, Any]) -> Avatar:
     }
     hips = int(bones["hips"])
     if places[hips][1] <= 0.0:
-        raise ValueError("hips that are not above the floor")
+        raise _VrmError("hips that are not above the floor")
     return Avatar(translations, places[hips], places[above[hips]] if hips in above else origin)
 
 

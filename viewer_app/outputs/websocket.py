@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 
 from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame
+from viewer_app.addresses import LOOPBACK, in_url, reached_at
 from viewer_app.errors import UsageError
 from viewer_app.outputs.output import LATE_NS, LiveOutput, TimedFrame, TimedNote
 from viewer_app.outputs.skeleton_json import SkeletonJson
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import Server, ServerConnection
     from websockets.http11 import Request, Response
 
-LOOPBACK = "127.0.0.1"
 _LARGEST = 4096  # bytes of a client's message
 _MOST_CLIENTS = 32
 _PATIENCE = 10.0  # seconds without an answer to a ping
@@ -62,8 +62,8 @@ class WebSocketOutput(LiveOutput):
 
     def __init__(self, port: int, setup: FusionSetup, listen: str | None = None) -> None:
         self.host = listen or LOOPBACK
-        super().__init__(f"WebSocket on ws://{_in_url(self.host)}:{port}")
-        self.page = f"http://{_in_url(self.host)}:{port}"
+        super().__init__(f"WebSocket on ws://{in_url(self.host)}:{port}")
+        self.page = f"http://{reached_at(self.host)}:{port}"
         if not _is_local(self.host):
             self.note = f"Whoever reaches {self.host}:{port} can read the skeleton, without a password."
         self._json = SkeletonJson(setup)
@@ -181,15 +181,19 @@ class WebSocketOutput(LiveOutput):
     def _trusts(self, host: str, origin: str | None) -> bool:
         """Programs, which send no origin, and pages of this machine or of this server.
 
-        A name that an attacker's DNS turns to this machine must not count as this server.
+        A name that an attacker's DNS turns to this machine must not count as this server. So a page of this
+        server must have been opened under an address or under a name of the local network.
         """
         local = _is_local(self.host)
-        if local and not _is_local(urlsplit(f"//{host}").hostname):
+        named = urlsplit(f"//{host}").hostname
+        if local and not _is_local(named):
             return False
         if origin is None:
             return True
         parts = urlsplit(origin)
-        return _is_local(parts.hostname) or (not local and parts.netloc == host)
+        return _is_local(parts.hostname) or (
+            not local and parts.netloc == host and _is_of_local_network(named)
+        )
 
     async def _attend(self, connection: ServerConnection) -> None:
         from websockets.exceptions import ConnectionClosed
@@ -236,12 +240,19 @@ class WebSocketOutput(LiveOutput):
             self._loop.close()
 
 
-def _in_url(host: str) -> str:
-    return f"[{host}]" if ":" in host else host
-
-
 def _is_local(host: str | None) -> bool:
     try:
         return host == "localhost" or ipaddress.ip_address(host or "").is_loopback
     except ValueError:
         return False
+
+
+def _is_of_local_network(host: str | None) -> bool:
+    """An IP address, or a name that no public DNS resolves: without a dot, or ending in .local."""
+    if not host:
+        return False
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return "." not in host or host.endswith(".local")
+    return True

@@ -25,9 +25,9 @@ from pathlib import Path
 from typing import IO
 from urllib.parse import quote
 
+from viewer_app.addresses import LOOPBACK, reached_at
 from viewer_app.errors import UsageError
 
-LOOPBACK = "127.0.0.1"
 _STARTS_WITHIN = 20.0  # seconds
 _HUB_MEMORY = "512MiB"
 _VIEWER_MEMORY = "2GiB"
@@ -60,8 +60,7 @@ class Hub:
     @property
     def reached_at(self) -> str:
         """The host name to reach it by, from this machine."""
-        anywhere = {"0.0.0.0": LOOPBACK, "::": "[::1]"}
-        return anywhere.get(self.address, f"[{self.address}]" if ":" in self.address else self.address)
+        return reached_at(self.address)
 
     @property
     def url(self) -> str:

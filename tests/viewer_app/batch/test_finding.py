@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.helpers.command_line import duplex, one_line
+from viewer_app.batch import processes
 from viewer_app.batch.finding import Pair, find_pairs
-from viewer_app.batch.jobs import Job
+from viewer_app.batch.jobs import Job, Outcome, checksum
 from viewer_app.batch.manifest import read_manifest
 from viewer_app.errors import UsageError
 from viewer_app.options.batch import BatchOptions
@@ -65,6 +67,13 @@ def test_two_pairs_of_one_name_are_refused(tmp_path: Path) -> None:
         find_pairs(tmp_path, tmp_path / "out")
 
 
+@pytest.mark.parametrize("name", ["summary.parquet", "SUMMARY.html"])
+def test_no_session_takes_the_place_of_the_summary(name: str, tmp_path: Path) -> None:
+    touch(tmp_path, f"{name}_a.csv", f"{name}_b.csv")
+    with pytest.raises(UsageError, match=f"would be session {name}"):
+        find_pairs(tmp_path, tmp_path / "out")
+
+
 def test_a_manifest(tmp_path: Path) -> None:
     touch(tmp_path, "one.csv", "two.csv", "deep/three.mkv", "s.json")
     manifest = tmp_path / "m.csv"
@@ -89,6 +98,7 @@ def test_a_manifest(tmp_path: Path) -> None:
         ("name,a,b\nwalk,one.csv,\n", "line 2: b is empty."),
         ("name,a,b\n,one.csv,two.csv\n", "line 2: '' is not a name for a folder."),
         ("name,a,b\n../x,one.csv,two.csv\n", "line 2: '../x' is not a name for a folder."),
+        ("name,a,b\nSummary.html,one.csv,two.csv\n", "line 2: Summary.html is the name of the summary"),
         ("name,a,b\nwalk,one.csv,no.csv\n", "line 2: no file"),
         ("name,a,b\nwalk,one.csv,one.csv\n", "line 2: a and b are the same file."),
         ("name,a,b\nx,one.csv,two.csv\n\nX,two.csv,one.csv\n", "line 4: the name X occurs twice."),
@@ -146,3 +156,29 @@ def test_a_file_that_is_named_like_an_option_does_not_change_a_session(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "duplex").write_text("", encoding="utf-8")
     assert job.identity() == before
+
+
+def test_workers_in_another_folder_find_the_files_of_the_options(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = "k.json", "libk4abt.so"
+    touch(tmp_path, "pairs/a.csv", "pairs/b.csv", "networks/full", "elsewhere/x", *names)
+    seen: list[Job] = []
+
+    def run(jobs: list[Job], _: int) -> Iterator[Outcome]:
+        monkeypatch.chdir(tmp_path / "elsewhere")
+        seen.extend(jobs)
+        yield Outcome("pairs", None, "not fused")
+
+    monkeypatch.setattr(processes, "run_in_processes", run)
+    monkeypatch.chdir(tmp_path)
+    files = "--calibrate", "k.json", "--tracker-model", "networks", "--k4abt", "libk4abt.so"
+    assert duplex("batch", "pairs", "--out", "out", *files) == 1
+    options, identity = seen[0].options, seen[0].identity()["options"]
+    assert (options.source, options.out) == (tmp_path / "pairs", tmp_path / "out")
+    assert (options.tracker_model, options.k4abt) == (tmp_path / "networks", tmp_path / "libk4abt.so")
+    assert options.calibrate == str(tmp_path / "k.json")
+    assert identity["calibrate"] == f"sha256:{checksum(tmp_path / 'k.json')}"
+    (tmp_path / "k.json").unlink()  # as if the worker did not see this folder
+    with pytest.raises(FileNotFoundError):
+        seen[0].identity()

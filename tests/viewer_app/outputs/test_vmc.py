@@ -270,6 +270,13 @@ def test_a_file_that_is_no_avatar_gives_one_line(tmp_path: Path) -> None:
             read_avatar(bad)
         except UsageError as fault:
             assert "\n" not in str(fault)  # noqa: PT017
+    for content, words in (
+        (b"", "shorter than a header"),
+        (whole.replace(b'"hips": {', b'"lips": {'), "no 'hips'"),
+    ):
+        bad.write_bytes(content)
+        with pytest.raises(UsageError, match=words):
+            read_avatar(bad)
     with pytest.raises(UsageError, match=r"--avatar .*none\.vrm"):
         read_avatar(tmp_path / "none.vrm")
 

@@ -169,6 +169,12 @@ def test_pages_of_other_sites_may_not_read(server: WebSocketOutput, fuser: Fuser
         urlopen(f"{server.page}/etc/passwd", timeout=30)
     with closing(WebSocketOutput(free_port(), fuser.setup, "0.0.0.0")) as open_to_all:
         port = port_of(open_to_all)
+        assert open_to_all.page == f"http://127.0.0.1:{port}"
+        for name, answer in (("rebound.example.org", b"403"), ("192.168.0.20", b"101"), ("pc.local", b"101")):
+            with socket.create_connection(("127.0.0.1", port)) as raw:
+                named = f"{name}:{port}\r\nOrigin: http://{name}:{port}"
+                raw.sendall(handshake(port).replace(f"127.0.0.1:{port}".encode(), named.encode()))
+                assert raw.recv(12) == b"HTTP/1.1 " + answer
         with socket.create_connection(("127.0.0.1", port)) as raw:
             named = f"lab-pc:{port}\r\nOrigin: http://lab-pc:{port}"
             raw.sendall(handshake(port).replace(f"127.0.0.1:{port}".encode(), named.encode()))

@@ -15,6 +15,7 @@ from recordings.reading.rrd_file import damage_of
 from recordings.writing.session_writer import whole_recording
 from tests.helpers.machine import need_viewer
 from tests.helpers.waiting import eventually
+from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
 from viewer_app.viewer import file_window, rerun_process
 from viewer_app.viewer.rerun_process import stop
@@ -98,7 +99,7 @@ def test_a_viewer_shows_the_file_with_its_own_layout_after_the_file_is_gone(
     write(None, window=True)
     ((process, port),) = started
     try:
-        viewer = ViewerClient.connect(f"rerun+http://{rerun_process.LOOPBACK}:{port}/proxy")
+        viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
         assert eventually(lambda: [view.name for view in viewer.get_state().views] == ["the only view"], 30.0)
     finally:
         stop(process)
