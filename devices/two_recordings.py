@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from devices.azure.recording.mkv import MkvInfo
 from devices.image_thinning import Depth, thinned, thinned_camera
 from devices.pairing import FramePair, Pairing, pair_recordings
-from devices.recorded_person import choose_person, with_successors
 from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.skeletons.recorded_person import choose_person, with_successors
 from devices.sources import (
     frame_count,
     has_images,

@@ -20,8 +20,8 @@ from rich.console import Console
 from rich.table import Table
 
 from devices.pairing import pair_recordings
-from devices.recorded_person import choose_person
 from devices.sensor import DeviceError
+from devices.skeletons.recorded_person import choose_person
 from devices.skeletons.recording import SkeletonRecording
 from fusion.body import BODIES, KINECT_V2, Body
 from fusion.setup import Method

@@ -1,4 +1,7 @@
-"""Order, clocks and restarts of remote sensors in virtual time; losses, jitter and reordering injected."""
+"""Order, clocks and restarts of remote sensors in virtual time; losses, jitter and reordering injected.
+
+A little over 300 lines: one claim per fault of a network.
+"""
 
 from __future__ import annotations
 
