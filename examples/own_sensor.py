@@ -17,16 +17,14 @@ class OwnSensor:
         return self
 
     def __exit__(self, *error): ...  # and close it here
-
     def frames(self):  # wait for your camera here; a simulated one stands in for it
         for seen in self.camera.frames():
             time.sleep(1 / 30)
-            person = Skeleton.of(KINECT_V2, seen.people["1"].positions)
-            yield SensorFrame(seen.time_ns, {"1": person})
+            yield SensorFrame(seen.time_ns, {"1": Skeleton.of(KINECT_V2, seen.people["1"].positions)})
 
 
-camera_a, camera_b, _ = simulated_pair(motion="walk", seconds=5.0, body=KINECT_V2)
-frames = fuse_live(OwnSensor("left", camera_a), OwnSensor("right", camera_b), keep=True)
+left, right, _ = simulated_pair(motion="walk", seconds=5.0, body=KINECT_V2)
+frames = fuse_live(OwnSensor("left", left), OwnSensor("right", right), keep=True)
 for frame in frames:
     print("head at", frame.fused.positions[KINECT_V2.joint("Head")].round(3), "m")
 print(frames.session)  # frames.session.save("own.rrd") writes it

@@ -134,8 +134,9 @@ def test_a_live_session_is_kept_on_request_and_saved(tmp_path: Path) -> None:
         _ = running.setup
     frames = list(running)
     running.session.save(tmp_path / "own.rrd")
-    session = Session.load(tmp_path / "own.rrd")
-    assert np.array_equal(session.fused, [frame.fused.positions for frame in frames])
+    session = Session.open(tmp_path / "own.rrd")
+    fused = [frame.fused.positions for frame in frames]
+    assert np.array_equal(session.fused, np.asarray(fused, dtype=np.float32))  # as it is stored
     assert session.sources == ("a", "b")
     assert running.setup is setup
     with pytest.raises(RecordingError, match="keep=True"):

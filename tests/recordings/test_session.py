@@ -135,7 +135,8 @@ def test_a_cut_off_session_gives_the_frames_before(tmp_path: Path) -> None:
     assert 0 < len(cut) < FRAMES
     assert len(cut) % 10 == 0
     assert cut.damage is not None
-    assert "cut off" in cut.damage
+    # between two messages a cut cannot be told from a program that was killed
+    assert "cut off" in cut.damage or cut.damage == "it was not ended"
     np.testing.assert_array_equal(frame_checksums(cut.rows), frame_checksums(whole.rows)[: len(cut)])
 
 

@@ -63,9 +63,10 @@ def run(options: BatchOptions) -> None:
                             f"{outcome.name}: {outcome.error}", style="red", highlight=False, markup=False
                         )
     finally:
-        pending = [Row(job, "pending") for job in work.jobs if job.name not in rows]
-        if rows:
-            _write_summary([*rows.values(), *pending], options.out)
+        # After an interruption a session may be in place whose worker did not report it any more.
+        left = [_left(job) for job in work.jobs if job.name not in rows]
+        if rows or any(row.state == "fused" for row in left):
+            _write_summary([*rows.values(), *left], options.out)
     failed = sum(row.state == "failed" for row in rows.values())
     console.print(
         f"Sessions fused: {len(rows) - failed}, failed: {failed}. Summary: {options.out / PAGE}",
@@ -110,6 +111,12 @@ def plan_work(jobs: Sequence[Job], force: bool) -> Work:
                 f"{job.folder} was fused {difference}. Choose another --out, or fuse it again with --force."
             )
     return Work(tuple(done), tuple(left))
+
+
+def _left(job: Job) -> Row:
+    """A session of which no outcome was reported."""
+    record = job.record()
+    return Row(job, "pending") if record is None else Row(job, "fused", record)
 
 
 def _difference(before: dict[str, object], now: dict[str, object]) -> str:

@@ -51,7 +51,7 @@ def test_one_of_two_sensor_programs_is_killed_and_started_anew(tmp_path: Path) -
             assert goes_on(saved)
             again = sensor("b")
             assert fusing.says("zenoh:lab/b is back.", SLOW_S), fusing.said
-            assert goes_on(saved)
+            assert goes_on(saved, 90)
             assert fusing.end() == 0, fusing.said
         assert a.end() == 0
         assert "frames published" in a.said
@@ -66,9 +66,9 @@ def test_one_of_two_sensor_programs_is_killed_and_started_anew(tmp_path: Path) -
     assert np.isfinite(session.fused).all()
     seen_b = np.isfinite(session.skeleton_b.positions).any(axis=(1, 2))
     assert seen_b[:30].any()
-    assert seen_b[-10:].any()
     alone = np.flatnonzero(~seen_b)
     assert len(alone) >= 30
+    assert seen_b[alone[29] :].any()
     figures = json.loads(report.read_text())
     assert figures["network"]["b"]["restarts"] == 1
     assert figures["network"]["a"]["restarts"] == 0

@@ -54,7 +54,7 @@ def test_pairing_has_the_interval_of_the_cameras(
 
 @pytest.mark.usefixtures("kinects")
 def test_on_a_cpu_it_says_that_frames_are_few(capsys: pytest.CaptureFixture[str]) -> None:
-    two_kinects(LiveOptions(principal="000123", processing="cpu"), Console())
+    two_kinects(LiveOptions(principal="000123", processing="cpu", tracker="k4abt"), Console())
     said = " ".join(capsys.readouterr().out.split())
     assert "about one frame per second" in said
     assert "duplex fuse a.mkv b.mkv" in said
@@ -72,7 +72,7 @@ def test_tensorrt_has_time_to_build_its_engine(
         return thread
 
     monkeypatch.setattr(SensorThread, "open", open_thread)
-    options = LiveOptions(kinect_a="000123", kinect_b="000456", processing=processing)
+    options = LiveOptions(kinect_a="000123", kinect_b="000456", processing=processing, tracker="k4abt")
     with two_kinects(options, Console()):
         assert given == [within_s] * 4
     assert ("TensorRT builds its engine; minutes" in capsys.readouterr().out) == (processing == "tensorrt")
