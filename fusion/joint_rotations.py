@@ -35,7 +35,7 @@ _TWIST_SPEED = 20.0
 _RELAXING = 1.0
 """1/s, at which the twist of a straight limb approaches that of the smallest rotation."""
 _FORGETTING_S = 0.5
-"""After a gap as long as this, the twist of a straight limb starts anew."""
+"""A gap of this length resets the twist of straight limbs."""
 _LEFT = np.array([1.0, 0.0, 0.0])  # the person's left at rest, in K_A's frame
 _TINY = 1e-9
 

@@ -15,22 +15,11 @@ from devices.network.zenoh_session import ZenohAddresses, zenoh_session
 from devices.sensor import Sensor
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import LiveOptions
-from viewer_app.options.shared import ZenohOptions
 
 
 def names_remote(options: LiveOptions) -> bool:
     """Whether a sensor is named ``zenoh:KEY``."""
     return any((name or "").startswith(PREFIX) for name in (options.kinect_a, options.kinect_b))
-
-
-def listening(options: ZenohOptions) -> ZenohAddresses:
-    """Addresses of the program that fuses: it waits for the others on this machine, if nothing is given."""
-    return ZenohAddresses.of_meeting_point(options.zenoh_listen, options.zenoh_connect)
-
-
-def connecting(options: ZenohOptions) -> ZenohAddresses:
-    """Addresses of a program with a sensor: it connects to this machine, if nothing is given."""
-    return ZenohAddresses.of_visitor(options.zenoh_listen, options.zenoh_connect)
 
 
 @contextmanager
@@ -52,7 +41,7 @@ def sensors_by_network(
         raise UsageError(f"{unused} is for two Kinects of this PC; leave it out with zenoh:KEY.")
     if options.kinect_a == options.kinect_b:
         raise UsageError(f"Kinect A and B are both {options.kinect_a}. Name two different sensors.")
-    addresses = listening(options)
+    addresses = ZenohAddresses.of_meeting_point(options.zenoh_listen, options.zenoh_connect)
     names = options.kinect_a, options.kinect_b
     a, b = (
         RemoteSensor(name.removeprefix(PREFIX), addresses) if (name or "").startswith(PREFIX) else None

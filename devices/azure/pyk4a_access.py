@@ -181,14 +181,21 @@ def _not_found(serial: str, others: list[str], faults: list[str]) -> str:
     return f"No Kinect with serial {serial}, and no other. Plug it in: USB 3 and its own power supply."
 
 
-def why_not_open(fault: Exception, bus: list[UsbKinect] | None = None) -> str:
-    """Why a connected device does not open; the SDK gives no reason."""
+def why_not_open(fault: Exception, bus: list[UsbKinect] | None = None, programs: str = "k4aviewer") -> str:
+    """Why a connected device does not open; the SDKs give no reason.
+
+    Args:
+        fault: The SDK's exception.
+        bus: The sensors on USB; None: looked up.
+        programs: Programs that may keep the device busy.
+    """
     said = f" ({fault})" if str(fault) else ""
     forbidden = [device for device in (usb_kinects() if bus is None else bus) if not device.allowed]
     if forbidden:
         return f"no permission for {forbidden[0].node}{said}. {UDEV_ADVICE}"
     return (
-        f"it is busy or starting up{said}. Close other programs that use it (k4aviewer), wait 5 s, try again."
+        f"it is busy or starting up{said}. Close other programs that use it ({programs}), wait 5 s, "
+        "try again."
     )
 
 

@@ -12,7 +12,8 @@ from types import ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from devices.azure.usb import UDEV_ADVICE, UsbKinect, usb_kinects
+from devices.azure.pyk4a_access import why_not_open
+from devices.azure.usb import UDEV_ADVICE, usb_kinects
 from devices.orbbec.installing import how_to_install
 from devices.sensor import AbsentError, DeviceError
 
@@ -109,7 +110,8 @@ def open_orbbec(sdk: Any, serial: str) -> Any:
     try:
         return context_of(sdk).query_devices().get_device_by_serial_number(serial)
     except faults_of(sdk) as fault:
-        raise DeviceError(f"Orbbec {serial} cannot be opened: {why_not_open(fault)}") from fault
+        why = why_not_open(fault, usb_kinects(), "OrbbecViewer, k4aviewer")
+        raise DeviceError(f"Orbbec {serial} cannot be opened: {why}") from fault
 
 
 def is_connected(sdk: Any, serial: str) -> bool:
@@ -126,18 +128,6 @@ def is_connected(sdk: Any, serial: str) -> bool:
 def faults_of(sdk: Any) -> tuple[type[Exception], ...]:
     """The exceptions of the SDK: its own, and those of C++ that its bindings do not translate."""
     return (sdk.OBError, RuntimeError)
-
-
-def why_not_open(fault: Exception, bus: list[UsbKinect] | None = None) -> str:
-    """Why a connected sensor does not open."""
-    said = f" ({fault})" if str(fault) else ""
-    forbidden = [device for device in (usb_kinects() if bus is None else bus) if not device.allowed]
-    if forbidden:
-        return f"no permission for {forbidden[0].node}{said}. {UDEV_ADVICE}"
-    return (
-        f"it is busy or starting up{said}. Close other programs that use it (OrbbecViewer, k4aviewer), wait "
-        f"5 s, try again."
-    )
 
 
 @contextmanager

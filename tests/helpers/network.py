@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import socket
 from dataclasses import dataclass
 
 import numpy as np
 
 from devices.network.messages import FrameMessage, encode_frame
 from devices.sensor import SensorFrame
+from viewer_app.addresses import LOOPBACK
+from viewer_app.viewer.rerun_process import free_port
 
 
 def free_address() -> str:
     """A Zenoh address on this machine that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
-def free_port() -> int:
-    """A TCP port of this machine that nobody listens on now."""
-    return int(free_address().rpartition(":")[2])
+    return f"tcp/{LOOPBACK}:{free_port()}"
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from viewer_app.errors import UsageError
 _NEEDED = ("name", "a", "b")
 _OPTIONAL = ("skeletons_a", "skeletons_b", "person_a", "person_b")
 _BAD_NAME = re.compile(r'^[. ]|[<>:"/\\|?*\x00-\x1f]|[. ]$')
-"""What a folder's name cannot have on Windows, Linux or macOS, and hidden names."""
+"""Matches names that Windows, Linux or macOS do not allow for a folder, and names of hidden folders."""
 
 
 def read_manifest(path: Path) -> list[Pair]:

@@ -13,7 +13,7 @@ from devices.live.played_recording import PlayedRecording
 from devices.live.sensor_thread import SensorThread
 from devices.network.publishing import FramePublisher, publish_until
 from devices.network.remote_sensor import PREFIX
-from devices.network.zenoh_session import checked_key, load_zenoh
+from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zenoh
 from devices.sensor import Sensor
 from devices.simulated.by_wall_clock import sensor_by_wall_clock
 from devices.simulated.kinect import movement
@@ -22,7 +22,7 @@ from fusion.body import BODIES
 from viewer_app.errors import UsageError
 from viewer_app.live_sensors import one_sensor
 from viewer_app.loop.interruption import CtrlC
-from viewer_app.network_sensors import connecting, teller
+from viewer_app.network_sensors import teller
 from viewer_app.options.sensing import PublishOptions
 from viewer_app.tracker_selection import announce_tracker, tracker_of
 
@@ -36,7 +36,7 @@ def run(options: PublishOptions) -> None:
         DeviceError, UsageError: With a one-line message for the user.
     """
     console = Console()
-    addresses = connecting(options)
+    addresses = ZenohAddresses.of_visitor(options.zenoh_listen, options.zenoh_connect)
     checked_key(options.publish)
     load_zenoh()
     if options.seconds is not None and not 0.0 < options.seconds < float("inf"):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
 
-from devices.blazepose.networks.fetching import LICENCE, NOTICE, fetch
+from devices.blazepose.networks.fetching import LICENCE, NOTICE
 from devices.blazepose.networks.files import cache_folder
 from viewer_app.options.tracker import TrackerFetchOptions
+from viewer_app.tracker_networks import fetch_with_bar
 
 
 def run(options: TrackerFetchOptions) -> None:
@@ -19,13 +19,7 @@ def run(options: TrackerFetchOptions) -> None:
     """
     console = Console()
     folder = options.tracker_model or cache_folder()
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), DownloadColumn(), console=console, transient=True
-    ) as bar:
-        task = bar.add_task("fetching the networks", total=None)
-        fetched = fetch(
-            options.network, folder, lambda done, total: bar.update(task, completed=done, total=total)
-        )
+    fetched = fetch_with_bar(options.network, folder, console)
     where = escape(str(folder))
     if not fetched:
         console.print(

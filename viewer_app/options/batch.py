@@ -28,7 +28,7 @@ class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
     processes: int = 0
     """How many recordings are fused at the same time on this machine; 0: one per processor."""
     scheduler: str | None = None
-    """Address of a Dask scheduler, tcp://HOST:PORT: its workers fuse, and see the same paths as this
+    """Address of a Dask scheduler, tcp://HOST:PORT, whose workers fuse. They must see the same paths as this
     machine."""
     pages: bool = False
     """Write a page per session, as duplex review --html does; takes longer than fusion."""

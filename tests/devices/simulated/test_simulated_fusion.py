@@ -59,7 +59,7 @@ def test_without_errors_fusion_is_the_truth(body: Body, motion: str) -> None:
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
 @pytest.mark.parametrize("motion", ["badminton", "walk"])
 def test_without_errors_the_estimator_lags_by_less_than_it_reports(body: Body, motion: str) -> None:
-    """Only the estimator's smoothing is left. It stays within the two sigma that hold 95 % of all errors."""
+    """Only the estimator's smoothing is left. It stays below 2σ, which bounds 95 % of all errors."""
     frames, truth = frames_and_truth(body, motion, Rig(skew_seconds=0.0), method="duplex")
     off = np.linalg.norm([frame.positions for frame in frames] - truth, axis=2)
     assert (off < 2.0 * np.array([frame.sigma for frame in frames])).all()

@@ -65,10 +65,11 @@ def test_setup_shows_infrared_with_the_skeleton_over_it(tmp_path: Path) -> None:
     with headless_viewer(str(written(tmp_path / "s.rrd", for_viewer=True))) as viewer:
 
         def drawn() -> bool:
-            found = [
-                v for v in viewer.get_state().views if v.name in ("Kinect A, infrared", "Kinect B, infrared")
-            ]
-            pictures = [view_of(viewer, view.view_id, tmp_path / "view.png") for view in found]
+            # the viewer lists views in no fixed order
+            found = sorted(
+                (view.name, view.view_id) for view in viewer.get_state().views if view.name in NAMES
+            )
+            pictures = [view_of(viewer, view_id, tmp_path / "view.png") for _, view_id in found]
             return len(pictures) == 2 and all(
                 picture is not None and is_grey_ramp(picture) and pixels_near(picture, color) > 20
                 for picture, color in zip(pictures, SKELETONS, strict=True)
@@ -84,6 +85,7 @@ def test_setup_shows_infrared_with_the_skeleton_over_it(tmp_path: Path) -> None:
         assert complaints == []
 
 
+NAMES = "Kinect A, infrared", "Kinect B, infrared"
 SKELETONS = layout.SKELETON_COLORS["a"], layout.SKELETON_COLORS["b"]
 
 

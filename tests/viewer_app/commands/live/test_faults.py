@@ -31,7 +31,7 @@ def test_unplugged_mid_stream(
     told = [text for text in events_of(saved) if "000123" in text]
     assert "unplugged" in told[0]
     assert "Going on without it" in told[0]
-    # B gives frames to the end: some 48, of which 15 with A
+    # B gives about 48 frames, until the end; 15 of them are paired with A
     assert rows_of(saved, "/fused/skeleton") >= 0.6 * b.captures > 15
     assert kinects.open_serials == []
 

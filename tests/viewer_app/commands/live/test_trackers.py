@@ -31,7 +31,7 @@ MODES = values.OBMultiDeviceSyncMode
 
 @pytest.fixture
 def own_tracker(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
-    """The program's tracker without networks: it finds a standing person in every image that it keeps."""
+    """A stand-in for the program's tracker, without networks. It finds a standing person in each image."""
     images: list[np.ndarray] = []
     standing = moving(BLAZEPOSE, 1)[0]
 
