@@ -26,7 +26,7 @@ from viewer_app.coach.standing_spot import CAMERA_HEIGHT, FARTHEST, nearest, sta
 UNSEEN = 1.0
 """Seconds without a person before the coach reports it."""
 CUT_OFF = 0.5
-"""Share of the last second in which a foot is not tracked or outside the image."""
+"""Share of the last second in which a foot is outside the image, or none is tracked."""
 HOLD = 3.0
 """Seconds to hold the start-up pose; the paper asks for a few seconds."""
 RATE = 0.8
@@ -38,7 +38,11 @@ MOVED = 0.25
 seconds' median by up to 0.19; turning a sensor by 5° shifts it by 0.26 at 3 m."""
 WARM_UP = 2400.0
 """Seconds until an Azure Kinect's distances stay the same (Tölgyessy et al. 2021: 40 to 50 minutes)."""
+DROPPED = 0.05
+"""Largest accepted share of frames that this machine is too slow for."""
 _BUSY = "The body tracker needs more of this machine. Close other programs."
+_SLOW = "This machine is too slow. Close other programs, or use --depth none."
+_USB = "Give it a USB controller of its own, and light."
 _SECOND, _RATE_WINDOW, _MOVED_WINDOW = 1.0, 2.0, 8.0  # seconds
 
 
@@ -80,6 +84,7 @@ class Coach:
         intrinsics: Intrinsics of the depth cameras of A and B.
         rate: Nominal frames per second.
         warm_up: Seconds until the sensors' distances are stable.
+        simulated: Whether this machine simulates the sensors, so that only it can be too slow.
     """
 
     def __init__(
@@ -88,9 +93,10 @@ class Coach:
         intrinsics: tuple[Intrinsics, Intrinsics],
         rate: float = 30.0,
         warm_up: float = 0.0,
+        simulated: bool = False,
     ) -> None:
         self.body, self.intrinsics = body, intrinsics
-        self._rate, self._warm_up = rate, warm_up
+        self._rate, self._warm_up, self._simulated = rate, warm_up, simulated
         self._feet = np.array([body.joint("ANKLE_LEFT"), body.joint("ANKLE_RIGHT")])
         self._views: tuple[deque[_View], deque[_View]] = (deque(), deque())
         self._seen_at: list[float | None] = [None, None]
@@ -161,9 +167,13 @@ class Coach:
         return shift
 
     def _feet_gone(self, skeleton: Skeleton, camera: Intrinsics) -> bool:
+        """Whether a foot is outside the image, or no foot is seen.
+
+        One leg often hides the other, which no better place would change; it cannot hide both feet.
+        """
         pixels = camera.project(skeleton.positions[self._feet])
-        inside = (pixels >= 0.0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
-        return not bool((skeleton.tracked[self._feet] & inside).all())
+        outside = (pixels < 0.0).any(axis=1) | (pixels >= (camera.width, camera.height)).any(axis=1)
+        return bool(outside.any() or not skeleton.tracked[self._feet].any())
 
     def _sensors(self, time: float) -> Iterator[Advice]:
         assert self._began is not None
@@ -174,9 +184,12 @@ class Coach:
             # What is left out for a slow body tracker is no fault of USB or light, and is told as it begins.
             step = max(view.step for view in self._views[k])
             least = RATE * self._rate / step
+            dropped = self._drops[-1][1][k] - self._drops[0][1][k]
+            most = int(DROPPED * self._rate * _RATE_WINDOW)
             if came < least:
                 few = int(came)  # rounded it might be the limit itself
-                remedy = "Give it a USB controller of its own, and light." if step == 1 else _BUSY
+                slow = self._simulated or dropped > most
+                remedy = _BUSY if step != 1 else _SLOW if slow else _USB
                 yield Advice(
                     f"rate {side}",
                     f"Sensor {side} gives {few} frames per second; below {least:.3g} "
@@ -187,15 +200,14 @@ class Coach:
                     side,
                     f"{few} frames per second",
                 )
-            dropped = self._drops[-1][1][k] - self._drops[0][1][k]
-            if dropped > 0:
+            elif dropped > most:
                 yield Advice(
                     f"drops {side}",
-                    f"{dropped} frames of {side} came too fast for this machine in {_RATE_WINDOW:g} s (0 is "
-                    "good). Close other programs.",
+                    f"{dropped} frames of {side} came too fast for this machine in {_RATE_WINDOW:g} s (limit "
+                    f"{most}). Close other programs.",
                     "WARN",
                     dropped,
-                    0.0,
+                    most,
                     side,
                     "drops frames",
                 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -39,13 +40,14 @@ def watched(
     b: bool = True,
     skew_ns: int = 0,
     every: int = 1,
-    lost_feet: bool = False,
+    lost_feet: Sequence[str] = (),
     dropping: int = 0,
     frame_ns: int = FRAME_NS,
+    simulated: bool = False,
 ) -> dict[str, Advice]:
     """The coach's advice by topic after some seconds of unchanged frames."""
     now = now or Situation(KNOWN, settled=True, held=0.0)
-    coach, fuser = Coach(BODY, (CAMERA, CAMERA)), Fuser(FusionSetup(now.calibration))
+    coach, fuser = Coach(BODY, (CAMERA, CAMERA), simulated=simulated), Fuser(FusionSetup(now.calibration))
     joints = standing(BODY) if truth is None else truth
     advice: list[Advice] = []
     for k in range(0, round(seconds * 1e9 / frame_ns) + 1, every):
@@ -56,7 +58,7 @@ def watched(
             assert skeleton is not None
             if lost_feet:
                 states = np.array(skeleton.states)
-                states[BODY.joint("ANKLE_LEFT")] = TrackingState.INFERRED
+                states[[BODY.joint(f"ANKLE_{foot}") for foot in lost_feet]] = TrackingState.INFERRED
                 skeleton = Skeleton.of(BODY, skeleton.positions, states, time_ns)
             people.append({"1": skeleton} if shown else {})
         pair = FramePair.of(
@@ -90,9 +92,13 @@ def test_a_sensor_that_is_slightly_too_slow_is_below_the_limit_in_words_too() ->
 @pytest.mark.parametrize("lost", ["states", "image"])
 def test_feet_that_are_hidden_or_outside_the_image_are_noticed(lost: str) -> None:
     lowered = standing(BODY) + [0.0, 1.2, 0.0]
-    said = watched(lost_feet=True) if lost == "states" else watched(lowered)
+    said = watched(lost_feet=("LEFT", "RIGHT")) if lost == "states" else watched(lowered)
     assert {"feet A", "feet B"} <= wrong(said)
     assert said["feet A"].figure == 1.0
+
+
+def test_a_foot_behind_the_other_leg_is_no_fault_of_the_placement() -> None:
+    assert wrong(watched(lost_feet=("LEFT",))) == set()
 
 
 def test_too_close_and_too_far_name_the_distance_and_the_limit() -> None:
@@ -152,6 +158,13 @@ def test_slow_late_and_dropping_sensors_are_named() -> None:
     said = watched(dropping=1)
     assert wrong(said) == {"drops A"}
     assert said["drops A"].figure == 60  # in two seconds
+
+
+def test_this_machine_is_blamed_for_a_low_rate_where_it_is_too_slow() -> None:
+    assert "USB" not in watched(every=2, dropping=1)["rate A"].text
+    assert "This machine is too slow" in watched(every=2, dropping=1)["rate A"].text
+    assert "USB" in watched(every=2, dropping=1)["rate B"].text  # it drops none
+    assert "This machine is too slow" in watched(every=2, simulated=True)["rate B"].text
 
 
 def test_a_turned_sensor_asks_for_a_new_calibration() -> None:
