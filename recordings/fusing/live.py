@@ -21,6 +21,7 @@ from fusion.setup import FusionSetup
 from recordings.errors import RecordingError
 from recordings.events import Event
 from recordings.fusing.exchanged_sides import ExchangedSides, Told
+from recordings.fusing.lost_limbs import LostLimbs
 from recordings.fusing.recorded import fuse_one
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
@@ -44,7 +45,7 @@ class LiveFusion:
         learns = setup.settings.method == "duplex" and (refine or not calibrated)
         self._learner = CalibrationLearner(setup.body, setup.calibration) if learns else None
         self._changes: list[CalibrationChange] = []
-        self._sides = ExchangedSides()
+        self._sides, self._limbs = ExchangedSides(), LostLimbs(setup.body)
         self._told: list[Told] = []
 
     def chosen(self, pair: FramePair) -> FramePair:
@@ -78,7 +79,7 @@ class LiveFusion:
     def fuse(self, pair: FramePair) -> RecordedFrame:
         """Fuses a pair whose person is chosen; then passes the pair to the calibration learner."""
         frame = fuse_one(self._fuser, pair)
-        self._told = self._sides.observe(frame.fused)
+        self._told = self._sides.observe(frame.fused) + self._limbs.observe(pair.skeletons, frame.fused)
         if self._learner is not None and self.calibrator.settled:
             fused = frame.fused
             codes = fused.exchanged_a & WHOLE, fused.exchanged_b & WHOLE
@@ -91,7 +92,7 @@ class LiveFusion:
         return frame
 
     def told(self) -> list[Told]:
-        """Returns the events of the last pair: sides exchanged, calibration refined, sensor moved."""
+        """Returns the events of the last pair: of views, the calibration and the sensors."""
         return self._told
 
 

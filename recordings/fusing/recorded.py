@@ -22,6 +22,7 @@ from fusion.recording import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings, FusionSetup, Hindsight
 from recordings.events import Event
 from recordings.fusing.exchanged_sides import exchange_events
+from recordings.fusing.lost_limbs import limb_events
 from recordings.images.session_images import RecordingImages
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
@@ -160,6 +161,7 @@ def fused_session(
         events=[
             *_events_of(read, plan, segments, first_ns),
             *exchange_events((f.fused for f in frames), first_ns),
+            *limb_events(read.body, frames, first_ns),
         ],
         images=RecordingImages(read, depth, progress),
         about={"tracker": read.tracker} if read.tracker else None,

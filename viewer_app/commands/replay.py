@@ -18,6 +18,7 @@ from fusion.recording import plan_recording
 from fusion.setup import FusionSetup
 from recordings.events import Event
 from recordings.fusing.exchanged_sides import exchange_events
+from recordings.fusing.lost_limbs import limb_events
 from recordings.fusing.recorded import fuse_segments, setups_of
 from recordings.images.session_images import NO_IMAGES
 from recordings.session import Session
@@ -99,6 +100,7 @@ def run(options: ReplayOptions) -> None:
     first_ns = pairs[0].time_ns
     events = [_calibrated(setup, session, own) for setup, own in segments]
     events += exchange_events((frame.fused for frame in frames), first_ns)
+    events += limb_events(session.body, frames, first_ns)
     replayed = Session.of(
         [(setup, frames[own]) for setup, own in segments],
         session.sources,
