@@ -22,6 +22,7 @@ from devices.simulated.person.captured_motion import read_bvh
 from devices.simulated.person.clothed_surface import clothed_capsules, materials
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
+from devices.simulated.tracking.scripted_faults import ScriptedFaults
 from devices.simulated.tracking.tracker import Tracker
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, Body
@@ -146,6 +147,7 @@ class SimulatedKinect:
         depth_errors: Errors of the depth image.
         infrared: Whether frames with a depth image have an infrared image, too. Both then show the person
             dressed (``clothed_surface``); the simulated tracker's errors stay the same.
+        script: Faults of its body tracker at given times, besides those by chance.
 
         Attributes:
             hurried: While True, frames have no depth image, which takes most of a frame's time.
@@ -164,6 +166,7 @@ class SimulatedKinect:
         depth: Depth = "none",
         depth_errors: DepthErrors | None = None,
         infrared: bool = False,
+        script: ScriptedFaults | None = None,
     ) -> None:
         if infrared and depth == "none":
             raise DeviceError("Infrared images need depth='half' or 'full': both are of one size.")
@@ -176,7 +179,7 @@ class SimulatedKinect:
         self._lens = self.intrinsics
         self.warnings: Sequence[str] = ()
         self._scene, self._rig, self._which = scene, rig, which
-        self._errors = TrackerErrors.of(scene.body) if errors is None else errors
+        self._errors, self._script = TrackerErrors.of(scene.body) if errors is None else errors, script
         self._depth, self._depth_errors = depth, depth_errors or DepthErrors()
         self._infrared: InfraredModel | None = None
         if infrared:
@@ -205,7 +208,9 @@ class SimulatedKinect:
         tracking, dropping = (np.random.default_rng([scene.seed, which, k]) for k in range(2))
         sensor_from_world = rig.world_from_sensor(which).inverse()
         flesh = flesh_over(self.body) * (scene.height / anatomy.REFERENCE_HEIGHT)
-        tracker = Tracker(self.body, self._errors, flesh, self._lens, rig.frame_seconds, tracking)
+        tracker = Tracker(
+            self.body, self._errors, flesh, self._lens, rig.frame_seconds, tracking, self._script
+        )
         for frame, marks in self._poses():
             positions = sensor_from_world.apply(marks)
             shapes = capsules(positions, scene.height)

@@ -79,7 +79,7 @@ class MirroringTracker:
         self._legs_wait = 0.0
 
     def apply(
-        self, at: Array, states: NDArray[np.uint8], front: Array, cosine: float
+        self, at: Array, states: NDArray[np.uint8], front: Array, cosine: float, told: bool = False
     ) -> tuple[Array, NDArray[np.uint8]]:
         """Returns the frame with the labels of the tracker.
 
@@ -87,9 +87,10 @@ class MirroringTracker:
             at, states: (J, 3) positions and (J,) states with correct labels.
             front: (3,) horizontal unit vector of the direction that the person faces.
             cosine: Cosine between ``front`` and the direction to the sensor.
+            told: Whether to mirror the person whatever the chance.
         """
         m = self._mirroring
-        if m.back <= 0.0:
+        if m.back <= 0.0 and not told and not self._crossed.any():
             return at, states
         chance, delay = self._random.random(2)
         share = m.share(cosine)
@@ -97,6 +98,8 @@ class MirroringTracker:
         if chance < rate * (1.0 - share if self._mirrored else share):
             self._mirrored = not self._mirrored
             self._legs_wait = delay * m.legs_later
+        if told:
+            self._mirrored, self._legs_wait = True, 0.0
         self._legs_wait -= self._dt
         step = self._dt / max(m.crossing_seconds, self._dt)
         target = float(self._mirrored)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from devices.simulated.person.anatomy import Array
 from devices.simulated.tracking.heavy_tails import HeavyTails
 from devices.simulated.tracking.mirroring import MirroringTracker
+from devices.simulated.tracking.scripted_faults import ScriptedFaults
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import Body
 from fusion.compiling.kernels import njit
@@ -40,6 +41,7 @@ class Tracker:
         intrinsics: Intrinsics of the camera, which determine the joints that cover each other.
         frame_seconds: Frame interval.
         random: A separate generator; every frame draws the same number of values.
+        script: Faults at given times, besides those by chance.
     """
 
     def __init__(
@@ -50,9 +52,10 @@ class Tracker:
         intrinsics: Intrinsics,
         frame_seconds: float,
         random: np.random.Generator,
+        script: ScriptedFaults | None = None,
     ) -> None:
         self._body, self._errors, self._flesh, self._intrinsics = body, errors, flesh, intrinsics
-        self._dt, self._random = frame_seconds, random
+        self._dt, self._random, self._script = frame_seconds, random, script
         count = len(body)
         self._jitter_size, self._unsure_share = errors.jitter.of(body), errors.unsure.of(body)
         self._corners = [body.joint(n) for n in ("ShoulderLeft", "HipLeft", "ShoulderRight", "HipRight")]
@@ -70,6 +73,7 @@ class Tracker:
         self._unsure = np.zeros(count, dtype=bool)
         self._spell = np.full(count, int(TrackingState.INFERRED))
         self._cover = np.arange(count)
+        self._misplaced = np.zeros(count, dtype=bool)
         self._away = np.zeros((count, 3))
         self._mirroring = MirroringTracker(body, errors.mirroring, frame_seconds, random.spawn(1)[0])
         self._swapped = self._lost = False
@@ -92,7 +96,7 @@ class Tracker:
         uniform = self._random.random((7, len(body)))
         chance = self._random.random(3)
         self._wander(normal)
-        hidden = self._hide(joints, visible, uniform)
+        hidden = self._hide(joints, visible, uniform, time_ns)
 
         reported = joints + self._view_bias(joints)
         reported = reported * (1.0 - e.skin * self._flesh / np.linalg.norm(joints, axis=1))[:, None]
@@ -111,7 +115,8 @@ class Tracker:
 
         states = np.where(hidden, self._spell, int(TrackingState.TRACKED)).astype(np.uint8)
         facing = self._facing(joints)
-        reported, states = self._mirroring.apply(reported, states, self._front(joints), facing)
+        told = self._script is not None and self._script.mirrors(time_ns)
+        reported, states = self._mirroring.apply(reported, states, self._front(joints), facing, told)
         if self._switch(
             self._swapped, e.swapped if facing < _BACK_TURNED else 0.0, e.swap_seconds, chance[0]
         ):
@@ -138,7 +143,7 @@ class Tracker:
         ):
             setattr(self, name, memory * getattr(self, name) + np.sqrt(1.0 - memory**2) * noise)
 
-    def _hide(self, joints: Array, visible: Array, uniform: Array) -> NDArray[np.bool_]:
+    def _hide(self, joints: Array, visible: Array, uniform: Array, time_ns: int) -> NDArray[np.bool_]:
         """Returns (J,) whether each joint is hidden; how it is reported is drawn when it disappears."""
         e = self._errors
         start, stop = self._rates(self._unsure_share, _UNSURE_SECONDS)
@@ -153,9 +158,30 @@ class Tracker:
         self._spell = np.where(begins, fate, self._spell)
         if begins.any():
             self._cover = np.where(begins, self._covering(joints, visible), self._cover)
+        if self._script is not None:
+            hidden = self._follow(self._script, hidden, joints, visible, time_ns)
         self._was_hidden = hidden
         self._hiding += (hidden - self._hiding) * -np.expm1(-self._dt / _HIDING_SECONDS)
         return hidden
+
+    def _follow(
+        self,
+        script: ScriptedFaults,
+        hidden: NDArray[np.bool_],
+        joints: Array,
+        visible: Array,
+        time_ns: int,
+    ) -> NDArray[np.bool_]:
+        """Returns (J,) whether each joint is hidden, with the joints that the script misplaces."""
+        before, self._misplaced = self._misplaced, script.misplaces(time_ns)
+        begins, ends = self._misplaced & ~before, before & ~self._misplaced
+        self._spell = np.where(self._misplaced, int(TrackingState.TRACKED), self._spell)
+        self._spell = np.where(ends, int(TrackingState.INFERRED), self._spell)
+        if begins.any():
+            cover = self._covering(joints, visible)
+            alone = cover == np.arange(len(cover))  # nothing is in front of it
+            self._cover = np.where(begins, np.where(alone, self._body.root, cover), self._cover)
+        return hidden | self._misplaced
 
     def _hold_bones(self, at: Array, joints: Array) -> Array:
         """Returns (J, 3) the joints with bone lengths nearly restored, from the root outwards."""

@@ -1,0 +1,77 @@
+"""Faults of a body tracker at given times, for demonstrations and tests.
+
+The faults are those that real trackers have. A script only decides when they happen: the tracker makes them
+in the same way as those that it draws by chance (see ``tracker`` and ``mirroring``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.simulated.tracking.tracker_errors import JointGroups
+from fusion.body import Body
+
+_ARM = ("elbow", "wrist", "hand", "tip", "thumb")
+
+
+@dataclass(frozen=True)
+class Spells:
+    """Spells of one length that repeat.
+
+    Attributes:
+        begins: Start of the first spell, seconds of the sensor's clock.
+        seconds: Length of a spell.
+        every: From the start of one spell to that of the next, seconds; infinity: there is only one.
+    """
+
+    begins: float
+    seconds: float
+    every: float = np.inf
+
+    def include(self, time: float) -> bool:
+        """Whether a spell lasts at a time, seconds."""
+        return time >= self.begins and (time - self.begins) % self.every < self.seconds
+
+    def starts_before(self, end: float) -> list[float]:
+        """Starts of all spells that end before a time, seconds."""
+        left = end - self.seconds - self.begins
+        if left < 0.0:
+            return []
+        return [self.begins, *(self.begins + k * self.every for k in range(1, int(left / self.every) + 1))]
+
+
+@dataclass(frozen=True)
+class ScriptedFaults:
+    """The faults of one tracker.
+
+    Attributes:
+        body: The body that the tracker reports.
+        arm: Side of the arm that is misplaced: ``left`` or ``right``.
+        misplaced: When the arm is hidden and reported as tracked, near the joints that are in front of it in
+            the image; where there are none, nearer to the pelvis.
+        mirrored: When left and right are exchanged.
+    """
+
+    body: Body
+    arm: str = "left"
+    misplaced: Sequence[Spells] = ()
+    mirrored: Sequence[Spells] = ()
+
+    def mirrors(self, time_ns: int) -> bool:
+        """Whether left and right are exchanged at a time of the sensor's clock."""
+        return any(spells.include(time_ns * 1e-9) for spells in self.mirrored)
+
+    def misplaces(self, time_ns: int) -> NDArray[np.bool_]:
+        """(J,) which joints are hidden and reported as tracked at a time of the sensor's clock."""
+        lasts = any(spells.include(time_ns * 1e-9) for spells in self.misplaced)
+        return self._joints if lasts else np.zeros(len(self.body), dtype=bool)
+
+    @cached_property
+    def _joints(self) -> NDArray[np.bool_]:
+        names = self.body.joints
+        return np.array([self.arm in name.lower() and JointGroups.group(name) in _ARM for name in names])
