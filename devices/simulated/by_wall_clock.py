@@ -9,11 +9,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from devices.simulated.demonstration import good_rig
 from devices.simulated.kinect import Movement, Scene, SimulatedKinect
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import Array
 from devices.simulated.real_time import Beat, PacedSensor
-from devices.simulated.rig import Rig
 from fusion.body import AZURE_KINECT, Body
 
 _PERIOD_S = 10.0
@@ -64,7 +64,7 @@ def sensor_by_wall_clock(
         angle_deg: Between the two sensors.
     """
     begins_s = time.time() + _LEAD_S
-    rig = Rig(angle_deg=angle_deg)
+    rig = good_rig(body, angle_deg)
     scene = Scene(ToAndFro(movement, begins_s), body)
     beat = _BeginsAt(time.perf_counter() + _LEAD_S)
     return PacedSensor(SimulatedKinect(scene, rig, which), beat)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +16,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from devices.live.sensor_pair import TwoSensors
-from devices.simulated.kinect import SimulatedKinect, Truth, TruthAhead, simulated_pair
+from devices.simulated.demonstration import BAD_ANGLE_DEG, HardMoment, demonstration
+from devices.simulated.kinect import SimulatedKinect, Truth, TruthAhead
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.real_time import paced_together
 from devices.tracker_choice import tracker_name
@@ -44,6 +46,8 @@ if TYPE_CHECKING:
 
 _SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
 _FPS = 30.0
+_MOST_NAMED = 4  # times of one fault
+_NEXT = "Next: --motion walk, --bad-setup, or your own sensors (duplex doctor)."
 
 
 def run(options: DemoOptions) -> None:
@@ -76,30 +80,32 @@ def run(options: DemoOptions) -> None:
     if not own_tracker and (options.tracker_model is not None or options.tracker_network != "full"):
         given = "--tracker-network" if options.tracker_model is None else "--tracker-model"
         raise UsageError(f"{given} is of the program's own tracker: add --tracker blazepose.")
-    a, b, truth = simulated_pair(
-        motion=options.motion,
-        seed=options.seed,
-        body=body,
-        angle_deg=options.angle,
+    if options.bad_setup and options.angle != DemoOptions.angle:
+        raise UsageError(f"--bad-setup has an angle of its own, {BAD_ANGLE_DEG:.0f}°: leave --angle out.")
+    shown = demonstration(
+        options.motion,
+        body,
         seconds=options.seconds,
+        seed=options.seed,
+        angle_deg=options.angle,
         depth=options.depth,
         infrared=own_tracker,
+        bad_setup=options.bad_setup,
     )
+    a, b, truth = shown.a, shown.b, shown.truth
     start = truth.positions_at(0)
     nominal = FusionSetup(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
     person_at = np.asarray(start.mean(axis=0))
-    blueprint = session_blueprint(nominal, person_at, options.layout, live=True)
-    shown = session_blueprint(nominal, person_at, options.layout, live=True, infrared=own_tracker)
+    layout = "setup" if options.bad_setup else options.layout
+    blueprint = session_blueprint(nominal, person_at, layout, live=True)
+    live = session_blueprint(nominal, person_at, layout, live=True, infrared=own_tracker)
     pace = _own_tracker(options, console) if own_tracker else None
     warm_up(Fuser(nominal), console, lambda: next(a.frames(), None))
     if own_tracker:
         console.print(
             "The program's own body tracker (BlazePose) works on simulated infrared and depth images."
         )
-    console.print(
-        f"A simulated person ({escape(options.motion)}) before two Kinects {options.angle:.0f}° apart, "
-        f"{options.seconds:g} s. Press Ctrl-C to end."
-    )
+    _introduce(console, options, () if own_tracker else shown.moments)
     if save is not None:
         warn_of_little_room(save, console)
     announce(viewing, console)
@@ -110,7 +116,7 @@ def run(options: DemoOptions) -> None:
             announce_outputs(console, outputs)
             session = stack.enter_context(
                 LiveSession(
-                    *(nominal, (a.name, b.name), shown),
+                    *(nominal, (a.name, b.name), live),
                     file=save,
                     overwrite=options.force,
                     viewing=viewing,
@@ -121,7 +127,7 @@ def run(options: DemoOptions) -> None:
             )
             sensors = stack.enter_context(both)
             ctrl_c.calls(sensors.stop)
-            coach = Coach(body, nominal.intrinsics)
+            coach = Coach(body, nominal.intrinsics, simulated=True)
             show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))
             setup, frames = run_live(sensors, nominal, session, truth_at=TruthAhead(truth), go_on=show)
             session.save()
@@ -142,7 +148,30 @@ def run(options: DemoOptions) -> None:
         if options.report is not None:
             save_report(options.report, session_report(setup, frames, sensors, outputs))
         print_saved(console, session.file)
+        if not options.quiet:
+            console.print(_NEXT, highlight=False)
         check_saved(session.file)
+
+
+def _introduce(console: Console, options: DemoOptions, moments: Sequence[HardMoment]) -> None:
+    """Prints what happens, and when to look."""
+    angle = BAD_ANGLE_DEG if options.bad_setup else options.angle
+    console.print(
+        f"A simulated person ({escape(options.motion)}) before two Kinects {angle:.0f}° apart, "
+        f"{options.seconds:g} s. Press Ctrl-C to end."
+    )
+    if options.quiet:
+        return
+    if options.bad_setup:
+        console.print("The sensors are badly placed: the advice says what to mend.")
+    for moment in sorted(moments, key=lambda each: each.starts[0]):
+        when = _listed([f"{start:.0f}" for start in moment.starts])
+        console.print(f"At {when} s {moment.fault} for a second; S* stays right.", highlight=False)
+
+
+def _listed(words: Sequence[str]) -> str:
+    first = ", ".join(words[:_MOST_NAMED])
+    return f"{first} …" if len(words) > _MOST_NAMED else first
 
 
 def _own_tracker(options: DemoOptions, console: Console) -> TrackingPace:

@@ -16,7 +16,7 @@ from devices.network.remote_sensor import PREFIX
 from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zenoh
 from devices.sensor import Sensor
 from devices.simulated.by_wall_clock import sensor_by_wall_clock
-from devices.simulated.kinect import movement
+from devices.simulated.demonstration import demonstrated
 from devices.sources import has_images, not_of_libk4a, open_source
 from fusion.body import BODIES
 from viewer_app.errors import UsageError
@@ -120,7 +120,7 @@ def _sensor(options: PublishOptions, console: Console) -> Sensor:
         raise UsageError(f"{' and '.join(several)} exclude each other: one program runs one sensor.")
     if options.simulate is not None:
         which = "ab".index(options.simulate)
-        return sensor_by_wall_clock(which, movement(options.motion), BODIES[options.body])
+        return sensor_by_wall_clock(which, demonstrated(options.motion), BODIES[options.body])
     tracker = tracker_of(options)
     if options.recording is not None:
         if has_images(options.recording):

@@ -48,7 +48,8 @@ class FuseOptions(RecordingOptions, TrackerOptions, MethodOptions, ViewerOptions
 class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions):
     """Run the whole program without a sensor: two simulated Kinects watch one person.
 
-    The person's true joints are logged too, as a fourth skeleton (hidden at first).
+    At some seconds one sensor loses an arm or exchanges left and right; the terminal says when. The person's
+    true joints are logged too, as a fourth skeleton (hidden at first).
     """
 
     motion: str = "badminton"
@@ -59,6 +60,8 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions):
     """Seed of the simulated sensors' errors; the same seed gives the same skeletons."""
     angle: float = 90.0
     """Degrees between the two sensors."""
+    bad_setup: bool = False
+    """Place the sensors badly, and see what the program advises."""
     body: Literal["kinect_v1", "kinect_v2", "azure_kinect", "blazepose"] = "azure_kinect"
     """Whose body tracker is simulated."""
     tracker: Literal["simulated", "blazepose"] = "simulated"

@@ -1,0 +1,123 @@
+"""What ``duplex demo`` shows: where its sensors stand, what the person does, and which moments are hard.
+
+The benchmarks use ``Rig()`` and the movements as they are; nothing here changes those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from devices.image_thinning import Depth
+from devices.simulated.kinect import Movement, Scene, SimulatedKinect, Truth, movement
+from devices.simulated.person.gait import walking
+from devices.simulated.rig import Rig
+from devices.simulated.tracking.scripted_faults import ScriptedFaults, Spells
+from fusion.body import AZURE_KINECT, KINECT_V1, Body
+
+_HEIGHT, _TILT_DEG = 1.2, 5.0  # metres, degrees
+_DISTANCE, _DISTANCE_V1 = 2.9, 3.2  # metres
+"""The middle between the nearest distance at which a tall person fits into the image and the farthest that
+the sensor measures, so that every movement stays between the two. A Kinect v1 has the narrowest image."""
+BAD_ANGLE_DEG = 30.0
+_BAD_DISTANCE, _BAD_HEIGHT = 1.3, 1.5  # metres: too close, and too high to see the feet without a tilt
+
+_EVERY = 8.0  # seconds: one round of the badminton
+MISPLACED = Spells(7.0, 1.2, _EVERY)
+"""The left arm in A's view. In badminton, the lunge: A stands on the right, so the trunk hides that arm."""
+MIRRORED = Spells(4.4, 1.0, _EVERY)
+"""The whole person in B's view. In badminton, the wind-up: the back is half turned to B."""
+
+
+@dataclass(frozen=True)
+class HardMoment:
+    """Something that a tracker does wrong in the demonstration.
+
+    Attributes:
+        starts: When it starts, seconds; each lasts for about one second.
+        fault: What happens, a clause about the sensor.
+    """
+
+    starts: Sequence[float]
+    fault: str
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """Two simulated sensors, the truth, and what to look at."""
+
+    a: SimulatedKinect
+    b: SimulatedKinect
+    truth: Truth
+    moments: Sequence[HardMoment]
+
+
+def good_rig(body: Body, angle_deg: float = 90.0) -> Rig:
+    """Two well placed sensors: a person is in both images and at a good distance in every movement.
+
+    Args:
+        body: The body that the trackers report; it stands for the kind of sensor.
+        angle_deg: Between the two lines of sight.
+    """
+    distance = _DISTANCE_V1 if body is KINECT_V1 else _DISTANCE
+    return Rig(angle_deg=angle_deg, distance=distance, height=_HEIGHT, tilt_deg=_TILT_DEG)
+
+
+def bad_rig() -> Rig:
+    """Two badly placed sensors: too close, too high to see the feet, and side by side."""
+    return Rig(angle_deg=BAD_ANGLE_DEG, distance=_BAD_DISTANCE, height=_BAD_HEIGHT, tilt_deg=0.0)
+
+
+def demonstrated(name: str | Path) -> Movement:
+    """A movement of the library by name, or a BVH file.
+
+    The walk is as fast as that of the library, on shorter loops: those leave the range of a Kinect v1, which
+    is 1.6 m deep.
+
+    Raises:
+        DeviceError: There is no such movement or file.
+    """
+    return walking("walk", length=6.0, strides=7) if str(name) == "walk" else movement(name)
+
+
+def demonstration(
+    motion: str | Path = "badminton",
+    body: Body = AZURE_KINECT,
+    *,
+    seconds: float,
+    seed: int = 0,
+    angle_deg: float = 90.0,
+    depth: Depth = "none",
+    infrared: bool = False,
+    bad_setup: bool = False,
+) -> Demonstration:
+    """The sensors of ``duplex demo``.
+
+    Args:
+        motion: A movement of the library by name, or a BVH file.
+        body: What the trackers report.
+        seconds: Duration.
+        seed: Of every error.
+        angle_deg: Between the sensors; of a bad set-up it is ``BAD_ANGLE_DEG``.
+        depth, infrared: As in :class:`devices.simulated.kinect.SimulatedKinect`.
+        bad_setup: Whether the sensors are badly placed. Then there are no hard moments.
+
+    Raises:
+        DeviceError: There is no such movement, or a value makes no sense.
+    """
+    scene = Scene(demonstrated(motion), body, seconds=seconds, seed=seed)
+    rig = bad_rig() if bad_setup else good_rig(body, angle_deg)
+    scripts: tuple[ScriptedFaults | None, ScriptedFaults | None] = (None, None)
+    moments: tuple[HardMoment, ...] = ()
+    if not bad_setup:
+        scripts = ScriptedFaults(body, misplaced=(MISPLACED,)), ScriptedFaults(body, mirrored=(MIRRORED,))
+        moments = (
+            HardMoment(MISPLACED.starts_before(seconds), "Kinect A loses the left arm"),
+            HardMoment(MIRRORED.starts_before(seconds), "Kinect B exchanges left and right"),
+        )
+    a, b = (
+        SimulatedKinect(scene, rig, which, depth=depth, infrared=infrared, script=script)
+        for which, script in enumerate(scripts)
+    )
+    return Demonstration(a, b, Truth(scene, rig), tuple(moment for moment in moments if moment.starts))

@@ -1,0 +1,83 @@
+"""``duplex demo`` without its clock, its images and its viewer: its pairs, its S* and its coach's advice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from devices.pairing import FramePair
+from devices.simulated.demonstration import Demonstration, demonstrated, demonstration
+from devices.simulated.kinect import PERSON, SimulatedKinect, simulated_pair
+from devices.simulated.rig import Rig
+from devices.simulated.tracking.tracker_errors import TrackerErrors
+from fusion.body import Body
+from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
+from fusion.fuser import Fuser
+from fusion.intrinsics import Intrinsics
+from fusion.setup import FusionSetup
+from recordings.fusing.live import LiveFusion
+from recordings.fusing.recorded import fuse_one
+from recordings.session_arrays import RecordedFrame
+from viewer_app.coach.advice import Advice
+from viewer_app.coach.setup_coach import Coach, Situation
+
+
+def pairs_of(a: SimulatedKinect, b: SimulatedKinect) -> Iterator[FramePair]:
+    """The frames of two sensors that drop none."""
+    for one, other in zip(a.frames(), b.frames(), strict=True):
+        yield FramePair.of(one, other, PERSON, PERSON, one.time_ns, other.time_ns - one.time_ns)
+
+
+@dataclass(frozen=True)
+class Run:
+    """The frames of a demonstration, and the events of its fusion: seconds and text."""
+
+    shown: Demonstration
+    frames: list[RecordedFrame]
+    events: list[tuple[float, str]]
+
+
+def fused_demonstration(body: Body, seconds: float, seed: int = 0, motion: str = "badminton") -> Run:
+    """Fuses a demonstration as the live loop does."""
+    shown = demonstration(motion, body, seconds=seconds, seed=seed)
+    setup = FusionSetup(nominal_calibration(body), None, shown.a.intrinsics, shown.b.intrinsics)
+    fusion, run = LiveFusion(setup), Run(shown, [], [])
+    for pair in pairs_of(shown.a, shown.b):
+        fusion.recalibrated(pair)
+        run.frames.append(fusion.fuse(pair))
+        run.events.extend((pair.time_ns * 1e-9, text) for text, *_ in fusion.told())
+    return run
+
+
+def advice_over(
+    rig: Rig, body: Body, motion: str, seconds: float = 30.0, fps: float = 3.0
+) -> dict[str, Advice]:
+    """The first advice on each topic that the coach gives while a person moves before two sensors.
+
+    Few frames per second are enough: no advice depends on single frames. The calibration is that of a
+    start-up pose seen without errors, and S* is that of the first frame: the coach looks at neither again.
+    """
+    rig = replace(rig, frame_seconds=1.0 / fps, skew_seconds=0.0)
+    a, b, _ = simulated_pair(motion=demonstrated(motion), body=body, seconds=seconds, rig=rig)
+    calibration = _calibration(rig, body)
+    first = None
+    coach = Coach(body, (_lens(a), _lens(b)), rate=fps)
+    said: dict[str, Advice] = {}
+    for pair in pairs_of(a, b):
+        first = first or fuse_one(Fuser(FusionSetup(calibration)), pair)
+        frame = replace(first, pair=pair)
+        for advice in coach.watch(frame, Situation(calibration, settled=True, held=0.0)):
+            said.setdefault(advice.topic, advice)
+    return said
+
+
+def _calibration(rig: Rig, body: Body) -> Calibration:
+    a, b, _ = simulated_pair(
+        motion="startup", body=body, seconds=5 * rig.frame_seconds, rig=rig, errors=TrackerErrors.none()
+    )
+    return calibrate(body, [pair.skeletons for pair in pairs_of(a, b)], "start-up pose")
+
+
+def _lens(sensor: SimulatedKinect) -> Intrinsics:
+    assert sensor.intrinsics is not None
+    return sensor.intrinsics
