@@ -33,14 +33,20 @@ _FONT, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.6
 
 
 def _palette() -> NDArray[np.uint8]:
-    """(_INKS + _SHADES + 2, 3) RGB: from background to ink, from B's colour to A's, then the predicted
-    colours."""
+    """(_INKS + _SHADES + 2, 3) RGB: from background to ink, from B's colour over that of S* to A's, then the
+    predicted colour."""
 
     def between(first: layout.Color, last: layout.Color, steps: int) -> NDArray[np.float64]:
         return np.linspace(np.array(first), np.array(last), steps)
 
-    from_b_to_a = between(layout.SKELETON_COLORS["b"], layout.SKELETON_COLORS["a"], _SHADES + 1)
-    ramps = (between(_BACKGROUND, _INK, _INKS), from_b_to_a, np.array([layout.PREDICTED_COLOR]))
+    a, b, both = (layout.SKELETON_COLORS[key] for key in ("a", "b", "fused"))
+    half = _SHADES // 2
+    ramps = (
+        between(_BACKGROUND, _INK, _INKS),
+        between(b, both, half + 1)[:-1],
+        between(both, a, half + 1),
+        np.array([layout.PREDICTED_COLOR]),
+    )
     return np.concatenate(ramps).astype(np.uint8)
 
 
@@ -49,7 +55,8 @@ _FROM_B, _FROM_A, _PREDICTED = _INKS, _INKS + _SHADES, _INKS + _SHADES + 1
 
 
 def trust_colors(rows: SessionArrays) -> NDArray[np.uint8]:
-    """(T, J, 3) RGB: a mix of A's and B's colours by their share in the joint; grey where predicted."""
+    """(T, J, 3) RGB by the share of the views in the joint: A's colour, that of S* where both count alike, B's
+    colour; grey where predicted."""
     return np.asarray(_PALETTE[_shades(rows)])
 
 

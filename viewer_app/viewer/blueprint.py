@@ -110,6 +110,7 @@ def _setup(setup: FusionSetup, person_at: NDArray[np.float64], color: bool, infr
         person_at + _OVERVIEW * forth - np.array([0.0, _HIGH, 0.0]),
         person_at + 0.4 * forth,
         "sensors, skeletons, points",
+        setup.body,
         frustum=_FRUSTA["setup"],
     )
     advice = rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="what to do next")
@@ -162,7 +163,7 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool) -> 
 
     def scene(name: str, *hidden: str, sigma: bool = False) -> rrb.View:
         frustum = _FRUSTA["inspect"]
-        return _scene(behind, person_at, name, frustum, layout.FUSED_SKELETON, hidden, sigma)
+        return _scene(behind, person_at, name, body, frustum, layout.FUSED_SKELETON, hidden, sigma)
 
     return rrb.Horizontal(
         rrb.Vertical(
@@ -250,6 +251,7 @@ def _scene(
     eye: NDArray[np.float64],
     looks_at: NDArray[np.float64],
     name: str,
+    body: Body,
     frustum: float,
     track: str | None = None,
     hidden: Sequence[str] = (),
@@ -270,16 +272,13 @@ def _scene(
                 layout.depth(side): rr.Pinhole.from_fields(image_plane_distance=frustum).visualizer()
                 for side in layout.SIDES
             },
-            **(
-                {
-                    layout.FUSED_SKELETON: [
-                        rr.Points3D.from_fields().visualizer(),
-                        entity_styles.sigma_spheres(),
-                    ]
-                }
-                if sigma
-                else {}
-            ),
+            **{
+                layout.skeleton(side): [entity_styles.lone_joints(), entity_styles.thin_bones()]
+                for side in layout.SIDES
+            },
+            layout.FUSED_SKELETON: [rr.Points3D.from_fields().visualizer(), entity_styles.sigma_spheres()]
+            if sigma
+            else [entity_styles.lone_joints(), entity_styles.body_capsules(body)],
         },
         eye_controls=rrb.EyeControls3D(
             position=eye, look_target=looks_at, eye_up=(0.0, -1.0, 0.0), tracking_entity=track
