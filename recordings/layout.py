@@ -132,7 +132,8 @@ def exchanged(side: str) -> str:
 
 
 def stream_figure(name: str) -> str:
-    """A figure of two live streams: drift_ppm, dropped or unpaired; logged when it changes."""
+    """A figure that is not logged with every pair: drift_ppm, dropped and unpaired of live streams, logged
+    when they change; jitter_mm and placement, logged twice a second."""
     return f"{QUALITY}/{name}"
 
 

@@ -98,7 +98,8 @@ def capsule_rotations(body: Body, positions: NDArray[np.floating]) -> NDArray[np
     at = np.asarray(positions, dtype=np.float32)
     along = np.nan_to_num(at[..., _parents(body), :] - at)
     length = np.sqrt((along * along).sum(axis=-1, keepdims=True))
-    along = np.where(length > 0.0, along / np.where(length > 0.0, length, 1.0), np.float32([0.0, 0.0, 1.0]))
+    z_axis = np.array([0.0, 0.0, 1.0], dtype=np.float32)
+    along = np.where(length > 0.0, along / np.where(length > 0.0, length, 1.0), z_axis)
     cosine = np.sqrt(np.maximum(0.5 * (1.0 + along[..., 2]), 0.25 * (1.0 + _BACK)))  # of half the angle
     rotations = np.zeros((*along.shape[:-1], 4), dtype=np.float32)
     rotations[..., 0] = -0.5 * along[..., 1] / cosine

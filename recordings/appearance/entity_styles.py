@@ -15,9 +15,10 @@ from recordings.appearance.body_shape import capsule_radii
 
 _CLOUD_RADIUS = 0.009  # metres
 _FRUSTUM_DEPTH = 0.25  # metres
-_ABOVE_SENSOR = (0.0, -0.1, 0.0)
+_ABOVE_SENSOR = (0.0, -0.22, 0.0)
 _GRID_X, _GRID_Z = (-5, 5), (-1, 6)  # metres from K_A, to the right and forward
 _GRID_COLOR = (112, 112, 120)
+_MIRRORED = 0.7  # brightness of the right side's lines
 _SPHERE_OPACITY = 110  # of 255: the skeleton inside stays visible
 
 
@@ -71,7 +72,7 @@ def sensor_label(side: str) -> rr.Points3D:
         [_ABOVE_SENSOR],
         labels=[f"Kinect {side.upper()}"],
         colors=layout.SKELETON_COLORS[side],
-        radii=0.02,
+        radii=0.001,
         show_labels=True,
     )
 
@@ -81,9 +82,7 @@ def floor_grid() -> rr.LineStrips3D:
     (left, right), (near, far) = _GRID_X, _GRID_Z
     along = [[(x, 0.0, near), (x, 0.0, far)] for x in range(left, right + 1)]
     across = [[(left, 0.0, z), (right, 0.0, z)] for z in range(near, far + 1)]
-    return rr.LineStrips3D(
-        [*along, *across], colors=_GRID_COLOR, radii=rr.components.Radius.ui_points(0.5)
-    )
+    return rr.LineStrips3D([*along, *across], colors=_GRID_COLOR, radii=rr.components.Radius.ui_points(0.5))
 
 
 def camera(intrinsics: Intrinsics, side: str) -> rr.Pinhole:
@@ -134,14 +133,23 @@ STATE_LANES = rr.StateConfiguration(
 )
 
 
-def bone_lines(bone: str) -> Visualizer:
-    """Plot lines of a bone's length, as in the paper's fig. 5."""
+def bone_lines(bone: str, *, mirrored: bool = False) -> Visualizer:
+    """Plot lines of a bone's length, as in the paper's fig. 5; those of a mirrored bone are darker."""
+    keys = ("a", "b", "fused")
+    side = bone.rpartition("_")[2]
+    of = f", {side}" if side in ("left", "right") else ""
     look = rr.SeriesLines(
-        names=[*(layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")), "target"],
-        colors=[*(layout.SKELETON_COLORS[key] for key in ("a", "b", "fused")), layout.TARGET_COLOR],
+        names=[*(layout.SKELETON_NAMES[key] + of for key in keys), f"target{of}"],
+        colors=[*(_darker(layout.SKELETON_COLORS[key], mirrored) for key in keys), layout.TARGET_COLOR],
         widths=[1.0, 1.0, 2.5, 1.0],
+        visible_series=[True, True, True, False],
     )
     return _lines(look, layout.BONE_LENGTHS, bone)
+
+
+def _darker(color: layout.Color, darker: bool) -> layout.Color:
+    red, green, blue = (round(_MIRRORED * each) if darker else each for each in color)
+    return red, green, blue
 
 
 def figure_lines(name: str) -> Visualizer:
@@ -240,3 +248,15 @@ STREAM_LINES = {
     },
 }
 """Plot titles of stream figures, by the names of :func:`layout.stream_figure`."""
+
+QUALITY_LINES = {
+    "jitter_mm": rr.SeriesLines(
+        names=[layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")],
+        colors=[layout.SKELETON_COLORS[key] for key in ("a", "b", "fused")],
+        widths=[1.0, 1.0, 2.5],
+    ),
+    "placement": rr.SeriesLines(
+        names=["moved (mm)", "turned (°)"], colors=[layout.SKELETON_COLORS["b"], layout.TARGET_COLOR]
+    ),
+}
+"""Plot titles of figures of quality, by the names of :func:`layout.stream_figure`."""

@@ -69,4 +69,3 @@ class PlacementLog:
                 translation=(0.0, 0.0, 0.0), parent_frame=f"tf#{entity}", child_frame=name
             )
             once(layout.named_frame(name), same, static=True)
-

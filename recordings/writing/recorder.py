@@ -28,6 +28,7 @@ from recordings.writing.checksums import FusedChecks, event_checksum, image_chec
 from recordings.writing.frame_streams import frame_streams
 from recordings.writing.placement_log import PlacementLog
 from recordings.writing.properties import session_properties
+from recordings.writing.quality_log import QualityLog
 from recordings.writing.sensor_stream_log import StreamFiguresLog
 
 _MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
@@ -77,7 +78,7 @@ class Recorder:
         draft_ns = (_MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS) if drafts else None
         self._matrix = TrustMatrix(setup.calibration.body, draft_ns, hasty=points)
         self._lanes = StateLanes()
-        self._placement = PlacementLog(stream, setup)
+        self._placement, self._quality = PlacementLog(stream, setup), QualityLog(stream)
         self._log_static(setup)
         properties = session_properties(setup, sources, about or {})
         for name, values in properties.items():
@@ -249,6 +250,7 @@ class Recorder:
     def _explain(self, rows: SessionArrays) -> None:
         """Logs data that is not logged every frame: the trust matrix, and changes of tracking states."""
         self._placement.record(rows)
+        self._quality.record(rows)
         self._log_matrix(self._matrix.add(rows))
         for side, joint, changes in self._lanes.add(rows):
             lane = layout.state_lane(side, rows.body.joints[joint])
