@@ -155,10 +155,12 @@ SKELETON_COLORS: dict[str, Color] = {
     "exchanged_a": (240, 220, 70),  # yellow, and cyan: each next to the color of its own view
     "exchanged_b": (70, 225, 225),
 }
-VIEW_COLORS: dict[str, tuple[Color, Color]] = {
-    side: (SKELETON_COLORS[side], dim) for side, dim in (("a", (96, 74, 54)), ("b", (58, 80, 120)))
+VIEW_COLORS: dict[str, tuple[Color, Color, Color]] = {
+    "a": (SKELETON_COLORS["a"], (96, 74, 54), (128, 118, 40)),
+    "b": (SKELETON_COLORS["b"], (58, 80, 120), (40, 120, 120)),
 }
-"""Of a joint of S_A and S_B that is tracked, and of one that is inferred or whose sides were exchanged."""
+"""Of a joint of S_A and S_B that is tracked, that is inferred, and whose sides were exchanged. The last two
+are dimmed."""
 CLASS_IDS = {"a": 1, "b": 2, "fused": 3, "truth": 4, "exchanged_a": 5, "exchanged_b": 6}
 LINELESS_CLASS = 7
 """Class of joints that are shown without lines between them."""

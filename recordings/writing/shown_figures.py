@@ -66,14 +66,13 @@ def _view_class(side: str) -> Callable[[SessionArrays], NDArray[Any]]:
 
 
 def _view_colors(side: str) -> Callable[[SessionArrays], NDArray[Any]]:
-    """(T, J, 3) RGB of S_A or S_B: dimmed where the joint is inferred and where the sides were exchanged."""
+    """(T, J, 3) RGB of S_A or S_B, see :data:`recordings.layout.VIEW_COLORS`."""
 
     def colors(rows: SessionArrays) -> NDArray[Any]:
         states = rows.states_a if side == "a" else rows.states_b
         exchanged = rows.filled("exchanged")[:, layout.SIDES.index(side)] != 0
-        dimmed = (states != TrackingState.TRACKED) | exchanged[:, None]
-        bright, dim = (np.array(layout.VIEW_COLORS[side][k], dtype=np.uint8) for k in (0, 1))
-        return np.where(dimmed[..., None], dim, bright)
+        chosen = np.where(exchanged[:, None], 2, np.where(states == TrackingState.TRACKED, 0, 1))
+        return np.array(layout.VIEW_COLORS[side], dtype=np.uint8)[chosen]
 
     return colors
 
