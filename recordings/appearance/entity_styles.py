@@ -17,7 +17,7 @@ _CLOUD_RADIUS = 0.009  # metres
 _FRUSTUM_DEPTH = 0.25  # metres
 _ABOVE_SENSOR = (0.0, -0.22, 0.0)
 _GRID_X, _GRID_Z = (-5, 5), (-1, 6)  # metres from K_A, to the right and forward
-_GRID_COLOR = (112, 112, 120)
+_GRID_COLOR = (128, 128, 136)
 _MIRRORED = 0.7  # brightness of the right side's lines
 _SPHERE_OPACITY = 110  # of 255: the skeleton inside stays visible
 
@@ -82,7 +82,7 @@ def floor_grid() -> rr.LineStrips3D:
     (left, right), (near, far) = _GRID_X, _GRID_Z
     along = [[(x, 0.0, near), (x, 0.0, far)] for x in range(left, right + 1)]
     across = [[(left, 0.0, z), (right, 0.0, z)] for z in range(near, far + 1)]
-    return rr.LineStrips3D([*along, *across], colors=_GRID_COLOR, radii=rr.components.Radius.ui_points(0.5))
+    return rr.LineStrips3D([*along, *across], colors=_GRID_COLOR, radii=rr.components.Radius.ui_points(0.4))
 
 
 def camera(intrinsics: Intrinsics, side: str) -> rr.Pinhole:
