@@ -33,6 +33,10 @@ JOINT_DIGESTS = "joint_digests"
 """Component of :data:`QUALITY`: one digest byte per joint of S* in float64; the file stores S* in float32."""
 SIGMA_SPHERES = "sigma_spheres"
 """Component of :data:`FUSED_SKELETON`: half sizes of a sphere of one standard deviation per joint, metres."""
+CAPSULE_LENGTHS, CAPSULE_ROTATIONS = "capsule_lengths", "capsule_rotations"
+"""Components of :data:`FUSED_SKELETON`: of the capsule that begins at each joint, metres and quaternions."""
+BONE_VECTORS = "bone_vectors"
+"""Component of S_A and S_B: from each joint to its parent, metres."""
 EVENTS = "/events"
 TRUST_MATRIX = "/trust_matrix"
 """Picture, joint × time: the view that each joint of S* followed, in pages of half a minute."""
@@ -45,6 +49,13 @@ COACH_MARKS = ("spot", "sensor_a", "sensor_b", "better_b")
 """Marks of the coach: where to stand, which sensor has a problem, where B would see more."""
 NO_FRAME = -(2**63)
 """Stored time of a sensor that gave no frame for the pair."""
+
+FLOOR = "/floor"
+"""The floor: its pose in K_A's frame, and lines one metre apart."""
+PELVIS = "/fused/pelvis"
+"""Pose of the person's pelvis in K_A's frame: x to the person's right, y down, z forward."""
+FRAME_NAMES = {"K_A": "/kinect_a", "K_B": "/kinect_b", "floor": FLOOR, "pelvis": PELVIS}
+"""Named coordinate frames and the entities whose frames they are."""
 
 SIDES = ("a", "b")
 """The principal sensor K_A and the secondary sensor K_B."""
@@ -73,6 +84,16 @@ def depth(side: str) -> str:
 def infrared(side: str) -> str:
     """The infrared image, on the pixels of the depth image; in a viewer only, files have none."""
     return f"{depth(side)}/infrared"
+
+
+def sensor_label(side: str) -> str:
+    """The sensor's name, beside it in the scene."""
+    return f"/kinect_{side}/label"
+
+
+def named_frame(name: str) -> str:
+    """Connects a name of :data:`FRAME_NAMES` to the frame of its entity."""
+    return f"/frames/{name}"
 
 
 def color(side: str) -> str:
@@ -111,7 +132,8 @@ def exchanged(side: str) -> str:
 
 
 def stream_figure(name: str) -> str:
-    """A figure of two live streams: drift_ppm, dropped or unpaired; logged when it changes."""
+    """A figure that is not logged with every pair: drift_ppm, dropped and unpaired of live streams, logged
+    when they change; jitter_mm and placement, logged twice a second."""
     return f"{QUALITY}/{name}"
 
 
@@ -133,7 +155,15 @@ SKELETON_COLORS: dict[str, Color] = {
     "exchanged_a": (240, 220, 70),  # yellow, and cyan: each next to the color of its own view
     "exchanged_b": (70, 225, 225),
 }
+VIEW_COLORS: dict[str, tuple[Color, Color, Color]] = {
+    "a": (SKELETON_COLORS["a"], (116, 97, 79), (128, 118, 40)),
+    "b": (SKELETON_COLORS["b"], (82, 99, 131), (40, 120, 120)),
+}
+"""Of a joint of S_A and S_B that is tracked, that is inferred, and whose sides were exchanged. The last two
+are dimmed."""
 CLASS_IDS = {"a": 1, "b": 2, "fused": 3, "truth": 4, "exchanged_a": 5, "exchanged_b": 6}
+LINELESS_CLASS = 7
+"""Class of joints that are shown without lines between them."""
 PREDICTED_COLOR: Color = (150, 150, 150)
 """Colour of a joint of S* without data from any sensor."""
 STATE_NAMES = ("not tracked", "inferred", "tracked")
@@ -145,5 +175,5 @@ PROMINENT_BONES = ("upper_arm", "forearm", "thigh", "shin")
 TARGET_COLOR = (128, 128, 128)
 """Colour of the target bone length. Unlike the paper's black, it is readable on light and dark
 backgrounds."""
-JOINT_RADII = {"a": 0.012, "b": 0.012, "fused": 0.020, "truth": 0.010}
+JOINT_RADII = {"a": 0.006, "b": 0.006, "fused": 0.016, "truth": 0.010}
 """Metres."""

@@ -50,7 +50,7 @@ class CoachPage:
 
     def entities(self) -> Iterator[tuple[str, Any]]:
         """Pairs of entity and archetype to log. An absent mark is logged as empty, which clears it."""
-        yield layout.COACH, rr.TextDocument(self.text, media_type=rr.MediaType.MARKDOWN)
+        yield layout.COACH, rr.TextDocument(_large(self.text), media_type=rr.MediaType.MARKDOWN)
         marks = dict(self.marks)
         for name in layout.COACH_MARKS:
             mark = marks.get(name)
@@ -67,3 +67,9 @@ class CoachPage:
                     show_labels=True,
                 ),
             )
+
+
+def _large(text: str) -> str:
+    """Each paragraph as a heading, which the viewer draws larger: it is read from where the person stands."""
+    paragraphs = (" ".join(part.split()) for part in text.split("\n\n"))
+    return "\n\n".join(part if part.startswith(("#", "-")) else f"## {part}" for part in paragraphs if part)

@@ -11,9 +11,14 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
 from recordings import layout
+from recordings.appearance.body_shape import capsule_radii
 
 _CLOUD_RADIUS = 0.009  # metres
 _FRUSTUM_DEPTH = 0.25  # metres
+_ABOVE_SENSOR = (0.0, -0.22, 0.0)
+_GRID_X, _GRID_Z = (-5, 5), (-1, 6)  # metres from K_A, to the right and forward
+_GRID_COLOR = (128, 128, 136)
+_MIRRORED = 0.7  # brightness of the right side's lines
 _SPHERE_OPACITY = 110  # of 255: the skeleton inside stays visible
 
 
@@ -33,6 +38,11 @@ def annotation_context(body: Body) -> rr.AnnotationContext:
                 keypoint_connections=bones,
             )
             for key in layout.CLASS_IDS
+        ]
+        + [
+            rr.ClassDescription(
+                info=rr.AnnotationInfo(id=layout.LINELESS_CLASS, label="joint"), keypoint_annotations=joints
+            )
         ]
     )
 
@@ -54,6 +64,25 @@ def joint_look(body: Body, key: str) -> rr.Points3D:
 def cloud_look(side: str) -> rr.Points3D:
     """Appearance of a sensor's point cloud: the colour of its skeleton, as in the paper's fig. 2."""
     return rr.Points3D.from_fields(colors=layout.SKELETON_COLORS[side], radii=_CLOUD_RADIUS)
+
+
+def sensor_label(side: str) -> rr.Points3D:
+    """A sensor's name, a little above it."""
+    return rr.Points3D(
+        [_ABOVE_SENSOR],
+        labels=[f"Kinect {side.upper()}"],
+        colors=layout.SKELETON_COLORS[side],
+        radii=0.001,
+        show_labels=True,
+    )
+
+
+def floor_grid() -> rr.LineStrips3D:
+    """Lines one metre apart on the floor, in the floor's frame; in a grey for light and dark backgrounds."""
+    (left, right), (near, far) = _GRID_X, _GRID_Z
+    along = [[(x, 0.0, near), (x, 0.0, far)] for x in range(left, right + 1)]
+    across = [[(left, 0.0, z), (right, 0.0, z)] for z in range(near, far + 1)]
+    return rr.LineStrips3D([*along, *across], colors=_GRID_COLOR, radii=rr.components.Radius.ui_points(0.4))
 
 
 def camera(intrinsics: Intrinsics, side: str) -> rr.Pinhole:
@@ -104,14 +133,23 @@ STATE_LANES = rr.StateConfiguration(
 )
 
 
-def bone_lines(bone: str) -> Visualizer:
-    """Plot lines of a bone's length, as in the paper's fig. 5."""
+def bone_lines(bone: str, *, mirrored: bool = False) -> Visualizer:
+    """Plot lines of a bone's length, as in the paper's fig. 5; those of a mirrored bone are darker."""
+    keys = ("a", "b", "fused")
+    side = bone.rpartition("_")[2]
+    of = f", {side}" if side in ("left", "right") else ""
     look = rr.SeriesLines(
-        names=[*(layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")), "target"],
-        colors=[*(layout.SKELETON_COLORS[key] for key in ("a", "b", "fused")), layout.TARGET_COLOR],
+        names=[*(layout.SKELETON_NAMES[key] + of for key in keys), f"target{of}"],
+        colors=[*(_darker(layout.SKELETON_COLORS[key], mirrored) for key in keys), layout.TARGET_COLOR],
         widths=[1.0, 1.0, 2.5, 1.0],
+        visible_series=[True, True, True, False],
     )
     return _lines(look, layout.BONE_LENGTHS, bone)
+
+
+def _darker(color: layout.Color, darker: bool) -> layout.Color:
+    red, green, blue = (round(_MIRRORED * each) if darker else each for each in color)
+    return red, green, blue
 
 
 def figure_lines(name: str) -> Visualizer:
@@ -158,6 +196,47 @@ def sigma_spheres() -> Visualizer:
     )
 
 
+def lone_joints() -> Visualizer:
+    """The joints of a skeleton without the viewer's own lines between them, whose width is fixed."""
+    return rr.Points3D.from_fields(class_ids=layout.LINELESS_CLASS).visualizer()
+
+
+def body_capsules(body: Body) -> Visualizer:
+    """S* as a body: a capsule per bone, in the colour of the joint at its far end."""
+    look = rr.Capsules3D.from_fields(
+        radii=capsule_radii(body), fill_mode=rr.components.FillMode.Solid, show_labels=False
+    )
+    return look.visualizer(
+        mappings=_mapped(
+            "Capsules3D",
+            lengths=layout.CAPSULE_LENGTHS,
+            quaternions=layout.CAPSULE_ROTATIONS,
+            translations="Points3D:positions",
+            colors="Points3D:colors",
+        )
+    )
+
+
+def thin_bones() -> Visualizer:
+    """The bones of S_A or S_B as thin lines, each in the colour of the joint at its far end."""
+    look = rr.Arrows3D.from_fields(radii=rr.components.Radius.ui_points(0.6), show_labels=False)
+    return look.visualizer(
+        mappings=_mapped(
+            "Arrows3D", vectors=layout.BONE_VECTORS, origins="Points3D:positions", colors="Points3D:colors"
+        )
+    )
+
+
+def _mapped(archetype: str, **sources: str) -> list[VisualizerComponentMapping]:
+    """Where each field of a visualizer comes from: components of its entity."""
+    return [
+        VisualizerComponentMapping(
+            f"{archetype}:{field}", ComponentSourceKind.SourceComponent, source_component=component
+        )
+        for field, component in sources.items()
+    ]
+
+
 STREAM_LINES = {
     "drift_ppm": rr.SeriesLines(names="drift (ppm)", colors=layout.SKELETON_COLORS["fused"]),
     **{
@@ -169,3 +248,15 @@ STREAM_LINES = {
     },
 }
 """Plot titles of stream figures, by the names of :func:`layout.stream_figure`."""
+
+QUALITY_LINES = {
+    "jitter_mm": rr.SeriesLines(
+        names=[layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")],
+        colors=[layout.SKELETON_COLORS[key] for key in ("a", "b", "fused")],
+        widths=[1.0, 1.0, 2.5],
+    ),
+    "placement": rr.SeriesLines(
+        names=["moved (mm)", "turned (°)"], colors=[layout.SKELETON_COLORS["b"], layout.TARGET_COLOR]
+    ),
+}
+"""Plot titles of figures of quality, by the names of :func:`layout.stream_figure`."""

@@ -7,7 +7,6 @@ in the matrix, and by the components stored with the joint.
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -25,31 +24,46 @@ _BINS = 150
 _BIN_NS = 200_000_000
 _PAGE_NS, _LOOK_BACK_NS = 15_000_000_000, 10_000_000_000
 _TICK_S = 5  # divides both
-_BIN_WIDTH, _ROW_HEIGHT, _NAMES_WIDTH, _TICKS_HEIGHT, _AXIS_HEIGHT = 5, 20, 180, 28, 52  # pixels
-_BACKGROUND, _INK = (27, 27, 31), (214, 214, 220)
-_INKS = 16  # between background and ink: smooth letters
+_BIN_WIDTH, _NAMES_WIDTH, _TICKS_HEIGHT, _AXIS_HEIGHT = 5, 170, 34, 76  # pixels
+_MATRIX_HEIGHT = 400  # pixels, about: twice as wide as high, as is the place for it
+_INK = (140, 140, 148)  # in contrast to the viewer's light and dark background, which shines through
+_INKS = 16  # from transparent to opaque: smooth letters
 _FAST, _SMALL = 1, 9  # zlib levels: _FAST takes a fifth of the time, _SMALL half the space
-_FONT, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.6
+_FONT, _TEXT_SIZE, _STROKE = cv2.FONT_HERSHEY_SIMPLEX, 0.85, 2
+_GROUPS = ("head", "left arm", "right arm", "trunk", "left leg", "right leg")
+_HEAD, _ARM, _LEG = (
+    ("neck", "head", "nose", "eye", "ear"),
+    ("clavicle", "shoulder", "elbow", "wrist", "hand", "thumb"),
+    ("hip", "knee", "ankle", "heel", "foot"),
+)
 
 
 def _palette() -> NDArray[np.uint8]:
-    """(_INKS + _SHADES + 2, 3) RGB: from background to ink, from B's colour to A's, then the predicted
-    colours."""
+    """(_INKS + _SHADES + 2, 3) RGB: the ink, from B's colour over that of S* to A's, then the
+    predicted colour."""
 
     def between(first: layout.Color, last: layout.Color, steps: int) -> NDArray[np.float64]:
         return np.linspace(np.array(first), np.array(last), steps)
 
-    from_b_to_a = between(layout.SKELETON_COLORS["b"], layout.SKELETON_COLORS["a"], _SHADES + 1)
-    ramps = (between(_BACKGROUND, _INK, _INKS), from_b_to_a, np.array([layout.PREDICTED_COLOR]))
+    a, b, both = (layout.SKELETON_COLORS[key] for key in ("a", "b", "fused"))
+    half = _SHADES // 2
+    ramps = (
+        between(_INK, _INK, _INKS),
+        between(b, both, half + 1)[:-1],
+        between(both, a, half + 1),
+        np.array([layout.PREDICTED_COLOR]),
+    )
     return np.concatenate(ramps).astype(np.uint8)
 
 
 _PALETTE = _palette()
+_ALPHA = np.append(np.linspace(0, 255, _INKS).astype(np.uint8), np.full(len(_PALETTE) - _INKS, 255, np.uint8))
 _FROM_B, _FROM_A, _PREDICTED = _INKS, _INKS + _SHADES, _INKS + _SHADES + 1
 
 
 def trust_colors(rows: SessionArrays) -> NDArray[np.uint8]:
-    """(T, J, 3) RGB: a mix of A's and B's colours by their share in the joint; grey where predicted."""
+    """(T, J, 3) RGB by the share of the views in the joint: the colours of A, of S* where both count alike,
+    and of B; grey where predicted."""
     return np.asarray(_PALETTE[_shades(rows)])
 
 
@@ -74,7 +88,7 @@ class _Page:
 
 
 class TrustMatrix:
-    """Shows which view each joint followed: one row per joint, half a minute per page, colours as in
+    """Shows which view each joint followed: one row per joint, by limb, half a minute per page, colours as in
     :func:`trust_colors`.
 
     A page is shown from its start until the next page starts. It covers some time before its start and after
@@ -91,6 +105,7 @@ class TrustMatrix:
     def __init__(self, body: Body, draft_ns: int | None, hasty: bool = False) -> None:
         self._draft_ns, self._draft_level = draft_ns, _FAST if hasty else _SMALL
         self._body = body
+        self._rows = _Rows.of(body)
         self._open: list[_Page] = []
         self._newest = -1  # page
         self._next_ns = 0
@@ -133,34 +148,76 @@ class TrustMatrix:
         return page
 
     def _drawn(self, page: _Page, level: int = _SMALL) -> tuple[int, int, bytes]:
-        cells = page.cells.repeat(_ROW_HEIGHT, axis=0).repeat(_BIN_WIDTH, axis=1)
-        cells[_ROW_HEIGHT - 1 :: _ROW_HEIGHT] = 0  # a line between the joints
-        picture = np.pad(cells, ((0, _TICKS_HEIGHT), (0, 0)))
-        height, width = cells.shape[:2]
+        cells = page.cells[self._rows.joints].repeat(_BIN_WIDTH, axis=1)
+        picture = np.pad(cells.repeat(self._rows.height, axis=0), ((0, _TICKS_HEIGHT), (0, 0)))
+        height, width = len(cells) * self._rows.height, cells.shape[1]
+        picture[self._rows.height - 1 : height : self._rows.height] = 0  # a line between the joints
+        for _, first, _ in self._rows.groups:
+            picture[max(0, first - 2) : first + 1] = 0
         axis = picture[height:]
         step = _BIN_WIDTH * (_TICK_S * 10**9 // _BIN_NS)
         for k, x in enumerate(range(0, width, step)):
-            cv2.line(axis, (x, 0), (x, 5), _INKS - 1, 1)
-            _text(axis, f"{page.first * _BIN_NS // 10**9 + k * _TICK_S} s", x + 4, 21)
+            cv2.line(axis, (x, 0), (x, 7), _INKS - 1, 2)
+            _text(axis, f"{page.first * _BIN_NS // 10**9 + k * _TICK_S} s", x + 6, 29)
         return page.frame, page.time_ns, _png(picture, level)
 
 
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The rows of the matrix.
+
+    Attributes:
+        joints: (J,) the joint of each row, by limb.
+        height: Pixels of a row.
+        groups: (name, first, last) pixel row of each limb.
+    """
+
+    joints: NDArray[np.int64]
+    height: int
+    groups: list[tuple[str, int, int]]
+
+    @staticmethod
+    def of(body: Body) -> _Rows:
+        limbs = np.array([_GROUPS.index(_limb(name)) for name in body.joints])
+        height = round(_MATRIX_HEIGHT / len(body))
+        ends = np.cumsum([np.count_nonzero(limbs == k) for k in range(len(_GROUPS))]) * height
+        begins = [0, *ends[:-1].tolist()]
+        return _Rows(
+            np.argsort(limbs, kind="stable"),
+            height,
+            [(name, begin, end) for name, begin, end in zip(_GROUPS, begins, ends.tolist(), strict=True)],
+        )
+
+
 def matrix_frame(body: Body) -> bytes:
-    """The background of every page as a PNG file: joint names on the right, and a legend."""
-    height, width = len(body) * _ROW_HEIGHT, _BINS * _BIN_WIDTH
+    """What lies beneath every page, as a PNG file: the names of the limbs on the right, and a legend."""
+    rows = _Rows.of(body)
+    height, width = len(body) * rows.height, _BINS * _BIN_WIDTH
     picture = np.zeros((height + _AXIS_HEIGHT, width + _NAMES_WIDTH), dtype=np.uint8)
-    for joint, name in enumerate(body.joints):
-        _text(picture, _in_words(name), width + 8, (joint + 1) * _ROW_HEIGHT - 6)
+    for name, first, last in rows.groups:
+        _text(picture, name, width + 10, (first + last) // 2 + 8)
     left = 0
     for words, shade in (
         ("from A", _FROM_A),
         ("from B", _FROM_B),
+        ("from both", (_FROM_A + _FROM_B) // 2),
         ("predicted", _PREDICTED),
     ):
-        picture[height + 33 : height + 48, left : left + 22] = shade
-        _text(picture, words, left + 28, height + 47)
-        left += 150
+        picture[height + 46 : height + 66, left : left + 28] = shade
+        _text(picture, words, left + 36, height + 65)
+        left += 60 + 17 * len(words)
     return _png(picture)
+
+
+def _limb(joint: str) -> str:
+    """The group of a joint."""
+    name = joint.lower()
+    side = "left" if "left" in name else "right"
+    if any(part in name for part in _ARM) and side in name:
+        return f"{side} arm"
+    if any(part in name for part in _LEG) and side in name:
+        return f"{side} leg"
+    return "head" if any(part in name for part in _HEAD) else "trunk"
 
 
 class StateLanes:
@@ -191,14 +248,9 @@ class StateLanes:
             self._before[side] = states[-1].copy()  # a view would keep the whole block in memory
 
 
-def _in_words(joint: str) -> str:
-    """ELBOW_LEFT and ElbowLeft as ``elbow left``."""
-    return re.sub(r"(?<=[a-z])(?=[A-Z])|_", " ", joint).lower()
-
-
 def _text(picture: NDArray[np.uint8], words: str, x: int, y: int) -> None:
     letters = np.zeros_like(picture)
-    cv2.putText(letters, words, (x, y), _FONT, _TEXT_SIZE, 255, 1, cv2.LINE_AA)
+    cv2.putText(letters, words, (x, y), _FONT, _TEXT_SIZE, 255, _STROKE, cv2.LINE_AA)
     np.maximum(picture, letters // (256 // _INKS), out=picture)
 
 
@@ -207,5 +259,5 @@ def _png(picture: NDArray[np.uint8], level: int = _SMALL) -> bytes:
     image = Image.fromarray(picture)
     image.putpalette(_PALETTE.tobytes())
     file = io.BytesIO()
-    image.save(file, "PNG", compress_level=level)
+    image.save(file, "PNG", compress_level=level, transparency=_ALPHA.tobytes())
     return file.getvalue()

@@ -26,7 +26,9 @@ from recordings.images.rvl import MEDIA_TYPE, encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.writing.frame_streams import frame_streams
+from recordings.writing.placement_log import PlacementLog
 from recordings.writing.properties import session_properties
+from recordings.writing.quality_log import QualityLog
 from recordings.writing.sensor_stream_log import StreamFiguresLog
 
 _MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
@@ -76,6 +78,7 @@ class Recorder:
         draft_ns = (_MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS) if drafts else None
         self._matrix = TrustMatrix(setup.calibration.body, draft_ns, hasty=points)
         self._lanes = StateLanes()
+        self._placement, self._quality = PlacementLog(stream, setup), QualityLog(stream)
         self._log_static(setup)
         properties = session_properties(setup, sources, about or {})
         for name, values in properties.items():
@@ -246,6 +249,8 @@ class Recorder:
 
     def _explain(self, rows: SessionArrays) -> None:
         """Logs data that is not logged every frame: the trust matrix, and changes of tracking states."""
+        self._placement.record(rows)
+        self._quality.record(rows)
         self._log_matrix(self._matrix.add(rows))
         for side, joint, changes in self._lanes.add(rows):
             lane = layout.state_lane(side, rows.body.joints[joint])
@@ -280,7 +285,6 @@ class Recorder:
             stream.log(entity, *what, static=True)
 
         once(layout.ROOT, rr.ViewCoordinates.RDF, entity_styles.annotation_context(body))
-        once(layout.kinect("a"), rr.Transform3D.from_fields(translation=(0.0, 0.0, 0.0)))
         for side, intrinsics in (("a", setup.intrinsics_a), ("b", setup.intrinsics_b)):
             once(layout.skeleton(side), entity_styles.joint_look(body, side))
             once(layout.depth(side), entity_styles.camera(intrinsics, side))

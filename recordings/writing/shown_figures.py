@@ -14,6 +14,12 @@ from numpy.typing import NDArray
 
 from fusion.skeleton import TrackingState
 from recordings import layout
+from recordings.appearance.body_shape import (
+    bone_vectors,
+    capsule_lengths,
+    capsule_rotations,
+    pelvis_rotations,
+)
 from recordings.appearance.joint_trust import trust_colors
 from recordings.session_arrays import SessionArrays
 
@@ -59,6 +65,22 @@ def _view_class(side: str) -> Callable[[SessionArrays], NDArray[Any]]:
     return classes
 
 
+def _view_colors(side: str) -> Callable[[SessionArrays], NDArray[Any]]:
+    """(T, J, 3) RGB of S_A or S_B, see :data:`recordings.layout.VIEW_COLORS`."""
+
+    def colors(rows: SessionArrays) -> NDArray[Any]:
+        states = rows.states_a if side == "a" else rows.states_b
+        exchanged = rows.filled("exchanged")[:, layout.SIDES.index(side)] != 0
+        chosen = np.where(exchanged[:, None], 2, np.where(states == TrackingState.TRACKED, 0, 1))
+        return np.array(layout.VIEW_COLORS[side], dtype=np.uint8)[chosen]
+
+    return colors
+
+
+def _pelvis(rows: SessionArrays) -> NDArray[Any]:
+    return pelvis_rotations(rows.body, rows.fused)
+
+
 def _sigma_spheres(rows: SessionArrays) -> NDArray[Any] | None:
     """(T, J, 3) half sizes of spheres of one standard deviation, in steps that compress well."""
     if rows.sigma is None:
@@ -68,6 +90,32 @@ def _sigma_spheres(rows: SessionArrays) -> NDArray[Any] | None:
 
 
 SHOWN_FIGURES = (
+    ShownFigure(layout.skeleton("a"), "Points3D:colors", np.uint8, _view_colors("a")),
+    ShownFigure(layout.skeleton("b"), "Points3D:colors", np.uint8, _view_colors("b")),
+    ShownFigure(
+        layout.skeleton("a"),
+        layout.BONE_VECTORS,
+        np.float32,
+        lambda rows: bone_vectors(rows.body, rows.positions_a),
+    ),
+    ShownFigure(
+        layout.skeleton("b"),
+        layout.BONE_VECTORS,
+        np.float32,
+        lambda rows: bone_vectors(rows.body, rows.positions_b),
+    ),
+    ShownFigure(
+        layout.FUSED_SKELETON,
+        layout.CAPSULE_ROTATIONS,
+        np.float32,
+        lambda rows: capsule_rotations(rows.body, rows.fused),
+    ),
+    ShownFigure(
+        layout.FUSED_SKELETON,
+        layout.CAPSULE_LENGTHS,
+        np.float32,
+        lambda rows: capsule_lengths(rows.body, rows.bone_lengths),
+    ),
     ShownFigure(layout.skeleton("a"), "Points3D:class_ids", np.uint16, _view_class("a")),
     ShownFigure(layout.skeleton("b"), "Points3D:class_ids", np.uint16, _view_class("b")),
     ShownFigure(layout.FUSED_SKELETON, layout.SIGMA_SPHERES, np.float32, _sigma_spheres),
@@ -78,9 +126,13 @@ SHOWN_FIGURES = (
         np.float16,
         lambda rows: np.round(rows.view_difference * 1e3),
     ),
-    # The viewer's transform is float32, so a component stores R and t again in float64.
-    ShownFigure(layout.kinect("b"), "Transform3D:mat3x3", np.float64, lambda rows: rows.rotation),
-    ShownFigure(layout.kinect("b"), "Transform3D:translation", np.float64, lambda rows: rows.translation),
+    ShownFigure(layout.PELVIS, "Transform3D:mat3x3", np.float32, _pelvis),
+    ShownFigure(
+        layout.PELVIS,
+        "Transform3D:translation",
+        np.float32,
+        lambda rows: np.nan_to_num(rows.fused[:, rows.body.root]),
+    ),
     ShownFigure(layout.QUALITY, "figures.bone_error_mm", np.float32, lambda rows: rows.bone_error * 1e3),
     ShownFigure(layout.QUALITY, "figures.disagreement_mm", np.float32, lambda rows: rows.disagreement * 1e3),
     ShownFigure(

@@ -53,7 +53,9 @@ def test_a_joint_has_the_colour_of_the_sensor_it_came_from(rows: SessionArrays) 
     a, b = (np.array(layout.SKELETON_COLORS[side]) for side in layout.SIDES)
     assert (trust_colors(trusting(rows, 1.0)) == a).all()
     assert (trust_colors(trusting(rows, 0.0)) == b).all()
-    assert np.abs(trust_colors(trusting(rows, 0.5)) - (a + b) / 2.0).max() <= 1.0
+    assert (trust_colors(trusting(rows, 0.5)) == layout.SKELETON_COLORS["fused"]).all()
+    mostly_a = trust_colors(trusting(rows, 0.75))[0, 0]
+    assert np.abs(mostly_a - (a + layout.SKELETON_COLORS["fused"]) / 2.0).max() <= 1.0
     nothing = replace(rows, predicted=np.ones_like(rows.predicted))
     assert (trust_colors(nothing) == layout.PREDICTED_COLOR).all()
 

@@ -21,7 +21,7 @@ from viewer_app.coach.setup_coach import HOLD, Situation
 from viewer_app.coach.standing_spot import CAMERA_HEIGHT, FARTHEST, StandingSpot, standing_spot
 
 _RING = 0.3  # metres, radius
-_UNDER = 1.5  # metres
+_UNDER = 0.5  # metres
 _ANKLE = 0.08  # metres above the floor
 _THERE = 0.4  # metres from the spot that count as standing on it
 _FLOOR_OVER = 60  # frames

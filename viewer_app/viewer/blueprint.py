@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -24,19 +24,25 @@ Layout = Literal["setup", "inspect", "report"]
 LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report")
 
 _FIGURES = (
-    ("disagreement_mm", "S_A against S_B (mm)"),
-    ("bone_error_mm", "S* bone error (mm)"),
+    ("disagreement_mm", "views differ (mm)"),
+    ("bone_error_mm", "bone error of S* (mm)"),
     ("fuse_ms", "fusion (ms)"),
-    ("skew_ms", "skew (ms)"),
+    ("skew_ms", "B captured after A (ms)"),
 )
 _STREAM_FIGURES = (
     ("drift_ppm", "B's clock against A's (ppm)"),
     ("dropped", "frames dropped"),
     ("unpaired", "frames without a partner"),
 )
+_LIMBS = {
+    "upper_arm": "upper arms (m)",
+    "forearm": "forearms (m)",
+    "thigh": "thighs (m)",
+    "shin": "shins (m)",
+}
 _OVERVIEW, _HIGH = 2.1, 1.4
 """In *setup*: from behind both sensors, times their distance from the person, and metres above."""
-_BEHIND, _ABOVE = 2.4, 0.4
+_BEHIND, _ABOVE = 2.5, 0.7
 """In *inspect*: metres behind the person and over their middle, who then stands before both sensors."""
 _PLOTS_A_ROW = 6
 """In *report*: at most, so that a laptop's screen has room for their titles."""
@@ -71,7 +77,7 @@ def session_blueprint(
             active_tab=LAYOUTS.index(active),
         ),
         rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="expanded" if active == "inspect" else "collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=layout.TIME),
         auto_views=False,
     )
@@ -98,26 +104,18 @@ def _setup(setup: FusionSetup, person_at: NDArray[np.float64], color: bool, infr
             rrb.Tabs(_color_view(side), depth) for side, depth in zip(layout.SIDES, depths, strict=True)
         ]
     forth = 0.5 * _place_of_b(setup, person_at) - person_at  # to half-way between the sensors
-    seen = rrb.TimeSeriesView(
-        origin=layout.QUALITY,
-        contents=["$origin"],  # its children are stream figures in other units
-        name="joints tracked by each sensor",
-        overrides={layout.QUALITY: entity_styles.tracked_lines()},
-        axis_y=rrb.ScalarAxis(range=(0.0, len(setup.body) + 1.0)),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftBottom),
-    )
     scene = _scene(
         person_at + _OVERVIEW * forth - np.array([0.0, _HIGH, 0.0]),
         person_at + 0.4 * forth,
-        "sensors, skeletons, points",
+        "where to stand",
+        setup.body,
         frustum=_FRUSTA["setup"],
     )
     advice = rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="what to do next")
     return rrb.Horizontal(
-        rrb.Vertical(*images, seen, row_shares=[5, 5, 3]),
-        # an event's line does not wrap
-        rrb.Vertical(scene, rrb.Horizontal(advice, _events(), column_shares=[1, 2]), row_shares=[7, 3]),
-        column_shares=[3, 8],
+        rrb.Vertical(*images),
+        rrb.Vertical(advice, scene, row_shares=[2, 5]),
+        column_shares=[1, 2],
         name="setup",
     )
 
@@ -148,85 +146,108 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool) -> 
     away = person_at - 0.5 * _place_of_b(setup, person_at)
     away /= max(float(np.linalg.norm(away)), 1e-6)
     behind = person_at + _BEHIND * away - np.array([0.0, _ABOVE, 0.0])
-    limbs = [f"{bone}_{side}" for bone in layout.PROMINENT_BONES for side in ("left", "right")]
     prominent = [body.joints[body.joint(name)] for name in layout.PROMINENT_JOINTS]
     disagreement, *others = (_plot(*figure) for figure in _FIGURES)
-    trust_lines = rrb.TimeSeriesView(
-        origin=layout.FUSED_SKELETON,
-        name="trust in A, limbs",
-        overrides={layout.FUSED_SKELETON: entity_styles.weight_lines(body, "a")},
-        axis_y=rrb.ScalarAxis(range=(-0.05, 1.05)),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
-    )
     hidden = [*(layout.points(side) for side in layout.SIDES), f"{layout.COACH}/**"]
 
     def scene(name: str, *hidden: str, sigma: bool = False) -> rrb.View:
         frustum = _FRUSTA["inspect"]
-        return _scene(behind, person_at, name, frustum, layout.FUSED_SKELETON, hidden, sigma)
+        return _scene(behind, person_at, name, body, frustum, layout.FUSED_SKELETON, hidden, sigma)
 
     return rrb.Horizontal(
         rrb.Vertical(
             rrb.Tabs(
-                scene("S_A brown, S_B blue, S* purple", *hidden),
+                scene("S*: brown from A, blue from B, purple from both", *hidden),
                 scene("S* with 1 σ", *hidden, *(layout.skeleton(side) for side in layout.SIDES), sigma=True),
                 active_tab=0,
             ),
             rrb.Tabs(
                 disagreement,
+                _events(),
                 rrb.StateTimelineView(
                     origin="/",
                     contents=[layout.state_lane(side, joint) for joint in prominent for side in layout.SIDES],
-                    name="states, limbs",
+                    name="states of limbs",
                 ),
+                _seen(body),
                 *others,
                 *(
                     rrb.TimeSeriesView(origin=layout.stream_figure(name), name=title)
                     for name, title in (_STREAM_FIGURES if live else ())
                 ),
-                rrb.StateTimelineView(origin=layout.STATE_LANES, name="states"),
-                trust_lines,
-                _events(),
+                rrb.StateTimelineView(origin=layout.STATE_LANES, name="all states"),
+                rrb.TimeSeriesView(
+                    origin=layout.FUSED_SKELETON,
+                    name="trust in A, limbs",
+                    overrides={layout.FUSED_SKELETON: entity_styles.weight_lines(body, "a")},
+                    axis_y=rrb.ScalarAxis(range=(-0.05, 1.05)),
+                    plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+                ),
                 active_tab=0,
             ),
-            row_shares=[3, 2],
+            row_shares=[5, 2],
         ),
         rrb.Vertical(
-            rrb.Spatial2DView(origin=layout.TRUST_MATRIX, name="whose view made each joint"),
-            rrb.Grid(*_bone_plots([bone for bone in limbs if bone in body.bones], " (m)"), grid_columns=2),
+            rrb.Spatial2DView(origin=layout.TRUST_MATRIX, name="which sensor each joint follows"),
+            rrb.Grid(*(_bone_plot(f"{bone}_left", title) for bone, title in _LIMBS.items()), grid_columns=2),
             row_shares=[1, 1],
         ),
-        column_shares=[5, 6],
+        column_shares=[7, 5],
         name="inspect",
     )
 
 
 def _report(body: Body) -> rrb.Container:
-    plots = _bone_plots(body.bones[joint] for joint in body.bone_joints)
+    bones = [body.bones[joint] for joint in body.bone_joints]
+    plots = [_bone_plot(bone, bone_title(bone)) for bone in bones if not bone.endswith("_right")]
     rows = np.array_split(np.arange(len(plots)), math.ceil(len(plots) / _PLOTS_A_ROW))
-    legend = "how good; above: bones in m, S_A brown, S_B blue, S* purple, target grey"
     return rrb.Vertical(
+        rrb.Horizontal(
+            rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="how good"),
+            _plot("disagreement_mm", "S_A against S_B (mm)"),
+            _quality_plot("jitter_mm", "jitter (mm)"),
+            _quality_plot("placement", "Kinect B since its first calibration"),
+        ),
         *(rrb.Horizontal(*(plots[k] for k in row)) for row in rows),
-        rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name=legend),
+        row_shares=[3, *([2] * len(rows))],
         name="report",
     )
 
 
-def _bone_plots(bones: Iterable[str], unit: str = "") -> list[rrb.View]:
-    return [
-        rrb.TimeSeriesView(
-            origin=layout.BONES,
-            name=bone_title(bone) + unit,
-            plot_legend=rrb.PlotLegend(visible=False),
-            overrides={layout.BONES: entity_styles.bone_lines(bone)},
-        )
-        for bone in bones
-    ]
+def _seen(body: Body) -> rrb.View:
+    return rrb.TimeSeriesView(
+        origin=layout.QUALITY,
+        contents=["$origin"],  # its children are figures in other units
+        name="joints tracked",
+        overrides={layout.QUALITY: entity_styles.tracked_lines()},
+        axis_y=rrb.ScalarAxis(range=(0.0, len(body) + 1.0)),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftBottom),
+    )
+
+
+def _quality_plot(name: str, title: str) -> rrb.View:
+    return rrb.TimeSeriesView(
+        origin=layout.stream_figure(name), name=title, plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop)
+    )
+
+
+def _bone_plot(bone: str, title: str) -> rrb.View:
+    """Lengths of a bone in S_A, S_B and S*; a left bone comes with the right one, in darker colours."""
+    lines = [entity_styles.bone_lines(bone)]
+    if bone.endswith("_left"):
+        lines.insert(0, entity_styles.bone_lines(bone.replace("_left", "_right"), mirrored=True))
+    return rrb.TimeSeriesView(
+        origin=layout.BONES,
+        name=title,
+        plot_legend=rrb.PlotLegend(visible=False),
+        overrides={layout.BONES: lines},
+    )
 
 
 def bone_title(bone: str) -> str:
-    """upper_arm_left as ``L upper arm``: short enough for the plot of one bone among thirty."""
+    """upper_arm_left as ``upper arm L R``: short enough for one plot among twenty, in metres."""
     name, _, side = bone.rpartition("_")
-    words = f"{side[0].upper()} {name}" if side in ("left", "right") else bone
+    words = f"{name} L R" if side in ("left", "right") else bone
     return words.replace("_", " ")
 
 
@@ -250,6 +271,7 @@ def _scene(
     eye: NDArray[np.float64],
     looks_at: NDArray[np.float64],
     name: str,
+    body: Body,
     frustum: float,
     track: str | None = None,
     hidden: Sequence[str] = (),
@@ -270,16 +292,13 @@ def _scene(
                 layout.depth(side): rr.Pinhole.from_fields(image_plane_distance=frustum).visualizer()
                 for side in layout.SIDES
             },
-            **(
-                {
-                    layout.FUSED_SKELETON: [
-                        rr.Points3D.from_fields().visualizer(),
-                        entity_styles.sigma_spheres(),
-                    ]
-                }
-                if sigma
-                else {}
-            ),
+            **{
+                layout.skeleton(side): [entity_styles.lone_joints(), entity_styles.thin_bones()]
+                for side in layout.SIDES
+            },
+            layout.FUSED_SKELETON: [rr.Points3D.from_fields().visualizer(), entity_styles.sigma_spheres()]
+            if sigma
+            else [entity_styles.lone_joints(), entity_styles.body_capsules(body)],
         },
         eye_controls=rrb.EyeControls3D(
             position=eye, look_target=looks_at, eye_up=(0.0, -1.0, 0.0), tracking_entity=track

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
@@ -55,15 +56,14 @@ def saved(path: Path, fuser: Fuser, made: list[RecordedFrame], active: Layout) -
 def expected(active: Layout) -> set[str]:
     """Names of the views that a layout shows at first."""
     if active == "report":
-        bones = {bone_title(KINECT_V2.bones[joint]) for joint in KINECT_V2.bone_joints}
-        return bones | {"how good; above: bones in m, S_A brown, S_B blue, S* purple, target grey"}
+        bones = [KINECT_V2.bones[joint] for joint in KINECT_V2.bone_joints]
+        quality = {"how good", "S_A against S_B (mm)", "jitter (mm)", "Kinect B since its first calibration"}
+        return {bone_title(bone) for bone in bones if not bone.endswith("_right")} | quality
     if active == "setup":
-        return {
-            "Kinect A", "Kinect B", "sensors, skeletons, points", "what to do next", "events",
-            "joints tracked by each sensor",
-        }  # fmt: skip
-    limbs = {f"{side} {bone} (m)" for side in "LR" for bone in ("upper arm", "forearm", "thigh", "shin")}
-    return limbs | {"S_A brown, S_B blue, S* purple", "whose view made each joint", "S_A against S_B (mm)"}
+        return {"Kinect A", "Kinect B", "where to stand", "what to do next"}
+    limbs = {"upper arms (m)", "forearms (m)", "thighs (m)", "shins (m)"}
+    scene = "S*: brown from A, blue from B, purple from both"
+    return limbs | {scene, "which sensor each joint follows", "views differ (mm)"}
 
 
 def ink(picture: NDArray[np.uint8]) -> float:
@@ -128,7 +128,7 @@ def test_a_plot_of_one_figure_has_no_line_of_the_streams(tmp_path: Path) -> None
         picture = tmp_path / "plot.png"
 
         def of_plot() -> NDArray[np.uint8] | None:
-            plots = [v for v in viewer.get_state().views if v.name == "S_A against S_B (mm)"]
+            plots = [v for v in viewer.get_state().views if v.name == "views differ (mm)"]
             if not plots or ink_of(viewer, plots[0].view_id, tmp_path) < 0.002:
                 return None
             viewer.save_screenshot(str(picture), plots[0].view_id)
@@ -147,22 +147,50 @@ def test_a_plot_of_one_figure_has_no_line_of_the_streams(tmp_path: Path) -> None
             assert pixels_near(plot, layout.SKELETON_COLORS[side], 40) == 0
 
 
-def test_states_of_the_limbs_stand_second_among_the_tabs() -> None:
-    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
-    inspect = session_blueprint(fuser.setup, np.array([0.1, 0.1, 2.6]), "inspect").root_container.contents[1]
-    tabs = inspect.contents[0].contents[1]
-    assert [view.name for view in tabs.contents][:2] == ["S_A against S_B (mm)", "states, limbs"]
+def layouts(body: Body) -> dict[str, rrb.Container]:
+    blueprint = session_blueprint(
+        FusionSetup(nominal_calibration(body)), np.array([0.1, 0.1, 2.6]), "inspect"
+    )
+    return {tab.name: tab for tab in blueprint.root_container.contents}
+
+
+def panes(container: rrb.Container | rrb.View) -> list[rrb.View]:
+    """The views that are seen at once: of a group of tabs only the first."""
+    if isinstance(container, rrb.View):
+        return [container]
+    contents = container.contents[:1] if isinstance(container, rrb.Tabs) else container.contents
+    return [view for content in contents for view in panes(content)]
+
+
+def test_inspect_has_one_subject() -> None:
+    """The scene, the trust, four limbs and one group of tabs: what fits on a laptop's screen."""
+    scene, figure, trust, *limbs = panes(layouts(KINECT_V2)["inspect"])
+    assert isinstance(scene, rrb.Spatial3DView)
+    assert isinstance(figure, rrb.TimeSeriesView)
+    assert isinstance(trust, rrb.Spatial2DView)
+    assert len(limbs) == 4
+
+
+def test_setup_has_images_advice_and_the_place_to_stand() -> None:
+    kinds = [type(view) for view in panes(layouts(KINECT_V2)["setup"])]
+    assert kinds == [rrb.Spatial2DView, rrb.Spatial2DView, rrb.TextDocumentView, rrb.Spatial3DView]
+
+
+@pytest.mark.parametrize("active", LAYOUTS)
+def test_the_selection_panel_is_closed_at_first(active: Layout) -> None:
+    setup = FusionSetup(nominal_calibration(KINECT_V2))
+    blueprint = session_blueprint(setup, np.array([0.1, 0.1, 2.6]), active)
+    assert blueprint.selection_panel.state == "collapsed"
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=lambda body: body.name)
-def test_a_report_has_full_rows_and_short_titles(body: Body) -> None:
-    setup = FusionSetup(nominal_calibration(body))
-    *rows, words = (
-        session_blueprint(setup, np.array([0.1, 0.1, 2.6]), "report").root_container.contents[2].contents
-    )
+def test_a_report_has_every_bone_in_full_rows_with_short_titles(body: Body) -> None:
+    quality, *rows = layouts(body)["report"].contents
     counts = [len(row.contents) for row in rows]
-    assert sum(counts) == len(body.bone_joints)
+    shown = {bone_title(body.bones[joint]) for joint in body.bone_joints}  # left and right share a title
+    titles = [plot.name for row in rows for plot in row.contents]
+    assert sorted(titles) == sorted(shown)
     assert max(counts) <= 6
     assert max(counts) - min(counts) <= 1
-    assert max(len(plot.name) for row in rows for plot in row.contents) <= len("L upper arm")
-    assert words.name.startswith("how good")
+    assert max(map(len, titles)) <= len("upper arm L R")
+    assert quality.contents[0].name == "how good"

@@ -1,0 +1,100 @@
+"""The floor under the person, found from the ankles of S*.
+
+Skeletons contain no floor. A standing person's trunk and legs give the vertical
+(:mod:`fusion.facing.upright`), and the lower ankle the height.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.facing.upright import upright_direction
+from fusion.rigid import RigidTransform
+
+ANKLE = 0.08
+"""Metres: height of an ankle above the floor."""
+CAMERA_HEIGHT = 1.0
+"""Metres: assumed height of a sensor above the floor until feet have been seen."""
+_OVER = 300
+"""Frames, 10 s: the floor is found from the last ones."""
+_EVERY = 30
+"""Frames between two findings."""
+_ENOUGH = 10
+"""Frames with both ankles, before the first finding."""
+_MOVED, _TURNED = 0.03, math.radians(1.0)
+"""Metres and radians: smaller changes are not reported."""
+_CENTIMETRE = 0.01
+
+
+class FloorFinder:
+    """Finds the floor while S* comes in.
+
+    Attributes:
+        a_from_floor: The newest floor, see :func:`floor_frame`.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self._body = body
+        self._ankles = [body.joint("ankle left"), body.joint("ankle right")]
+        self._recent: deque[NDArray[np.float64]] = deque(maxlen=_OVER)
+        self._since = 0
+        self._found = False
+        self.a_from_floor = floor_frame(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT)
+
+    def add(self, fused: NDArray[np.floating]) -> bool:
+        """Adds frames.
+
+        Args:
+            fused: (T, J, 3) S* in K_A's frame, metres.
+
+        Returns:
+            Whether :attr:`a_from_floor` changed noticeably.
+        """
+        seen = np.isfinite(fused[:, self._ankles]).all(axis=(1, 2))
+        whole = np.asarray(fused[seen], dtype=np.float64)
+        self._recent.extend(whole[:: math.ceil(len(whole) / _OVER) or 1])
+        self._since += len(fused)
+        if len(self._recent) < _ENOUGH or (self._since < _EVERY and self._found):
+            return False
+        self._since = 0
+        new = find_floor(self._body, np.array(self._recent))
+        moved = float(np.linalg.norm(new.translation - self.a_from_floor.translation))
+        if self._found and moved < _MOVED and new.angle_to(self.a_from_floor) < _TURNED:
+            return False
+        self._found = True
+        self.a_from_floor = new
+        return True
+
+
+def find_floor(body: Body, fused: NDArray[np.float64]) -> RigidTransform:
+    """K_A ← floor, from S* over some seconds.
+
+    The vertical is :func:`fusion.facing.upright.upright_direction`, and the height the median of the lower
+    ankle's, less that of an ankle above the floor.
+
+    Args:
+        body: The joints.
+        fused: (T, J, 3) metres in K_A's frame; both ankles are finite.
+    """
+    up = upright_direction(body, fused)
+    ankles = fused[:, [body.joint("ankle left"), body.joint("ankle right")]]
+    height = ANKLE - float(np.median((ankles @ up).min(axis=1)))
+    return floor_frame(up, round(height / _CENTIMETRE) * _CENTIMETRE)
+
+
+def floor_frame(up: NDArray[np.float64], height: float) -> RigidTransform:
+    """K_A ← floor. The floor's y is down along gravity, its z where K_A looks, its origin below K_A.
+
+    Args:
+        up: (3,) unit vector against gravity in K_A's frame.
+        height: Metres of K_A above the floor.
+    """
+    down = -up
+    right = np.array([1.0, 0.0, 0.0]) - down[0] * down
+    right /= np.linalg.norm(right)
+    return RigidTransform.of(np.stack((right, down, np.cross(right, down)), axis=1), height * down)
