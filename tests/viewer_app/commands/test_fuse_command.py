@@ -36,7 +36,7 @@ def test_two_recordings_become_a_session_a_report_and_a_summary(
     recordings: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     session, report = tmp_path / "s.rrd", tmp_path / "r.json"
-    assert duplex("fuse", *recordings, "--no-viewer", "--save", session, "--report", report) == 0
+    assert duplex("fuse", *recordings, "--no-viewer", "--save", session, "--report", report, "--verbose") == 0
     said = capsys.readouterr().out
     for words in (
         "Paired 90 frames",
