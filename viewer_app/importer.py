@@ -12,7 +12,12 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from devices.sensor import Sensor
 
 NOT_MINE = 66
 """Exit code for a file of another program, as Rerun defines it."""
@@ -54,7 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return NOT_MINE
     if sys.stdout.isatty():
         return _failed(f"the recording goes to the standard output: {_NAME} {path} | rerun -", code=2)
-    return _write(path, given.application_id or path.name, given.recording_id, given.entity_path_prefix)
+    with redirect_stdout(sys.stderr):  # the standard output has the recording only
+        return _write(path, given.application_id or path.stem, given.recording_id, given.entity_path_prefix)
 
 
 def is_mine(path: Path) -> bool:
@@ -73,7 +79,6 @@ def is_mine(path: Path) -> bool:
 def _write(path: Path, application: str, recording: str | None, prefix: str) -> int:
     os.environ.setdefault("RERUN_ANALYTICS", "0")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    sys.stdout = sys.stderr  # the standard output has the recording only
     import rerun as rr
 
     from devices.sensor import DeviceError
@@ -87,7 +92,7 @@ def _write(path: Path, application: str, recording: str | None, prefix: str) -> 
             log = SensorLog(stream, sensor, prefix)
             stream.stdout()
             log.write()
-            stream.send_blueprint(sensor_blueprint(log.entities, sensor.intrinsics))
+            stream.send_blueprint(sensor_blueprint(log.entities, log.camera, log.person_at))
     except (DeviceError, FusionError) as error:
         return _failed(str(error))
     finally:
@@ -95,7 +100,7 @@ def _write(path: Path, application: str, recording: str | None, prefix: str) -> 
     return 0
 
 
-def _opened(path: Path):  # type: ignore[no-untyped-def]
+def _opened(path: Path) -> Sensor:
     """The source of a file, not yet open."""
     if path.suffix.lower() == ".mkv":
         from devices.azure.recording.mkv import MkvRecording

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from devices.sensor import ColorImage, Sensor, SensorFrame
 from fusion.body import Body
+from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
 from fusion.skeleton import TrackingState
 from recordings import layout
 from recordings.appearance import entity_styles
@@ -46,9 +48,14 @@ class SensorEntities:
         """What is wrong with the recording."""
         return f"{self.sensor}/events"
 
+    @property
+    def people(self) -> str:
+        """The entity of which each person is a child."""
+        return f"{self.sensor}/people"
+
     def person(self, name: str) -> str:
         """The skeletons of one person."""
-        return f"{self.sensor}/people/{rr.escape_entity_path_part(name)}"
+        return f"{self.people}/{rr.escape_entity_path_part(name)}"
 
 
 class SensorLog:
@@ -58,11 +65,18 @@ class SensorLog:
         stream: Receives the data.
         sensor: A recorded sensor, open.
         prefix: The entity below which all data is placed; empty for the root.
+
+    Attributes:
+        entities: Where the data is.
+        camera: Intrinsics of the depth camera; of skeletons without a camera, those of a usual sensor.
+        person_at: (3,) metres: the middle of the people in the first ten seconds with anyone; None without.
     """
 
     def __init__(self, stream: rr.RecordingStream, sensor: Sensor, prefix: str = "") -> None:
         self._stream, self._sensor = stream, sensor
         self.entities = SensorEntities(f"{prefix.strip('/')}/sensor".strip("/"))
+        self.camera: Intrinsics = sensor.intrinsics or NOMINAL_INTRINSICS[sensor.body.name]
+        self.person_at: NDArray[np.float64] | None = None
         self._begun_ns: int | None = None
         self._seen: set[str] = set()
         self._has_color = False
@@ -94,9 +108,8 @@ class SensorLog:
         once, entities = self._stream.log, self.entities
         look = entity_styles.annotation_context(self._sensor.body)
         once(entities.sensor, rr.ViewCoordinates.RDF, look, static=True)
-        if self._sensor.intrinsics is not None:
-            camera = entity_styles.camera(self._sensor.intrinsics, "a")
-            once(entities.depth, camera, entity_styles.DEPTH, static=True)
+        once(entities.depth, entity_styles.camera(self.camera, "a"), entity_styles.DEPTH, static=True)
+        once(f"{entities.depth}/edge", entity_styles.image_edge(self.camera), static=True)
 
     def _log_people(self, first: int, frames: Sequence[SensorFrame]) -> None:
         """Writes skeletons by columns; a person who is not seen has no positions."""
@@ -115,6 +128,8 @@ class SensorLog:
                     positions[t] = skeleton.positions
                     inferred = skeleton.states == TrackingState.INFERRED
                     colors[t, inferred] = _rgba(layout.STATE_COLORS[TrackingState.INFERRED])
+            if self.person_at is None and np.isfinite(positions).any():
+                self.person_at = np.nanmedian(positions.reshape(-1, 3).astype(np.float64), axis=0)
             columns = rr.Points3D.columns(positions=positions.reshape(-1, 3), colors=colors.ravel())
             times = [
                 rr.TimeColumn(layout.FRAME, sequence=range(first, first + len(frames))),
@@ -152,7 +167,7 @@ def _joint_look(body: Body) -> rr.Points3D:
     return rr.Points3D.from_fields(
         class_ids=layout.CLASS_IDS["a"],
         keypoint_ids=range(len(body)),
-        radii=layout.JOINT_RADII["fused"],
+        radii=layout.JOINT_RADII["a"],
         show_labels=False,
     )
 

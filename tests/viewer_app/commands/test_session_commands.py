@@ -281,7 +281,7 @@ def test_info_says_what_is_in_it_and_what_is_missing(
         "A 90, B 89",
         "85° apart",
         "whole",
-        "calibrated: known truth",
+        "Calibrated: known truth",
     ):
         assert words in said
     cut = tmp_path / "cut.rrd"
