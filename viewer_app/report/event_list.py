@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from recordings.events import Event, Spell, spells_of
 from recordings.session import Session
 
-_UNSETTLED = ("none yet", "provisional")
+UNSETTLED = ("none yet", "provisional")
 """How the descriptions of calibrations begin that precede the start-up pose."""
 
 
@@ -69,7 +69,7 @@ def opening_event(events: Sequence[ListedEvent], settled_frame: int = 0) -> List
 
 def settled_frame(session: Session) -> int:
     """The first frame fused with a calibration that is not provisional; 0 where all are."""
-    return next((first for first, one in session.calibrations if not one.how.startswith(_UNSETTLED)), 0)
+    return next((first for first, one in session.calibrations if not one.how.startswith(UNSETTLED)), 0)
 
 
 def shortest_list(events: Sequence[ListedEvent], most: int) -> list[ListedEvent]:

@@ -19,15 +19,13 @@ from fusion.calibration.calibration import Calibration
 from recordings.events import Event
 from viewer_app.coach.advice import GOOD, USABLE, placement, quality
 from viewer_app.report.details import FEWEST_FRAMES, print_details
-from viewer_app.report.event_list import list_events, seconds_of
+from viewer_app.report.event_list import UNSETTLED, list_events, seconds_of
 from viewer_app.report.figures import Figures, FusionResult
 from viewer_app.report.numbers_in_words import in_mm, in_percent
 from viewer_app.viewer.display import has_display
 
 _LABEL_WIDTH = 13
-_CALIBRATE_AGAIN = (
-    "Calibrate again: stand still for a second, arms and legs apart, where both sensors see all of you"
-)
+_CALIBRATE = "Calibrate: stand still for a second, arms and legs apart, where both sensors see all of you"
 
 
 @dataclass(frozen=True)
@@ -116,19 +114,21 @@ def say_more(console: Console, others: str = "as data with --report FILE.json") 
 
 def _agreement(calibration: Calibration, figures: Figures) -> Line:
     registration = calibration.registration
+    if calibration.how.startswith(UNSETTLED):
+        return Line("Views agree", f"unknown: not calibrated yet. {_CALIBRATE}.", warning=True)
     apart = figures["disagreement_mm"]["median"]
     if registration is not None:
         apart = registration.residual_median * 1e3
         if registration.frames < FEWEST_FRAMES:
             text = f"too few frames to tell: {in_mm(apart)} apart over {registration.frames}; at least "
-            return Line("Views agree", f"{text}{FEWEST_FRAMES} are needed. {_CALIBRATE_AGAIN}.", warning=True)
+            return Line("Views agree", f"{text}{FEWEST_FRAMES} are needed. {_CALIBRATE}.", warning=True)
     if apart is None:
         return Line("Views agree", "unknown: no joint was seen by both sensors", warning=True)
     word = quality(apart)
     limit = {
         "good": "",
         "usable": f"; good is below {GOOD:.0f} mm",
-        "poor": f"; usable is below {USABLE:.0f} mm. {_CALIBRATE_AGAIN}",
+        "poor": f"; usable is below {USABLE:.0f} mm. {_CALIBRATE}",
     }
     return Line("Views agree", f"{word}: {in_mm(apart)} apart (median){limit[word]}.", warning=word == "poor")
 
@@ -148,7 +148,7 @@ def _pace(figures: Figures, latency_ms: dict[str, float | None]) -> str:
     if latency_ms.get("p50") is None:
         return f"{frames} frames in {seconds:.1f} s{each}."
     late = f"{latency_ms['p50']:.0f} ms after the images (99 %: {latency_ms['p99']:.0f} ms)"
-    return f"{late}{each} (last {seconds:.0f} s)."
+    return f"{late}{each}, last {seconds:.1f} s."
 
 
 def _bones(error_mm: Figures) -> str:

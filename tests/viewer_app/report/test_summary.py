@@ -67,7 +67,7 @@ def test_tables_come_with_verbose_only(result: FusionResult) -> None:
     [
         (39.0, 90, "good: 39 mm apart", False),
         (41.0, 90, "usable: 41 mm apart (median); good is below 40 mm", False),
-        (81.0, 90, "poor: 81 mm apart (median); usable is below 80 mm. Calibrate again", True),
+        (81.0, 90, "poor: 81 mm apart (median); usable is below 80 mm. Calibrate: stand still", True),
         (20.0, FEWEST_FRAMES - 1, "too few frames to tell: 20 mm apart over 14", True),
     ],
 )
@@ -85,6 +85,13 @@ def test_without_a_registration_the_frames_themselves_tell(result: FusionResult)
     assert next(fusion_lines(calibration_of(KINECT_V2), figures)).text.startswith("usable: 55 mm")
     figures["disagreement_mm"]["median"] = None
     assert next(fusion_lines(calibration_of(KINECT_V2), figures)).warning
+
+
+@pytest.mark.parametrize("how", ["none yet: an adult's proportions", "provisional, 1 frame of any pose"])
+def test_what_is_not_calibrated_has_no_verdict(result: FusionResult, how: str) -> None:
+    line = next(fusion_lines(replace(registered(20.0), how=how), report(result)))
+    assert line.text.startswith("unknown: not calibrated yet. Calibrate: stand still")
+    assert line.warning
 
 
 def with_repairs(rows: SessionArrays) -> SessionArrays:
