@@ -52,7 +52,8 @@ class Calibrator:
         if len(self._seen) < _PROVISIONAL_PAIRS:
             self._seen.append(pair)
             if len(self._seen) in (1, _PROVISIONAL_PAIRS):
-                return self._try(self._seen, f"provisional, {len(self._seen)} frames of any pose")
+                frames = "frame" if len(self._seen) == 1 else "frames"
+                return self._try(self._seen, f"provisional, {len(self._seen)} {frames} of any pose")
         return None
 
     def _try(self, pairs: list[SkeletonPair], how: str) -> Calibration | None:

@@ -66,7 +66,7 @@ class ClockOffset:
         """A sentence for the event log."""
         size = f"{self.offset_ns * 1e-6:+.1f} ± {self.sd_ns * 1e-6:.1f} ms"
         if not self.significant:
-            return f"The motion shows no offset between the sensors' clocks: {size}."
+            return f"The motion shows no certain offset between the sensors' clocks: {size}."
         return f"The motion shows that B captures {size} relative to its time stamps."
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import rerun.blueprint as rrb
 from rich.console import Console
@@ -16,6 +18,7 @@ from viewer_app.options.sessions import CompareOptions
 from viewer_app.output_files import check_outputs
 from viewer_app.report.numbers_in_words import in_mm
 from viewer_app.report.session_notes import print_damage
+from viewer_app.report.summary import Line, print_lines
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
 
@@ -53,8 +56,11 @@ def run(options: CompareOptions) -> None:
             console.print(f"  {name}: {values[0]} against {other_value}", highlight=False, markup=False)
     if comparison.one_missing:
         console.print(f"Only one of them has an S* in {comparison.one_missing} frames.")
-    console.print(_joint_table(comparison))
-    console.print(_bone_table(comparison))
+    if options.verbose:
+        console.print(_joint_table(comparison))
+        console.print(_bone_table(comparison))
+    else:
+        print_lines(console, _lead(comparison))
     if not np.any(comparison.apart > 0.0) and not comparison.one_missing:
         console.print("S* is the same in every frame they share.")
     for t, j in worst:
@@ -65,6 +71,25 @@ def run(options: CompareOptions) -> None:
         )
     if options.save is not None:
         console.print(f"Saved {options.save}.", highlight=False, markup=False)
+    if not options.verbose:
+        console.print("Every joint and bone: --verbose.", highlight=False)
+
+
+def _lead(comparison: Comparison) -> Iterator[Line]:
+    """How far the two S* are apart, in which joint most, and how calm each is."""
+    apart, noise = comparison.apart * 1e3, comparison.frame_noise * 1e3
+    distances = apart[np.isfinite(apart)]
+    if not len(distances):
+        return
+    median, high, most = (in_mm(float(np.percentile(distances, p))) for p in (50, 95, 100))
+    yield Line("Distance", f"of the two S*: {median} (median), 95 % {high}, at most {most}.")
+    of_joints = np.array([np.median(d[np.isfinite(d)]) if np.isfinite(d).any() else -1.0 for d in apart.T])
+    farthest = int(np.argmax(of_joints))
+    yield Line(
+        "Most", f"{comparison.body.joints[farthest]}, {in_mm(float(of_joints[farthest]))} apart (median)."
+    )
+    first, second = (in_mm(float(np.nanmedian(each))) for each in noise)
+    yield Line("Noise", f"of one frame, median joint: first {first}, second {second}.")
 
 
 def _joint_table(comparison: Comparison) -> Table:

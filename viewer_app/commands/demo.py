@@ -36,6 +36,7 @@ from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.options.sensing import DemoOptions
 from viewer_app.output_files import check_writable, free_name, warn_of_little_room
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
+from viewer_app.report.summary import Line, print_lines, say_more
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.display import has_display
@@ -135,7 +136,7 @@ def run(options: DemoOptions) -> None:
                 again = threading.Event()
                 ctrl_c.calls(again.set)
                 stay_for_visitors(viewing, console, again)
-        print_session(console, setup, frames, sensors, outputs)
+        print_session(console, setup, frames, sensors, outputs, options.verbose)
         left_out = a.images_left_out + b.images_left_out
         if left_out:
             wanted = a.images_wanted + b.images_wanted
@@ -144,10 +145,12 @@ def run(options: DemoOptions) -> None:
                 highlight=False,
             )
         if frames:
-            _print_truth(console, setup, frames, truth)
+            _print_truth(console, setup, frames, truth, options.verbose)
         if options.report is not None:
             save_report(options.report, session_report(setup, frames, sensors, outputs))
         print_saved(console, session.file)
+        if not options.verbose:
+            say_more(console)
         if not options.quiet:
             console.print(_NEXT, highlight=False)
         check_saved(session.file)
@@ -200,23 +203,33 @@ def _together(a: SimulatedKinect, b: SimulatedKinect, pace: TrackingPace | None)
     return TwoSensors(*tracked, decimation=pace)
 
 
-def _print_truth(console: Console, setup: FusionSetup, frames: list[RecordedFrame], truth: Truth) -> None:
+def _print_truth(
+    console: Console, setup: FusionSetup, frames: list[RecordedFrame], truth: Truth, verbose: bool
+) -> None:
     rows = SessionArrays.stack(setup.body, setup.calibration.bone_lengths, frames)
     assert rows.truth is not None
     angle = math.degrees(setup.calibration.a_from_b.angle_to(truth.a_from_b))
-    console.print(f"The sensors' true rotation lies {angle:.1f}° from the one found.")
     calibrated = rows.frame >= len(rows) // 4  # the start-up pose is over by then
     skeletons: dict[str, NDArray[np.float64]] = {
         "S_A": rows.positions_a.astype(np.float64),
         "S_B": rows.b_in_a,
         "S*": rows.fused,
     }
+    off_mm = {
+        name: np.linalg.norm(positions - rows.truth, axis=2)[calibrated] * 1e3
+        for name, positions in skeletons.items()
+    }
+    off_mm = {name: off[np.isfinite(off)] for name, off in off_mm.items()}
+    means = {name: f"{name} {off.mean():.0f} mm" for name, off in off_mm.items() if off.size}
+    if means:
+        print_lines(console, [Line("Truth", f"mean distance of the joints: {', '.join(means.values())}.")])
+    if not verbose:
+        return
+    console.print(f"The sensors' true rotation lies {angle:.1f}° from the one found.")
     table = Table(min_width=44, title="Distance from the true joints, after the start", title_justify="left")
     for column in ("skeleton", "mean", "95 %"):
         table.add_column(column, justify="left" if column == "skeleton" else "right")
-    for name, positions in skeletons.items():
-        off = np.linalg.norm(positions - rows.truth, axis=2)[calibrated] * 1e3
-        off = off[np.isfinite(off)]
+    for name, off in off_mm.items():
         if off.size:
             table.add_row(name, f"{off.mean():.0f} mm", f"{np.percentile(off, 95):.0f} mm")
     console.print(table)

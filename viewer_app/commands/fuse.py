@@ -39,7 +39,8 @@ from viewer_app.loop.fusing import warm_up
 from viewer_app.method_options import check_paper_options
 from viewer_app.options.sensing import FuseOptions
 from viewer_app.output_files import check_outputs, whole_file
-from viewer_app.report.figures import FusionResult, print_summary, report, report_to_json, say_saved
+from viewer_app.report.figures import FusionResult, report, report_to_json
+from viewer_app.report.summary import print_summary, say_more, say_saved
 from viewer_app.sinks.shown_images import ShownImages
 from viewer_app.sinks.viewer_sink import viewer_sink
 from viewer_app.tracker_selection import announce_tracker, tracker_of
@@ -127,7 +128,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, FusionR
                 write_session(session, partial, blueprint=blueprint, page=page)
         viewer.finish()
         result = FusionResult(read.pairing, setup.calibration, settings, session.rows, _exact(frames, setup))
-        _summarise(console, options, result)
+        _summarise(console, options, session, result)
         stay_for_visitors(viewing, console)
         return session, result
 
@@ -165,13 +166,16 @@ def _exact(frames: list[RecordedFrame], setup: FusionSetup) -> SessionArrays | N
     return SessionArrays.stack(setup.body, setup.calibration.bone_lengths, again)
 
 
-def _summarise(console: Console, options: FuseOptions, result: FusionResult) -> None:
+def _summarise(console: Console, options: FuseOptions, session: Session, result: FusionResult) -> None:
     figures = report(result)
     _write(options.report, report_to_json(figures))
     _write(options.save_calibration, calibration_to_json(result.calibration))
-    print_summary(console, result, figures)
+    told = [event for event in session.events if event.frame > 0]  # the recordings' own are printed already
+    print_summary(console, result, figures, told, options.verbose)
     if options.save is not None:
         say_saved(console, options.save)
+    if not options.verbose:
+        say_more(console)
 
 
 def _calibrate(wanted: str, body: Body, pairs: Sequence[SkeletonPair]) -> Calibration | None:

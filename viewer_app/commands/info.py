@@ -12,7 +12,9 @@ from recordings import layout
 from recordings.images.session_images import Images
 from recordings.session import Session
 from viewer_app.options.sessions import InfoOptions
-from viewer_app.report.figures import calibration_in_words
+from viewer_app.report.details import calibration_in_words
+from viewer_app.report.event_list import list_events
+from viewer_app.report.session_notes import print_events
 
 
 def run(options: InfoOptions) -> None:
@@ -61,6 +63,5 @@ def run(options: InfoOptions) -> None:
     row("whole", f"no: {', '.join(damage)}" if damage else "yes")
     console = Console()
     console.print(table, highlight=False)
-    for event in session.events:
-        moment = "" if event.time_ns is None else f"{event.time_ns * 1e-9:8.2f} s  "
-        console.print(f"  {moment}{event.text}", highlight=False, markup=False)
+    if session.events:
+        print_events(console, list_events(session.events), all_of_them=True)

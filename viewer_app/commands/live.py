@@ -37,6 +37,7 @@ from viewer_app.network_sensors import names_remote, sensors_by_network
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
+from viewer_app.report.summary import say_more
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.blueprint import session_blueprint
@@ -143,10 +144,12 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                 )
         for warning in (*a.warnings, *b.warnings):
             console.print(warning, style="yellow", highlight=False, markup=False)
-        print_session(console, setup, frames, sensors, outputs)
+        print_session(console, setup, frames, sensors, outputs, options.verbose)
         if options.report is not None:
             save_report(options.report, session_report(setup, frames, sensors, outputs))
         print_saved(console, session.file)
+        if not options.verbose:
+            say_more(console)
         if options.save_calibration is not None:
             _save_calibration(options.save_calibration, watch.settled)
         check_saved(session.file)

@@ -31,8 +31,9 @@ from viewer_app.method_options import check_paper_options
 from viewer_app.options.sessions import ReplayOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_outputs, print_outputs
-from viewer_app.report.figures import FusionResult, print_summary, report, report_to_json
+from viewer_app.report.figures import FusionResult, report, report_to_json
 from viewer_app.report.session_notes import print_damage, print_damaged_images
+from viewer_app.report.summary import print_summary, say_more, say_saved
 from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.blueprint import inspect_blueprint
 from viewer_app.viewer.display import has_display
@@ -125,11 +126,13 @@ def run(options: ReplayOptions) -> None:
     if options.report is not None:
         with whole_file(options.report) as partial:
             partial.write_text(report_to_json(figures), encoding="utf-8")
-    print_summary(console, result, figures)
+    print_summary(console, result, figures, replayed.events, options.verbose)
     print_outputs(console, outputs)
     if options.save is not None:
-        console.print(f"Saved {options.save}.", highlight=False, markup=False)
+        say_saved(console, options.save)
         print_damaged_images(console, damaged)
+    if not options.verbose:
+        say_more(console)
     if options.verify and not verify(console, session, rows.fused):
         sys.exit(1)
 

@@ -1,14 +1,19 @@
-"""``duplex review``: shows a session in the viewer, prints its summary and writes a report page."""
+"""``duplex review``: prints a session's summary and events, and shows it where something happened."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from rich.console import Console
 
 from recordings.session import Session
+from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReviewOptions
 from viewer_app.output_files import check_outputs, whole_file
-from viewer_app.report.figures import FusionResult, print_summary, report
-from viewer_app.report.session_notes import print_damage
+from viewer_app.report.event_list import ListedEvent, list_events, opening_event, seconds_of, settled_frame
+from viewer_app.report.figures import FusionResult, report
+from viewer_app.report.session_notes import print_damage, print_events
+from viewer_app.report.summary import print_summary, say_more
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import show
 
@@ -22,6 +27,8 @@ def run(options: ReviewOptions) -> None:
     console = Console()
     check_outputs([options.html], [options.session], options.force)
     session = Session.open(options.session)
+    events = list_events(session.events)
+    at_ns, where = opening_time(options, session, events)
     print_damage(console, session)
     result = FusionResult(session.pairing, session.calibration, session.settings, session.rows)
     figures = report(result)
@@ -30,8 +37,38 @@ def run(options: ReviewOptions) -> None:
 
         with whole_file(options.html) as partial:
             partial.write_text(review_page(session, figures), encoding="utf-8")
-    print_summary(console, result, figures)
+    print_summary(console, result, figures, verbose=options.verbose)
+    print_events(console, events, all_of_them=options.verbose)
     if options.html is not None:
-        console.print(f"Wrote {options.html}.", highlight=False, markup=False)
+        console.print(f"Wrote {options.html}.", highlight=False, markup=False, soft_wrap=True)
+    elif not options.verbose:
+        say_more(console, "every bone, with plots, with --html FILE.html")
     if not options.no_viewer and has_display():
-        show(options.session)
+        console.print(f"The viewer opens {where}.", highlight=False, markup=False)
+        if not show(options.session, at_ns):
+            console.print("The viewer did not take the time; move its time cursor by hand.", style="yellow")
+
+
+def opening_time(options: ReviewOptions, session: Session, events: Sequence[ListedEvent]) -> tuple[int, str]:
+    """Where the viewer opens: ns since the first pair, and the same in words.
+
+    Raises:
+        UsageError: There is no such event or time.
+    """
+    if options.event is not None and options.at is not None:
+        raise UsageError("--event and --at each say where to open; give one of them.")
+    if options.at is not None:
+        last_s = int(session.time_ns[-1]) * 1e-9
+        if not 0.0 <= options.at <= last_s:
+            raise UsageError(f"--at {options.at:g}: the session runs from 0 to {last_s:.2f} s.")
+        return round(options.at * 1e9), f"at {options.at:.2f} s"
+    if options.event is not None:
+        if not 1 <= options.event <= len(events):
+            known = f"they are numbered from 1 to {len(events)}" if events else "the session has none"
+            raise UsageError(f"--event {options.event}: no such event; {known}.")
+        chosen: ListedEvent | None = events[options.event - 1]
+    else:
+        chosen = opening_event(events, settled_frame(session))
+    if chosen is None:
+        return 0, "at the beginning: no event calls for a look"
+    return chosen.time_ns, f"at {seconds_of(chosen.time_ns)}, event {chosen.number}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,14 +17,9 @@ from viewer_app.errors import UsageError
 from viewer_app.output_files import whole_file
 from viewer_app.outputs.opening import print_outputs
 from viewer_app.outputs.output import LiveOutput
-from viewer_app.report.figures import (
-    Figures,
-    fusion_figures,
-    method_figures,
-    print_method,
-    report_to_json,
-    say_saved,
-)
+from viewer_app.report.details import print_method
+from viewer_app.report.figures import Figures, fusion_figures, method_figures, report_to_json
+from viewer_app.report.summary import Line, fusion_lines, print_lines, say_saved
 from viewer_app.sinks.session_file import FileSink
 
 
@@ -35,18 +30,9 @@ def print_frames(console: Console, sensors: TwoSensors) -> None:
         f"[bold]Paired[/] {figures.pairs} frames of {sensors.a.received} (A) and {sensors.b.received} (B); "
         f"alone {figures.alone_a} and {figures.alone_b}; of B {figures.unmatched_b} that A has no frame for."
     )
-    trouble = {
-        "frames of A dropped (too slow)": sensors.a.dropped,
-        "frames of B dropped (too slow)": sensors.b.dropped,
-        "reconnects of A": sensors.a.returns,
-        "reconnects of B": sensors.b.returns,
-        "frames late": figures.late,
-        "repeated": figures.repeated,
-        "out of order": figures.reordered,
-        "clocks reset": figures.resets,
-    }
-    if any(trouble.values()):
-        console.print(", ".join(f"{what} {count}" for what, count in trouble.items() if count) + ".")
+    small = {"frames late": figures.late, "repeated": figures.repeated, "out of order": figures.reordered}
+    if any(small.values()):
+        console.print(f"{_counts_in_words(small)}.", highlight=False)
     for side, link in zip("AB", sensors.links, strict=True):
         if link is not None:
             console.print(f"{side} by network: {_link_in_words(link)}.", highlight=False)
@@ -54,6 +40,26 @@ def print_frames(console: Console, sensors: TwoSensors) -> None:
         console.print(
             f"B's clock less A's: {figures.offset_ns * 1e-6:.1f} ms, drifting {figures.drift_ppm:.0f} ppm."
         )
+
+
+def _stream_trouble(sensors: TwoSensors) -> Iterator[Line]:
+    """What someone should mend: frames dropped, sensors and messages lost, clocks reset or not related."""
+    dropped = {
+        "frames of A dropped (too slow)": sensors.a.dropped,
+        "frames of B dropped (too slow)": sensors.b.dropped,
+        "reconnects of A": sensors.a.returns,
+        "reconnects of B": sensors.b.returns,
+        "clocks reset": sensors.figures.resets,
+    }
+    if any(dropped.values()):
+        yield Line("Streams", f"{_counts_in_words(dropped)}.", warning=True)
+    for side, link in zip("AB", sensors.links, strict=True):
+        if link is not None and (link.lost or link.malformed or link.restarts or link.clock_bound_ns is None):
+            yield Line("Network", f"{side}: {_link_in_words(link)}.", warning=True)
+
+
+def _counts_in_words(counts: dict[str, int]) -> str:
+    return ", ".join(f"{what} {count}" for what, count in counts.items() if count)
 
 
 def _link_in_words(link: LinkFigures) -> str:
@@ -64,7 +70,7 @@ def _link_in_words(link: LinkFigures) -> str:
         "damaged messages": link.malformed,
         "restarts": link.restarts,
     }
-    said = ", ".join(f"{what} {count}" for what, count in counts.items() if count)
+    said = _counts_in_words(counts)
     said = f"frames arrived: {link.received}, {said or 'none lost'}"
     if link.round_trip_ns is None or link.clock_bound_ns is None:
         return f"{said}; the clocks of the two PCs could not be related"
@@ -148,19 +154,32 @@ def print_session(
     frames: Sequence[RecordedFrame],
     sensors: TwoSensors,
     outputs: Sequence[LiveOutput] = (),
+    verbose: bool = False,
 ) -> None:
-    """Prints the summary. Frames are counted since the start; the method's figures cover the last minute."""
-    print_frames(console, sensors)
-    print_outputs(console, outputs)
+    """Prints the summary. Frames are counted since the start; the method's figures cover the last minute.
+
+    Args:
+        console: Receives the output.
+        setup: The last setup.
+        frames: The frames of the last minute.
+        sensors: The sensors, for their counts.
+        outputs: The live outputs, whose counts are printed, too.
+        verbose: Whether all figures follow.
+    """
     rows = rows_since_calibration(setup, frames)
-    if rows is None:
-        console.print("No frame was fused.")
-        return
-    seconds = (rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
-    rate = f", {(len(rows) - 1) / seconds:.1f} per second" if seconds > 0.0 else ""
-    console.print(f"[bold]The last {seconds:.1f} s[/]: {len(rows)} frames{rate}.")
-    print_method(console, setup.calibration, method_figures(rows))
+    figures = None if rows is None else method_figures(rows)
     ms = latency_figures(frames)
+    if figures is None:
+        console.print("No frame was fused.")
+    else:
+        print_lines(console, fusion_lines(setup.calibration, figures, ms))
+    print_lines(console, _stream_trouble(sensors))
+    print_outputs(console, outputs)
+    if not verbose:
+        return
+    print_frames(console, sensors)
+    if figures is not None:
+        print_method(console, setup.calibration, figures)
     if ms["p50"] is not None:
         console.print(
             f"[bold]From images to S*[/]: {ms['p50']:.0f} ms (median), 99 % {ms['p99']:.0f} ms, max "

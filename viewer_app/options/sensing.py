@@ -14,6 +14,7 @@ from viewer_app.options.shared import (
     OutputOptions,
     RecordingOptions,
     SensorOptions,
+    SummaryOptions,
     TerminalOptions,
     TrackerOptions,
     ViewerOptions,
@@ -22,7 +23,9 @@ from viewer_app.options.shared import (
 
 
 @dataclass(frozen=True)
-class FuseOptions(RecordingOptions, TrackerOptions, MethodOptions, ViewerOptions, OutputOptions):
+class FuseOptions(
+    RecordingOptions, TrackerOptions, MethodOptions, ViewerOptions, SummaryOptions, OutputOptions
+):
     """Fuse two recorded skeleton streams into one skeleton with bones of constant length.
 
     Recordings are .csv (time_us,body,joint,x,y,z[,state]; metres), .json (Microsoft's offline_processor),

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from viewer_app.options.shared import LiveOutputOptions, OutputOptions
+from viewer_app.options.shared import LiveOutputOptions, OutputOptions, SummaryOptions
 
 
 @dataclass(frozen=True)
-class ReplayOptions(LiveOutputOptions, OutputOptions):
+class ReplayOptions(LiveOutputOptions, SummaryOptions, OutputOptions):
     """Fuse a session's two skeletons again, with its own settings or with others.
 
     With the session's own settings S* is identical bit for bit; --verify checks this.
@@ -67,12 +67,12 @@ class TrimOptions:
 
 
 @dataclass(frozen=True)
-class CompareOptions:
+class CompareOptions(SummaryOptions):
     """Compare two fusions of the same capture, joint by joint and bone by bone."""
 
-    first: Positional[Path]
+    first: Positional[Path] = field(kw_only=True)
     """A session."""
-    second: Positional[Path]
+    second: Positional[Path] = field(kw_only=True)
     """Another of the same capture: a replay with other settings, say."""
     save: Path | None = None
     """Keep both S* and their difference as an .rrd file."""
@@ -85,11 +85,16 @@ class CompareOptions:
 
 
 @dataclass(frozen=True)
-class ReviewOptions:
-    """Show a saved session: the viewer, the summary, and an HTML page."""
+class ReviewOptions(SummaryOptions):
+    """Show a saved session: a summary, its events, the viewer at one of them, and an HTML page."""
 
-    session: Positional[Path]
+    session: Positional[Path] = field(kw_only=True)
     """The .rrd to show."""
+    event: int | None = None
+    """Open the viewer at the event of this number. If neither this nor --at is given: at the first warning
+    after the calibration, else where a view first had left and right exchanged, else at the beginning."""
+    at: float | None = None
+    """Open the viewer at this time, in seconds since the first pair."""
     html: Path | None = None
     """Write a self-contained page: bone lengths, jitter, trust, disagreement, calibration, timing."""
     no_viewer: bool = False

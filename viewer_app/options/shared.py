@@ -40,13 +40,19 @@ class ViewerOptions:
 
 
 @dataclass(frozen=True)
-class TerminalOptions:
+class SummaryOptions:
+    """How much the summary in the terminal says."""
+
+    verbose: bool = False
+    """Print all figures and every bone after the summary; keep every status line of a running loop."""
+
+
+@dataclass(frozen=True)
+class TerminalOptions(SummaryOptions):
     """Terminal output of a running loop."""
 
     quiet: bool = False
     """No status line and no advice, only warnings."""
-    verbose: bool = False
-    """Keep every status line."""
 
 
 @dataclass(frozen=True)

@@ -1,28 +1,20 @@
-"""The figures of a fusion: ``report.json`` and the summary in the terminal."""
+"""The figures of a fusion, as ``report.json`` has them."""
 
 from __future__ import annotations
 
 import json
 import math
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from devices.pairing import Pairing
 from fusion.calibration.calibration import Calibration
 from fusion.setup import FuserSettings
 from fusion.solvers.solver import MAX_ITERATIONS
 from recordings.session_arrays import SessionArrays
-from viewer_app.coach.advice import ANGLES, quality
-from viewer_app.report.numbers_in_words import in_mm
-from viewer_app.viewer.display import has_display
 
 Figures = dict[str, Any]
 
@@ -94,7 +86,7 @@ def fusion_figures(calibration: Calibration, settings: FuserSettings, rows: Sess
 
 
 def method_figures(rows: SessionArrays) -> Figures:
-    """Bones, errors, disagreement and time of fused frames."""
+    """Bones, errors, disagreement, repaired data and time of fused frames."""
     lengths, target = rows.bone_length_of_each, rows.bone_lengths
     disagreement = rows.disagreement * 1e3
     bones = {}
@@ -105,7 +97,12 @@ def method_figures(rows: SessionArrays) -> Figures:
         of_bone["fused"]["max_error_mm"] = _of(np.max, np.abs(lengths[2, :, joint] - target[:, joint]) * 1e3)
         bones[rows.body.bones[joint]] = of_bone
     error = (lengths - target)[:, :, rows.body.bone_joints] * 1e3
+    seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
     return {
+        "fused_frames": len(rows),
+        "seconds": seconds,
+        "frames_per_second": (len(rows) - 1) / seconds if seconds > 0.0 else None,
+        "repaired": _repaired(rows),
         "bones": bones,
         "bone_error_mm": {
             key: {"rms": _of(_rms, error[k]), "max": _of(np.max, np.abs(error[k]))}
@@ -120,88 +117,21 @@ def method_figures(rows: SessionArrays) -> Figures:
     }
 
 
+def _repaired(rows: SessionArrays) -> Figures:
+    """Shares of frames whose sides were exchanged in each view, and of joints that neither view has.
+
+    Frames without any person do not count. ``exchanged`` is None for methods that do not look for it.
+    """
+    seen = ~rows.predicted.all(axis=1)
+    exchanged = None
+    if rows.exchanged is not None:
+        exchanged = {key: _of(np.mean, rows.exchanged[seen, k] != 0) for k, key in enumerate(("a", "b"))}
+    return {"exchanged": exchanged, "unseen_joints": _of(np.mean, rows.predicted[seen])}
+
+
 def report_to_json(figures: Figures) -> str:
     """The report as standard JSON."""
     return json.dumps(figures, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
-
-
-def print_summary(console: Console, result: FusionResult, figures: Figures) -> None:
-    """Prints the summary: pairing, calibration, bones, errors, time."""
-    dropped, stale, alone = figures["dropped"], figures["stale"], figures["without_person"]
-    console.print(
-        f"[bold]Paired[/] {figures['paired']} frames of {figures['frames']['a']} (A) and "
-        f"{figures['frames']['b']} (B); dropped {dropped['a']} and {dropped['b']}; "
-        f"repeated by the sensor {stale['a']} and {stale['b']}."
-    )
-    if alone["a"] or alone["b"]:
-        console.print(
-            f"No person in {alone['a']} frames of A, {alone['b']} of B, {alone['both']} of both: "
-            "S* comes from the other sensor, or there is none."
-        )
-    print_method(console, result.calibration, figures)
-    if result.exact is not None:
-        console.print(_comparison_table(figures["compared_with_exact"]))
-
-
-def print_method(console: Console, calibration: Calibration, figures: Figures) -> None:
-    """Prints the figures of the method for recorded and live sessions: calibration, bones, errors, time."""
-    how, *verdict = calibration_in_words(calibration)
-    console.print(f"[bold]Calibration[/]: {escape(how)}", highlight=False)
-    for line in verdict:
-        console.print(f"  {line}", highlight=False, markup=False)
-    console.print(_bone_table(figures))
-    error, apart = figures["bone_error_mm"], figures["disagreement_mm"]
-    console.print(
-        f"[bold]Largest bone error[/]: S_A {in_mm(error['a']['max'])}, S_B {in_mm(error['b']['max'])}, "
-        f"[bold]S* {in_mm(error['fused']['max'])}[/]"
-    )
-    console.print(f"[bold]S_A against S_B[/]: median {in_mm(apart['median'])}, 95 % {in_mm(apart['p95'])}")
-    ms = figures["fuse_ms"]
-    console.print(
-        f"[bold]Fusion[/]: {ms['p50']:.3f} ms per frame (median), 99 % {ms['p99']:.3f} ms, "
-        f"max {ms['max']:.3f} ms"
-    )
-
-
-def say_saved(console: Console, path: Path) -> None:
-    """Prints where the session is, and the command to view it, as this program was called."""
-    program = sys.argv[0] if Path(sys.argv[0]).name.startswith("duplex") else "duplex"
-    page = "" if has_display() else f" --html {path.with_suffix('.html')}"
-    console.print(
-        f"Saved {path}. Look at it with: {program} review {path}{page}",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
-    )
-
-
-_FEWEST_FRAMES = 15  # half a second
-
-
-def calibration_in_words(calibration: Calibration) -> list[str]:
-    """The source of the calibration, and the verdict, as lines."""
-    registration = calibration.registration
-    lines = [f"{calibration.how}."]
-    angle = math.degrees(calibration.axes_angle)
-    low, high = ANGLES
-    advice = "" if low <= angle <= high else " (about 90° lets each sensor see most of what the other cannot)"
-    if registration is None:
-        return [*lines, f"The sensors' axes are {angle:.0f}° apart{advice}."]
-    median, rms = registration.residual_median * 1e3, registration.residual_rms * 1e3
-    verdict: str = quality(median)
-    if registration.frames < _FEWEST_FRAMES:
-        verdict = f"too few frames to trust ({_FEWEST_FRAMES} at least)"
-    worst = ", ".join(f"{name} {distance * 1e3:.0f} mm" for name, distance in registration.worst_joints())
-    uncertain = math.degrees(registration.rotation_sd)
-    lines.append(
-        f"{verdict.capitalize()}: the views differ by {median:.0f} mm (median), {rms:.0f} mm (RMS), over "
-        f"{registration.frames} frames; worst: {worst}."
-    )
-    lines.append(
-        f"The sensors' axes are {angle:.0f}° apart{advice}; "
-        f"that rotation is certain to about {uncertain:.1f}°."
-    )
-    return lines
 
 
 def _comparison(rows: SessionArrays, exact: SessionArrays) -> Figures:
@@ -218,47 +148,6 @@ def _comparison(rows: SessionArrays, exact: SessionArrays) -> Figures:
             for name, of in (("paper", rows), ("exact", exact))
         },
     }
-
-
-def _comparison_table(figures: Figures) -> Table:
-    apart = figures["difference_mm"]
-    table = Table(
-        title="The paper's scheme beside the exact solver, same frames and weights",
-        caption=f"Joints differ by {in_mm(apart['median'])} (median), {in_mm(apart['max'])} at most.",
-        title_justify="left",
-        caption_justify="left",
-    )
-    for column in ("solver", "largest bone error", "iterations (median)", "at the limit", "ms per frame"):
-        table.add_column(column, justify="left" if column == "solver" else "right")
-    for name in ("paper", "exact"):
-        solver = figures[name]
-        table.add_row(
-            name,
-            in_mm(solver["max_bone_error_mm"]),
-            f"{solver['median_iterations']:.0f}",
-            f"{solver['at_iteration_limit']} frames",
-            f"{solver['fuse_ms_p50']:.3f}",
-        )
-    return table
-
-
-def _bone_table(figures: Figures) -> Table:
-    table = Table(title="Bones: target, and mean ± deviation in mm", title_justify="left")
-    for column in ("bone", "target", "S_A", "S_B", "S*"):
-        table.add_column(column, justify="left" if column == "bone" else "right")
-    for name, of_bone in figures["bones"].items():
-        table.add_row(
-            name.replace("_", " "),
-            f"{of_bone['target_m'] * 1e3:.0f}",
-            *(_mean_and_deviation(of_bone[key]) for key in ("a", "b", "fused")),
-        )
-    return table
-
-
-def _mean_and_deviation(of_bone: Figures) -> str:
-    if of_bone["mean_m"] is None:
-        return "–"
-    return f"{of_bone['mean_m'] * 1e3:.0f} ± {of_bone['std_mm']:.1f}"
 
 
 def _of(figure: Any, values: NDArray[Any]) -> float | None:

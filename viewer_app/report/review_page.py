@@ -16,7 +16,8 @@ from markupsafe import Markup
 from recordings import layout
 from recordings.session import Session
 from recordings.session_comparison import frame_noise_of
-from viewer_app.report.figures import calibration_in_words
+from viewer_app.report.details import calibration_in_words
+from viewer_app.report.event_list import event_in_words, list_events, seconds_of
 from viewer_app.report.numbers_in_words import in_mm
 from viewer_app.report.svg_plots import bar_plot, line_plot, trust_map
 
@@ -129,8 +130,8 @@ def _timing_plots(session: Session) -> Markup:
 
 def _event_rows(session: Session) -> list[tuple[str, str, str]]:
     return [
-        ("" if event.time_ns is None else f"{event.time_ns * 1e-9:.2f} s", event.level, event.text)
-        for event in session.events
+        (str(event.number), seconds_of(event.time_ns), event_in_words(event))
+        for event in list_events(session.events)
     ]
 
 

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import numpy as np
+
+from recordings import layout
+from viewer_app.addresses import LOOPBACK
 from viewer_app.output_files import whole_file
 from viewer_app.viewer.rerun_process import start_viewer
+
+_READS_WITHIN, _LOOKS_EVERY = 20.0, 0.1  # seconds
 
 
 @contextmanager
@@ -39,11 +47,37 @@ def written_and_shown(save: Path | None, window: bool) -> Iterator[Path | None]:
             show(path)
 
 
-def show(path: Path) -> None:
+def show(path: Path, at_ns: int | None = None) -> bool:
     """Opens a session in a new window; the file may be deleted as soon as this returns.
+
+    Args:
+        path: The session.
+        at_ns: Where to put the time cursor, ns since the first pair; None: wherever the viewer puts it.
+
+    Returns:
+        Whether the time cursor stands there.
 
     Raises:
         UsageError: The viewer does not start.
     """
     with path.open("rb") as file:
-        start_viewer(["--hide-welcome-screen", "-"], file)
+        started = start_viewer(["--hide-welcome-screen", "-"], file)
+    return at_ns is None or _set_time(started[1], at_ns)
+
+
+def _set_time(port: int, at_ns: int) -> bool:
+    """Sets the time cursor of a viewer once it has read so far; False if it does not within some seconds."""
+    from rerun.experimental import ViewerClient
+
+    deadline = time.monotonic() + _READS_WITHIN
+    while time.monotonic() < deadline:
+        # The interface is experimental: whatever fails in it must not end a command that is done.
+        with contextlib.suppress(Exception):
+            viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+            state = viewer.get_state()
+            read = [line for each in state.recordings for line in each.timelines if line.name == layout.TIME]
+            if any(line.end is not None and line.end >= at_ns for line in read) and not state.loading:
+                viewer.set_time(layout.TIME, duration=np.timedelta64(at_ns, "ns"), play_state="paused")
+                return True
+        time.sleep(_LOOKS_EVERY)
+    return False

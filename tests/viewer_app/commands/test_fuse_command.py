@@ -36,7 +36,7 @@ def test_two_recordings_become_a_session_a_report_and_a_summary(
     recordings: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     session, report = tmp_path / "s.rrd", tmp_path / "r.json"
-    assert duplex("fuse", *recordings, "--no-viewer", "--save", session, "--report", report) == 0
+    assert duplex("fuse", *recordings, "--no-viewer", "--save", session, "--report", report, "--verbose") == 0
     said = capsys.readouterr().out
     for words in (
         "Paired 90 frames",
@@ -116,7 +116,10 @@ def test_the_papers_solver_is_compared_with_the_exact_one(
     recordings: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     report = tmp_path / "r.json"
-    assert duplex("fuse", *recordings, "--no-viewer", "--method", "published", "--report", report) == 0
+    assert (
+        duplex("fuse", *recordings, "--no-viewer", "--method", "published", "--verbose", "--report", report)
+        == 0
+    )
     assert "The paper's scheme beside the exact solver" in capsys.readouterr().out
     compared = figures_of(report)["compared_with_exact"]
     assert compared["exact"]["max_bone_error_mm"] < 1e-3

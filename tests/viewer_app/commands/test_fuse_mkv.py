@@ -62,7 +62,7 @@ def test_recordings_with_saved_skeletons_become_a_session(
     recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     saved = tmp_path / "s.rrd"
-    assert fuse(recorded, "--save", saved) == 0
+    assert fuse(recorded, "--save", saved, "--verbose") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"Paired {FRAMES} frames of {FRAMES} (A) and {FRAMES} (B)" in said
     assert "axes are 85° apart" in said
@@ -176,7 +176,7 @@ def test_the_body_tracker_runs_over_both_recordings(
     saved = tmp_path / "s.rrd"
     code = duplex(
         *("fuse", tmp_path / "a.mkv", tmp_path / "b.mkv", "--no-viewer", "--save", saved),
-        *("--k4abt", tmp_path / "libk4abt.so", "--calibrate", "seconds:5"),
+        *("--k4abt", tmp_path / "libk4abt.so", "--calibrate", "seconds:5", "--verbose"),
     )
     assert code == 0
     assert "Paired 40 frames" in capsys.readouterr().out

@@ -225,19 +225,20 @@ def test_the_verdict_on_a_calibration_goes_with_the_session(
     monkeypatch.setenv("COLUMNS", "300")
     folder, saved = shared / "real" / f"kinect_v2_90deg_{REAL[0]}", tmp_path / "s.rrd"
     report, html = tmp_path / "r.json", tmp_path / "r.html"
-    fuse = ("fuse", folder / "a.csv", folder / "b.csv", "--no-viewer")
+    fuse = ("fuse", folder / "a.csv", folder / "b.csv", "--no-viewer", "--verbose")
     assert duplex(*fuse, "--save", saved, "--report", report) == 0
     said = verdict(capsys.readouterr().out)
     assert len(said) == 2
     again, part = tmp_path / "again.rrd", tmp_path / "part.rrd"
-    assert duplex("replay", saved, "--no-viewer", "--save", again, "--report", tmp_path / "again.json") == 0
+    replay = ("replay", saved, "--no-viewer", "--verbose", "--save", again)
+    assert duplex(*replay, "--report", tmp_path / "again.json") == 0
     assert verdict(capsys.readouterr().out) == said
     one, two = (json.loads(p.read_text(encoding="utf-8")) for p in (report, tmp_path / "again.json"))
     assert one["calibration"] == two["calibration"]
     assert duplex("trim", again, "--from", "1", "--save", part) == 0
     for path in (saved, again, part):
         capsys.readouterr()
-        assert duplex("review", path, "--no-viewer", "--html", html, "--force") == 0
+        assert duplex("review", path, "--no-viewer", "--verbose", "--html", html, "--force") == 0
         assert verdict(capsys.readouterr().out) == said
         page = unescape(html.read_text(encoding="utf-8"))
         assert all(line in page for line in said)
@@ -280,7 +281,7 @@ def test_info_says_what_is_in_it_and_what_is_missing(
         "A 90, B 89",
         "85° apart",
         "whole",
-        "calibrated: known truth",
+        "Calibrated: known truth",
     ):
         assert words in said
     cut = tmp_path / "cut.rrd"

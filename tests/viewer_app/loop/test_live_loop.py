@@ -292,7 +292,7 @@ def test_the_demo_saves_a_session_and_prints_its_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     saved = tmp_path / "demo.rrd"
-    main(["demo", "--seconds", "2.5", "--depth", "none", "--no-viewer", "--save", str(saved)])
+    main(["demo", "--seconds", "2.5", "--depth", "none", "--no-viewer", "--save", str(saved), "--verbose"])
     said = capsys.readouterr().out
     assert "Distance from the true joints" in said
     for entity in ("/truth/skeleton", "/fused/skeleton", "/kinect_b/skeleton"):

@@ -22,7 +22,7 @@ def test_the_demo_runs_the_own_tracker_on_images_of_a_person(
     saved = tmp_path / "s.rrd"
     arguments = ("--tracker", "blazepose", "--motion", "startup", "--seconds", "4", "--no-viewer")
     report = tmp_path / "r.json"
-    assert duplex("demo", *arguments, "--save", saved, "--report", report) == 0
+    assert duplex("demo", *arguments, "--save", saved, "--report", report, "--verbose") == 0
     said = capsys.readouterr().out
     assert "From images to S*" in said
     figures = json.loads(report.read_text())

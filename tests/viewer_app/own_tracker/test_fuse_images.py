@@ -48,7 +48,7 @@ def test_two_files_of_images_become_a_session_near_the_truth_that_replays_bit_fo
 ) -> None:
     a, b, truth = recorded
     saved = tmp_path / "s.rrd"
-    assert duplex("fuse", a, b, "--no-viewer", "--tracker", "blazepose", "--save", saved) == 0
+    assert duplex("fuse", a, b, "--no-viewer", "--tracker", "blazepose", "--save", saved, "--verbose") == 0
     said = " ".join(capsys.readouterr().out.split())
     frames = round(SECONDS / (INTERVAL_US * 1e-6))
     assert f"Paired {frames} frames of {frames} (A) and {frames} (B)" in said

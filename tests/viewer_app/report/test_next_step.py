@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from viewer_app.report import figures
+from viewer_app.report import summary
 
 
 @pytest.mark.parametrize(
@@ -18,10 +18,10 @@ from viewer_app.report import figures
 def test_the_next_step_is_one_line_that_works_without_a_display(
     display: bool, command: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(figures, "has_display", lambda: display)
+    monkeypatch.setattr(summary, "has_display", lambda: display)
     monkeypatch.setattr("sys.argv", ["pytest"])
     out = io.StringIO()
-    figures.say_saved(Console(file=out, width=40), Path("a/long/folder/s.rrd"))
+    summary.say_saved(Console(file=out, width=40), Path("a/long/folder/s.rrd"))
     (line,) = out.getvalue().splitlines()
     assert command in line
     assert line.endswith(".html") is not display

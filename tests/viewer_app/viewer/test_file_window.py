@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -11,6 +11,7 @@ import pytest
 import rerun as rr
 import rerun.blueprint as rrb
 
+from recordings import layout
 from recordings.reading.rrd_file import damage_of
 from recordings.writing.session_writer import whole_recording
 from tests.helpers.machine import need_viewer
@@ -32,6 +33,22 @@ class Opened:
     def __call__(self, arguments: Sequence[str], stdin: IO[bytes]) -> None:
         assert "-" in arguments
         self.read.append(stdin.read())
+
+
+@pytest.fixture
+def headless(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[subprocess.Popen[bytes], int]]]:
+    """Viewers without a screen instead of windows: their processes and ports."""
+    need_viewer()
+    started: list[tuple[subprocess.Popen[bytes], int]] = []
+
+    def start(arguments: Sequence[str], stdin: IO[bytes]) -> tuple[subprocess.Popen[bytes], int]:
+        started.append(rerun_process.start_viewer(["--headless", *arguments], stdin))
+        return started[-1]
+
+    monkeypatch.setattr(file_window, "start_viewer", start)
+    yield started
+    for process, _ in started:
+        stop(process)
 
 
 @pytest.fixture
@@ -85,21 +102,42 @@ def test_without_a_window_nothing_opens(opened: Opened, tmp_path: Path) -> None:
 
 
 def test_a_viewer_shows_the_file_with_its_own_layout_after_the_file_is_gone(
-    monkeypatch: pytest.MonkeyPatch,
+    headless: list[tuple[subprocess.Popen[bytes], int]],
 ) -> None:
     from rerun.experimental import ViewerClient
 
-    need_viewer()
-    started: list[tuple[subprocess.Popen[bytes], int]] = []
-
-    def headless(arguments: Sequence[str], stdin: IO[bytes]) -> None:
-        started.append(rerun_process.start_viewer(["--headless", *arguments], stdin))
-
-    monkeypatch.setattr(file_window, "start_viewer", headless)
     write(None, window=True)
-    ((process, port),) = started
-    try:
-        viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
-        assert eventually(lambda: [view.name for view in viewer.get_state().views] == ["the only view"], 30.0)
-    finally:
-        stop(process)
+    ((_, port),) = headless
+    viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+    assert eventually(lambda: [view.name for view in viewer.get_state().views] == ["the only view"], 30.0)
+
+
+def test_the_time_cursor_of_a_new_window_stands_where_asked(
+    headless: list[tuple[subprocess.Popen[bytes], int]], tmp_path: Path
+) -> None:
+    """Left alone, the viewer opens at the end of a file."""
+    from rerun.experimental import ViewerClient
+
+    path = tmp_path / "s.rrd"
+    with whole_recording(path, BLUEPRINT) as stream:
+        for second in range(9):
+            stream.set_time(layout.TIME, duration=float(second))
+            stream.log("/words", rr.TextDocument(f"{second} s"))
+    assert file_window.show(path, 4_000_000_000)
+    ((_, port),) = headless
+    viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+
+    def cursor() -> list[tuple[str | None, int | None]]:
+        return [(one.current_timeline, one.current_time) for one in viewer.get_state().recordings]
+
+    assert eventually(lambda: cursor() == [(layout.TIME, 4_000_000_000)], 10.0), cursor()
+
+
+def test_a_window_that_does_not_take_the_time_is_given_up(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = tmp_path / "s.rrd"
+    path.write_bytes(b"")
+    monkeypatch.setattr(file_window, "start_viewer", lambda *_: (None, rerun_process.free_port()))
+    monkeypatch.setattr(file_window, "_READS_WITHIN", 0.2)
+    assert file_window.show(path, 1) is False

@@ -31,7 +31,7 @@ def test_two_sensors_become_a_session_and_a_summary(
     kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     saved = tmp_path / "live.rrd"
-    assert live(standin, saved) == 0
+    assert live(standin, saved, "--verbose") == 0
     said = " ".join(capsys.readouterr().out.split())
     for words in ("Sync cable: B leads, A captures 160 µs later", "Paired", "Largest bone error", "Saved"):
         assert words in said

@@ -137,7 +137,7 @@ def test_one_sensor_5_fps_slower(
     a, b = kinects.devices
     b.interval_usec = 40_000
     saved = tmp_path / "s.rrd"
-    assert live(standin, saved, seconds=1.5) == 0
+    assert live(standin, saved, "--verbose", seconds=1.5) == 0
     said = capsys.readouterr().out
     # every frame of A is fused, five of six with B
     fused = rows_of(saved, "/fused/skeleton")

@@ -1,0 +1,127 @@
+"""``duplex review`` lists the events and opens the viewer where something happened."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fusion.body import KINECT_V2
+from recordings.events import Event
+from recordings.session import Session
+from recordings.testing import FusedRun, fused_run
+from recordings.writing.session_writer import write_session
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
+from viewer_app.commands import review
+
+__all__ = ["fused_run"]  # a fixture
+EVENTS = (
+    Event(0, 0, "calibrated: known", "INFO"),
+    Event(15, 500_000_000, "A reports left and right exchanged.", "INFO", "exchanged_a", "start"),
+    Event(30, 1_000_000_000, "A sensor seems to have been moved.", "WARN"),
+    Event(45, 1_500_000_000, "A is right again.", "INFO", "exchanged_a", "end"),
+)
+
+
+@pytest.fixture
+def session(fused_run: FusedRun) -> Session:
+    return fused_run(frame_pairs(KINECT_V2, 60), calibration_of(KINECT_V2))
+
+
+@pytest.fixture
+def path(session: Session, tmp_path: Path) -> Path:
+    write_session(replace(session, events=EVENTS), tmp_path / "s.rrd")
+    return tmp_path / "s.rrd"
+
+
+class Shown:
+    """Replaces the viewer and records the times at which it would open."""
+
+    def __init__(self, takes_times: bool = True) -> None:
+        self.at_ns: list[int | None] = []
+        self._takes_times = takes_times
+
+    def __call__(self, path: Path, at_ns: int | None = None) -> bool:
+        assert path.exists()
+        self.at_ns.append(at_ns)
+        return self._takes_times
+
+
+@pytest.fixture
+def shown(monkeypatch: pytest.MonkeyPatch) -> Shown:
+    viewer = Shown()
+    monkeypatch.setattr(review, "show", viewer)
+    monkeypatch.setattr(review, "has_display", lambda: True)
+    return viewer
+
+
+@pytest.mark.parametrize(
+    ("options", "at_ns", "words"),
+    [
+        ((), 1_000_000_000, "at 1.00 s, event 3"),
+        (("--event", 2), 500_000_000, "at 0.50 s, event 2"),
+        (("--at", 0.25), 250_000_000, "at 0.25 s"),
+    ],
+)
+def test_the_viewer_opens_at_the_first_warning_or_as_asked(
+    options: tuple[object, ...],
+    at_ns: int,
+    words: str,
+    path: Path,
+    shown: Shown,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert duplex("review", path, *options) == 0
+    assert shown.at_ns == [at_ns]
+    said = capsys.readouterr().out
+    assert f"The viewer opens {words}." in said
+    assert "2  0.50 s  A reports left and right exchanged. It lasted 1.0 s." in said
+    assert "3  1.00 s  Warning: A sensor seems to have been moved." in said
+
+
+def test_without_an_event_it_opens_at_the_beginning_and_says_so(
+    session: Session, shown: Shown, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert duplex("review", session.path) == 0
+    assert shown.at_ns == [0]
+    assert "opens at the beginning: no event calls for a look" in capsys.readouterr().out
+
+
+def test_a_viewer_that_does_not_take_the_time_is_no_failure(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(review, "show", Shown(takes_times=False))
+    monkeypatch.setattr(review, "has_display", lambda: True)
+    assert duplex("review", path) == 0
+    assert "did not take the time" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--event", 4), "--event 4: no such event; they are numbered from 1 to 3."),
+        (("--event", 0), "--event 0: no such event"),
+        (("--at", 99), "--at 99: the session runs from 0 to 1.97 s."),
+        (("--at=-1",), "--at -1: the session runs"),
+        (("--at", "nan"), "--at nan: the session runs"),
+        (("--at", 1, "--event", 1), "give one of them"),
+    ],
+)
+def test_a_wrong_time_or_number_gives_one_line_and_opens_nothing(
+    options: tuple[object, ...], words: str, path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert duplex("review", path, *options) == 2
+    assert words in one_line(capsys)
+    assert shown.at_ns == []
+
+
+def test_the_page_has_the_same_list(path: Path, tmp_path: Path) -> None:
+    page = tmp_path / "s.html"
+    assert duplex("review", path, "--no-viewer", "--html", page) == 0
+    text = page.read_text(encoding="utf-8")
+    assert "<td>2</td><td>0.50 s</td><td>A reports left and right exchanged. It lasted 1.0 s.</td>" in text
+    assert "<td>3</td><td>1.00 s</td><td>Warning: A sensor seems to have been moved.</td>" in text
+    assert "A is right again" not in text

@@ -1,0 +1,90 @@
+"""The numbered list of a session's events, and the event at which a review opens."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from fusion.body import KINECT_V2
+from recordings.events import Event
+from recordings.testing import FusedRun, fused_run
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.two_views import calibration_of
+from viewer_app.report.event_list import (
+    event_in_words,
+    list_events,
+    opening_event,
+    settled_frame,
+    shortest_list,
+)
+
+__all__ = ["fused_run"]  # a fixture
+
+CALIBRATED = Event(0, 0, "calibrated: start-up pose, 91 frames", "INFO")
+CUT_OFF = Event(0, 0, "a.csv is cut off", "WARN")
+EARLY = Event(20, 700_000_000, "Too close to sensor B", "WARN")
+A_FROM = Event(168, 5_600_000_000, "A reports left and right exchanged", "INFO", "exchanged_a", "start")
+B_FROM = Event(180, 6_000_000_000, "B reports left and right exchanged", "INFO", "exchanged_b", "start")
+A_TO = Event(189, 6_300_000_000, "A reports left and right correctly again", "INFO", "exchanged_a", "end")
+MOVED = Event(600, 20_000_000_000, "A sensor seems to have been moved", "WARN")
+ALL = [CALIBRATED, CUT_OFF, EARLY, A_FROM, B_FROM, A_TO, MOVED]
+
+
+def test_events_are_numbered_in_order_of_time_and_a_spell_is_one_of_them() -> None:
+    listed = list_events([MOVED, A_FROM, B_FROM, A_TO, CALIBRATED])  # a fused session has them in two parts
+    assert [(event.number, event.text) for event in listed] == [
+        (1, CALIBRATED.text),
+        (2, A_FROM.text),
+        (3, B_FROM.text),
+        (4, MOVED.text),
+    ]
+    assert [event.lasted_ns for event in listed] == [None, 700_000_000, None, None]
+    assert [event.spell for event in listed] == [False, True, True, False]
+
+
+def test_words_say_how_long_and_how_grave_without_colour() -> None:
+    _, a, b, moved = (
+        event_in_words(event) for event in list_events([CALIBRATED, A_FROM, B_FROM, A_TO, MOVED])
+    )
+    assert a == "A reports left and right exchanged. It lasted 0.7 s."
+    assert b == "B reports left and right exchanged. It lasted to the end."
+    assert moved == "Warning: A sensor seems to have been moved."
+
+
+@pytest.mark.parametrize(
+    ("events", "settled", "expected"),
+    [
+        (ALL, 0, EARLY),  # the first warning, though a spell comes earlier than another warning
+        (ALL, 100, MOVED),  # a warning while the sensors were set up counts less
+        ([CALIBRATED, CUT_OFF, EARLY, A_FROM, A_TO], 100, A_FROM),
+        ([CALIBRATED, CUT_OFF, EARLY], 100, EARLY),
+        ([CALIBRATED, CUT_OFF], 0, None),  # both are about the recording as a whole
+        ([], 0, None),
+    ],
+)
+def test_a_review_opens_at_a_warning_then_at_a_spell(
+    events: list[Event], settled: int, expected: Event | None
+) -> None:
+    opened = opening_event(list_events(events), settled)
+    assert (None if opened is None else opened.text) == (None if expected is None else expected.text)
+
+
+def test_a_session_is_settled_with_its_first_calibration_that_is_not_provisional(fused_run: FusedRun) -> None:
+    session = fused_run(frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
+    one = session.calibration
+    hows = ("none yet: an adult's proportions", "provisional, 1 frame of any pose", "start-up pose, 9 frames")
+    found = tuple((10 * k, replace(one, how=how)) for k, how in enumerate(hows))
+    assert settled_frame(replace(session, calibrations=found)) == 20
+    assert settled_frame(replace(session, calibrations=found[:2])) == 0
+
+
+def test_a_short_list_keeps_warnings_then_spells_in_order_of_time() -> None:
+    listed = list_events(ALL)
+    assert [event.text for event in shortest_list(listed, 4)] == [
+        CUT_OFF.text,
+        EARLY.text,
+        A_FROM.text,
+        MOVED.text,
+    ]
+    assert shortest_list(listed, 99) == listed
