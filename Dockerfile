@@ -1,4 +1,5 @@
-# duplex-kinects without a display: batch, replay, export, CI. No sensor, no viewer.
+# duplex-kinects without a display: batch, replay, export, CI. No sensor, no viewer. The user in the container has the
+# id 1000; a folder that is mounted at /data must be writable for it.
 #   docker build --tag duplex-kinects .
 #   docker run --rm --volume "$PWD:/data" --volume duplex-cache:/cache duplex-kinects fuse a.csv b.csv --save s.rrd --no-viewer
 FROM python:3.13-slim-bookworm AS build

@@ -6,6 +6,7 @@ Equations become MathML, which browsers draw by themselves: the site loads no sc
 from __future__ import annotations
 
 import ast
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,7 @@ def _redirected(link: re.Match[str], from_root: bool) -> str:
         return link[0]
     if path.startswith("docs/"):
         return f"]({path.removeprefix('docs/')}{anchor})"
-    if path.startswith("examples/") and path.endswith(".py"):
+    if path.startswith("examples/") and path.endswith((".py", ".ipynb")):
         return f"](examples.md#{Path(path).stem})"
     if path == "README.md":
         return f"](index.md{anchor})"
@@ -55,10 +56,33 @@ def _mathml(latex: str) -> str:
 
 
 def _examples() -> str:
-    """The programs in ``examples/``, each with the first line of its docstring."""
+    """The programs in ``examples/``, each with the first line of its docstring, and the notebooks."""
     parts = ["# Examples\n\nEach is a file in `examples/`, and a test runs it.\n"]
-    for path in sorted((ROOT / "examples").glob("*.py")):
+    folder = ROOT / "examples"
+    for path in sorted([*folder.glob("*.py"), *folder.glob("*.ipynb")]):
         source = path.read_text(encoding="utf-8")
-        about = (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0]
-        parts.append(f"## {path.name} {{ #{path.stem} }}\n\n{about}\n\n```python\n{source.rstrip()}\n```\n")
+        body = _program(source) if path.suffix == ".py" else _notebook(source)
+        parts.append(f"## {path.name} {{ #{path.stem} }}\n\n{body}\n")
     return "\n".join(parts)
+
+
+def _program(source: str) -> str:
+    about = (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0]
+    return f"{about}\n\n```python\n{source.rstrip()}\n```"
+
+
+def _notebook(source: str) -> str:
+    """The cells of a notebook with their outputs; its headings go below those of the page."""
+    parts = []
+    for cell in json.loads(source)["cells"]:
+        text = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            parts.append(re.sub(r"^#", "###", text, flags=re.MULTILINE))
+            continue
+        parts.append(f"```python\n{text}\n```")
+        for output in cell["outputs"]:
+            if "text" in output:
+                parts.append(f"```text\n{''.join(output['text'])}```")
+            elif "image/png" in output["data"]:
+                parts.append(f"![Output of the cell](data:image/png;base64,{output['data']['image/png']})")
+    return "\n\n".join(parts)

@@ -12,6 +12,7 @@ import pyarrow.csv
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError, SensorFrame
+from devices.skeletons.conventions import check_metres_forward
 from fusion.body import Body, body_of
 from fusion.errors import FusionError
 from fusion.skeleton import Skeleton, TrackingState
@@ -34,8 +35,8 @@ def read_csv(path: Path) -> tuple[Body, list[SensorFrame]]:
     tracked. A joint is not tracked in a frame in which it has no row or an empty coordinate.
 
     Raises:
-        DeviceError: Wrong columns, an unknown joint, text instead of a number, an incomplete row, or a
-            repeated joint; the message names the line.
+        DeviceError: Wrong columns, an unknown joint, text instead of a number, an incomplete row, a
+            repeated joint; the message names the line. Or positions that are no metres, or behind the sensor.
     """
     raw = path.read_bytes()
     table = _table(raw, path)
@@ -43,6 +44,7 @@ def read_csv(path: Path) -> tuple[Body, list[SensorFrame]]:
         raise DeviceError(f"{path} has a header and no rows.")
     time_us = _numbers(table, "time_us", pa.int64(), path)
     xyz = np.stack([_numbers(table, axis, pa.float64(), path) for axis in "xyz"], axis=1)
+    check_metres_forward(path, xyz)
     states = _states(table, path)
     if np.abs(time_us).max() > LATEST_US:
         raise DeviceError(f"{path}: time_us goes beyond {LATEST_US}; times are microseconds.")

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from devices.sensor import DeviceError, SensorFrame
+from devices.skeletons.conventions import upside_down
 from devices.skeletons.csv_file import read_csv
 from devices.skeletons.ntu import read_ntu
 from devices.skeletons.offline_processor import read_json
@@ -65,6 +66,7 @@ class SkeletonRecording:
             raise DeviceError(f"{self.name} cannot be read: {error.strerror or error}.") from None
         if not self._frames:
             raise DeviceError(f"{self.name} has no frames.")
+        self.warnings = upside_down(self.name, self._body, self._frames)
         return self
 
     def __exit__(self, *exc_info: object) -> None:

@@ -7,6 +7,7 @@ import pytest
 from devices.sensor import DeviceError, SensorFrame
 from devices.skeletons.recording import SkeletonRecording
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2, Body
+from tests.helpers.skeleton_views import write_view
 from tests.helpers.two_views import FRAME_NS, standing
 
 HEADER = "time_us,body,joint,x,y,z,state"
@@ -41,6 +42,32 @@ def test_csv_gives_the_joints_of_every_frame(tmp_path: Path, body: Body) -> None
         frames[2].people["0"].positions, standing(body) + [0.0, 0.0, 0.02], atol=6e-6
     )  # five decimals
     assert frames[0].people["0"].tracked.all()
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "millimetres"), (100.0, "centimetres")])
+def test_other_units_are_named(tmp_path: Path, factor: float, unit: str) -> None:
+    file = write_view(tmp_path / "a.csv", KINECT_V2, factor * np.stack([standing(KINECT_V2)] * 3))
+    with pytest.raises(DeviceError, match=f"Positions must be metres; are these {unit}"):
+        read(file)
+
+
+def test_a_z_axis_that_points_backward_is_named(tmp_path: Path) -> None:
+    file = write_view(tmp_path / "a.csv", KINECT_V2, np.stack([standing(KINECT_V2)] * 3) * [1.0, 1.0, -1.0])
+    with pytest.raises(DeviceError, match="The z axis must point forward"):
+        read(file)
+
+
+@pytest.mark.parametrize("body", [KINECT_V1, KINECT_V2, AZURE_KINECT], ids=str)
+def test_a_y_axis_that_points_up_is_noticed(tmp_path: Path, body: Body) -> None:
+    people = np.stack([standing(body)] * 10)
+    with SkeletonRecording(write_view(tmp_path / "a.csv", body, people)) as recording:
+        assert not recording.warnings
+    people[3:, :, 1] *= -1  # a person who stands on the hands for a while
+    with SkeletonRecording(write_view(tmp_path / "b.csv", body, people)) as recording:
+        assert not recording.warnings
+    people[:3, :, 1] *= -1
+    with SkeletonRecording(write_view(tmp_path / "c.csv", body, people)) as recording:
+        assert "The y axis must point down" in recording.warnings[0]
 
 
 def test_csv_states_are_names_or_numbers_and_may_be_missing(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("fusion", "devices", "recordings", "viewer_app")
 _FENCE = re.compile(r"^```sh\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_PYTHON = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _SPAN = re.compile(r"(?<!`)`(duplex [a-z][^`\n]*)`")
 
 
@@ -25,6 +26,11 @@ def commands_of(document: Path) -> Iterator[str]:
             command = line.partition(" #")[0].strip()
             if command.startswith("duplex "):
                 yield command
+
+
+def python_of(document: Path) -> list[str]:
+    """The Python blocks of a document."""
+    return _PYTHON.findall(document.read_text(encoding="utf-8"))
 
 
 def mentions_of(document: Path) -> Iterator[str]:

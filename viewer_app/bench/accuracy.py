@@ -75,6 +75,8 @@ def _check(options: BenchAccuracyOptions) -> None:
         raise UsageError("At least one of --motions and one of --angles is needed.")
     if unknown := [motion for motion in options.motions if motion not in MOTIONS]:
         raise UsageError(f"Movements must be among {', '.join(MOTIONS)}; got {', '.join(unknown)}.")
+    if beyond := [angle for angle in options.angles if not 0.0 <= angle <= 180.0]:
+        raise UsageError(f"--angles must be between 0 and 180 degrees; got {beyond[0]}.")
     known = [method.name for method in (*METHODS, *ABLATIONS)]
     if unknown := [name for name in options.methods if name not in known]:
         raise UsageError(f"Methods must be among {'; '.join(known)}. Got {'; '.join(unknown)}.")

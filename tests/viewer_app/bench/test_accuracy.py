@@ -106,7 +106,7 @@ def test_only_a_difference_beyond_its_spread_is_bold(lead: float, best: str | No
         (("--methods", "without depth"), "needs depth images: add --depth half"),
         (("--processes", "-1"), "--processes must be 0 or more; got -1"),
         (("--methods", "mean, refined", "magic"), "Got magic."),
-        (("--seconds", "1"), "leave less than a second after the start-up pose"),
+        (("--seconds", "1", "--processes", "1"), "leave less than a second after the start-up pose"),
     ],
 )
 def test_benchmarks_that_cannot_run_give_one_line_and_exit_code_2(

@@ -1,0 +1,63 @@
+"""Runs the cells of a Jupyter notebook in this process, without Jupyter."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+
+
+@dataclass(frozen=True)
+class CellOutput:
+    """What a cell gave.
+
+    Attributes:
+        printed: Its text.
+        pictures: Its figures as PNG files.
+    """
+
+    printed: str
+    pictures: tuple[bytes, ...]
+
+
+def read_notebook(path: Path) -> dict[str, Any]:
+    """The notebook as JSON."""
+    notebook: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return notebook
+
+
+def code_cells(notebook: dict[str, Any]) -> list[dict[str, Any]]:
+    """The cells with code, in their order."""
+    return [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+
+
+def run_cells(notebook: dict[str, Any], dpi: int = 72) -> list[CellOutput]:
+    """Runs all cells with code one after the other, in the current folder.
+
+    Args:
+        notebook: See :func:`read_notebook`.
+        dpi: Resolution of the figures.
+
+    Returns:
+        One output per cell with code.
+    """
+    plt.switch_backend("Agg")
+    names: dict[str, Any] = {"__name__": "__main__"}
+    outputs = []
+    for cell in code_cells(notebook):
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec("".join(cell["source"]), names)
+        pictures = []
+        for number in plt.get_fignums():
+            file = io.BytesIO()
+            plt.figure(number).savefig(file, format="png", dpi=dpi)
+            pictures.append(file.getvalue())
+        plt.close("all")
+        outputs.append(CellOutput(printed.getvalue(), tuple(pictures)))
+    return outputs
