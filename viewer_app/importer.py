@@ -117,12 +117,8 @@ def _failed(message: str, code: int = 1) -> int:
 
 
 def _is_csv(head: bytes) -> bool:
-    columns = (
-        [name.strip() for name in head.splitlines()[0].decode("utf-8-sig", "replace").split(",")]
-        if head
-        else []
-    )
-    return all(name in columns for name in _CSV_COLUMNS)
+    header = b"".join(head.splitlines()[:1]).decode("utf-8-sig", "replace")
+    return {name.strip() for name in header.split(",")}.issuperset(_CSV_COLUMNS)
 
 
 def _is_json(head: bytes) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
@@ -62,15 +63,15 @@ def show(path: Path, at_ns: int | None = None) -> bool:
     """
     with path.open("rb") as file:
         started = start_viewer(["--hide-welcome-screen", "-"], file)
-    return at_ns is None or _set_time(started[1], at_ns)
+    return at_ns is None or _set_time(*started, at_ns)
 
 
-def _set_time(port: int, at_ns: int) -> bool:
-    """Sets the time cursor of a viewer once it has read so far; False if it does not within some seconds."""
+def _set_time(process: subprocess.Popen[bytes], port: int, at_ns: int) -> bool:
+    """Sets the time cursor of a viewer once it has read so far; False if it is closed or takes too long."""
     from rerun.experimental import ViewerClient
 
     deadline = time.monotonic() + _READS_WITHIN
-    while time.monotonic() < deadline:
+    while process.poll() is None and time.monotonic() < deadline:
         # The interface is experimental: whatever fails in it must not end a command that is done.
         with contextlib.suppress(Exception):
             viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fusion.body import AZURE_KINECT, BLAZEPOSE, BODIES, KINECT_V1, KINECT_V2, Body
 from recordings import layout
 from recordings.reading.rrd_file import RrdFile, damage_of, read_columns
+from recordings.writing import sensor_log
 from tests.helpers.mkv_writer import write_mkv
 from tests.helpers.pictures import headless_viewer, picture_of, pixels_near
 from tests.helpers.session_text import rows_of
@@ -134,8 +135,9 @@ def test_json_and_skeleton_files_are_shown_too(tmp_path: Path, imported: Importe
 
 
 def test_people_come_and_go_and_inferred_joints_have_another_colour(
-    tmp_path: Path, imported: Imported
+    tmp_path: Path, imported: Imported, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(sensor_log, "_BLOCK", 2)  # one person leaves in the first block for good
     path = write_view(tmp_path / "a.csv", KINECT_V1, np.repeat(standing(KINECT_V1)[None], 4, axis=0))
     header, *rows = path.read_text().splitlines()
     each = len(KINECT_V1)
@@ -175,7 +177,7 @@ def test_everything_is_placed_below_the_prefix_that_is_asked_for(tmp_path: Path,
         ("a.csv", b"\xff\xfe\x00"),
         ("a.csv", b"time_us,body,joint,x,y\n"),
         ("a.json", b'{"frames": [1, 2]}'),
-        ("a.json", b'[{"timestamp_usec": 1}]'),
+        ("a.json", b'[{"frames": 2, "timestamp_usec": 1}]'),
         ("a.json", b""),
         ("a.skeleton", b"[Serializer_v1.40]"),
         ("a.skeleton", b"3\n1\n0 0\n25\n1 2 3\n"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO
 
 import pytest
@@ -133,11 +134,13 @@ def test_the_time_cursor_of_a_new_window_stands_where_asked(
     assert eventually(lambda: cursor() == [(layout.TIME, 4_000_000_000)], 10.0), cursor()
 
 
-def test_a_window_that_does_not_take_the_time_is_given_up(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize(("exit_code", "within"), [(None, 0.2), (0, 3600.0)])
+def test_a_window_that_does_not_take_the_time_or_is_closed_is_given_up(
+    exit_code: int | None, within: float, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     path = tmp_path / "s.rrd"
     path.write_bytes(b"")
-    monkeypatch.setattr(file_window, "start_viewer", lambda *_: (None, rerun_process.free_port()))
-    monkeypatch.setattr(file_window, "_READS_WITHIN", 0.2)
+    process = SimpleNamespace(poll=lambda: exit_code)
+    monkeypatch.setattr(file_window, "start_viewer", lambda *_: (process, rerun_process.free_port()))
+    monkeypatch.setattr(file_window, "_READS_WITHIN", within)
     assert file_window.show(path, 1) is False
