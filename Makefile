@@ -32,11 +32,11 @@ check: $(READY)
 docs: $(READY)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs $(if $(OPTIONS),$(OPTIONS),build --strict)
 
-# The pictures of the documentation that a command makes; needs a graphics driver or mesa-vulkan-drivers.
+# The pictures of the documentation, and the outputs of the notebook; needs a graphics driver or mesa-vulkan-drivers.
 pictures: $(READY)
+	$(BIN)/python -m tests.campaigns.notebook
 	$(BIN)/python -m tests.campaigns.placement_picture
 	$(BIN)/python -m tests.campaigns.moving_picture
-	$(BIN)/python -m tests.campaigns.notebook
 
 # An sdist and a wheel in dist/, checked and tried in a fresh environment.
 package: $(READY)
