@@ -159,6 +159,7 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool) -> 
             rrb.Tabs(
                 scene("S*: brown from A, blue from B, purple from both", *hidden),
                 scene("S* with 1 σ", *hidden, *(layout.skeleton(side) for side in layout.SIDES), sigma=True),
+                scene("with point clouds", f"{layout.COACH}/**"),
                 active_tab=0,
             ),
             rrb.Tabs(

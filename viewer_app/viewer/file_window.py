@@ -9,6 +9,7 @@ from pathlib import Path
 
 from viewer_app.output_files import whole_file
 from viewer_app.viewer.rerun_process import start_viewer
+from viewer_app.viewer.stored_clouds import add_clouds, has_depth_images
 
 
 @contextmanager
@@ -46,4 +47,6 @@ def show(path: Path) -> None:
         UsageError: The viewer does not start.
     """
     with path.open("rb") as file:
-        start_viewer(["--hide-welcome-screen", "-"], file)
+        started = start_viewer(["--hide-welcome-screen", "-"], file)
+        if has_depth_images(path):
+            add_clouds(file, started[1])
