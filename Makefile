@@ -36,6 +36,7 @@ docs: $(READY)
 pictures: $(READY)
 	$(BIN)/python -m tests.campaigns.placement_picture
 	$(BIN)/python -m tests.campaigns.moving_picture
+	$(BIN)/python -m tests.campaigns.layout_pictures
 
 # An sdist and a wheel in dist/, checked and tried in a fresh environment.
 package: $(READY)
