@@ -18,6 +18,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -29,6 +30,7 @@ from rerun.experimental import ViewerClient
 from devices.blazepose.networks.files import cache_folder, missing
 from fusion.setup import FusionSetup
 from recordings import Session, layout
+from recordings.images.session_images import NO_IMAGES
 from recordings.reading.rrd_file import RrdFile
 from tests.campaigns.moving_picture import hardest_window
 from tests.helpers.waiting import eventually
@@ -44,6 +46,9 @@ PICTURES = ROOT / "docs" / "pictures"
 SHARED = Path(os.environ.get("DUPLEX_SHARED", ROOT.parent / "shared"))
 WALK = SHARED / "real" / "kinect_v2_90deg_walk"
 SIZE = (1280, 720)
+MENU = 37
+"""Pixels: height of the menu, which is cut off."""
+WINDOW = f"{SIZE[0]}x{SIZE[1] + MENU}"
 _LIMIT = 250_000
 """Bytes of a picture."""
 _COLORS = (256, 128, 64, 32)
@@ -63,9 +68,7 @@ def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout
     with RrdFile(file) as opened:
         identity = opened.identity()
     assert identity is not None
-    setup = FusionSetup(
-        session.calibrations[-1][1], session.settings, session.intrinsics_a, session.intrinsics_b
-    )
+    setup = setup_of(session)
     found = {}
     with viewer(file) as (client, port):
         if clouds:
@@ -73,12 +76,27 @@ def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout
         stream = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
         stream.connect_grpc(f"rerun+http://{LOOPBACK}:{port}/proxy")
         for name, moment in moments.items():
-            blueprint = session_blueprint(setup, session.whereabouts, name)
-            stream.send_blueprint(without_menu(blueprint))
+            before = blueprint_of(client)
+            stream.send_blueprint(without_menu(session_blueprint(setup, session.whereabouts, name)))
             stream.flush(timeout_sec=20.0)
+            eventually(lambda before=before: blueprint_of(client) != before, 60.0)  # type: ignore[misc]
             found[name] = settled_picture(client, moment)
         stream.disconnect()
     return found
+
+
+def setup_of(session: Session) -> FusionSetup:
+    """The last setup of a session."""
+    calibration = session.calibrations[-1][1]
+    return FusionSetup(calibration, session.settings, session.intrinsics_a, session.intrinsics_b)
+
+
+def blueprint_of(client: ViewerClient) -> str:
+    """The id of the layout that is shown; empty before there is one."""
+    try:
+        return str(client.get_blueprint().blueprint_id)
+    except (ConnectionError, RuntimeError, ValueError):
+        return ""
 
 
 def without_menu(blueprint: rrb.Blueprint) -> rrb.Blueprint:
@@ -92,7 +110,7 @@ def viewer(file: Path) -> Iterator[tuple[ViewerClient, int]]:
     """A viewer without a screen that shows a file, and its port."""
     # read from a pipe, a recording keeps its identity: what is sent afterwards joins it
     with file.open("rb") as opened:
-        process, port = start_viewer(["--headless", "--window-size", f"{SIZE[0]}x{SIZE[1]}", "-"], opened)
+        process, port = start_viewer(["--headless", "--window-size", WINDOW, "-"], opened)
     try:
         yield ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy"), port
     finally:
@@ -106,7 +124,8 @@ def settled_picture(client: ViewerClient, moment: float) -> Image.Image:
     def settled() -> bool:
         try:
             client.set_time(layout.TIME, duration=moment, play_state="paused")
-            pictures.append(Image.open(io.BytesIO(client.take_screenshot())).convert("RGB").tobytes())
+            window = Image.open(io.BytesIO(client.take_screenshot())).convert("RGB")
+            pictures.append(window.crop((0, MENU, SIZE[0], SIZE[1] + MENU)).tobytes())
         except (ConnectionError, RuntimeError, ValueError):  # the file is not loaded yet
             return False
         return len(pictures) > 8 and pictures[-1] == pictures[-2] == pictures[-3]
@@ -148,7 +167,10 @@ def of_demo(out: Path, folder: Path) -> None:
     moments: dict[Layout, float] = {"setup": _CALIBRATING_S, "inspect": moment, "report": moment}
     for name, picture in drawn(file, moments, clouds=True).items():
         write_png(out / f"{name}.png", picture)
-    light(out / "inspect_light.png", file, moment)
+    # a page without images, which a browser would load for long
+    session = replace(Session.open(file), images=NO_IMAGES)
+    session.save(folder / "light.rrd", session_blueprint(setup_of(session), session.whereabouts, "inspect"))
+    light(out / "inspect_light.png", folder / "light.rrd", moment)
 
 
 def of_walk(out: Path, folder: Path) -> None:
@@ -175,8 +197,7 @@ def of_own_tracker(out: Path, folder: Path) -> None:
     def show() -> None:
         if not eventually(lambda: _listens(hub.port), 300.0):
             return
-        arguments = ["--headless", "--window-size", f"{SIZE[0]}x{SIZE[1]}", "--connect", hub.url]
-        process, port = start_viewer(arguments)
+        process, port = start_viewer(["--headless", "--window-size", WINDOW, "--connect", hub.url])
         shown.append(process)
         ports.append(port)
 
@@ -229,13 +250,13 @@ def light(path: Path, file: Path, moment: float) -> None:
                 executable_path=program, args=[*flags, "--enable-unsafe-swiftshader"]
             )
             page = chromium.new_page(
-                viewport={"width": SIZE[0], "height": SIZE[1] + _MENU}, color_scheme="light"
+                viewport={"width": SIZE[0], "height": SIZE[1] + MENU}, color_scheme="light"
             )
             eventually(lambda: _listens(web), 20.0)
             url = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{port}%2Fproxy"
             page.goto(f"http://{LOOPBACK}:{web}/?url={url}")
             time.sleep(_PAGE_DRAWN_S)
-            page.mouse.click(SIZE[0] // 3, SIZE[1] + _MENU - 15)  # the focus, to take keys
+            page.mouse.click(SIZE[0] // 3, SIZE[1] + MENU - 15)  # the focus, to take keys
             page.keyboard.press("Control+Shift+ArrowLeft")
             for key in ["Shift+ArrowRight"] * int(moment) + ["ArrowRight"] * round(10 * (moment % 1)):
                 page.keyboard.press(key)
@@ -246,11 +267,9 @@ def light(path: Path, file: Path, moment: float) -> None:
     finally:
         server.kill()
         server.wait()
-    write_png(path, picture.crop((0, _MENU, SIZE[0], SIZE[1] + _MENU)))
+    write_png(path, picture.crop((0, MENU, SIZE[0], SIZE[1] + MENU)))
 
 
-_MENU = 37
-"""Pixels: height of the menu, which is cut off."""
 _PAGE_DRAWN_S, _EYE_RESTS_S = 25.0, 6.0
 """A page says nothing of its drawing; in software it takes long."""
 
