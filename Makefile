@@ -37,6 +37,7 @@ pictures: $(READY)
 	$(BIN)/python -m tests.campaigns.notebook
 	$(BIN)/python -m tests.campaigns.placement_picture
 	$(BIN)/python -m tests.campaigns.moving_picture
+	$(BIN)/python -m tests.campaigns.layout_pictures
 
 # An sdist and a wheel in dist/, checked and tried in a fresh environment.
 package: $(READY)

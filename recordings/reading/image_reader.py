@@ -25,7 +25,7 @@ class ImageReader(Generic[T]):
         checked: Returns the bytes of row k of a chunk, and whether they match their checksum. The checksum
             also covers the frame number.
         decoded: Decodes these bytes.
-        frames: The wanted frames.
+        frames: The wanted frames; with a step, images of frames that are at least so far apart.
     """
 
     def __init__(
@@ -51,6 +51,7 @@ class ImageReader(Generic[T]):
 
     def _whole(self) -> Iterator[tuple[int, Any]]:
         self.damaged = 0
+        next_frame = self._frames.start
         with RrdFile(self._path) as file:
             for entity, batch in file.chunks(images=True):
                 if entity != self._entity or layout.FRAME not in batch.schema.names:
@@ -64,6 +65,7 @@ class ImageReader(Generic[T]):
                         self.damaged += 1
                     elif frame >= self._frames.stop:
                         return
-                    elif frame >= self._frames.start:
+                    elif frame >= next_frame:
+                        next_frame = frame + self._frames.step
                         yield frame, raw
             self.damaged += file.unread(self._entity)

@@ -163,6 +163,15 @@ class RrdFile:
             if chunk is not None:
                 yield chunk
 
+    def identity(self) -> tuple[str, str] | None:
+        """Application and recording id; None before the first chunk."""
+        for kind, begin, end in self.messages():
+            if kind == _CHUNK:
+                store = _fields(_fields(self._data[begin:end])[_STORE])
+                if store.get(1) == _RECORDING:
+                    return _fields(store[3])[1].decode(), store[2].decode()
+        return None
+
     def unread(self, entity: str) -> int:
         """Number of requested chunks that could not be unpacked and seem to belong to an entity."""
         path = entity.encode()

@@ -69,6 +69,8 @@ def write_session(
         segments = [(setup, own) for setup, own in session.setups() if own.stop > first and own.start < end]
         recorder = Recorder(stream, segments[0][0], session.sources, about=about, drafts=False)
         start_ns = int(session.rows.time_ns[first])
+        if page is not None:  # before the frames, so that it is seen from the beginning
+            recorder.coach(page)
         for setup, own in segments:
             if own.start > first:
                 recorder.recalibrated(setup)
@@ -85,8 +87,6 @@ def write_session(
             if first <= event.frame < end:
                 moment = event.frame - first, event.time_ns - start_ns
                 recorder.event(event.text, event.level, event.topic, event.phase, moment)
-        if page is not None:
-            recorder.coach(page)
         recorder.finish()
     return damaged
 

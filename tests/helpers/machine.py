@@ -50,7 +50,12 @@ def need_viewer() -> None:
 
 def need_browser() -> str:
     """The path of a Chromium; skips the running test where there is none."""
-    return _first_of(_BROWSERS) or lacks("a browser", "chromium")
+    return browser() or lacks("a browser", "chromium")
+
+
+def browser() -> str | None:
+    """The path of a Chromium; None where there is none."""
+    return _first_of(_BROWSERS)
 
 
 def need_compiler() -> str:

@@ -43,7 +43,8 @@ _LIMBS = {
 _OVERVIEW, _HIGH = 2.1, 1.4
 """In *setup*: from behind both sensors, times their distance from the person, and metres above."""
 _BEHIND, _ABOVE = 2.5, 0.7
-"""In *inspect*: metres behind the person and over their middle, who then stands before both sensors."""
+"""In *inspect*: metres behind the person and over their middle, who then stands before both sensors. The eye
+does not follow the person: floor and sensors would move instead."""
 _PLOTS_A_ROW = 6
 """In *report*: at most, so that a laptop's screen has room for their titles."""
 _FRUSTA = {"setup": 0.3, "inspect": 0.2}  # metres
@@ -152,13 +153,14 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool) -> 
 
     def scene(name: str, *hidden: str, sigma: bool = False) -> rrb.View:
         frustum = _FRUSTA["inspect"]
-        return _scene(behind, person_at, name, body, frustum, layout.FUSED_SKELETON, hidden, sigma)
+        return _scene(behind, person_at, name, body, frustum, hidden, sigma)
 
     return rrb.Horizontal(
         rrb.Vertical(
             rrb.Tabs(
                 scene("S*: brown from A, blue from B, purple from both", *hidden),
                 scene("S* with 1 σ", *hidden, *(layout.skeleton(side) for side in layout.SIDES), sigma=True),
+                scene("with point clouds", f"{layout.COACH}/**"),
                 active_tab=0,
             ),
             rrb.Tabs(
@@ -207,6 +209,7 @@ def _report(body: Body) -> rrb.Container:
             _plot("disagreement_mm", "S_A against S_B (mm)"),
             _quality_plot("jitter_mm", "jitter (mm)"),
             _quality_plot("placement", "Kinect B since its first calibration"),
+            column_shares=[5, 3, 3, 3],
         ),
         *(rrb.Horizontal(*(plots[k] for k in row)) for row in rows),
         row_shares=[3, *([2] * len(rows))],
@@ -273,7 +276,6 @@ def _scene(
     name: str,
     body: Body,
     frustum: float,
-    track: str | None = None,
     hidden: Sequence[str] = (),
     sigma: bool = False,
 ) -> rrb.Spatial3DView:
@@ -300,8 +302,6 @@ def _scene(
             if sigma
             else [entity_styles.lone_joints(), entity_styles.body_capsules(body)],
         },
-        eye_controls=rrb.EyeControls3D(
-            position=eye, look_target=looks_at, eye_up=(0.0, -1.0, 0.0), tracking_entity=track
-        ),
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=looks_at, eye_up=(0.0, -1.0, 0.0)),
         line_grid=rrb.LineGrid3D(visible=False),
     )

@@ -16,6 +16,7 @@ from recordings import layout
 from viewer_app.addresses import LOOPBACK
 from viewer_app.output_files import whole_file
 from viewer_app.viewer.rerun_process import start_viewer
+from viewer_app.viewer.stored_clouds import add_clouds, has_depth_images
 
 _READS_WITHIN, _LOOKS_EVERY = 20.0, 0.1  # seconds
 
@@ -63,6 +64,8 @@ def show(path: Path, at_ns: int | None = None) -> bool:
     """
     with path.open("rb") as file:
         started = start_viewer(["--hide-welcome-screen", "-"], file)
+        if has_depth_images(path):
+            add_clouds(file, started[1])
     return at_ns is None or _set_time(*started, at_ns)
 
 

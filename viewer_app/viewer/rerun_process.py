@@ -179,7 +179,7 @@ preexec_fn would do it without a second program, but may hang in a program with 
 def _start(
     arguments: Sequence[str], stdin: int | IO[bytes] = subprocess.DEVNULL, dies_with_us: bool = False
 ) -> subprocess.Popen[bytes]:
-    command = [*_program(), *arguments]
+    command = [*rerun_program(), *arguments]
     if dies_with_us and platform.system() == "Linux":
         command = [sys.executable, "-I", "-S", "-c", _DIES_WITH_ITS_PARENT, str(os.getpid()), *command]
     process = subprocess.Popen(
@@ -200,7 +200,7 @@ def _own(port: int) -> tuple[str, ...]:
     return "--bind", LOOPBACK, "--port", str(port), "--memory-limit", _VIEWER_MEMORY
 
 
-def _program() -> list[str]:
+def rerun_program() -> list[str]:
     """The binary of Rerun's viewer, if found, so that the child process is the viewer itself."""
     spec = importlib.util.find_spec("rerun_cli")
     for folder in (spec.submodule_search_locations or ()) if spec else ():

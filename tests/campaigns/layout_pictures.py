@@ -1,0 +1,293 @@
+"""Makes the pictures of the viewer's layouts for the documentation.
+
+``python -m tests.campaigns.layout_pictures`` runs ``duplex demo``, ``duplex fuse`` on real recordings, and
+``duplex demo --tracker blazepose``. It draws their layouts in a viewer without a screen and writes
+``docs/pictures/*.png``. ``--only demo`` makes those of one run. A graphics driver or Debian's
+mesa-vulkan-drivers is needed. What is missing for a run is said, and its pictures stay as they are: the
+recordings (``DUPLEX_SHARED``), the body tracker's networks, a browser for the light picture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import os
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from unittest import mock
+
+import rerun as rr
+import rerun.blueprint as rrb
+from PIL import Image
+from rerun.experimental import ViewerClient
+
+from devices.blazepose.networks.files import cache_folder, missing
+from fusion.setup import FusionSetup
+from recordings import Session, layout
+from recordings.images.session_images import NO_IMAGES
+from recordings.reading.rrd_file import RrdFile
+from tests.campaigns.moving_picture import hardest_window
+from tests.helpers.waiting import eventually
+from viewer_app.addresses import LOOPBACK
+from viewer_app.cli import main
+from viewer_app.sinks.viewer_sink import Viewing
+from viewer_app.viewer.blueprint import LAYOUTS, Layout, session_blueprint
+from viewer_app.viewer.rerun_process import Hub, free_port, rerun_program, start_viewer, stop
+from viewer_app.viewer.stored_clouds import send_clouds
+
+ROOT = Path(__file__).resolve().parents[2]
+PICTURES = ROOT / "docs" / "pictures"
+SHARED = Path(os.environ.get("DUPLEX_SHARED", ROOT.parent / "shared"))
+WALK = SHARED / "real" / "kinect_v2_90deg_walk"
+SIZE = (1280, 720)
+MENU = 37
+"""Pixels: height of the menu, which is cut off."""
+WINDOW = f"{SIZE[0]}x{SIZE[1] + MENU}"
+_LIMIT = 250_000
+"""Bytes of a picture."""
+_COLORS = (256, 128, 64, 32)
+_CALIBRATING_S = 1.0
+"""When the person of the demo stands in the start-up pose."""
+
+
+def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout, Image.Image]:
+    """The layouts of a saved session.
+
+    Args:
+        file: The session.
+        moments: The layouts to draw, each with the time at which, seconds.
+        clouds: Whether to show the point clouds, as ``duplex review`` does.
+    """
+    session = Session.open(file)
+    with RrdFile(file) as opened:
+        identity = opened.identity()
+    assert identity is not None
+    setup = setup_of(session)
+    found = {}
+    with viewer(file) as (client, port):
+        if clouds:
+            send_clouds(file, port)
+        stream = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
+        stream.connect_grpc(f"rerun+http://{LOOPBACK}:{port}/proxy")
+        for name, moment in moments.items():
+            before = blueprint_of(client)
+            stream.send_blueprint(without_menu(session_blueprint(setup, session.whereabouts, name)))
+            stream.flush(timeout_sec=20.0)
+            eventually(lambda before=before: blueprint_of(client) != before, 60.0)  # type: ignore[misc]
+            found[name] = settled_picture(client, moment)
+        stream.disconnect()
+    return found
+
+
+def setup_of(session: Session) -> FusionSetup:
+    """The last setup of a session."""
+    calibration = session.calibrations[-1][1]
+    return FusionSetup(calibration, session.settings, session.intrinsics_a, session.intrinsics_b)
+
+
+def blueprint_of(client: ViewerClient) -> str:
+    """The id of the layout that is shown; empty before there is one."""
+    try:
+        return str(client.get_blueprint().blueprint_id)
+    except (ConnectionError, RuntimeError, ValueError):
+        return ""
+
+
+def without_menu(blueprint: rrb.Blueprint) -> rrb.Blueprint:
+    """The layout without the viewer's menu, in which it warns of a machine without a graphics card."""
+    panels = (blueprint.blueprint_panel, blueprint.selection_panel, blueprint.time_panel)
+    return rrb.Blueprint(blueprint.root_container, *panels, rrb.TopPanel(state="hidden"), auto_views=False)
+
+
+@contextlib.contextmanager
+def viewer(file: Path) -> Iterator[tuple[ViewerClient, int]]:
+    """A viewer without a screen that shows a file, and its port."""
+    # read from a pipe, a recording keeps its identity: what is sent afterwards joins it
+    with file.open("rb") as opened:
+        process, port = start_viewer(["--headless", "--window-size", WINDOW, "-"], opened)
+    try:
+        yield ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy"), port
+    finally:
+        stop(process)
+
+
+def settled_picture(client: ViewerClient, moment: float) -> Image.Image:
+    """The window at a moment, as soon as it is drawn three times alike."""
+    pictures: list[bytes] = []
+
+    def settled() -> bool:
+        try:
+            client.set_time(layout.TIME, duration=moment, play_state="paused")
+            window = Image.open(io.BytesIO(client.take_screenshot())).convert("RGB")
+            pictures.append(window.crop((0, MENU, SIZE[0], SIZE[1] + MENU)).tobytes())
+        except (ConnectionError, RuntimeError, ValueError):  # the file is not loaded yet
+            return False
+        return len(pictures) > 8 and pictures[-1] == pictures[-2] == pictures[-3]
+
+    if not eventually(settled, 90.0):
+        raise TimeoutError(f"The viewer does not come to rest at {moment:g} s.")
+    return Image.frombytes("RGB", SIZE, pictures[-1])
+
+
+def write_png(path: Path, picture: Image.Image, limit: int = _LIMIT) -> None:
+    """Writes a PNG file with as many colours as fit into a size.
+
+    Raises:
+        ValueError: Even the fewest do not fit.
+    """
+    for colors in _COLORS:
+        made = io.BytesIO()
+        reduced = picture.quantize(colors, dither=Image.Dither.NONE)
+        reduced.save(made, "PNG", optimize=True)
+        if len(made.getvalue()) < limit:
+            path.write_bytes(made.getvalue())
+            print(f"{path.name}: {len(made.getvalue()) / 1e3:.0f} kB, {colors} colours")
+            return
+    raise ValueError(f"{path.name} does not fit into {limit} bytes.")
+
+
+def hard_moment(session: Session) -> float:
+    """Seconds: the middle of the second in which the views differ most, after the start-up pose."""
+    later = session.time_ns * 1e-9 > 4.0
+    begin, end = hardest_window(session.time_ns[later] * 1e-9, session.quality.disagreement[later], 1.0)
+    return 0.5 * (begin + end)
+
+
+def of_demo(out: Path, folder: Path) -> None:
+    """The three layouts of ``duplex demo``, and one of them light."""
+    file = folder / "demo.rrd"
+    main(["demo", "--seconds", "16", "--no-viewer", "--quiet", "--save", str(file)])
+    moment = hard_moment(Session.open(file))
+    moments: dict[Layout, float] = {"setup": _CALIBRATING_S, "inspect": moment, "report": moment}
+    for name, picture in drawn(file, moments, clouds=True).items():
+        write_png(out / f"{name}.png", picture)
+    # a page without images, which a browser would load for long
+    session = replace(Session.open(file), images=NO_IMAGES)
+    session.save(folder / "light.rrd", session_blueprint(setup_of(session), session.whereabouts, "inspect"))
+    light(out / "inspect_light.png", folder / "light.rrd", moment)
+
+
+def of_walk(out: Path, folder: Path) -> None:
+    """The three layouts of two real recordings."""
+    if not WALK.is_dir():
+        print(f"No recordings {WALK}: the pictures of a real walk stay as they are.")
+        return
+    file = folder / "walk.rrd"
+    main(["fuse", str(WALK / "a.csv"), str(WALK / "b.csv"), "--no-viewer", "--save", str(file)])
+    moment = hard_moment(Session.open(file))
+    for name, picture in drawn(file, dict.fromkeys(LAYOUTS, moment), clouds=False).items():
+        write_png(out / f"{name}_real.png", picture)
+
+
+def of_own_tracker(out: Path, folder: Path) -> None:
+    """*setup* of ``duplex demo --tracker blazepose``, with the infrared images that a live viewer shows."""
+    if missing("full", cache_folder()):
+        print("No networks (duplex tracker fetch): setup_infrared.png stays as it is.")
+        return
+    hub = Hub.on_free_ports(web=False)
+    shown: list[subprocess.Popen[bytes]] = []
+    ports: list[int] = []
+
+    def show() -> None:
+        if not eventually(lambda: _listens(hub.port), 300.0):
+            return
+        process, port = start_viewer(["--headless", "--window-size", WINDOW, "--connect", hub.url])
+        shown.append(process)
+        ports.append(port)
+
+    thread = threading.Thread(target=show, daemon=True)
+    thread.start()
+    options = ["--tracker", "blazepose", "--layout", "setup", "--seconds", "8", "--quiet"]
+    with mock.patch("viewer_app.commands.demo.viewing_of", return_value=Viewing(hub=hub)):
+        main(["demo", *options, "--save", str(folder / "own.rrd")])
+    thread.join()
+    try:
+        client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{ports[0]}/proxy")
+        client.run_command("ui.toggle_top_panel")
+        write_png(out / "setup_infrared.png", settled_picture(client, 2.0))
+    finally:
+        stop(shown[0])
+
+
+def _listens(port: int) -> bool:
+    import socket
+
+    try:
+        socket.create_connection((LOOPBACK, port), timeout=0.5).close()
+    except OSError:
+        return False
+    return True
+
+
+def light(path: Path, file: Path, moment: float) -> None:
+    """*inspect* as a browser with a light theme shows it; the viewer takes the theme from the system."""
+    from tests.helpers.machine import browser
+
+    program = browser()
+    if program is None:
+        print(f"No browser: {path.name} stays as it is.")
+        return
+    from playwright.sync_api import sync_playwright
+
+    port, web = free_port(), free_port()
+    serving = ["--serve-web", "--bind", LOOPBACK, "--port", str(port), "--web-viewer-port", str(web)]
+    server = subprocess.Popen(
+        [*rerun_program(), *serving, str(file)],
+        env={**os.environ, "RERUN_ANALYTICS": "0"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        with sync_playwright() as play:
+            flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--ignore-gpu-blocklist"]
+            chromium = play.chromium.launch(
+                executable_path=program, args=[*flags, "--enable-unsafe-swiftshader"]
+            )
+            page = chromium.new_page(
+                viewport={"width": SIZE[0], "height": SIZE[1] + MENU}, color_scheme="light"
+            )
+            eventually(lambda: _listens(web), 20.0)
+            url = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{port}%2Fproxy"
+            page.goto(f"http://{LOOPBACK}:{web}/?url={url}")
+            time.sleep(_PAGE_DRAWN_S)
+            page.mouse.click(SIZE[0] // 3, SIZE[1] + MENU - 15)  # the focus, to take keys
+            page.keyboard.press("Control+Shift+ArrowLeft")
+            for key in ["Shift+ArrowRight"] * int(moment) + ["ArrowRight"] * round(10 * (moment % 1)):
+                page.keyboard.press(key)
+                page.wait_for_timeout(300)
+            time.sleep(_EYE_RESTS_S)
+            picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+            chromium.close()
+    finally:
+        server.kill()
+        server.wait()
+    write_png(path, picture.crop((0, MENU, SIZE[0], SIZE[1] + MENU)))
+
+
+_PAGE_DRAWN_S, _EYE_RESTS_S = 25.0, 6.0
+"""A page says nothing of its drawing; in software it takes long."""
+
+RUNS = {"demo": of_demo, "walk": of_walk, "own-tracker": of_own_tracker}
+
+
+def run(arguments: Sequence[str] | None = None) -> None:
+    """Makes the pictures."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--only", choices=RUNS, help="make the pictures of one run")
+    parser.add_argument("--out", type=Path, default=PICTURES)
+    options = parser.parse_args(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    for name, make in RUNS.items():
+        if options.only in (None, name):
+            with tempfile.TemporaryDirectory() as folder:
+                make(options.out, Path(folder))
+
+
+if __name__ == "__main__":
+    run()

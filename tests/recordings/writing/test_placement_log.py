@@ -1,0 +1,79 @@
+"""Sensors, floor and person are coordinate frames; a recalibration is one message."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rerun.experimental import ViewerClient
+
+from fusion.calibration.calibration import Calibration
+from fusion.rigid import RigidTransform
+from recordings import layout
+from recordings.reading.rrd_file import RrdFile
+from recordings.session import Session
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.live_frames import BODY, frames, known_fuser, session
+from tests.helpers.pictures import headless_viewer
+from tests.helpers.recalibrated import record_recalibrated
+from tests.helpers.two_views import A_FROM_B
+from tests.helpers.waiting import eventually
+
+
+def poses(path: Path, entity: str) -> list[int]:
+    """The frames at which a pose was logged."""
+    component = "Transform3D:translation"
+    found = []
+    with RrdFile(path) as file:
+        for of_entity, batch in file.chunks(images=False):
+            if of_entity == entity and component in batch.schema.names and layout.FRAME in batch.schema.names:
+                numbers = batch.column(layout.FRAME).to_pylist()
+                values = batch.column(component).to_pylist()
+                found += [number for number, value in zip(numbers, values, strict=True) if value]
+    return sorted(found)
+
+
+def written_live(path: Path, count: int) -> Path:
+    fuser = known_fuser()
+    with session(fuser, path) as live:
+        for frame in frames(fuser, count):
+            live.write(frame)
+    return path
+
+
+def test_a_recalibration_is_one_message(tmp_path: Path) -> None:
+    moved = RigidTransform.of(A_FROM_B.rotation, A_FROM_B.translation + [0.1, 0.0, 0.0])
+    calibrations = [
+        (0, Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "first")),
+        (40, Calibration(BODY, moved, BODY.nominal_lengths, "second")),
+    ]
+    file = tmp_path / "s.rrd"
+    recorded = record_recalibrated(file, frame_pairs(BODY, 90), calibrations)
+    changes = np.flatnonzero((np.diff(recorded.translation, axis=0) != 0.0).any(axis=1)) + 1
+    assert poses(file, layout.kinect("b")) == [0, *changes.tolist()]
+    assert len(changes) == 1
+
+
+def test_live_and_saved_sessions_log_the_same_poses(tmp_path: Path) -> None:
+    live = written_live(tmp_path / "live.rrd", 40)
+    again = tmp_path / "again.rrd"
+    Session.open(live).save(again)
+    assert poses(live, layout.kinect("b")) == poses(again, layout.kinect("b")) == [0]
+    assert poses(live, layout.PELVIS) == poses(again, layout.PELVIS) == list(range(40))
+    assert poses(again, layout.FLOOR)[-1] == 0  # found in the whole recording, shown from its beginning
+    assert len(poses(live, layout.FLOOR)) == 2  # assumed, then found
+
+
+def test_frames_have_names_in_the_viewer(tmp_path: Path) -> None:
+    names = {name: f"tf#{entity}" for name, entity in layout.FRAME_NAMES.items()}
+    with headless_viewer(str(written_live(tmp_path / "s.rrd", 40))) as viewer:
+        assert eventually(lambda: names.items() <= edges(viewer).items(), 30.0)
+        assert all(edges(viewer)[frame].startswith("tf#/") for frame in names.values())
+
+
+def edges(viewer: ViewerClient) -> dict[str, str]:
+    """The parent of each frame; empty before the session is loaded."""
+    try:
+        return {edge["child"]: edge["parent"] for edge in viewer.get_transform_graph()["edges"]}
+    except (ConnectionError, RuntimeError, ValueError, KeyError):
+        return {}

@@ -1,0 +1,88 @@
+"""The point clouds of a saved session are computed when it is viewed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from devices.point_cloud import depth_to_points, ray_table
+from recordings import Session, layout
+from recordings.reading.rrd_file import RrdFile
+from tests.helpers.live_frames import frames, known_fuser, session
+from tests.helpers.machine import need_viewer
+from tests.helpers.waiting import eventually
+from viewer_app.addresses import LOOPBACK
+from viewer_app.viewer import stored_clouds
+from viewer_app.viewer.rerun_process import free_port, start_viewer, stop
+from viewer_app.viewer.stored_clouds import add_clouds, clouds, has_depth_images, send_clouds
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    """Two seconds with depth images of both sensors."""
+    file = tmp_path / "s.rrd"
+    fuser = known_fuser()
+    with session(fuser, file) as live:
+        for frame in frames(fuser, 60, depth=True):
+            live.write(frame)
+    return file
+
+
+def test_clouds_come_by_turns_and_evenly_in_time(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stored_clouds, "_MOST", 20)
+    made = [(side, frame) for side, frame, _ in clouds(Session.open(saved))]
+    assert made == [(side, frame) for frame in range(0, 60, 6) for side in layout.SIDES]
+
+
+def test_a_cloud_is_a_part_of_the_points_of_its_image(saved: Path) -> None:
+    opened = Session.open(saved)
+    side, frame, points = next(clouds(opened))
+    _, image = next(iter(opened.depth(side, frame)))
+    every = {tuple(p) for p in depth_to_points(image, ray_table(opened.intrinsics_a)).tolist()}
+    assert 1000 < len(points) < len(every)
+    assert {tuple(p) for p in points.tolist()} <= every
+
+
+def test_only_a_session_with_images_has_clouds(saved: Path, tmp_path: Path) -> None:
+    assert has_depth_images(saved)
+    file = tmp_path / "none.rrd"
+    fuser = known_fuser()
+    with session(fuser, file) as live:
+        for frame in frames(fuser, 5):
+            live.write(frame)
+    assert not has_depth_images(file)
+    file.write_bytes(b"")
+    assert not has_depth_images(file)
+
+
+def test_without_its_viewer_nothing_is_sent(saved: Path) -> None:
+    assert send_clouds(saved, free_port()) == 0
+
+
+def test_the_viewer_gets_the_clouds_into_the_session_although_the_file_is_deleted(saved: Path) -> None:
+    from rerun.experimental import ViewerClient
+
+    need_viewer()
+    with RrdFile(saved) as file:
+        identity = file.identity()
+    assert identity is not None
+    with saved.open("rb") as opened:
+        viewer, port = start_viewer(["--headless", "-"], opened)
+        program = add_clouds(opened, port)
+    saved.unlink()
+    try:
+        assert program.wait(timeout=60.0) == 0
+        client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+
+        def arrived() -> bool:
+            ids = [recording.store_id for recording in client.get_state().recordings]
+            if ids != [f"Recording:{identity[0]}:{identity[1]}"]:
+                return False
+            schema = client.get_recording_schema(store_id=ids[0])
+            with_data = str(schema).split(layout.points("b"), 1)
+            return len(with_data) == 2 and "Points3D:positions" in with_data[1][:1500]
+
+        assert eventually(arrived, 30.0)
+    finally:
+        stop(viewer)

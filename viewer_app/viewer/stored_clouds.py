@@ -1,0 +1,131 @@
+"""Shows the point clouds of a saved session, computed from its depth images while it is viewed.
+
+The file is not changed. A program of its own computes the clouds, because it may take longer than the command
+that opened the viewer; it ends when all are sent or the viewer is gone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from recordings import layout
+from recordings.errors import RecordingError
+from recordings.images.depth_points import thin_points
+from recordings.reading.rrd_file import RrdFile
+from recordings.session import Session
+from viewer_app.addresses import LOOPBACK
+
+_MOST = 1000
+"""Clouds of both sensors, 120 MB: the viewer keeps them in memory."""
+_LOOKS_EVERY = 20
+"""Clouds between two looks whether the viewer is still there."""
+_SENT_WITHIN = 20.0  # seconds
+
+
+def add_clouds(session: IO[bytes], port: int) -> subprocess.Popen[bytes]:
+    """Starts the program that adds a session's point clouds to a viewer.
+
+    Args:
+        session: The open file. On Linux it may be deleted after this returns; elsewhere there are no clouds
+            then.
+        port: Where the viewer listens, on this machine.
+
+    Returns:
+        The program.
+    """
+    shared = platform.system() == "Linux"  # elsewhere, reading would move the viewer's place in the file
+    path = f"/dev/fd/{session.fileno()}" if shared else session.name
+    return subprocess.Popen(
+        [sys.executable, "-m", __name__, path, str(port)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        pass_fds=(session.fileno(),) if shared else (),
+    )
+
+
+def has_depth_images(path: Path) -> bool:
+    """Whether a session has depth images; False if it cannot be read."""
+    try:
+        with RrdFile(path) as file:
+            depths = {layout.depth(side) for side in layout.SIDES}
+            return any(
+                entity in depths and layout.FRAME in batch.schema.names
+                for entity, batch in file.chunks(images=True)
+            )
+    except RecordingError:
+        return False
+
+
+def clouds(session: Session) -> Iterator[tuple[str, int, NDArray[np.float32]]]:
+    """Side, frame and (N, 3) points in the sensor's frame, metres: both sensors by turns, evenly in time."""
+    step = max(1, -(-2 * len(session) // _MOST))
+    frames = range(0, len(session), step)
+    streams = {side: iter(session.images.depth(side, frames)) for side in layout.SIDES}
+    cameras = {"a": session.intrinsics_a, "b": session.intrinsics_b}
+    while streams:
+        for side in list(streams):
+            found = next(streams[side], None)
+            if found is None:
+                del streams[side]
+            else:
+                yield side, found[0], thin_points(found[1], cameras[side])
+
+
+def send_clouds(path: Path, port: int) -> int:
+    """Sends the clouds of a session to the viewer that shows it.
+
+    Args:
+        path: The session.
+        port: Where the viewer listens, on this machine.
+
+    Returns:
+        The number of clouds that were sent.
+
+    Raises:
+        RecordingError: The session cannot be read.
+    """
+    session = Session.open(path)
+    with RrdFile(path) as file:
+        identity = file.identity()
+    if identity is None:
+        return 0
+    stream = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
+    stream.connect_grpc(f"rerun+http://{LOOPBACK}:{port}/proxy")
+    count = 0
+    for side, frame, points in clouds(session):
+        if count % _LOOKS_EVERY == 0 and not _listens(port):
+            return count
+        stream.set_time(layout.FRAME, sequence=frame)
+        stream.set_time(layout.TIME, duration=np.timedelta64(int(session.time_ns[frame]), "ns"))
+        stream.log(layout.points(side), rr.Points3D.from_fields(positions=points))
+        count += 1
+    stream.flush(timeout_sec=_SENT_WITHIN)
+    return count
+
+
+def _listens(port: int) -> bool:
+    try:
+        socket.create_connection((LOOPBACK, port), timeout=1.0).close()
+    except OSError:
+        return False
+    return True
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(Exception):  # nobody reads what this program would say
+        send_clouds(Path(sys.argv[1]), int(sys.argv[2]))
+    os._exit(0)  # at a normal exit, the SDK would wait for a viewer that is gone
