@@ -43,7 +43,7 @@ _TITLES = {"a": "Kinect A", "b": "Kinect B", "fused": "fused"}
 WRONG = (255, 60, 50)
 _PAPER = (17, 19, 24)
 _GRID = (70, 74, 84)
-_EYE_M, _EYE_ABOVE_M, _EYE_TURNED = 2.5, 0.2, np.radians(24.0)
+_EYE_M, _EYE_ABOVE_M, _EYE_TURNED = 2.8, 0.2, np.radians(24.0)
 """The eye: distance from the person, height above the pelvis, and turn from the middle between the sensors to
 B, so that a lunge towards the sensors is not foreshortened."""
 _BEFORE_S, _AFTER_S = 0.4, 0.6
@@ -81,7 +81,7 @@ class Skeletons:
     Attributes:
         positions: By the keys of ``layout.SKELETON_NAMES``, (T, J, 3) metres in K_A's frame.
         wrong: Of each, (T, J) whether the joint is far from the truth.
-        exchanged: Of each, (T,) whether it fits the truth better with left and right exchanged.
+        exchanged: Of each, (T,) whether its wrong joints fit the truth better with left and right exchanged.
     """
 
     positions: dict[str, NDArray[np.float64]]
@@ -99,7 +99,9 @@ def skeletons_of(session: Session) -> Skeletons:
         key: np.linalg.norm(at[:, session.body.mirror] - truth, axis=2) for key, at in positions.items()
     }
     wrong = {key: each > FAR for key, each in off.items()}
-    exchanged = {key: np.nansum(swapped[key], axis=1) < np.nansum(off[key], axis=1) for key in off}
+    exchanged = {
+        key: ((swapped[key] < off[key]) & wrong[key]).sum(1) > 0.5 * wrong[key].sum(1) for key in off
+    }
     return Skeletons(positions, wrong, exchanged)
 
 
