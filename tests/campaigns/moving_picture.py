@@ -293,7 +293,7 @@ def run() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--session", type=Path, help="a session; without it, duplex demo is run")
     parser.add_argument("--seconds", type=float, default=4.0, help="of a session of one's own")
-    parser.add_argument("--rate", type=float, default=15.0, help="pictures per second of the session")
+    parser.add_argument("--rate", type=float, default=16.0, help="pictures per second of the session")
     parser.add_argument("--slower", type=float, default=1.0, help="how much slower than in the session")
     parser.add_argument("--size", type=int, nargs=2, default=(260, 420), help="width and height of a third")
     parser.add_argument("--out", type=Path, default=PICTURE)
