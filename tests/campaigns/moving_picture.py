@@ -1,8 +1,10 @@
-"""Makes the moving picture of the README: S_A and S_B against S* in a hard moment.
+"""Makes the moving picture of the README: S_A, S_B and S* side by side in two hard moments.
 
-``python -m tests.campaigns.moving_picture`` runs ``duplex demo``, finds the moment in which the two views
-disagree most, draws it in the viewer without a screen, and writes ``docs/pictures/moving.webp``. A session of
-one's own is drawn with ``--session``. A graphics driver or Debian's mesa-vulkan-drivers is needed.
+``python -m tests.campaigns.moving_picture`` runs ``duplex demo``, draws what Kinect A, Kinect B and the
+program make of the same moments in a viewer without a screen, and writes ``docs/pictures/moving.webp``.
+Joints that are far from the truth are red. Of a session of one's own (``--session``) it shows the moment in
+which the two views disagree most; where the truth is unknown, S* stands for it. A graphics driver or Debian's
+mesa-vulkan-drivers is needed.
 """
 
 from __future__ import annotations
@@ -10,27 +12,43 @@ from __future__ import annotations
 import argparse
 import io
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
 from rerun.experimental import ViewerClient
 
-from fusion.setup import FusionSetup
+from devices.simulated.demonstration import MIRRORED, MISPLACED
+from fusion.rigid import RigidTransform
 from recordings import Session, layout
+from recordings.appearance.body_shape import capsule_lengths, capsule_radii, capsule_rotations
+from recordings.appearance.floor import find_floor
 from tests.helpers.waiting import eventually
 from viewer_app.cli import main
-from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.rerun_process import LOOPBACK, start_viewer, stop
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "pictures" / "moving.webp"
 LIMIT = 3_000_000
 """Bytes; a README that loads slowly is not read."""
+FAR = 0.2
+"""Metres from the truth from which on a joint is red."""
 _QUALITIES = (80, 65, 50, 35, 20)
-_SHOWN = ("a", "b", "fused")
+SHOWN = ("a", "b", "fused")
+_TITLES = {"a": "Kinect A", "b": "Kinect B", "fused": "fused"}
+WRONG = (255, 60, 50)
+_PAPER = (17, 19, 24)
+_GRID = (70, 74, 84)
+_EYE_M, _EYE_ABOVE_M, _EYE_TURNED = 2.8, 0.2, np.radians(24.0)
+"""The eye: distance from the person, height above the pelvis, and turn from the middle between the sensors to
+B, so that a lunge towards the sensors is not foreshortened."""
+_BEFORE_S, _AFTER_S = 0.4, 0.6
+_FLOOR_M, _MESH_M = 1.0, 0.5
+_EDGE = 12  # pixels: the viewer's own frame round a view
 
 
 def hardest_window(seconds: ArrayLike, disagreement: ArrayLike, length: float) -> tuple[float, float]:
@@ -56,84 +74,184 @@ def hardest_window(seconds: ArrayLike, disagreement: ArrayLike, length: float) -
     return begin, begin + length
 
 
-def scene_of(blueprint: rrb.Blueprint) -> rrb.Spatial3DView:
-    """The first three-dimensional view of the tab *inspect*."""
-    tabs = blueprint.root_container
-    inspect = next(tab for tab in tabs.contents if tab.name == "inspect")
-    return next(view for view in _views(inspect) if isinstance(view, rrb.Spatial3DView))
+@dataclass(frozen=True)
+class Skeletons:
+    """What is drawn: three skeletons over time.
+
+    Attributes:
+        positions: By the keys of ``layout.SKELETON_NAMES``, (T, J, 3) metres in K_A's frame.
+        wrong: Of each, (T, J) whether the joint is far from the truth.
+        exchanged: Of each, (T,) whether its wrong joints fit the truth better with left and right exchanged.
+    """
+
+    positions: dict[str, NDArray[np.float64]]
+    wrong: dict[str, NDArray[np.bool_]]
+    exchanged: dict[str, NDArray[np.bool_]]
 
 
-def _views(container: rrb.Container | rrb.View) -> Iterator[rrb.View]:
-    if isinstance(container, rrb.View):
-        yield container
-        return
-    for content in container.contents:
-        yield from _views(content)
+def skeletons_of(session: Session) -> Skeletons:
+    """The three skeletons of a session, and their wrong joints."""
+    rows = session.rows
+    positions = {"a": rows.positions_a.astype(np.float64), "b": rows.b_in_a, "fused": rows.fused}
+    truth = rows.fused if rows.truth is None else rows.truth
+    off = {key: np.linalg.norm(at - truth, axis=2) for key, at in positions.items()}
+    swapped = {
+        key: np.linalg.norm(at[:, session.body.mirror] - truth, axis=2) for key, at in positions.items()
+    }
+    wrong = {key: each > FAR for key, each in off.items()}
+    exchanged = {
+        key: ((swapped[key] < off[key]) & wrong[key]).sum(1) > 0.5 * wrong[key].sum(1) for key in off
+    }
+    return Skeletons(positions, wrong, exchanged)
 
 
-def pictures(session: Session, moments: Sequence[float], size: tuple[int, int]) -> list[Image.Image]:
-    """Draws the scene of a session at some moments.
+def pictures(
+    session: Session, skeletons: Skeletons, rows: Sequence[int], size: tuple[int, int]
+) -> list[Image.Image]:
+    """Draws the three skeletons of some frames side by side.
 
     Args:
-        session: What to draw.
-        moments: Seconds of the session's timeline.
-        size: Width and height of the viewer's window in pixels; the scene is lower.
-
-    Raises:
-        UsageError: There is no viewer that draws without a screen.
+        session: The session of the skeletons.
+        skeletons: What to draw.
+        rows: The frames' numbers.
+        size: Width and height of one skeleton's picture, pixels.
     """
-    setup = FusionSetup(session.calibrations[-1][1], session.settings)
-    fused = session.fused[np.isfinite(session.fused).all(axis=(1, 2))]
-    person_at = np.median(fused.reshape(-1, 3), axis=0)
-    view = scene_of(session_blueprint(setup, person_at, "inspect"))
-    panels = (rrb.BlueprintPanel, rrb.SelectionPanel, rrb.TimePanel)
-    blueprint = rrb.Blueprint(view, *(panel(state="hidden") for panel in panels), auto_views=False)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "scene.rrd"
-        session.save(file, blueprint)
-        process, port = start_viewer(["--headless", "--window-size", f"{size[0]}x{size[1]}", str(file)])
-        try:
+    process, port = start_viewer(
+        ["--headless", "--window-size", f"{3 * (size[0] + _EDGE)}x{size[1] + 5 * _EDGE}"]
+    )
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "scene.rrd"
+            _write_scene(file, session, skeletons, rows)
             viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
-            return [_drawn(viewer, moment) for moment in moments]
-        finally:
-            stop(process)
+            viewer.open(str(file))
+            return [_drawn(viewer, k, size) for k in range(len(rows))]
+    finally:
+        stop(process)
 
 
-def _drawn(viewer: ViewerClient, moment: float) -> Image.Image:
-    """The scene at a moment, as soon as the viewer draws it twice alike: its eye glides to its place."""
+def _write_scene(file: Path, session: Session, skeletons: Skeletons, rows: Sequence[int]) -> None:
+    body, fused = session.body, skeletons.positions["fused"]
+    floor = find_floor(body, fused[np.isfinite(fused).all(axis=(1, 2))])
+    person = np.nanmedian(fused[list(rows)][:, body.root], axis=0)
+    stream = rr.RecordingStream("moving_picture")
+    stream.save(
+        file, rrb.Blueprint(_views(session, floor, fused[list(rows)]), *_no_panels(), auto_views=False)
+    )
+    steps = np.arange(-_FLOOR_M, _FLOOR_M + _MESH_M, _MESH_M)
+    ends = (-_FLOOR_M, _FLOOR_M)
+    mesh = [[(x, 0.0, z) for z in ends] for x in steps] + [[(x, 0.0, z) for x in ends] for z in steps]
+    under = floor.inverse().apply(person) * (1.0, 0.0, 1.0)
+    lines = [floor.apply(np.array(line) + under) for line in mesh]
+    stream.log("/floor", rr.LineStrips3D(lines, colors=_GRID, radii=0.004), static=True)
+    lengths = capsule_lengths(body, np.nan_to_num(session.bone_lengths[rows[-1]]))
+    for k, row in enumerate(rows):
+        stream.set_time("picture", sequence=k)
+        for key in SHOWN:
+            at = skeletons.positions[key][row]
+            known = np.isfinite(at).all(axis=1)
+            whole = known & known[np.where(body.parent_indices < 0, body.root, body.parent_indices)]
+            colors = np.tile(layout.SKELETON_COLORS[key], (len(body), 1))
+            colors[skeletons.wrong[key][row]] = WRONG
+            capsules = rr.Capsules3D(
+                lengths=np.where(whole, lengths, 0.0)[known],  # a bone needs both of its ends
+                radii=capsule_radii(body)[known],
+                translations=at[known],
+                quaternions=capsule_rotations(body, at)[known],
+                colors=colors[known],
+                fill_mode=rr.components.FillMode.Solid,
+            )
+            stream.log(f"/{key}", capsules)
+    stream.disconnect()
+    del stream
+
+
+def _views(session: Session, floor: RigidTransform, fused: NDArray[np.float64]) -> rrb.Horizontal:
+    """Three views with one eye, which the whole movement is in the middle of."""
+    up, person = -floor.rotation[:, 1], np.nanmedian(fused[:, session.body.root], axis=0)
+    between = 0.5 * session.calibration.a_from_b.translation - person
+    between -= (between @ up) * up
+    between /= np.linalg.norm(between)
+    across = np.cross(up, between)
+    to_b = np.sign(across @ session.calibration.a_from_b.translation)
+    towards = np.cos(_EYE_TURNED) * between + to_b * np.sin(_EYE_TURNED) * across
+    aside = np.cross(up, towards)
+    reach = (fused - person) @ aside
+    person = person + 0.5 * (np.nanmin(reach) + np.nanmax(reach)) * aside
+    middle = person + 0.08 * up  # room for a raised hand below the title
+    controls = rrb.EyeControls3D(
+        position=middle + _EYE_M * towards + _EYE_ABOVE_M * up, look_target=middle, eye_up=up
+    )
+    return rrb.Horizontal(
+        *(
+            rrb.Spatial3DView(
+                origin="/", contents=[f"/{key}", "/floor"], name=key, background=_PAPER, line_grid=False,
+                eye_controls=controls,
+            )
+            for key in SHOWN
+        )
+    )  # fmt: skip
+
+
+def _no_panels() -> list[rrb.BlueprintPanel | rrb.SelectionPanel | rrb.TimePanel]:
+    return [panel(state="hidden") for panel in (rrb.BlueprintPanel, rrb.SelectionPanel, rrb.TimePanel)]
+
+
+def _drawn(viewer: ViewerClient, k: int, size: tuple[int, int]) -> Image.Image:
+    """The three views of a picture as soon as they are drawn twice alike."""
     found: list[Image.Image] = []
 
     def settled() -> bool:
         try:
-            viewer.set_time(layout.TIME, duration=moment, play_state="paused")
-            view = viewer.get_state().views[0]
-            picture = Image.open(io.BytesIO(viewer.take_screenshot(view.view_id))).convert("RGB")
-        except (ConnectionError, RuntimeError, ValueError, IndexError):  # the file is not loaded yet
+            viewer.set_time("picture", sequence=k, play_state="paused")
+            names = {view.name: view.view_id for view in viewer.get_state().views}
+            whole = Image.new("RGB", (3 * size[0], size[1]), _PAPER)
+            for place, key in enumerate(SHOWN):
+                shot = Image.open(io.BytesIO(viewer.take_screenshot(names[key]))).convert("RGB")
+                middle = (shot.width - size[0]) // 2, (shot.height - size[1]) // 2
+                part = shot.crop((*middle, middle[0] + size[0], middle[1] + size[1]))
+                whole.paste(part, (place * size[0], 0))
+        except (ConnectionError, RuntimeError, ValueError, KeyError):  # the file is not loaded yet
             return False
-        alike = bool(found) and found[-1].tobytes() == picture.tobytes()
-        found[:] = [picture]
-        return alike and _shows_fused(picture)
+        alike = bool(found) and found[-1].tobytes() == whole.tobytes()
+        found[:] = [whole]
+        return alike and _shows_someone(whole)
 
     if not eventually(settled, 60.0):
-        raise TimeoutError(f"The viewer draws no S* at {moment:g} s.")
+        raise TimeoutError(f"The viewer does not draw picture {k}.")
     return found[-1]
 
 
-def _shows_fused(picture: Image.Image) -> bool:
-    red, green, blue = np.moveaxis(np.asarray(picture, dtype=int), 2, 0)
-    return int(((blue - green > 40) & (red - green > 20)).sum()) > 50  # purple, light or dark
+def _shows_someone(picture: Image.Image) -> bool:
+    colors = np.asarray(picture, dtype=int)
+    return int((colors.max(axis=2) - colors.min(axis=2) > 60).sum()) > 500
 
 
-def with_legend(picture: Image.Image) -> Image.Image:
-    """The picture with the names of the three skeletons in their colours."""
+def with_captions(picture: Image.Image, skeletons: Skeletons, row: int) -> Image.Image:
+    """The picture with the names of the three skeletons, and what is wrong with each."""
     picture = picture.copy()
-    pen, x = ImageDraw.Draw(picture), 12.0
-    font = ImageFont.load_default(size=18)
-    for key in _SHOWN:
-        text = layout.SKELETON_NAMES[key]
-        pen.text((x, picture.height - 30), text, fill=layout.SKELETON_COLORS[key], font=font)
-        x += pen.textlength(text, font=font) + 18
+    pen, width = ImageDraw.Draw(picture), picture.width // len(SHOWN)
+    title, text = ImageFont.load_default(size=22), ImageFont.load_default(size=17)
+    for place, key in enumerate(SHOWN):
+        middle = (place + 0.5) * width
+        pen.text((middle, 24), _TITLES[key], fill=layout.SKELETON_COLORS[key], font=title, anchor="mm")
+        fault = fault_of(skeletons, key, row)
+        if fault or (key == "fused" and any(fault_of(skeletons, side, row) for side in layout.SIDES)):
+            color = WRONG if fault else layout.SKELETON_COLORS[key]
+            pen.text(
+                (middle, picture.height - 20), fault or "stays right", fill=color, font=text, anchor="mm"
+            )
+        if place:
+            pen.line([(place * width, 12), (place * width, picture.height - 12)], fill=_GRID)
     return picture
+
+
+def fault_of(skeletons: Skeletons, key: str, row: int) -> str:
+    """What is wrong with a skeleton, in a few words."""
+    wrong = int(skeletons.wrong[key][row].sum())
+    if wrong < 2:
+        return ""
+    return "left and right exchanged" if skeletons.exchanged[key][row] else "an arm is lost"
 
 
 def write_animation(path: Path, frames: Sequence[Image.Image], seconds: float, limit: int = LIMIT) -> int:
@@ -174,22 +292,25 @@ def run() -> None:
     """Makes the picture."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--session", type=Path, help="a session; without it, duplex demo is run")
-    parser.add_argument("--motion", default="badminton", help="movement of the demo")
-    parser.add_argument("--seconds", type=float, default=4.0, help="of the session that are shown")
-    parser.add_argument("--rate", type=float, default=12.0, help="pictures per second of the session")
-    parser.add_argument("--slower", type=float, default=1.5, help="how much slower than in the session")
-    parser.add_argument("--size", type=int, nargs=2, default=(720, 480), help="width and height")
+    parser.add_argument("--seconds", type=float, default=4.0, help="of a session of one's own")
+    parser.add_argument("--rate", type=float, default=16.0, help="pictures per second of the session")
+    parser.add_argument("--slower", type=float, default=1.0, help="how much slower than in the session")
+    parser.add_argument("--size", type=int, nargs=2, default=(260, 420), help="width and height of a third")
     parser.add_argument("--out", type=Path, default=PICTURE)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         if options.session is None:
-            session = demo_session(Path(folder) / "demo.rrd", options.motion, 20.0)
+            # one round of both faults
+            begin, end = MIRRORED.begins - _BEFORE_S, MISPLACED.begins + MISPLACED.seconds + _AFTER_S
+            session = demo_session(Path(folder) / "demo.rrd", "badminton", end + 1.0)
         else:
             session = Session.open(options.session)
-        seconds = session.time_ns * 1e-9
-        begin, end = hardest_window(seconds, session.quality.disagreement, options.seconds)
-        moments = np.arange(begin, end, 1.0 / options.rate).tolist()
-        frames = [with_legend(picture) for picture in pictures(session, moments, tuple(options.size))]
+            begin, end = hardest_window(session.time_ns * 1e-9, session.quality.disagreement, options.seconds)
+        moments = np.arange(begin, end, 1.0 / options.rate)
+        rows = np.searchsorted(session.time_ns * 1e-9, moments).clip(max=len(session) - 1).tolist()
+        skeletons = skeletons_of(session)
+        drawn = pictures(session, skeletons, rows, tuple(options.size))
+    frames = [with_captions(picture, skeletons, row) for picture, row in zip(drawn, rows, strict=True)]
     quality = write_animation(options.out, frames, options.slower * (end - begin))
     size = options.out.stat().st_size
     print(

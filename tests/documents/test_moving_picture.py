@@ -9,7 +9,17 @@ import pytest
 from PIL import Image
 
 from recordings import fuse, layout
-from tests.campaigns.moving_picture import hardest_window, pictures, with_legend, write_animation
+from tests.campaigns.moving_picture import (
+    SHOWN,
+    WRONG,
+    Skeletons,
+    fault_of,
+    hardest_window,
+    pictures,
+    skeletons_of,
+    with_captions,
+    write_animation,
+)
 from tests.helpers.machine import need_viewer
 from tests.helpers.written_recordings import write_recordings
 
@@ -45,17 +55,39 @@ def test_the_animation_stays_below_its_limit(tmp_path: Path) -> None:
         write_animation(file, noise(8), 2.0, limit=10)
 
 
-def test_the_legend_names_the_skeletons_in_their_colours() -> None:
-    legend = np.asarray(with_legend(Image.new("RGB", (720, 480))), dtype=int)
-    for key in ("a", "b", "fused"):
-        near = np.abs(legend - layout.SKELETON_COLORS[key]).max(axis=2) <= 10
-        assert near.sum() > 10, key  # a letter, without its blurred edges
+def skeletons(wrong: tuple[str, ...], exchanged: tuple[str, ...] = ()) -> Skeletons:
+    """One frame of five joints, of which two are wrong in some skeletons."""
+    far = np.array([[True, True, False, False, False]])
+    return Skeletons(
+        {key: np.zeros((1, 5, 3)) for key in SHOWN},
+        {key: far if key in wrong else ~far & far for key in SHOWN},
+        {key: np.array([key in exchanged]) for key in SHOWN},
+    )
+
+
+def test_the_captions_name_the_skeletons_and_their_faults() -> None:
+    def colored(drawn: Skeletons, key: str, color: layout.Color) -> int:
+        picture = np.asarray(with_captions(Image.new("RGB", (780, 420)), drawn, 0), dtype=int)
+        third = picture[:, 260 * SHOWN.index(key) : 260 * (SHOWN.index(key) + 1)]
+        return int((np.abs(third - color).max(axis=2) <= 10).sum())
+
+    right, lost = skeletons(()), skeletons(("a",))
+    for key in SHOWN:
+        assert colored(right, key, layout.SKELETON_COLORS[key]) > 10, key  # a letter without blurred edges
+        assert colored(right, key, WRONG) == 0
+    assert colored(lost, "a", WRONG) > 10
+    assert colored(lost, "b", WRONG) == colored(lost, "fused", WRONG) == 0
+    own = layout.SKELETON_COLORS["fused"]
+    assert colored(lost, "fused", own) > colored(right, "fused", own)  # it says that S* stays right
+    assert fault_of(lost, "a", 0) == "an arm is lost"
+    assert fault_of(skeletons(("b",), ("b",)), "b", 0) == "left and right exchanged"
 
 
 def test_the_viewer_draws_other_pictures_at_other_moments(tmp_path: Path) -> None:
     need_viewer()
     session = fuse(*write_recordings(tmp_path))
-    first, again, last = (np.asarray(p, dtype=int) for p in pictures(session, [0.5, 0.5, 2.2], (480, 320)))
-    assert first.shape[1] > 400
+    drawn = pictures(session, skeletons_of(session), [15, 15, 66], (160, 240))
+    first, again, last = (np.asarray(picture, dtype=int) for picture in drawn)
+    assert first.shape == (240, 480, 3)
     np.testing.assert_array_equal(first, again)
     assert (np.abs(first - last).max(axis=2) > 60).sum() > 50

@@ -117,9 +117,9 @@ class Coach:
         self._began = time if self._began is None else self._began
         self._remember(frame, now, time)
         advice = [
-            *self._sensors(time),
             *self._people(frame, time),
             *placement(now.calibration),
+            *self._sensors(time),
             *self._overlap(now.calibration),
             *self._pose(now),
             *self._moved(now, time),
