@@ -78,7 +78,7 @@ class Recorder:
         draft_ns = (_MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS) if drafts else None
         self._matrix = TrustMatrix(setup.calibration.body, draft_ns, hasty=points)
         self._lanes = StateLanes()
-        self._placement, self._quality = PlacementLog(stream, setup), QualityLog(stream)
+        self._placement, self._quality = PlacementLog(stream, setup, points), QualityLog(stream)
         self._log_static(setup)
         properties = session_properties(setup, sources, about or {})
         for name, values in properties.items():
