@@ -133,6 +133,10 @@ class TrustMatrix:
             for page in self._open:
                 page.put(number, shades)
 
+    def blank(self) -> tuple[int, int, bytes]:
+        """Returns an empty page for the time before the first frame."""
+        return self._drawn(self._page(0, 0, ()), _FAST)
+
     def rest(self) -> Iterator[tuple[int, int, bytes]]:
         """Returns the incomplete pages in their present state."""
         yield from map(self._drawn, self._open)

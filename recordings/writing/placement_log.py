@@ -17,6 +17,9 @@ from recordings.appearance import entity_styles
 from recordings.appearance.floor import FloorFinder
 from recordings.session_arrays import SessionArrays
 
+_AGAIN_EVERY = 300
+"""Frames, 10 s."""
+
 
 class PlacementLog:
     """Logs the pose of K_B and of the floor in K_A's frame.
@@ -24,10 +27,12 @@ class PlacementLog:
     Args:
         stream: The recording stream.
         setup: The body and the first calibration.
+        again: Whether to log the poses again from time to time, although they did not change. A hub forgets
+            its oldest messages, and a viewer that connects later would not know where K_B is.
     """
 
-    def __init__(self, stream: rr.RecordingStream, setup: FusionSetup) -> None:
-        self._stream = stream
+    def __init__(self, stream: rr.RecordingStream, setup: FusionSetup, again: bool = False) -> None:
+        self._stream, self._again, self._since = stream, again, 0
         self._floor = FloorFinder(setup.body)
         self._b: NDArray[np.float64] | None = None  # (3, 4) [R t]
         self._log_static()
@@ -37,13 +42,17 @@ class PlacementLog:
         placement = np.concatenate((rows.rotation, rows.translation[..., None]), axis=2)
         before = placement[:1] if self._b is None else self._b[None]
         changed = (placement != np.concatenate((before, placement[:-1]))).any(axis=(1, 2))
-        changed[0] |= self._b is None
+        self._since += len(rows)
+        again = self._again and self._since >= _AGAIN_EVERY
+        changed[0] |= self._b is None or again
         self._b = placement[-1].copy()
         for t in np.flatnonzero(changed):
             pose = rr.Transform3D(mat3x3=rows.rotation[t], translation=rows.translation[t])
             self._log(rows, int(t), layout.kinect("b"), pose)
-        if self._floor.add(rows.fused):
+        if self._floor.add(rows.fused) or again:
             self._log_floor(rows)
+        if again:
+            self._since = 0
 
     def _log_floor(self, rows: SessionArrays | None) -> None:
         """At the first of the frames: in a recording, the floor is the same from its beginning."""

@@ -6,6 +6,7 @@ Both ways give the same layout, because both use :mod:`recordings.writing.frame_
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,8 +33,7 @@ from recordings.writing.quality_log import QualityLog
 from recordings.writing.sensor_stream_log import StreamFiguresLog
 
 _MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
-"""Interval between drawings of an incomplete page of the trust matrix, for live viewing and for files that
-may be cut off."""
+"""Interval between drawings of an incomplete page of the trust matrix: live, and in files."""
 _STATE_CHANGES = tuple(rr.StateChange(state=name) for name in layout.STATE_NAMES)
 
 
@@ -78,7 +78,7 @@ class Recorder:
         draft_ns = (_MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS) if drafts else None
         self._matrix = TrustMatrix(setup.calibration.body, draft_ns, hasty=points)
         self._lanes = StateLanes()
-        self._placement, self._quality = PlacementLog(stream, setup), QualityLog(stream)
+        self._placement, self._quality = PlacementLog(stream, setup, points), QualityLog(stream)
         self._log_static(setup)
         properties = session_properties(setup, sources, about or {})
         for name, values in properties.items():
@@ -279,20 +279,16 @@ class Recorder:
 
     def _log_static(self, setup: FusionSetup) -> None:
         body = self._calibration.body
-        stream = self._stream
-
-        def once(entity: str, *what: Any) -> None:
-            stream.log(entity, *what, static=True)
-
+        once = partial(self._stream.log, static=True)
         once(layout.ROOT, rr.ViewCoordinates.RDF, entity_styles.annotation_context(body))
         for side, intrinsics in (("a", setup.intrinsics_a), ("b", setup.intrinsics_b)):
             once(layout.skeleton(side), entity_styles.joint_look(body, side))
-            once(layout.depth(side), entity_styles.camera(intrinsics, side))
-            once(layout.depth(side), entity_styles.DEPTH)
+            once(layout.depth(side), entity_styles.camera(intrinsics, side), entity_styles.DEPTH)
             once(layout.image_edge(side), entity_styles.image_edge(intrinsics))
             once(layout.points(side), entity_styles.cloud_look(side))
         beneath = rr.EncodedImage(contents=matrix_frame(body), media_type="image/png", draw_order=-20.0)
         once(layout.MATRIX_FRAME, beneath)
+        self._log_matrix([self._matrix.blank()])  # the viewer draws a single image opaque, black where clear
         once(layout.FUSED_SKELETON, entity_styles.joint_look(body, "fused"))
         once(layout.TRUTH_SKELETON, entity_styles.joint_look(body, "truth"))
 

@@ -22,6 +22,7 @@ from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from PIL import Image
@@ -32,6 +33,7 @@ from fusion.setup import FusionSetup
 from recordings import Session, layout
 from recordings.images.session_images import NO_IMAGES
 from recordings.reading.rrd_file import RrdFile
+from recordings.writing.session_writer import write_session
 from tests.campaigns.moving_picture import hardest_window
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
@@ -54,6 +56,8 @@ _LIMIT = 250_000
 _COLORS = (256, 128, 64, 32)
 _CALIBRATING_S = 1.0
 """When the person of the demo stands in the start-up pose."""
+_TRACKING_S = 6.0
+"""When a slow machine shows infrared images, too."""
 
 
 def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout, Image.Image]:
@@ -83,6 +87,13 @@ def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout
             found[name] = settled_picture(client, moment)
         stream.disconnect()
     return found
+
+
+def at_the_end(blueprint: rrb.Blueprint) -> rrb.Blueprint:
+    """The layout with the time cursor at the newest data."""
+    panels = (blueprint.blueprint_panel, blueprint.selection_panel)
+    time_panel = rrb.TimePanel(state="collapsed", timeline=layout.TIME, play_state="following")
+    return rrb.Blueprint(blueprint.root_container, *panels, time_panel, auto_views=False)
 
 
 def setup_of(session: Session) -> FusionSetup:
@@ -167,10 +178,12 @@ def of_demo(out: Path, folder: Path) -> None:
     moments: dict[Layout, float] = {"setup": _CALIBRATING_S, "inspect": moment, "report": moment}
     for name, picture in drawn(file, moments, clouds=True).items():
         write_png(out / f"{name}.png", picture)
-    # a page without images, which a browser would load for long
+    # a browser would load images for long, and opens a session at its end
     session = replace(Session.open(file), images=NO_IMAGES)
-    session.save(folder / "light.rrd", session_blueprint(setup_of(session), session.whereabouts, "inspect"))
-    light(out / "inspect_light.png", folder / "light.rrd", moment)
+    blueprint = session_blueprint(setup_of(session), session.whereabouts, "inspect")
+    end = int(np.searchsorted(session.time_ns, moment * 1e9))
+    write_session(session, folder / "light.rrd", blueprint=at_the_end(blueprint), end=end)
+    light(out / "inspect_light.png", folder / "light.rrd")
 
 
 def of_walk(out: Path, folder: Path) -> None:
@@ -210,7 +223,7 @@ def of_own_tracker(out: Path, folder: Path) -> None:
     try:
         client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{ports[0]}/proxy")
         client.run_command("ui.toggle_top_panel")
-        write_png(out / "setup_infrared.png", settled_picture(client, 2.0))
+        write_png(out / "setup_infrared.png", settled_picture(client, _TRACKING_S))
     finally:
         stop(shown[0])
 
@@ -225,7 +238,7 @@ def _listens(port: int) -> bool:
     return True
 
 
-def light(path: Path, file: Path, moment: float) -> None:
+def light(path: Path, file: Path) -> None:
     """*inspect* as a browser with a light theme shows it; the viewer takes the theme from the system."""
     from tests.helpers.machine import browser
 
@@ -256,12 +269,6 @@ def light(path: Path, file: Path, moment: float) -> None:
             url = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{port}%2Fproxy"
             page.goto(f"http://{LOOPBACK}:{web}/?url={url}")
             time.sleep(_PAGE_DRAWN_S)
-            page.mouse.click(SIZE[0] // 3, SIZE[1] + MENU - 15)  # the focus, to take keys
-            page.keyboard.press("Control+Shift+ArrowLeft")
-            for key in ["Shift+ArrowRight"] * int(moment) + ["ArrowRight"] * round(10 * (moment % 1)):
-                page.keyboard.press(key)
-                page.wait_for_timeout(300)
-            time.sleep(_EYE_RESTS_S)
             picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
             chromium.close()
     finally:
@@ -270,7 +277,7 @@ def light(path: Path, file: Path, moment: float) -> None:
     write_png(path, picture.crop((0, MENU, SIZE[0], SIZE[1] + MENU)))
 
 
-_PAGE_DRAWN_S, _EYE_RESTS_S = 25.0, 6.0
+_PAGE_DRAWN_S = 40.0
 """A page says nothing of its drawing; in software it takes long."""
 
 RUNS = {"demo": of_demo, "walk": of_walk, "own-tracker": of_own_tracker}

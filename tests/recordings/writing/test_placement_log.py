@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
+import rerun as rr
 from rerun.experimental import ViewerClient
 
 from fusion.calibration.calibration import Calibration
@@ -12,6 +14,7 @@ from fusion.rigid import RigidTransform
 from recordings import layout
 from recordings.reading.rrd_file import RrdFile
 from recordings.session import Session
+from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.live_frames import BODY, frames, known_fuser, session
 from tests.helpers.pictures import headless_viewer
@@ -62,6 +65,23 @@ def test_live_and_saved_sessions_log_the_same_poses(tmp_path: Path) -> None:
     assert poses(live, layout.PELVIS) == poses(again, layout.PELVIS) == list(range(40))
     assert poses(again, layout.FLOOR)[-1] == 0  # found in the whole recording, shown from its beginning
     assert len(poses(live, layout.FLOOR)) == 2  # assumed, then found
+
+
+def test_a_viewer_s_stream_gets_the_poses_again_and_again(tmp_path: Path) -> None:
+    """A hub drops its oldest messages: whoever connects later must find K_B and the floor all the same."""
+    fuser = known_fuser()
+    made = frames(fuser, 700)
+    for points, expected in ((True, [0, 299, 599]), (False, [0])):
+        path = tmp_path / f"{points}.rrd"
+        stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+        stream.save(path)
+        recorder = Recorder(stream, fuser.setup, ("a", "b"), points=points)
+        for frame in made:
+            recorder.record(frame)
+        recorder.finish()
+        stream.disconnect()
+        assert poses(path, layout.kinect("b")) == expected
+        assert set(expected[1:]) <= set(poses(path, layout.FLOOR))
 
 
 def test_frames_have_names_in_the_viewer(tmp_path: Path) -> None:
