@@ -268,8 +268,11 @@ def light(path: Path, file: Path) -> None:
             eventually(lambda: _listens(web), 20.0)
             url = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{port}%2Fproxy"
             page.goto(f"http://{LOOPBACK}:{web}/?url={url}")
-            time.sleep(_PAGE_DRAWN_S)
-            picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+            seen = [b"", page.screenshot()]
+            while seen[-1] != seen[-2] and len(seen) < _LOOKS:
+                time.sleep(_PAGE_LOADS_S)
+                seen.append(page.screenshot())
+            picture = Image.open(io.BytesIO(seen[-1])).convert("RGB")
             chromium.close()
     finally:
         server.kill()
@@ -277,8 +280,8 @@ def light(path: Path, file: Path) -> None:
     write_png(path, picture.crop((0, MENU, SIZE[0], SIZE[1] + MENU)))
 
 
-_PAGE_DRAWN_S = 40.0
-"""A page says nothing of its drawing; in software it takes long."""
+_PAGE_LOADS_S, _LOOKS = 30.0, 8
+"""A page does not say when it has loaded a session; drawn in software, it takes long."""
 
 RUNS = {"demo": of_demo, "walk": of_walk, "own-tracker": of_own_tracker}
 
