@@ -154,7 +154,7 @@ def write_png(path: Path, picture: Image.Image, limit: int = _LIMIT) -> None:
     """
     for colors in _COLORS:
         made = io.BytesIO()
-        reduced = picture.quantize(colors, dither=Image.Dither.NONE)
+        reduced = picture.quantize(colors, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
         reduced.save(made, "PNG", optimize=True)
         if len(made.getvalue()) < limit:
             path.write_bytes(made.getvalue())
