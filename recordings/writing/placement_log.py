@@ -53,6 +53,8 @@ class PlacementLog:
             self._log_floor(rows)
         if again:
             self._since = 0
+        if len(rows) > 1:  # before the columns that follow: a browser draws what it has loaded so far
+            self._stream.flush(timeout_sec=0.0)
 
     def _log_floor(self, rows: SessionArrays | None) -> None:
         """At the first of the frames: in a recording, the floor is the same from its beginning."""

@@ -66,9 +66,8 @@ class Recorder:
     ) -> None:
         self._stream = stream
         self._calibration = setup.calibration
-        self._frames = 0
+        self._frames, self._start_ns = 0, start_ns
         self._like: SessionArrays | None = None
-        self._start_ns = start_ns
         self._last: tuple[int, int] | None = None
         self._depth_every, self._points = depth_every, points
         self._cameras = {"a": setup.intrinsics_a, "b": setup.intrinsics_b}
@@ -112,6 +111,7 @@ class Recorder:
     def record(self, frame: RecordedFrame) -> None:
         """Logs one frame immediately, for live use."""
         rows = self._stack([frame], None)
+        self._placement.record(rows)
         self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
         for stream in frame_streams(rows):
             self._stream.log(stream.entity, *stream.of_first())
@@ -143,6 +143,7 @@ class Recorder:
             rows: The frames.
             checks: Checks of S* in float64, if `rows` come from a file in float32.
         """
+        self._placement.record(rows)
         timed, times = rows, _times(rows)
         for stream in frame_streams(rows, checks):
             if stream.rows is not timed:
@@ -249,7 +250,6 @@ class Recorder:
 
     def _explain(self, rows: SessionArrays) -> None:
         """Logs data that is not logged every frame: the trust matrix, and changes of tracking states."""
-        self._placement.record(rows)
         self._quality.record(rows)
         self._log_matrix(self._matrix.add(rows))
         for side, joint, changes in self._lanes.add(rows):
