@@ -112,8 +112,8 @@ class Constants(NamedTuple):
         surface_fast: Fast error of the surface in a depth image, metres.
         surprise: Probability that a joint moves in a way that the prediction does not cover.
         sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
-        length_error: Error of a bone's length within a view, metres, at which the odds of an outlier at either
-            of its ends are multiplied by e.
+        length_error: Error of a bone's length within a view, metres, that multiplies the odds of an outlier
+            at either of its ends by e.
         length_limit: Largest logarithm of that factor.
         scale_sd: Standard deviation of a view's scale about 1; of the body's tracker, see :meth:`of`.
         scale_seconds: How long a scale lasts.
