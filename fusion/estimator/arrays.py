@@ -61,6 +61,7 @@ class State(NamedTuple):
     offset_variances: Array  # (2, J)
     shared_error: Array  # (J, 3, 3) covariance of the slow error of S*, m²
     doubt: Array  # (2, J) probability that the view's last measurement was an outlier
+    view_doubt: Array  # (2,) its mean over the joints that the view measured
     scales: Array  # (2,) scale of each view's skeleton, minus 1
     scale_variances: Array  # (2,)
     before: Array  # (J, 3) S* of the last frame, the solver's start
@@ -96,7 +97,8 @@ class Views(NamedTuple):
     fast: Array  # (2, J) variance of the fast error
     surprise: Array  # (J,) probability that both views are right and the prediction is wrong
     trust: Array  # (2, J) probability that the measurement is no outlier
-    evidence: Array  # (2, J) of the depth image, log likelihood ratio that the joint is no outlier; 0 without
+    evidence: Array  # (2, J) log likelihood ratio that the joint is no outlier, by depth image and bones
+    length_errors: Array  # (2, J) largest error of a view's bones at the joint, metres; -1 without any
     places: Array  # (2, J, 3) position by the depth image, metres; NaN without one
     place_information: Array  # (2, J, 3, 3) 1/m²
     said: Said  # workspace for one image
@@ -184,6 +186,7 @@ def new_state(joints: int) -> State:
         offset_variances=np.zeros((2, joints)),
         shared_error=np.zeros((joints, 3, 3)),
         doubt=np.zeros((2, joints)),
+        view_doubt=np.zeros(2),
         scales=np.zeros(2),
         scale_variances=np.zeros(2),
         before=np.full((joints, 3), np.nan),
@@ -212,6 +215,7 @@ def new_views(joints: int) -> Views:
         surprise=np.zeros(joints),
         trust=np.zeros((2, joints)),
         evidence=np.zeros((2, joints)),
+        length_errors=np.zeros((2, joints)),
         places=np.full((2, joints, 3), np.nan),
         place_information=np.zeros((2, joints, 3, 3)),
         said=Said(

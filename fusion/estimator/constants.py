@@ -112,6 +112,9 @@ class Constants(NamedTuple):
         surface_fast: Fast error of the surface in a depth image, metres.
         surprise: Probability that a joint moves in a way that the prediction does not cover.
         sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
+        length_error: Error of a bone's length within a view, metres, that multiplies the odds of an outlier
+            at either of its ends by e.
+        length_limit: Largest logarithm of that factor.
         scale_sd: Standard deviation of a view's scale about 1; of the body's tracker, see :meth:`of`.
         scale_seconds: How long a scale lasts.
         bone_sd: Standard deviation of one bone's relative length within a view.
@@ -143,6 +146,8 @@ class Constants(NamedTuple):
     surface_fast: float = 0.008
     surprise: float = 0.05
     sides_doubted: float = 1.0
+    length_error: float = 0.02
+    length_limit: float = 4.0
     scale_sd: float = 0.035
     scale_seconds: float = 0.6
     bone_sd: float = 0.03

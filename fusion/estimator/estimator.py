@@ -7,6 +7,7 @@ import math
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.estimator.bones import aim, follow_bones, hold_bones
 from fusion.estimator.limits import respect_hinges
+from fusion.estimator.measuring.lengths import weigh_lengths
 from fusion.estimator.measuring.measurement import cast_rays, find_covers, set_covariances
 from fusion.estimator.measuring.offsets import fade_offsets, learn_offsets
 from fusion.estimator.measuring.robust import be_surprised, judge, remember_doubt
@@ -101,6 +102,8 @@ def estimate_pair(  # type: ignore[no-untyped-def]
     ask_images(model, facing_model, views, a, states_a, witness_a, b, states_b, witness_b)
     # remove each view's own scale
     rescale(model, state, views, dt)
+    # evidence of the bones' lengths within each view
+    weigh_lengths(model, views)
     # predict positions, velocities and variances
     predict(model, state, dt)
     trace_prediction(model, state, trace, k, dt)
@@ -145,6 +148,7 @@ def elapsed(state, time_ns):  # type: ignore[no-untyped-def]
         state.clock[1] = 0
         for i in range(len(state.known)):
             state.known[i] = False
+        state.view_doubt[0] = state.view_doubt[1] = 0.0
     if state.clock[1] == 0:
         return _SHORTEST_STEP
     return max(1e-9 * (time_ns - state.clock[0]), _SHORTEST_STEP)

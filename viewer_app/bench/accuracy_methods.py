@@ -272,6 +272,7 @@ ABLATIONS: tuple[Method, ...] = (
     Method("without anisotropy", "ablation", fused(DEFAULT, along_ray=1.0)),
     Method("without facing", "ablation", fused(DEFAULT, (0, 0))),
     Method("without scale", "ablation", fused(DEFAULT, scale_sd=0.0)),
+    Method("without lengths", "ablation", fused(DEFAULT, length_limit=0.0)),
     Method(WITHOUT_DEPTH, "ablation", without_depth(replace(DEFAULT, hindsight="labels"))),
 )
 """One part switched off at a time, for ``--ablations``.

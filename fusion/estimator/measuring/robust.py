@@ -110,11 +110,14 @@ def normal(square, variance):  # type: ignore[no-untyped-def]
 def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
     """Prior probability of an outlier: a Markov chain, or the doubt about the sides.
 
-    The depth image's evidence, a log likelihood ratio, multiplies the odds.
+    Errors of one view come together, so the chain goes on from the joint's last doubt or from the mean doubt
+    about its view, whichever is larger. The evidence of depth image and bone lengths, a log likelihood ratio,
+    multiplies the odds.
     """
     k = model.constants
     rare = k.outlier if views.states[v, i] == 2 else k.inferred_outlier
-    prior = rare + max(k.outlier_lasts - rare, 0.0) * state.doubt[v, i]
+    before = max(state.doubt[v, i], state.view_doubt[v])
+    prior = rare + max(k.outlier_lasts - rare, 0.0) * before
     if model.lateral[i]:
         prior = max(prior, min(k.sides_doubted * views.side_doubt[v], _SURE))
     if views.evidence[v, i] != 0.0:
@@ -125,14 +128,17 @@ def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def remember_doubt(model, state, views):  # type: ignore[no-untyped-def]
-    """Stores 1 - β for the next pair; without a measurement, doubt decays towards its mean."""
+    """Stores 1 - β for the next pair, and its mean; without a measurement, doubt decays towards its mean."""
     rare = model.constants.outlier
     for v in range(2):
+        total, count = 0.0, 0
         for i in range(len(model.parents)):
             if views.states[v, i] != 0:
                 state.doubt[v, i] = 1.0 - views.trust[v, i]
+                total, count = total + state.doubt[v, i], count + 1
             else:
                 state.doubt[v, i] = rare + _FADES * (state.doubt[v, i] - rare)
+        state.view_doubt[v] = total / count if count > 0 else _FADES * state.view_doubt[v]
 
 
 _FADES = 0.9  # per pair

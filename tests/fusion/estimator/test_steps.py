@@ -60,6 +60,7 @@ def scene() -> Scene:
     state.offsets[:] = random.normal(0.0, 0.02, (2, J, 3))
     state.offset_variances[:] = random.uniform(1e-5, 1e-3, (2, J))
     state.doubt[:] = random.uniform(0.0, 0.6, (2, J))
+    state.view_doubt[:] = 0.1, 0.3
     seen.positions[:] = truth + random.normal(0.0, 0.03, (2, J, 3))
     seen.states[:] = random.integers(0, 3, (2, J))
     seen.fast[:] = random.uniform(1e-5, 1e-4, (2, J))
@@ -151,7 +152,7 @@ def test_trust_is_the_posterior_over_all_hypotheses(scene: Scene) -> None:
         prior = []
         for v in range(2):
             rare = k.outlier if seen.states[v, i] == 2 else k.inferred_outlier
-            p = rare + max(k.outlier_lasts - rare, 0.0) * state.doubt[v, i]
+            p = rare + max(k.outlier_lasts - rare, 0.0) * max(state.doubt[v, i], state.view_doubt[v])
             doubted = min(k.sides_doubted * seen.side_doubt[v], 0.99) if model.lateral[i] else 0.0
             prior.append(max(p, doubted))
         noise = seen.fast[:, i] + state.offset_variances[:, i]
@@ -183,7 +184,7 @@ def test_a_surprise_lets_both_views_through(scene: Scene) -> None:
     state, seen, i = scene.state, scene.views, 7
     seen.states[:, i] = 2
     state.offsets[:] = 0.0
-    state.doubt[:] = 0.0
+    state.doubt[:] = state.view_doubt[:] = 0.0
     seen.delays[:] = seen.side_doubt[:] = 0.0
     state.variances[i] = 1e-4, 1e-3, 0.1
     for v in range(2):
