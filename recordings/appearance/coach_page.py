@@ -18,6 +18,7 @@ _COLORS: dict[Meaning, layout.Color] = {
     "mend": (220, 60, 60),  # red: something is wrong here
     "better": (226, 168, 60),  # amber: it could stand here
 }
+_MANY = 3  # paragraphs
 _LINE_RADIUS = rr.components.Radius.ui_points(2.0)
 
 
@@ -70,6 +71,10 @@ class CoachPage:
 
 
 def _large(text: str) -> str:
-    """Each paragraph as a heading, which the viewer draws larger: it is read from where the person stands."""
-    paragraphs = (" ".join(part.split()) for part in text.split("\n\n"))
-    return "\n\n".join(part if part.startswith(("#", "-")) else f"## {part}" for part in paragraphs if part)
+    """Each paragraph as a heading, which the viewer draws larger: it is read from where the person stands.
+
+    Three or more are smaller, so that they fit.
+    """
+    paragraphs = [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
+    level = "##" if len(paragraphs) < _MANY else "####"
+    return "\n\n".join(part if part.startswith(("#", "-")) else f"{level} {part}" for part in paragraphs)

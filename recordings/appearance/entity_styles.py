@@ -15,7 +15,7 @@ from recordings.appearance.body_shape import capsule_radii
 
 _CLOUD_RADIUS = 0.009  # metres
 _FRUSTUM_DEPTH = 0.25  # metres
-_ABOVE_SENSOR = (0.0, -0.22, 0.0)
+_ABOVE_SENSOR = (0.0, -0.42, 0.0)  # above the frustum, which is drawn 0.2 or 0.3 m deep
 _GRID_X, _GRID_Z = (-5, 5), (-1, 6)  # metres from K_A, to the right and forward
 _GRID_COLOR = (128, 128, 136)
 _MIRRORED = 0.7  # brightness of the right side's lines

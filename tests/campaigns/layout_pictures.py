@@ -170,12 +170,27 @@ def hard_moment(session: Session) -> float:
     return 0.5 * (begin + end)
 
 
+def both_see(session: Session, moment: float) -> float:
+    """Seconds: the first frame from a moment on in which both sensors saw three quarters of the joints.
+
+    A slow machine loses frames of one sensor, which would leave its picture without a skeleton.
+    """
+    rows = session.rows
+    seen = [
+        np.isfinite(each).all(axis=2).mean(axis=1) > 0.75 for each in (rows.positions_a, rows.positions_b)
+    ]
+    found = np.flatnonzero(seen[0] & seen[1] & (session.time_ns >= moment * 1e9))
+    return float(session.time_ns[found[0]] * 1e-9) if found.size else moment
+
+
 def of_demo(out: Path, folder: Path) -> None:
     """The three layouts of ``duplex demo``, and one of them light."""
     file = folder / "demo.rrd"
     main(["demo", "--seconds", "16", "--no-viewer", "--quiet", "--save", str(file)])
-    moment = hard_moment(Session.open(file))
-    moments: dict[Layout, float] = {"setup": _CALIBRATING_S, "inspect": moment, "report": moment}
+    opened = Session.open(file)
+    moment = hard_moment(opened)
+    posing = both_see(opened, _CALIBRATING_S)
+    moments: dict[Layout, float] = {"setup": posing, "inspect": moment, "report": moment}
     for name, picture in drawn(file, moments, clouds=True).items():
         write_png(out / f"{name}.png", picture)
     # a browser would load images for long, and opens a session at its end

@@ -43,7 +43,7 @@ _TITLES = {"a": "Kinect A", "b": "Kinect B", "fused": "fused"}
 WRONG = (255, 60, 50)
 _PAPER = (17, 19, 24)
 _GRID = (70, 74, 84)
-_EYE_M, _EYE_ABOVE_M, _EYE_TURNED = 2.8, 0.2, np.radians(24.0)
+_EYE_M, _EYE_ABOVE_M, _EYE_TURNED = 3.1, 0.2, np.radians(24.0)
 """The eye: distance from the person, height above the pelvis, and turn from the middle between the sensors to
 B, so that a lunge towards the sensors is not foreshortened."""
 _BEFORE_S, _AFTER_S = 0.4, 0.6

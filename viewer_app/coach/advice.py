@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -72,7 +73,7 @@ def verdict(calibration: Calibration) -> Advice:
         return Advice("calibration", f"Calibration: {calibration.how}; its quality is unknown.")
     apart = registration.residual_median * 1e3
     word = quality(apart)
-    worst = ", ".join(f"{name} {1e3 * off:.0f} mm" for name, off in registration.worst_joints(2))
+    worst = ", ".join(f"{spoken(name)} {1e3 * off:.0f} mm" for name, off in registration.worst_joints(2))
     limit = f"limited by {worst}" if worst else "no joint was seen by both"
     if (uncertain := math.degrees(registration.rotation_sd)) > _CERTAIN:
         limit += (
@@ -87,6 +88,12 @@ def verdict(calibration: Calibration) -> Advice:
         apart,
         GOOD if word == "good" else USABLE,
     )
+
+
+def spoken(joint: str) -> str:
+    """A joint's name as one says it: "left hand" for HAND_LEFT and HandLeft."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", joint).replace("_", " ").lower().split()
+    return " ".join(sorted(words, key=lambda word: word not in ("left", "right")))
 
 
 def to_markdown(advice: Sequence[Advice]) -> str:

@@ -15,8 +15,9 @@ from fusion.calibration.calibration import Calibration
 from fusion.fuser import FusedFrame
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
+from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage, Mark, Point
-from viewer_app.coach.advice import ANGLES, Advice, to_markdown
+from viewer_app.coach.advice import ANGLES, Advice, placement, to_markdown, verdict
 from viewer_app.coach.setup_coach import HOLD, Situation
 from viewer_app.coach.standing_spot import CAMERA_HEIGHT, FARTHEST, StandingSpot, standing_spot
 
@@ -27,6 +28,7 @@ _THERE = 0.4  # metres from the spot that count as standing on it
 _FLOOR_OVER = 60  # frames
 _COARSE = 0.1  # metres: rounding of the drawings, so that invisible changes are not logged
 _FRUSTUM = 0.35  # metres: around the sensor's own
+_LABEL_UNDER = {"A": 0.3, "B": 0.6}  # metres
 _BEST_ANGLE = 90.0  # degrees
 
 
@@ -127,7 +129,9 @@ class CoachScene:
         if not wrong:
             return None
         camera = self._cameras["AB".index(side)]
-        return Mark(tuple(_frustum(camera, in_a)), f"{side}: {', '.join(wrong)}", "mend")
+        # the label is beside the first line: below the sensor, and those of two sensors side by side apart
+        under = _line(np.array([in_a.translation + (0.0, _LABEL_UNDER[side], 0.0)] * 2))
+        return Mark((under, *_frustum(camera, in_a)), f"{side}: {', '.join(wrong)}", "mend")
 
     def _better(self, calibration: Calibration) -> Mark | None:
         """The position of B if it moved around the person until the axes form a right angle."""
@@ -144,7 +148,15 @@ class CoachScene:
         way = np.linspace(calibration.a_from_b.translation, best.translation, 9)
         lines = (*_frustum(self._cameras[1], best), _line(way))
         reached = math.degrees(math.acos(float(np.clip(best.rotation[2, 2], -1.0, 1.0))))
-        return Mark(lines, f"B sees more from here: {reached:.0f}° instead of {angle:.0f}°", "better")
+        return Mark(lines, f"better for B: {reached:.0f}°", "better")
+
+
+def verdict_page(setup: FusionSetup) -> CoachPage:
+    """The page of a recording that nobody was coached in: how well the two views fit, and what to improve."""
+    calibration = setup.calibration
+    advice = list(placement(calibration)) or [verdict(calibration)]
+    scene = CoachScene(setup.body, setup.intrinsics)
+    return scene.page(advice, Situation(calibration, settled=True, held=0.0))
 
 
 def _frustum(camera: Intrinsics, in_a: RigidTransform) -> Iterator[tuple[Point, ...]]:

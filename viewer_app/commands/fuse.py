@@ -25,15 +25,12 @@ from fusion.recording import plan_recording
 from fusion.setup import FuserSettings, FusionSetup, Hindsight
 from fusion.skeleton import SkeletonPair
 from recordings import layout
-from recordings.appearance.coach_page import CoachPage
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.fusing.recorded import fuse_one, fuse_segments, fused_session, setups_of
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.session_writer import write_session
-from viewer_app.coach.advice import placement, verdict
-from viewer_app.coach.scene import CoachScene
-from viewer_app.coach.setup_coach import Situation
+from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
 from viewer_app.loop.fusing import warm_up
 from viewer_app.method_options import check_paper_options
@@ -102,7 +99,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, FusionR
     announce(viewing, console)
     viewer = viewer_sink(setup, sources, blueprint, viewing, uuid4(), complete=True)
     with closing(viewer):
-        page = _verdict(setup)
+        page = verdict_page(setup)
         viewer.event(f"calibrated: {setup.calibration.how}")
         viewer.coach(page)
         for warning in read.warnings:
@@ -146,14 +143,6 @@ def _progress(console: Console) -> Progress:
         return track(frames, what, total=total, console=console, transient=True, disable=quiet)
 
     return shown
-
-
-def _verdict(setup: FusionSetup) -> CoachPage:
-    """The coach's verdict on a recording: how well the two views fit, and what to improve."""
-    calibration = setup.calibration
-    scene = CoachScene(setup.body, setup.intrinsics)
-    advice = list(placement(calibration)) or [verdict(calibration)]
-    return scene.page(advice, Situation(calibration, settled=True, held=0.0))
 
 
 def _exact(frames: list[RecordedFrame], setup: FusionSetup) -> SessionArrays | None:

@@ -24,6 +24,7 @@ from recordings.images.session_images import NO_IMAGES
 from recordings.session import Session
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.session_writer import write_session
+from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
 from viewer_app.loop.fusing import warm_up
 from viewer_app.loop.pacing import played
@@ -117,7 +118,8 @@ def run(options: ReplayOptions) -> None:
     with written_and_shown(options.save, window) as path:
         if path is not None:
             blueprint = inspect_blueprint(session.body, session.whereabouts)
-            damaged = write_session(replayed, path, blueprint=blueprint)
+            *_, (setup, _) = replayed.setups()
+            damaged = write_session(replayed, path, blueprint=blueprint, page=verdict_page(setup))
     rows = replayed.rows
     result = FusionResult(session.pairing, session.calibration, settings, rows)
     figures = report(result)

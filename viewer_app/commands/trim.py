@@ -7,6 +7,7 @@ from rich.console import Console
 
 from recordings.session import Session
 from recordings.writing.session_writer import write_session
+from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import TrimOptions
 from viewer_app.output_files import check_outputs, whole_file
@@ -33,7 +34,10 @@ def run(options: TrimOptions) -> None:
         )
     with whole_file(options.save) as partial:
         blueprint = inspect_blueprint(session.body, session.whereabouts)
-        damaged = write_session(session, partial, blueprint=blueprint, first=int(first), end=int(end))
+        page = verdict_page(next(setup for setup, own in session.setups() if end <= own.stop))
+        damaged = write_session(
+            session, partial, blueprint=blueprint, page=page, first=int(first), end=int(end)
+        )
     console.print(
         f"Saved {options.save}: {end - first} of {len(session)} frames.", highlight=False, markup=False
     )

@@ -117,7 +117,7 @@ def _setup(setup: FusionSetup, person_at: NDArray[np.float64], color: bool, infr
     advice = rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="what to do next")
     return rrb.Horizontal(
         rrb.Vertical(*images),
-        rrb.Vertical(advice, scene, row_shares=[2, 5]),
+        rrb.Vertical(advice, scene, row_shares=[1, 2]),
         column_shares=[1, 2],
         name="setup",
     )
@@ -210,7 +210,7 @@ def _report(body: Body) -> rrb.Container:
             rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="how good"),
             _plot("disagreement_mm", "S_A against S_B (mm)"),
             _quality_plot("jitter_mm", "jitter (mm)"),
-            _quality_plot("placement", "Kinect B since its first calibration"),
+            _quality_plot("placement", "placement of B"),
             column_shares=[5, 3, 3, 3],
         ),
         *(rrb.Horizontal(*(plots[k] for k in row)) for row in rows),

@@ -2,10 +2,53 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from fusion.calibration.calibration import Calibration
+from fusion.rigid import RigidTransform
+from recordings import layout
+from recordings.reading.rrd_file import RrdFile
 from recordings.writing.quality_log import jitter
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.live_frames import BODY
+from tests.helpers.recalibrated import record_recalibrated
+from tests.helpers.two_views import A_FROM_B
+
+
+def logged(path: Path, entity: str) -> dict[int, list[float]]:
+    """The scalars of an entity, by frame."""
+    found: dict[int, list[float]] = {}
+    with RrdFile(path) as file:
+        for of_entity, batch in file.chunks(images=False):
+            names = batch.schema.names
+            if of_entity == entity and layout.FRAME in names and "Scalars:scalars" in names:
+                columns = (batch.column(layout.FRAME), batch.column("Scalars:scalars"))
+                found |= dict(zip(*(column.to_pylist() for column in columns), strict=True))
+    return found
+
+
+def test_a_moved_sensor_is_seen_in_millimetres_and_degrees(tmp_path: Path) -> None:
+    turned = Rotation.from_euler("y", 3.0, degrees=True).as_matrix()
+    # 120 mm in all, along each axis
+    shift = np.array([0.04, -0.08, 0.08])
+    moved = RigidTransform.of(A_FROM_B.rotation @ turned, A_FROM_B.translation + shift)
+    calibrations = [
+        (0, Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "first")),
+        (40, Calibration(BODY, moved, BODY.nominal_lengths, "second")),
+    ]
+    file = tmp_path / "s.rrd"
+    record_recalibrated(file, frame_pairs(BODY, 90), calibrations)
+    placement = logged(file, layout.stream_figure("placement"))
+    assert len(placement) == (90 - 2) // 15
+    before = [figures for frame, figures in placement.items() if frame < 40]
+    assert len(before) >= 2
+    # arccos near 1 magnifies float64 rounding of the trace to sqrt(2 * 1e-15) rad
+    np.testing.assert_allclose(before, 0.0, atol=1e-5)
+    np.testing.assert_allclose(placement[max(placement)], [120.0, 3.0], rtol=1e-6)
 
 
 def test_even_motion_has_no_jitter() -> None:

@@ -103,7 +103,19 @@ def test_a_sensor_with_a_problem_is_marked_where_it_stands() -> None:
     assert "sensor_a" not in drawn
     assert drawn["sensor_b"].words == "B: sees no one"
     assert drawn["sensor_b"].meaning == "mend"
-    assert drawn["sensor_b"].lines[1][0] == pytest.approx(A_FROM_B.translation)
+    label, edge, first, *_ = drawn["sensor_b"].lines
+    assert first[0] == pytest.approx(A_FROM_B.translation)
+    assert edge[0] == edge[-1]
+    assert label[0][1] > A_FROM_B.translation[1]  # y is down
+
+
+def test_labels_of_two_sensors_side_by_side_do_not_overlap() -> None:
+    drawn = marks(None, None, Advice("moved", "…", "WARN", 0.3, 0.25, "AB", "moved?"))
+    below = [
+        drawn[f"sensor_{side}"].lines[0][0][1] - at
+        for side, at in (("a", 0.0), ("b", A_FROM_B.translation[1]))
+    ]
+    assert below[1] - below[0] >= 0.2
 
 
 def test_a_moved_sensor_marks_both_because_either_may_have_moved() -> None:

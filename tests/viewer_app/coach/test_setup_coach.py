@@ -21,7 +21,7 @@ from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, TrackingState
 from recordings.fusing.recorded import fuse_one
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
-from viewer_app.coach.advice import ANGLES, Advice, to_markdown, verdict
+from viewer_app.coach.advice import ANGLES, Advice, spoken, to_markdown, verdict
 from viewer_app.coach.setup_coach import HOLD, MOVED, Coach, Situation
 from viewer_app.coach.standing_spot import FARTHEST, nearest
 
@@ -191,6 +191,20 @@ def test_the_verdict_says_how_many_millimetres_and_what_limits_it() -> None:
     assert said.level == "WARN"
     assert "poor" in said.text
     assert "limited by" in said.text
+    assert "_" not in said.text  # joints are named as one says them
+
+
+@pytest.mark.parametrize(
+    ("joint", "words"),
+    [
+        ("HAND_LEFT", "left hand"),
+        ("FootRight", "right foot"),
+        ("HandTipLeft", "left hand tip"),
+        ("NOSE", "nose"),
+    ],
+)
+def test_a_joint_is_named_as_one_says_it(joint: str, words: str) -> None:
+    assert spoken(joint) == words
 
 
 def test_problems_come_first_on_the_page() -> None:

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
+from recordings import layout
 from recordings.images.rvl import encode_depth
 from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
@@ -21,6 +22,7 @@ from recordings.writing.session_writer import write_session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.recalibrated import record_recalibrated
+from tests.helpers.session_text import rows_of
 from tests.helpers.skeleton_views import REAL
 from tests.helpers.two_views import calibration_of
 from viewer_app.commands.replay import verify
@@ -190,6 +192,7 @@ def test_a_trimmed_session_is_a_session(
     whole, cut = Session.open(session), Session.open(part)
     assert len(cut) == 30  # frame 30 is 10 ns before the second
     np.testing.assert_array_equal(cut.rows.fused, whole.rows.fused[31:61])
+    assert rows_of(part, layout.COACH) == 1  # else the viewer shows "(empty)"
     assert duplex("replay", part, "--verify") == 0
     capsys.readouterr()
     assert duplex("trim", session, "--from", "9", "--save", tmp_path / "none.rrd") == 2

@@ -57,7 +57,7 @@ def expected(active: Layout) -> set[str]:
     """Names of the views that a layout shows at first."""
     if active == "report":
         bones = [KINECT_V2.bones[joint] for joint in KINECT_V2.bone_joints]
-        quality = {"how good", "S_A against S_B (mm)", "jitter (mm)", "Kinect B since its first calibration"}
+        quality = {"how good", "S_A against S_B (mm)", "jitter (mm)", "placement of B"}
         return {bone_title(bone) for bone in bones if not bone.endswith("_right")} | quality
     if active == "setup":
         return {"Kinect A", "Kinect B", "where to stand", "what to do next"}
