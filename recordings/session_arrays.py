@@ -45,6 +45,8 @@ class RecordedFrame:
     """Figures of the two streams; live sensors only."""
     latency_ns: int | None = None
     """From the arrival of the pair's first images to S*; live sensors only. It is not recorded."""
+    bone_lengths: NDArray[np.float64] | None = None
+    """(J,) metres, with which S* was fused; None where the calibration tells. It is not recorded."""
 
 
 POINTS = "Points3D:positions"

@@ -1,4 +1,4 @@
-"""Notices recorded skeletons whose unit or axes are not those of this program."""
+"""Notices recorded skeletons whose units or axes are not those of this program."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from fusion.skeleton import FARTHEST
 
 _MILLIMETRES = 400.0
 """A median distance above this is of millimetres, else of centimetres: people stand 1 to 5 m away."""
+_SHORTEST_US, _LONGEST_US = 2_000.0, 5_000_000.0
+"""Sensors give 5 to 120 frames per second; in milliseconds or nanoseconds the numbers are far outside."""
+_FEWEST_TIMES = 3
 _UPSIDE_DOWN_M = 0.3
 _ALMOST_ALWAYS = 0.9
 _SAMPLES = 200
@@ -41,6 +44,27 @@ def check_metres_forward(name: object, xyz: NDArray[np.float64]) -> None:
     if np.median(known[:, 2]) < 0.0:
         raise DeviceError(
             f"{name}: most joints have a negative z. The z axis must point forward, towards the person."
+        )
+
+
+def check_microseconds(name: object, times_us: NDArray[np.int64]) -> None:
+    """Refuses capture times in another unit.
+
+    Args:
+        name: Of the recording, for the message.
+        times_us: (T,) capture times in order, as the file has them.
+
+    Raises:
+        DeviceError: The median interval is no sensor's.
+    """
+    if len(times_us) < _FEWEST_TIMES:
+        return
+    interval = float(np.median(np.diff(times_us)))
+    if not _SHORTEST_US <= interval <= _LONGEST_US:
+        unit = "milliseconds" if interval < _SHORTEST_US else "nanoseconds"
+        raise DeviceError(
+            f"{name}: the frames are {interval:g} µs apart (median). time_us must be microseconds; are these "
+            f"{unit}?"
         )
 
 

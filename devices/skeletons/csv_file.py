@@ -12,7 +12,7 @@ import pyarrow.csv
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError, SensorFrame
-from devices.skeletons.conventions import check_metres_forward
+from devices.skeletons.conventions import check_metres_forward, check_microseconds
 from fusion.body import Body, body_of
 from fusion.errors import FusionError
 from fusion.skeleton import Skeleton, TrackingState
@@ -36,7 +36,8 @@ def read_csv(path: Path) -> tuple[Body, list[SensorFrame]]:
 
     Raises:
         DeviceError: Wrong columns, an unknown joint, text instead of a number, an incomplete row, a
-            repeated joint; the message names the line. Or positions that are no metres, or behind the sensor.
+            repeated joint; the message names the line. Or times that are no microseconds, or positions
+            that are no metres, or behind the sensor.
     """
     raw = path.read_bytes()
     table = _table(raw, path)
@@ -57,6 +58,7 @@ def read_csv(path: Path) -> tuple[Body, list[SensorFrame]]:
     joint = np.array([body.joint(n) for n in names])[name]
 
     times, frame = np.unique(time_us, return_inverse=True)
+    check_microseconds(path, times)
     slot = (frame * len(people) + person) * len(body) + joint
     _refuse_repeated(slot, path, body)
     _refuse_cut_off(raw, table, frame, path)

@@ -202,7 +202,9 @@ def _window_tremble(
 ) -> NDArray[np.float64]:
     """(W,) :func:`_tremble` of every window [start, end)."""
     seen = np.asarray(np.isfinite(positions).all(axis=2), dtype=bool)
-    at = positions.astype(np.float64) - np.nanmean(positions, axis=(0, 1), dtype=np.float64)
+    known = positions[seen].astype(np.float64)
+    centre = known.mean(axis=0) if len(known) else np.zeros(3)
+    at = positions.astype(np.float64) - centre
     at[~seen] = 0.0
     count = _window_sums(seen.astype(np.float64), starts, ends)  # (W, M)
     total = _window_sums(at, starts, ends)

@@ -34,6 +34,7 @@ _LEAST_SD_NS = 2_000_000.0
 _SLOPE = 2  # frames before and after, between which a velocity is measured
 _FAR = 2.5  # robust deviations above which a residual counts less
 _LONGEST_NS = 500_000_000  # largest offset that is searched for in a recording
+_SHORTEST_NS = 2_000_000  # interval of a sensor; bounds the number of offsets that are tried
 _CERTAIN_NS = 5_000_000  # standard deviation below which an offset is reported
 _CHANGED = 3.0  # standard deviations
 
@@ -146,7 +147,7 @@ def clock_offset_of(
     points = _Points(body)
     skews = np.zeros(len(pairs)) if skews_ns is None else np.array(skews_ns, dtype=np.float64)
     interval = float(np.median(np.diff([pair.time_ns for pair in pairs])))
-    reach = int(_LONGEST_NS / max(interval, 1.0))
+    reach = int(_LONGEST_NS / max(interval, _SHORTEST_NS))
     views = points.of(pairs, a_from_b)
     costs = [_cost(points, views, pairs, skews, shift * interval) for shift in range(-reach, reach + 1)]
     if not np.isfinite(costs).any():

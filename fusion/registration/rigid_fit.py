@@ -139,4 +139,5 @@ def _rotation_sd(points: NDArray[np.float64], mean_square: float, joints: int) -
     # is Σ (|r|² I − r rᵀ) / σ², here per joint, with σ² the residual's variance along one axis.
     r = points - points.mean(axis=0)
     information = (np.sum(r * r) * np.eye(3) - r.T @ r) * (joints / len(points))
-    return float(np.sqrt(mean_square / 3.0 / np.linalg.eigvalsh(information)[0]))
+    least = float(np.linalg.eigvalsh(information)[0])
+    return float(np.sqrt(mean_square / 3.0 / least)) if least > 0.0 else np.inf

@@ -51,6 +51,17 @@ def test_other_units_are_named(tmp_path: Path, factor: float, unit: str) -> None
         read(file)
 
 
+@pytest.mark.parametrize(("factor", "unit"), [(1e-3, "milliseconds"), (1e3, "nanoseconds")])
+def test_other_units_of_time_are_named(tmp_path: Path, factor: float, unit: str) -> None:
+    file = write_csv(tmp_path / "a.csv", csv_rows(KINECT_V2))
+    header, *rows = file.read_text().splitlines()
+    parts = [row.split(",", 1) for row in rows]
+    rows = [f"{round(int(time_us) * factor)},{rest}" for time_us, rest in parts]
+    file.write_text("\n".join([header, *rows]) + "\n")
+    with pytest.raises(DeviceError, match=f"time_us must be microseconds; are these {unit}"):
+        read(file)
+
+
 def test_a_z_axis_that_points_backward_is_named(tmp_path: Path) -> None:
     file = write_view(tmp_path / "a.csv", KINECT_V2, np.stack([standing(KINECT_V2)] * 3) * [1.0, 1.0, -1.0])
     with pytest.raises(DeviceError, match="The z axis must point forward"):

@@ -337,7 +337,7 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
 def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
     resource = pytest.importorskip("resource", reason="only POSIX limits the size of a process's files")
     path, limit = tmp_path / "s.rrd", 850_000  # the static part and some seconds
-    arguments = ("--seconds", "10", "--depth", "none", "--no-viewer", "--save", str(path))
+    arguments = ("--seconds", "10", "--depth", "none", "--no-viewer", "--verbose", "--save", str(path))
     done = subprocess.run(
         [sys.executable, "-m", "viewer_app.cli", "demo", *arguments],
         capture_output=True,

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 _SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
 _FPS = 30.0
 _MOST_NAMED = 4  # times of one fault
-_NEXT = "Next: --motion walk, --bad-setup, or your own sensors (duplex doctor)."
+_NEXT = "Next: --motion walk, {other}, or your own sensors (duplex doctor)."
 
 
 def run(options: DemoOptions) -> None:
@@ -152,7 +152,8 @@ def run(options: DemoOptions) -> None:
         if not options.verbose:
             say_more(console)
         if not options.quiet:
-            console.print(_NEXT, highlight=False)
+            other = "the demo without --bad-setup" if options.bad_setup else "--bad-setup"
+            console.print(_NEXT.format(other=other), highlight=False)
         check_saved(session.file)
 
 

@@ -26,6 +26,7 @@ def run(options: InfoOptions) -> None:
     session = Session.open(options.session)
     rows = session.rows
     seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
+    rate = (len(rows) - 1) / seconds if seconds > 0.0 else session.frame_rate
     size = options.session.stat().st_size
     table = Table(show_header=False, box=None)
 
@@ -39,7 +40,7 @@ def run(options: InfoOptions) -> None:
     row("sensors", f"A {session.sources[0]}, B {session.sources[1]}")
     if session.tracker:
         row("body tracker", session.tracker)
-    row("frames", f"{len(session)} in {seconds:.2f} s, {session.frame_rate:.1f} per second")
+    row("frames", f"{len(session)} in {seconds:.2f} s, {rate:.1f} per second")
     row("without S*", int(rows.predicted.all(axis=1).sum()))
     row("settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items()))
     for k, line in enumerate(calibration_in_words(session.calibration)):
@@ -59,9 +60,10 @@ def run(options: InfoOptions) -> None:
             if reader.damaged
         ]
     row("size", f"{size / 1e6:.1f} MB, {size / max(seconds, 1e-9) * 60 / 1e6:.1f} MB a minute")
-    row("events", len(session.events))
+    events = list_events(session.events)
+    row("events", len(events))
     row("whole", f"no: {', '.join(damage)}" if damage else "yes")
     console = Console()
     console.print(table, highlight=False)
-    if session.events:
-        print_events(console, list_events(session.events), all_of_them=True)
+    if events:
+        print_events(console, events, all_of_them=True)

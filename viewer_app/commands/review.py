@@ -38,12 +38,19 @@ def run(options: ReviewOptions) -> None:
         with whole_file(options.html) as partial:
             partial.write_text(review_page(session, figures), encoding="utf-8")
     print_summary(console, result, figures, verbose=options.verbose)
-    print_events(console, events, all_of_them=options.verbose)
+    if events or session.damage is None:
+        print_events(console, events, all_of_them=options.verbose)
+    else:
+        console.print("Its events are lost.")
     if options.html is not None:
         console.print(f"Wrote {options.html}.", highlight=False, markup=False, soft_wrap=True)
     elif not options.verbose:
         say_more(console, "every bone, with plots, with --html FILE.html")
-    if not options.no_viewer and has_display():
+    if options.no_viewer:
+        return
+    if not has_display():
+        console.print(f"There is no display; a viewer would open {where}.", highlight=False, markup=False)
+    else:
         console.print(f"The viewer opens {where}.", highlight=False, markup=False)
         if not show(options.session, at_ns):
             console.print("The viewer did not take the time; move its time cursor by hand.", style="yellow")

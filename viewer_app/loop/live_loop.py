@@ -91,8 +91,13 @@ def run_live(
         recalibrated = fusion.recalibrated(pair)
         if recalibrated:
             sink.recalibrated(fusion.setup)
-        frame = fusion.fuse(pair)
-        frame = replace(frame, streams=sensors.stream_figures, latency_ns=_latency_ns(pair, clock()))
+        lengths = fusion.setup.calibration.bone_lengths
+        frame = replace(
+            fusion.fuse(pair),
+            streams=sensors.stream_figures,
+            latency_ns=_latency_ns(pair, clock()),
+            bone_lengths=lengths,
+        )
         if truth_at is not None:
             if pair.a is not None:  # the pair's time continues when A's clock is reset
                 ahead_ns = pair.time_ns - pair.a.time_ns

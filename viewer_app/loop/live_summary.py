@@ -79,14 +79,15 @@ def _link_in_words(link: LinkFigures) -> str:
 
 
 def rows_since_calibration(setup: FusionSetup, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
-    """The frames fused with the last calibration; None if there are none.
-
-    Earlier frames have other bone lengths.
-    """
+    """The frames since the last registration, each with its own bone lengths; None if there are none."""
     rotation = setup.calibration.a_from_b.rotation
     last = [frame for frame in frames if frame.fused.a_from_b.rotation is rotation]
     calibration = setup.calibration
-    return SessionArrays.stack(calibration.body, calibration.bone_lengths, last) if last else None
+    if not last:
+        return None
+    fixed = calibration.bone_lengths
+    lengths = np.array([fixed if frame.bone_lengths is None else frame.bone_lengths for frame in last])
+    return SessionArrays.stack(calibration.body, lengths, last)
 
 
 def session_report(

@@ -6,6 +6,7 @@ these three appear only where there is something to say. :mod:`viewer_app.report
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -25,6 +26,8 @@ from viewer_app.report.numbers_in_words import in_mm, in_percent
 from viewer_app.viewer.display import has_display
 
 _LABEL_WIDTH = 13
+_MIRRORED = 0.6
+"""Share of frames in both views; real walks stay below 0.3."""
 _CALIBRATE = "Calibrate: stand still for a second, arms and legs apart, where both sensors see all of you"
 
 
@@ -96,7 +99,10 @@ def fusion_lines(
 
 def say_saved(console: Console, path: Path) -> None:
     """Prints where the session is, and the command to view it, as this program was called."""
-    program = sys.argv[0] if Path(sys.argv[0]).name.startswith("duplex") else "duplex"
+    called = Path(sys.argv[0])
+    found = shutil.which("duplex")
+    on_path = found is not None and Path(found).resolve() == called.resolve()
+    program = str(called) if called.name.startswith("duplex") and not on_path else "duplex"
     page = "" if has_display() else f" --html {path.with_suffix('.html')}"
     # a command must be copied in one piece: no wrapping
     console.print(
@@ -146,7 +152,8 @@ def _pace(figures: Figures, latency_ms: dict[str, float | None]) -> str:
     frames, seconds, rate = figures["fused_frames"], figures["seconds"], figures["frames_per_second"]
     each = "" if rate is None else f", {rate:.1f} per second"
     if latency_ms.get("p50") is None:
-        return f"{frames} frames in {seconds:.1f} s{each}."
+        counted = "1 frame" if frames == 1 else f"{frames} frames"
+        return f"{counted} in {seconds:.1f} s{each}."
     late = f"{latency_ms['p50']:.0f} ms after the images (99 %: {latency_ms['p99']:.0f} ms)"
     return f"{late}{each}, last {seconds:.1f} s."
 
@@ -164,6 +171,14 @@ def _shortfalls(figures: Figures) -> Iterator[Line]:
     if absent["a"] or absent["b"]:
         yield Line(
             "No person", f"in {absent['a']} frames of A, {absent['b']} of B, {absent['both']} of both."
+        )
+    exchanged = figures["repaired"]["exchanged"]
+    if exchanged is not None and min(exchanged["a"] or 0.0, exchanged["b"] or 0.0) > _MIRRORED:
+        text = (
+            "Left and right are exchanged in both views most of the time. If the person faced the sensors, "
+        )
+        yield Line(
+            "Mirrored?", f"{text}x points to the wrong side in both files: change its sign.", warning=True
         )
 
 

@@ -82,6 +82,14 @@ def test_the_viewer_opens_at_the_first_warning_or_as_asked(
     assert "3  1.00 s  Warning: A sensor seems to have been moved." in said
 
 
+def test_without_a_display_it_says_where_a_viewer_would_open(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(review, "has_display", lambda: False)
+    assert duplex("review", path, "--event", 2) == 0
+    assert "There is no display; a viewer would open at 0.50 s, event 2." in capsys.readouterr().out
+
+
 def test_without_an_event_it_opens_at_the_beginning_and_says_so(
     session: Session, shown: Shown, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -129,6 +129,13 @@ def test_what_someone_must_act_on_is_told_in_words(result: FusionResult) -> None
     assert "Warning 3.00 s: A sensor seems to have been moved. (1 more)" in text
 
 
+@pytest.mark.parametrize(("a", "b", "told"), [(0.9, 0.8, True), (0.9, 0.1, False), (0.3, 0.3, False)])
+def test_two_mirrored_recordings_are_noticed(result: FusionResult, a: float, b: float, told: bool) -> None:
+    figures = report(result)
+    figures["repaired"]["exchanged"] = {"a": a, "b": b}
+    assert ("change its sign" in said(result, figures)) is told
+
+
 def test_live_latency_stands_beside_the_rate(result: FusionResult) -> None:
     lines = {
         line.label: line.text
