@@ -35,6 +35,7 @@ class Scalars(NamedTuple):
     axis_floor: float
     axis_weight: float
     cue_floor: float
+    bent_floor: float
     cue_weight: float
     inferred_weight: float
     moving_speed: float

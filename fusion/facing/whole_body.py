@@ -20,7 +20,7 @@ correlated:
 * axes (only these depend on m): −β(κ (1 − cos)) + ½ log κ, a von Mises density of the angle between f and the
   axis, reversed where the view is mirrored; κ = 1/σ² from the table;
 * cues: −β(½ ((x − μ)/σ)²) − log σ, a normal density of x = cue · f, with μ and σ by the cosine to the sensor;
-  β(c) = c / (1 + c / most) limits the effect of a single outlier;
+  β(c) = c / (1 + c / most) limits the effect of a single outlier, and more so that of a bent knee;
 * motion: w |v|² cos(v, f), with |v| capped: people rarely walk backwards fast.
 """
 
@@ -200,7 +200,7 @@ def _in_table(table, cosine):  # type: ignore[no-untyped-def]
 @inner_kernel
 def _cue_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-def]
     """Sum over the view's cues of their log densities, if the person faces f."""
-    total = 0.0
+    total, s = 0.0, model.scalars
     for row in range(5):
         trust = state.cue_trust[view, row]
         if trust > 0.0:
@@ -208,11 +208,10 @@ def _cue_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-def
             sigma = _in_table(model.cue_sigma[kind], cosine)
             d = state.cues[view, row]
             z = (d[0] * f[0] + d[1] * f[1] + d[2] * f[2] - _in_table(model.cue_mean[kind], cosine)) / sigma
-            total -= trust * (
-                _bounded(0.5 * z * z, model.scalars.cue_floor) + _in_table(model.cue_log[kind], cosine)
-            )
-    still = max(model.scalars.still_weight, min(1.0, state.speed[view] / model.scalars.moving_speed))
-    return model.scalars.cue_weight * still * total
+            most = s.bent_floor if kind == 0 and z > 0.0 else s.cue_floor
+            total -= trust * (_bounded(0.5 * z * z, most) + _in_table(model.cue_log[kind], cosine))
+    still = max(s.still_weight, min(1.0, state.speed[view] / s.moving_speed))
+    return s.cue_weight * still * total
 
 
 @inner_kernel

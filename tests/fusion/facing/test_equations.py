@@ -60,9 +60,11 @@ def reference_likelihood(c: FacingConstants, views: Views, k: int, state: Facing
         cues.append((1.0, at[body.joint("Head")] - at[body.joint("Neck")], c.head_mean, c.head_sigma))
         weight = c.cue_weight * max(c.still_weight, min(1.0, state.speed[view] / c.moving_speed))
         for share, vector, mean, sigma in cues:
-            cost = 0.5 * ((front @ vector - table(mean, cosine)) / table(sigma, cosine)) ** 2
+            off = (front @ vector - table(mean, cosine)) / table(sigma, cosine)
+            most = np.where((off > 0.0) & (mean is c.knee_mean), c.bent_floor, c.cue_floor)
+            cost = 0.5 * off**2
             log_sigma = table(tuple(np.log(sigma)), cosine)
-            common = common - weight * share * (cost / (1.0 + cost / c.cue_floor) + log_sigma)
+            common = common - weight * share * (cost / (1.0 + cost / most) + log_sigma)
         kappa = table(tuple(np.array(c.axis_sigma) ** -2.0), cosine)
         both = []
         for sign in (1.0, -1.0):
