@@ -100,11 +100,11 @@ def test_a_replay_with_other_settings_is_compared_with_the_first(
     other, compared = tmp_path / "equal.rrd", tmp_path / "compared.rrd"
     assert duplex("replay", session, "--no-viewer", "--method", "paper", "--save", other) == 0
     capsys.readouterr()
-    assert duplex("compare", session, other, "--no-viewer", "--save", compared, "--worst", "3") == 0
+    assert duplex("compare", session, other, "--no-viewer", "--save", compared, "--worst", "2") == 0
     said = capsys.readouterr().out
     assert "method: duplex against paper" in said
     assert "90 frames in common" in said
-    assert said.count(" differs by ") == 3
+    assert said.count(" differs by ") == 2  # at least a second apart, of three
     assert compared.stat().st_size > 10_000
     assert duplex("compare", session, session, "--no-viewer") == 0
     assert "S* is the same in every frame" in capsys.readouterr().out
