@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
@@ -29,7 +30,9 @@ _JOINT_NUMBERS = 12  # on a line of a .skeleton file
 
 
 def script() -> None:
-    """The console script."""
+    """The console script. It ends at once when a viewer stops reading, as other programs in a pipe do."""
+    if hasattr(signal, "SIGPIPE"):  # not on Windows
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     sys.exit(main())
 
 
