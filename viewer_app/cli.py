@@ -8,8 +8,10 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr
 from typing import Annotated, Any
 
+from viewer_app.errors import UsageError
 from viewer_app.options.batch import BatchOptions
 from viewer_app.options.bench import (
     BenchAccuracyOptions,
@@ -33,6 +35,7 @@ from viewer_app.options.sessions import (
     TrimOptions,
 )
 from viewer_app.options.tracker import TrackerFetchOptions
+from viewer_app.usage import mistake
 
 _COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "demo": (DemoOptions, "viewer_app.commands.demo"),
@@ -101,17 +104,34 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _run(arguments: Sequence[str] | None) -> None:
-    import tyro
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given == ["--version"]:
+        from importlib.metadata import version
 
-    options = tyro.cli(
-        _command_line(),
-        args=arguments,
-        prog="duplex",
-        description="One skeleton from two Kinects.",
-        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.FlagCreatePairsOff),
-    )
+        print(f"duplex {version('duplex-kinects')}")
+        return
+    options = _parsed(given)
     module = next(module for kind, module in _COMMANDS.values() if kind is type(options))
     importlib.import_module(module).run(options)
+
+
+def _parsed(arguments: list[str]) -> Any:
+    """The options of the command; a mistake raises UsageError, --help ends the program."""
+    import tyro
+
+    with redirect_stderr(io.StringIO()):  # a box of several lines, which is not shown
+        try:
+            return tyro.cli(
+                _command_line(),
+                args=arguments,
+                prog="duplex",
+                description="One skeleton from two Kinects. --version prints the program's version.",
+                config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.FlagCreatePairsOff),
+            )
+        except SystemExit as end:
+            if not end.code:
+                raise
+    raise UsageError(mistake(arguments, {name: kind for name, (kind, _) in _COMMANDS.items()}))
 
 
 def _command_line() -> Any:
@@ -137,7 +157,6 @@ def _mistakes() -> tuple[type[Exception], ...]:
     from devices.sensor import DeviceError
     from fusion.errors import FusionError
     from recordings.errors import RecordingError
-    from viewer_app.errors import UsageError
 
     return (DeviceError, FusionError, RecordingError, UsageError)
 

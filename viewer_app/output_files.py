@@ -15,6 +15,8 @@ from rich.markup import escape
 from recordings.writing.growing_file import partial_beside
 from viewer_app.errors import UsageError
 
+SESSION = ".rrd"
+"""Ending of a session's name; other endings do not open in a viewer."""
 _LITTLE_FREE = 500_000_000  # bytes; a session with depth images takes about 300 MB per minute
 
 
@@ -51,18 +53,32 @@ def warn_of_little_room(path: Path, console: Console) -> None:
         )
 
 
-def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path], force: bool) -> None:
+def check_outputs(
+    outputs: Iterable[Path | None], inputs: Iterable[Path], force: bool, session: Path | None = None
+) -> None:
     """:func:`check_writable` for all files that a command will write.
 
+    Args:
+        outputs: All files but the session.
+        inputs: Files that the command reads.
+        force: Whether existing files are overwritten.
+        session: The session that the command will save.
+
     Raises:
-        UsageError: As there; or two outputs are one file, or an output is an input.
+        UsageError: As there; or two outputs are one file, or an output is an input, or the session's name
+            does not end in ``.rrd``.
     """
+    outputs = [session, *outputs]
     taken = {_real(path): f"is also read, as {path}" for path in inputs}
     for path in filter(None, outputs):
         if _real(path) in taken:
             raise UsageError(f"{path} cannot be written: it {taken[_real(path)]}. Choose another name.")
         taken[_real(path)] = "is to be written twice"
         check_writable(path, force)
+    if session is not None and session.suffix.lower() != SESSION:
+        raise UsageError(
+            f"A session is an {SESSION} file; name it {session.name}{SESSION} or so, not {session}."
+        )
 
 
 def _real(path: Path) -> Path:

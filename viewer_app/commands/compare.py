@@ -34,7 +34,7 @@ def run(options: CompareOptions) -> None:
     console = Console()
     if options.worst < 0:
         raise UsageError(f"--worst {options.worst}: how many moments to list, 0 or more.")
-    check_outputs([options.save], [options.first, options.second], options.force)
+    check_outputs([], [options.first, options.second], options.force, options.save)
     sessions = [Session.open(path) for path in (options.first, options.second)]
     for session in sessions:
         print_damage(console, session)

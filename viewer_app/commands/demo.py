@@ -34,7 +34,7 @@ from viewer_app.loop.live_loop import run_live
 from viewer_app.loop.live_summary import check_saved, print_saved, print_session, save_report, session_report
 from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.options.sensing import DemoOptions
-from viewer_app.output_files import check_writable, free_name, warn_of_little_room
+from viewer_app.output_files import check_outputs, free_name, warn_of_little_room
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
 from viewer_app.report.summary import Line, print_lines, say_more
 from viewer_app.sinks.live_session import LiveSession
@@ -68,10 +68,7 @@ def run(options: DemoOptions) -> None:
         save = free_name(_SAVED_WITHOUT_DISPLAY)
     viewing = viewing_of(options, save, live=True, served=options.listens)
     plan = plan_outputs(options, options.listen)
-    if save is not None:
-        check_writable(save, options.force)
-    if options.report is not None:
-        check_writable(options.report, options.force)
+    check_outputs([options.report], [], options.force, save)
     own_tracker = options.tracker == "blazepose"
     body = BLAZEPOSE if own_tracker else BODIES[options.body]
     if own_tracker and options.body not in ("azure_kinect", "blazepose"):

@@ -67,9 +67,9 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, FusionR
     viewing = choose_viewing(
         no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=options.save, live=False
     )
-    outputs = (options.save, options.report, options.save_calibration)
+    outputs = (options.report, options.save_calibration)
     inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
-    check_outputs(outputs, filter(None, inputs), options.force)
+    check_outputs(outputs, filter(None, inputs), options.force, options.save)
     hindsight: Hindsight = "whole" if options.smooth == "whole" else "labels"
     if options.method != "duplex":
         if options.smooth == "whole":

@@ -73,7 +73,7 @@ def check(options: LiveOptions) -> None:
     check_modes(kinect_settings(options, "", None))
     check_smoothing(options.smoothing)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
-    check_outputs((options.save, options.report, options.save_calibration), read, options.force)
+    check_outputs((options.report, options.save_calibration), read, options.force, options.save)
     if options.seconds is not None and not 0.0 < options.seconds < float("inf"):
         raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
     if options.calibrate != "auto" and not Path(options.calibrate).exists():

@@ -57,7 +57,7 @@ def run(options: ReplayOptions) -> None:
         for name in ("method", "h", "weights", "smoothing")
         if (value := getattr(options, name)) is not None
     }
-    check_outputs([options.save, options.report], [options.session], options.force)
+    check_outputs([options.report], [options.session], options.force, options.save)
     session = Session.open(options.session)
     settings = replace(session.settings, **changed)
     check_paper_options(settings)

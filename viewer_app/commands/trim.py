@@ -22,7 +22,7 @@ def run(options: TrimOptions) -> None:
         RecordingError, UsageError: With one line for the person who asked.
     """
     console = Console()
-    check_outputs([options.save], [options.session], options.force)
+    check_outputs([], [options.session], options.force, options.save)
     session = Session.open(options.session)
     print_damage(console, session)
     time = session.rows.time_ns * 1e-9
