@@ -15,6 +15,7 @@ from devices.following import PersonChoice
 from devices.orbbec.playback import SUFFIX as BAG
 from devices.orbbec.playback import OrbbecRecording
 from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.skeletons.conventions import Unit
 from devices.skeletons.recording import SkeletonRecording
 from devices.tracker_choice import TrackerChoice, choose_tracker
 
@@ -24,7 +25,11 @@ FOLLOWED = "followed"
 
 
 def open_source(
-    path: Path, skeletons: Path | None = None, tracker: TrackerChoice | None = None, option: str = ""
+    path: Path,
+    skeletons: Path | None = None,
+    tracker: TrackerChoice | None = None,
+    option: str = "",
+    unit: Unit = "auto",
 ) -> Sensor:
     """Creates the sensor for a recording; opens nothing.
 
@@ -36,6 +41,7 @@ def open_source(
         skeletons: The skeletons of an Azure Kinect recording, saved before.
         tracker: The body tracker, where one is needed. None: chosen for this machine.
         option: What the option that gives ``skeletons`` is called, for the message.
+        unit: Unit of the positions of a ``.csv``; found from the size of the person where ``auto``.
 
     Raises:
         DeviceError: Skeletons for a file that has its own, or a tracker that cannot take its images.
@@ -43,12 +49,12 @@ def open_source(
     if not has_images(path):
         if skeletons is not None:
             raise DeviceError(f"{path.name} has its own skeletons; {option} {skeletons} is for an .mkv.")
-        return SkeletonRecording(path)
+        return SkeletonRecording(path, unit)
     images = open_images(path)
     if skeletons is not None:
         if not isinstance(images, MkvRecording):
             raise DeviceError(f"{option} {skeletons} is for an .mkv; {path.name} is tracked.")
-        return RecordingWithSkeletons(images, SkeletonRecording(skeletons))
+        return RecordingWithSkeletons(images, SkeletonRecording(skeletons, unit))
     tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(path))
     if tracker.name == "blazepose" or not isinstance(images, MkvRecording):
         return TrackedImages(images, tracker.blazepose)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from devices.azure.recording.mkv import MkvInfo
 from devices.image_thinning import Depth, thinned, thinned_camera
 from devices.pairing import FramePair, Pairing, pair_recordings
 from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.skeletons.conventions import Unit
 from devices.skeletons.recorded_person import choose_person, with_successors
 from devices.sources import (
     frame_count,
@@ -99,12 +101,14 @@ class RecordingChoice:
         path: Recorded skeletons, an Azure Kinect recording, or a recording of Orbbec's SDK v2.
         skeletons: For an Azure Kinect recording: its skeletons, saved before, in place of the body tracker.
         person: Id of the person; the one seen longest where None.
+        unit: Unit of the positions of a ``.csv``; found from the size of the person where ``auto``.
         skeletons_option, person_option: What the caller's user knows these two as, for messages.
     """
 
     path: Path
     skeletons: Path | None = None
     person: str | None = None
+    unit: Unit = "auto"
     skeletons_option: str = "skeletons"
     person_option: str = "person"
 
@@ -128,13 +132,15 @@ def read_two(
         progress: Shows how far reading is.
 
     Raises:
-        DeviceError: A recording cannot be read or tracked, the bodies differ, or the two never overlap.
+        DeviceError: A recording cannot be read or tracked, both are the same recording, the bodies differ,
+            or the two never overlap.
     """
+    _refuse_same(choice_a.path, choice_b.path)
     tracked = any(choice.is_tracked for choice in (choice_a, choice_b))
     if tracked:
         tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(choice_a.path, choice_b.path))
     a, b = (
-        open_source(choice.path, choice.skeletons, tracker, choice.skeletons_option)
+        open_source(choice.path, choice.skeletons, tracker, choice.skeletons_option, choice.unit)
         for choice in (choice_a, choice_b)
     )
     frames_a, info_a = _read(a, choice_a, progress)
@@ -187,6 +193,15 @@ def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePa
         f"{(off_ns + delay_ns) / 1e6:.1f} ms apart: the subordinate's clock was not set by its master, and "
         f"frames may be paired with their neighbours. Start the subordinate first, the master last."
     ]
+
+
+def _refuse_same(a: Path, b: Path) -> None:
+    try:
+        same = a.samefile(b) or (a.is_file() and b.is_file() and filecmp.cmp(a, b, shallow=False))
+    except OSError:
+        return  # the readers say what is wrong with the files
+    if same:
+        raise DeviceError(f"{a} and {b} are the same recording. Fusion needs one recording of each sensor.")
 
 
 def _read(

@@ -76,9 +76,8 @@ def check_outputs(
         taken[_real(path)] = "is to be written twice"
         check_writable(path, force)
     if session is not None and session.suffix.lower() != SESSION:
-        raise UsageError(
-            f"A session is an {SESSION} file; name it {session.name}{SESSION} or so, not {session}."
-        )
+        example = session.with_suffix(SESSION).name
+        raise UsageError(f"--save {session}: a session's name must end in {SESSION}, as in {example}.")
 
 
 def _real(path: Path) -> Path:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,40 +14,131 @@ from devices.sensor import DeviceError, SensorFrame
 from fusion.body import Body
 from fusion.skeleton import FARTHEST
 
-_MILLIMETRES = 400.0
-"""A median distance above this is of millimetres, else of centimetres: people stand 1 to 5 m away."""
+Unit = Literal["auto", "m", "cm", "mm", "ft", "in"]
+"""Unit of a file's positions; auto: found from the size of the person."""
+METRES: MappingProxyType[str, tuple[float, str]] = MappingProxyType(
+    {
+        "m": (1.0, "metres"),
+        "cm": (0.01, "centimetres"),
+        "mm": (0.001, "millimetres"),
+        "ft": (0.3048, "feet"),
+        "in": (0.0254, "inches"),
+    }
+)
+"""Metres per unit, and the unit's name."""
+
+_STATURE = 1.75  # metres, of Body.nominal_lengths
+_PEOPLE = (1.1, 2.2)
+"""Metres: how tall people are, as far as another unit is accepted without a question. Read in these units,
+the ranges of a file's numbers do not overlap: 1.1 to 2.2, 3.6 to 7.2, 43 to 87, 110 to 220, 1100 to 2200."""
+_PEOPLE_IN_METRES = (0.5, 3.0)
+"""Metres is the documented unit, so that it is accepted for odd or noisy people, too. No other unit's range
+comes near."""
+_FEWEST_BONES = 3
+_FEWEST_TIMES = 3
 _SHORTEST_US, _LONGEST_US = 2_000.0, 5_000_000.0
 """Sensors give 5 to 120 frames per second; in milliseconds or nanoseconds the numbers are far outside."""
-_FEWEST_TIMES = 3
+_LARGEST = 1e9  # in any unit; a larger number is an error
+_FROZEN_FRAMES = 15  # a person can be seen as standing still for some frames
 _UPSIDE_DOWN_M = 0.3
 _ALMOST_ALWAYS = 0.9
 _SAMPLES = 200
 
 
-def check_metres_forward(name: object, xyz: NDArray[np.float64]) -> None:
-    """Refuses positions in another unit, or with a z axis that points backward.
+@dataclass(frozen=True)
+class FoundUnit:
+    """The unit of a recording's positions.
+
+    Attributes:
+        metres: Metres per unit.
+        warning: A line for the user if the unit was found and is not metres; else None.
+    """
+
+    metres: float
+    warning: str | None = None
+
+
+def find_unit(name: object, body: Body, positions: NDArray[np.float64], unit: Unit = "auto") -> FoundUnit:
+    """Finds the unit of positions from the lengths of the person's bones.
 
     Args:
         name: Of the recording, for the message.
-        xyz: (N, 3) positions of joints as the file has them; NaN where there is none.
+        body: The body.
+        positions: (N, J, 3) as the file has them; NaN where there is none.
+        unit: The unit if the user stated it.
+
+    Raises:
+        DeviceError: The person has no human size in any unit.
+    """
+    if unit != "auto":
+        return FoundUnit(METRES[unit][0])
+    stature = _stature(body, positions)
+    if stature is None or _PEOPLE_IN_METRES[0] <= stature <= _PEOPLE_IN_METRES[1]:
+        return FoundUnit(1.0)
+    for metres, words in METRES.values():
+        if _PEOPLE[0] <= stature * metres <= _PEOPLE[1]:
+            return FoundUnit(
+                metres,
+                f"{name}: the positions are taken as {words}, so that the person is {stature * metres:.2f} m "
+                "tall. State another unit with --unit.",
+            )
+    raise DeviceError(
+        f"{name}: the unit of the positions is unclear; in metres the person would be {stature:.3g} m tall. "
+        "State the unit with --unit (m, cm, mm, ft or in)."
+    )
+
+
+def check_metres_forward(name: object, xyz: NDArray[np.float64]) -> None:
+    """Refuses positions that are too far away, or with a z axis that points backward.
+
+    Args:
+        name: Of the recording, for the message.
+        xyz: (..., 3) positions of joints in metres; NaN where there is none.
 
     Raises:
         DeviceError: Most joints are farther away than any sensor sees, or behind the sensor.
     """
-    known = xyz[np.isfinite(xyz).all(axis=1)]
+    known = xyz[np.isfinite(xyz).all(axis=-1)]
     if len(known) == 0:
         return
     distance = float(np.median(np.abs(known).max(axis=1)))
     if distance > FARTHEST:
-        unit = "millimetres" if distance > _MILLIMETRES else "centimetres"
         raise DeviceError(
-            f"{name}: the joints are {distance:.0f} m away (median). Positions must be metres; are these "
-            f"{unit}?"
+            f"{name}: the joints are {distance:.3g} m away (median); no sensor sees beyond {FARTHEST:.0f} m. "
+            "Positions must be in the frame of the sensor; state another unit than metres with --unit."
         )
     if np.median(known[:, 2]) < 0.0:
         raise DeviceError(
             f"{name}: most joints have a negative z. The z axis must point forward, towards the person."
         )
+
+
+def impossible(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(...) which positions (..., 3), in metres, no sensor can report.
+
+    They are infinite, farther away than any sensor sees, or not before the sensor. A position of zeros and
+    one with a NaN is a joint that was not seen.
+    """
+    stated = ~np.isnan(xyz).any(axis=-1) & (xyz != 0.0).any(axis=-1)
+    return np.asarray(stated & ~((np.abs(xyz) < FARTHEST).all(axis=-1) & (xyz[..., 2] > 0.0)))
+
+
+def impossible_in_words(name: object, count: int, where: str, value: NDArray[np.float64]) -> str:
+    """The warning about joints whose positions are impossible.
+
+    Args:
+        name: Of the recording.
+        count: How many there are.
+        where: Where the first one is.
+        value: (3,) the first one.
+    """
+    axis = int(np.argmax(~(np.abs(value) < FARTHEST)))
+    axis = axis if not abs(value[axis]) < FARTHEST else 2
+    positions = "1 position is" if count == 1 else f"{count} positions are"
+    return (
+        f"{name}: {positions} impossible and count as not tracked, first {where}, {'xyz'[axis]} = "
+        f"{value[axis]:.4g} m. Each coordinate must be within {FARTHEST:.0f} m, and z above 0."
+    )
 
 
 def check_microseconds(name: object, times_us: NDArray[np.int64]) -> None:
@@ -88,3 +182,29 @@ def upside_down(name: str, body: Body, frames: Sequence[SensorFrame]) -> list[st
         f"{name}: the head is below the feet in almost every frame. The y axis must point down; if it points "
         "up, change the sign of y."
     ]
+
+
+def frozen(name: str, frames: Sequence[SensorFrame]) -> list[str]:
+    """A warning, if almost every frame repeats the one before."""
+    if len(frames) < _FROZEN_FRAMES:
+        return []
+    some = range(1, len(frames), max(1, len(frames) // _SAMPLES))
+    pairs = [(frames[k - 1].people, frames[k].people) for k in some]
+    again = [any(after[one].repeats(before.get(one)) for one in after) for before, after in pairs if after]
+    if not again or np.mean(again) <= _ALMOST_ALWAYS:
+        return []
+    return [f"{name}: almost every frame repeats the one before. Its body tracker did not follow the person."]
+
+
+def _stature(body: Body, positions: NDArray[np.float64]) -> float | None:
+    """How tall the person is, in the unit of (N, J, 3) positions; None if too few bones were seen."""
+    some = positions[:: max(1, len(positions) // _SAMPLES)].copy()
+    some[~(np.abs(some) < _LARGEST)] = np.nan
+    bones = body.bone_joints
+    length = np.linalg.norm(some[:, bones] - some[:, body.parent_indices[bones]], axis=2)
+    length[length == 0.0] = np.nan
+    seen = np.isfinite(length).any(axis=0)
+    if seen.sum() < _FEWEST_BONES:
+        return None
+    measured = np.nanmedian(length[:, seen], axis=0)
+    return _STATURE * float(measured.sum() / body.nominal_lengths[bones[seen]].sum())

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import io
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,7 +16,15 @@ import pyarrow.csv
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError, SensorFrame
-from devices.skeletons.conventions import check_metres_forward, check_microseconds
+from devices.skeletons.conventions import (
+    Unit,
+    check_metres_forward,
+    check_microseconds,
+    find_unit,
+    impossible,
+    impossible_in_words,
+)
+from devices.skeletons.read_file import ReadFile, text_bytes
 from fusion.body import Body, body_of
 from fusion.errors import FusionError
 from fusion.skeleton import Skeleton, TrackingState
@@ -22,31 +34,37 @@ COLUMNS = ("time_us", "body", "joint", "x", "y", "z")
 LATEST_US = 9 * 10**15
 """Largest time, so that nanoseconds fit into 64 bits."""
 
+_SEPARATORS = (",", ";", "\t")
 _STATES = {
     **{state.name.lower(): state for state in TrackingState},
     **{str(state.value): state for state in TrackingState},
 }
 
 
-def read_csv(path: Path) -> tuple[Body, list[SensorFrame]]:
-    """Reads the body and the frames of a CSV file.
+def read_csv(path: Path, unit: Unit = "auto") -> ReadFile:
+    """Reads a CSV file. Columns are separated by commas, semicolons or tabs.
 
-    ``state`` is tracked, inferred or not_tracked, or 2, 1, 0. Without this column every joint counts as
-    tracked. A joint is not tracked in a frame in which it has no row or an empty coordinate.
+    Where commas do not separate columns, numbers may have a decimal comma. ``state`` is tracked, inferred or
+    not_tracked, or 2, 1, 0; without this column every joint counts as tracked. A joint is not tracked in a
+    frame in which it has no row or an empty coordinate.
+
+    Args:
+        path: The file.
+        unit: Unit of the positions; ``auto``: found from the size of the person.
 
     Raises:
         DeviceError: Wrong columns, an unknown joint, text instead of a number, an incomplete row, a
             repeated joint; the message names the line. Or times that are no microseconds, or positions
-            that are no metres, or behind the sensor.
+            of an unknown unit, or behind the sensor.
     """
-    raw = path.read_bytes()
-    table = _table(raw, path)
+    raw = text_bytes(path)
+    text = _table(raw, path)
+    table = text.table
     if table.num_rows == 0:
         raise DeviceError(f"{path} has a header and no rows.")
-    time_us = _numbers(table, "time_us", pa.int64(), path)
-    xyz = np.stack([_numbers(table, axis, pa.float64(), path) for axis in "xyz"], axis=1)
-    check_metres_forward(path, xyz)
-    states = _states(table, path)
+    time_us = text.numbers("time_us", pa.int64())
+    xyz = np.stack([text.numbers(axis, pa.float64()) for axis in "xyz"], axis=1)
+    states = _states(text)
     if np.abs(time_us).max() > LATEST_US:
         raise DeviceError(f"{path}: time_us goes beyond {LATEST_US}; times are microseconds.")
     people, person = _codes(table, "body")
@@ -60,16 +78,19 @@ def read_csv(path: Path) -> tuple[Body, list[SensorFrame]]:
     times, frame = np.unique(time_us, return_inverse=True)
     check_microseconds(path, times)
     slot = (frame * len(people) + person) * len(body) + joint
-    _refuse_repeated(slot, path, body)
+    backward = _backward_times(text, time_us, person * len(body) + joint)
+    _refuse_repeated(slot, text, body, backward is not None)
     _refuse_cut_off(raw, table, frame, path)
-    positions = np.full((len(times), len(people), len(body), 3), np.nan, dtype=np.float32)
+    positions = np.full((len(times), len(people), len(body), 3), np.nan)
     state = np.zeros((len(times), len(people), len(body)), dtype=np.uint8)
-    with np.errstate(over="ignore"):
-        positions.reshape(-1, 3)[slot] = xyz
+    positions.reshape(-1, 3)[slot] = xyz
+    found = find_unit(path, body, positions.reshape(-1, len(body), 3), unit)
+    positions *= found.metres
+    check_metres_forward(path, positions)
     state.reshape(-1)[slot] = states
     present = np.zeros((len(times), len(people)), dtype=bool)
     present[frame, person] = True
-    return body, [
+    frames = [
         SensorFrame(
             int(t) * 1000,
             {
@@ -79,20 +100,69 @@ def read_csv(path: Path) -> tuple[Body, list[SensorFrame]]:
         )
         for f, t in enumerate(times)
     ]
+    said = [
+        found.warning,
+        backward,
+        _impossible_positions(text, xyz * found.metres, states),
+    ]
+    return ReadFile(body, frames, tuple(line for line in said if line is not None))
 
 
-def _table(raw: bytes, path: Path) -> pa.Table:
+@dataclass(frozen=True, eq=False)
+class _Text:
+    """The rows of a file as text.
+
+    Attributes:
+        table: All columns, as text.
+        raw: The file's bytes.
+        path: The file.
+        decimal_comma: Whether numbers may be written with a comma.
+    """
+
+    table: pa.Table
+    raw: bytes
+    path: Path
+    decimal_comma: bool
+
+    def line(self, row: int) -> int:
+        """The number of a row's line in the file, from 1; empty lines are not rows."""
+        lines = (number for number, line in enumerate(self.raw.splitlines(), start=1) if line)
+        return next(islice(lines, row + 1, None), row + 2)
+
+    def numbers(self, column: str, kind: pa.DataType) -> NDArray[Any]:
+        """A column as numbers; an empty coordinate is NaN."""
+        text = pc.utf8_trim_whitespace(self.table[column])
+        if kind == pa.float64():
+            text = pc.if_else(pc.equal(text, ""), "nan", text)
+            if self.decimal_comma:
+                text = pc.replace_substring(text, ",", ".")
+        else:
+            text = pc.replace_substring_regex(text, r"^([0-9]+)\.0*$", r"\1")  # as pandas writes times
+        try:
+            return np.asarray(pc.cast(text, kind).to_numpy())
+        except pa.ArrowInvalid:
+            for row, value in enumerate(text.to_pylist()):
+                try:
+                    pa.scalar(value).cast(kind)
+                except pa.ArrowInvalid:
+                    wanted = "a whole number" if kind == pa.int64() else "a number"
+                    raise DeviceError(
+                        f"{self.path}, line {self.line(row)}: {column} must be {wanted}; got {value[:40]!r}."
+                    ) from None
+            raise
+
+
+def _table(raw: bytes, path: Path) -> _Text:
     """Reads all columns as text."""
-    if not raw.strip():
-        raise DeviceError(f"{path} is empty.")
-    raw.decode("utf-8")  # raises UnicodeDecodeError, which the caller explains
     header = raw.splitlines()[0].decode("utf-8-sig")
-    columns = [name.strip() for name in header.split(",")]
+    separator = max(_SEPARATORS, key=header.count)
+    columns = [name.strip().lower() for name in next(csv.reader([header], delimiter=separator), [])]
     missing = [name for name in COLUMNS if name not in columns]
     if missing:
         raise DeviceError(
             f"{path}: no column {', '.join(missing)}. Columns must be {','.join(COLUMNS)} and optionally "
             f"state; the file begins with {header[:80]!r}."
+            + (" This looks like JSON: name it .json." if header.lstrip().startswith(("{", "[")) else "")
         )
     if len(set(columns)) < len(columns):
         raise DeviceError(f"{path}: {header!r} repeats a column name.")
@@ -106,7 +176,7 @@ def _table(raw: bytes, path: Path) -> pa.Table:
         table = pyarrow.csv.read_csv(
             io.BytesIO(raw),
             read_options=pyarrow.csv.ReadOptions(column_names=columns, skip_rows=1, use_threads=False),
-            parse_options=pyarrow.csv.ParseOptions(invalid_row_handler=remember),
+            parse_options=pyarrow.csv.ParseOptions(delimiter=separator, invalid_row_handler=remember),
             convert_options=pyarrow.csv.ConvertOptions(
                 column_types=dict.fromkeys(columns, pa.string()), strings_can_be_null=False
             ),
@@ -117,11 +187,18 @@ def _table(raw: bytes, path: Path) -> pa.Table:
         raise DeviceError(f"{path} cannot be read as CSV: {str(error).splitlines()[0]}.") from None
     if wrong:
         last = raw.rstrip(b"\r\n").endswith(wrong[-1].encode())
+        cells = wrong[0].count(",") + 1
+        commas = separator == "," and cells in (len(columns) + 3, len(columns) + 4)
         raise DeviceError(
             f"{path}{_line_of(raw, wrong[0])}: {wrong[0][:60]!r} does not have {len(columns)} columns"
-            + ("; the file is cut off. Copy it again, or delete its last line." if last else ".")
+            + (
+                "; the file is cut off. Copy it again, or delete its last line."
+                if last and not commas
+                else "."
+            )
+            + (" If its numbers have decimal commas, separate the columns by semicolons." if commas else "")
         )
-    return table
+    return _Text(table, raw, path, decimal_comma=separator != ",")
 
 
 def _line_of(raw: bytes, text: str) -> str:
@@ -131,25 +208,8 @@ def _line_of(raw: bytes, text: str) -> str:
     return ""
 
 
-def _numbers(table: pa.Table, column: str, kind: pa.DataType, path: Path) -> NDArray[np.generic]:
-    text = pc.utf8_trim_whitespace(table[column])
-    if kind == pa.float64():
-        text = pc.if_else(pc.equal(text, ""), "nan", text)
-    try:
-        return np.asarray(pc.cast(text, kind).to_numpy())
-    except pa.ArrowInvalid:
-        for row, value in enumerate(text.to_pylist()):
-            try:
-                pa.scalar(value).cast(kind)
-            except pa.ArrowInvalid:
-                wanted = "a whole number" if kind == pa.int64() else "a number"
-                raise DeviceError(
-                    f"{path}, line {row + 2}: {column} must be {wanted}; got {value[:40]!r}."
-                ) from None
-        raise
-
-
-def _states(table: pa.Table, path: Path) -> NDArray[np.uint8]:
+def _states(text: _Text) -> NDArray[np.uint8]:
+    table = text.table
     if "state" not in table.column_names:
         return np.full(table.num_rows, TrackingState.TRACKED, dtype=np.uint8)
     values, code = _codes(table, "state")
@@ -157,8 +217,8 @@ def _states(table: pa.Table, path: Path) -> NDArray[np.uint8]:
         if value.lower() not in _STATES:
             row = int(np.flatnonzero(code == k)[0])
             raise DeviceError(
-                f"{path}, line {row + 2}: state {value[:40]!r} is none of tracked, inferred, not_tracked, 2, "
-                f"1, 0."
+                f"{text.path}, line {text.line(row)}: state {value[:40]!r} is none of tracked, inferred, "
+                "not_tracked, 2, 1, 0."
             )
     return np.array([_STATES[value.lower()] for value in values], dtype=np.uint8)[code]
 
@@ -169,12 +229,36 @@ def _codes(table: pa.Table, column: str) -> tuple[list[str], NDArray[np.int64]]:
     return encoded.dictionary.to_pylist(), np.asarray(encoded.indices.to_numpy(), dtype=np.int64)
 
 
-def _refuse_repeated(slot: NDArray[np.int64], path: Path, body: Body) -> None:
-    sorted_slots = np.sort(slot)
-    repeated = sorted_slots[1:][sorted_slots[1:] == sorted_slots[:-1]]
-    if len(repeated):
-        joint = body.joints[int(repeated[0]) % len(body)]
-        raise DeviceError(f"{path}: joint {joint} of one person has two rows in one frame.")
+def _refuse_repeated(slot: NDArray[np.int64], text: _Text, body: Body, backward: bool) -> None:
+    order = np.argsort(slot, kind="stable")
+    again = order[1:][slot[order][1:] == slot[order][:-1]]
+    if len(again):
+        row = int(again.min())
+        joint = body.joints[int(slot[row]) % len(body)]
+        raise DeviceError(
+            f"{text.path}: joint {joint} of one person has two rows in one frame, the second in line "
+            f"{text.line(row)}." + (" Are two recordings in one file?" if backward else "")
+        )
+
+
+def _backward_times(text: _Text, time_us: NDArray[np.int64], joint: NDArray[np.int64]) -> str | None:
+    """A warning if the time of a joint goes back from one row to its next."""
+    order = np.argsort(joint, kind="stable")
+    times, of = time_us[order], joint[order]
+    back = order[1:][(np.diff(times) < 0) & (of[1:] == of[:-1])]
+    if not len(back):
+        return None
+    line = text.line(int(back.min()))
+    return f"{text.path}: time_us goes back in line {line}; the frames were sorted by time."
+
+
+def _impossible_positions(text: _Text, metres: NDArray[np.float64], states: NDArray[np.uint8]) -> str | None:
+    """A warning about positions of tracked joints that no sensor can report."""
+    wrong = np.flatnonzero(impossible(metres) & (states != TrackingState.NOT_TRACKED))
+    if not len(wrong):
+        return None
+    row = int(wrong[0])
+    return impossible_in_words(text.path, len(wrong), f"in line {text.line(row)}", metres[row])
 
 
 def _refuse_cut_off(raw: bytes, table: pa.Table, frame: NDArray[np.int64], path: Path) -> None:

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from devices.sensor import DeviceError, SensorFrame
-from fusion.body import KINECT_V2, Body
+from devices.skeletons.conventions import Unit
+from devices.skeletons.read_file import ReadFile, text_bytes
+from fusion.body import KINECT_V2
 from fusion.skeleton import Skeleton
 
 FRAME_NS = 33_333_333
@@ -18,12 +20,13 @@ FRAME_NS = 33_333_333
 _SENSOR_FROM_CAMERA_SPACE = np.array([-1.0, -1.0, 1.0])
 
 
-def read_ntu(path: Path) -> tuple[Body, list[SensorFrame]]:
-    """Reads the body and the frames of a ``.skeleton`` file.
+def read_ntu(path: Path, unit: Unit = "auto") -> ReadFile:
+    """Reads a ``.skeleton`` file; its positions are always metres.
 
     Raises:
         DeviceError: The file is empty or cut off, or has an invalid line; the message names the line.
     """
+    del unit
     lines = _Lines(path)
     frames = []
     for number in range(lines.whole_number("frame count")):
@@ -41,13 +44,13 @@ def read_ntu(path: Path) -> tuple[Body, list[SensorFrame]]:
                 KINECT_V2, rows[:, :3] * _SENSOR_FROM_CAMERA_SPACE, rows[:, 3].astype(int), time_ns
             )
         frames.append(SensorFrame(time_ns, people))
-    return KINECT_V2, frames
+    return ReadFile(KINECT_V2, frames)
 
 
 class _Lines:
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._lines: Iterator[str] = iter(path.read_text(encoding="utf-8-sig").splitlines())
+        self._lines: Iterator[str] = iter(text_bytes(path).decode("utf-8-sig").splitlines())
         self._number = 0
 
     @property

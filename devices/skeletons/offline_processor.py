@@ -9,24 +9,27 @@ from typing import Any
 import numpy as np
 
 from devices.sensor import DeviceError, SensorFrame
+from devices.skeletons.conventions import Unit
 from devices.skeletons.csv_file import LATEST_US
+from devices.skeletons.read_file import ReadFile, in_time_order, text_bytes
 from fusion.body import Body, body_of
 from fusion.errors import FusionError
 from fusion.skeleton import Skeleton
 
 
-def read_json(path: Path) -> tuple[Body, list[SensorFrame]]:
-    """Reads the body and the frames of an offline_processor file. Every joint counts as tracked.
+def read_json(path: Path, unit: Unit = "auto") -> ReadFile:
+    """Reads an offline_processor file. Every joint counts as tracked; positions are always millimetres.
 
     Raises:
         DeviceError: The file is not JSON, is cut off, has another layout, or names an unknown joint.
     """
-    text = path.read_text(encoding="utf-8-sig")
-    if not text.strip():
-        raise DeviceError(f"{path} is empty.")
+    del unit
+    text = text_bytes(path).decode("utf-8-sig")
     try:
         document = json.loads(text)
     except (json.JSONDecodeError, RecursionError) as error:
+        if not text.lstrip().startswith(("{", "[")):
+            raise DeviceError(f"{path} is not JSON: it begins with {text[:40]!r}.") from None
         raise DeviceError(f"{path} is not complete JSON: {error}. Was it cut off?") from None
     where = "the top level"
     try:
@@ -46,7 +49,7 @@ def read_json(path: Path) -> tuple[Body, list[SensorFrame]]:
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise DeviceError(f"{path}, {where}: not as offline_processor writes it ({what}).") from None
-    return body, sorted(frames, key=lambda frame: frame.time_ns)
+    return ReadFile(body, *in_time_order(path, frames))
 
 
 def _frame(frame: dict[str, Any], body: Body, joint: np.ndarray[Any, np.dtype[np.int64]]) -> SensorFrame:

@@ -7,19 +7,20 @@ from pathlib import Path
 from types import MappingProxyType
 
 from devices.sensor import DeviceError, SensorFrame
-from devices.skeletons.conventions import upside_down
+from devices.skeletons.conventions import Unit, frozen, upside_down
 from devices.skeletons.csv_file import read_csv
 from devices.skeletons.ntu import read_ntu
 from devices.skeletons.offline_processor import read_json
+from devices.skeletons.read_file import ReadFile
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
 
-Reader = Callable[[Path], tuple[Body, list[SensorFrame]]]
+Reader = Callable[[Path, Unit], ReadFile]
 
 READERS: MappingProxyType[str, Reader] = MappingProxyType(
     {".csv": read_csv, ".json": read_json, ".skeleton": read_ntu}
 )
-"""The reader for each file extension. It returns body and frames in time order, or raises DeviceError."""
+"""The reader for each file extension. It raises DeviceError if the file is invalid."""
 
 
 class SkeletonRecording:
@@ -27,13 +28,15 @@ class SkeletonRecording:
 
     Args:
         path: The file; its extension determines the format (:data:`READERS`).
+        unit: Unit of the positions of a ``.csv``; the other formats have one unit each.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, unit: Unit = "auto") -> None:
         self.name = str(path)
         self.intrinsics: Intrinsics | None = None
         self.warnings: Sequence[str] = ()
         self._path = path
+        self._unit = unit
         self._body: Body | None = None
         self._frames: Sequence[SensorFrame] = ()
 
@@ -57,16 +60,24 @@ class SkeletonRecording:
                 f"Known: {', '.join(READERS)}."
             )
         try:
-            self._body, self._frames = reader(self._path)
+            read = reader(self._path, self._unit)
         except FileNotFoundError:
             raise DeviceError(f"No file {self.name}.") from None
-        except UnicodeDecodeError as error:
-            raise DeviceError(f"{self.name} is not text: byte {error.start} is not UTF-8.") from None
         except OSError as error:
             raise DeviceError(f"{self.name} cannot be read: {error.strerror or error}.") from None
-        if not self._frames:
+        except MemoryError:
+            raise DeviceError(f"{self.name} is too large for the memory of this machine.") from None
+        if not read.frames:
             raise DeviceError(f"{self.name} has no frames.")
-        self.warnings = upside_down(self.name, self._body, self._frames)
+        people = [person for frame in read.frames for person in frame.people.values()]
+        if people and not any(person.has_position.any() for person in people):
+            raise DeviceError(f"{self.name}: no joint has a position in any frame.")
+        self._body, self._frames = read.body, read.frames
+        self.warnings = [
+            *read.warnings,
+            *upside_down(self.name, read.body, read.frames),
+            *frozen(self.name, read.frames),
+        ]
         return self
 
     def __exit__(self, *exc_info: object) -> None:

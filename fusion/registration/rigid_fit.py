@@ -106,7 +106,7 @@ def register(pairs: Sequence[SkeletonPair]) -> Registration:
     joints = int(both.any(axis=0).sum())
     if joints < _FEWEST_JOINTS:
         raise CalibrationError(
-            f"Only {joints} joints are tracked in both views; registration needs {_FEWEST_JOINTS}. "
+            f"Too few joints are tracked in both views: {joints}, and registration needs {_FEWEST_JOINTS}. "
             "Stand at 45° to both sensors, arms and legs apart, the whole body in both views."
         )
     a_from_b = fit_rigid(p[both], q[both])

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from devices.image_thinning import Depth
 from devices.pairing import FramePair
+from devices.skeletons.conventions import Unit
 from devices.tracker_choice import WantedTracker, choose_tracker
 from devices.two_recordings import Progress, RecordingChoice, TwoRecordings, quietly, read_two
 from fusion.calibration.calibration import Calibration
@@ -38,6 +39,7 @@ def fuse(
     person_b: str | None = None,
     skeletons_a: str | Path | None = None,
     skeletons_b: str | Path | None = None,
+    unit: Unit = "auto",
     tracker: WantedTracker = "auto",
     depth: Depth = "full",
     hindsight: Hindsight = "labels",
@@ -61,6 +63,8 @@ def fuse(
         settings: Settings of the method, except ``hindsight``.
         person_a, person_b: Ids of the person. None: the person seen longest in each recording.
         skeletons_a, skeletons_b: For an ``.mkv``: saved skeletons, used instead of the body tracker.
+        unit: Unit of the positions of ``.csv`` files: ``m``, ``cm``, ``mm``, ``ft``, ``in``; ``auto``: found
+            from the size of the person.
         tracker: The body tracker of images: ``k4abt``, Microsoft's; ``blazepose``, the program's own, whose
             networks ``duplex tracker fetch`` has fetched; ``auto``: k4abt where it works, else blazepose.
         depth: For an ``.mkv``: how many of its depth images the session contains.
@@ -72,8 +76,8 @@ def fuse(
         FusionError: The views cannot be calibrated.
     """
     choices = (
-        RecordingChoice(Path(a), _path(skeletons_a), person_a, "skeletons_a", "person_a"),
-        RecordingChoice(Path(b), _path(skeletons_b), person_b, "skeletons_b", "person_b"),
+        RecordingChoice(Path(a), _path(skeletons_a), person_a, unit, "skeletons_a", "person_a"),
+        RecordingChoice(Path(b), _path(skeletons_b), person_b, unit, "skeletons_b", "person_b"),
     )
     read = read_two(*choices, choose_tracker(tracker))
     settings = replace(settings or FuserSettings(), hindsight=hindsight)

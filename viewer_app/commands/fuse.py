@@ -132,8 +132,12 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, FusionR
 
 def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:
     return (
-        RecordingChoice(options.a, options.skeletons_a, options.person_a, "--skeletons-a", "--person-a"),
-        RecordingChoice(options.b, options.skeletons_b, options.person_b, "--skeletons-b", "--person-b"),
+        RecordingChoice(
+            options.a, options.skeletons_a, options.person_a, options.unit, "--skeletons-a", "--person-a"
+        ),
+        RecordingChoice(
+            options.b, options.skeletons_b, options.person_b, options.unit, "--skeletons-b", "--person-b"
+        ),
     )
 
 

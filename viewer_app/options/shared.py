@@ -89,6 +89,8 @@ class RecordingOptions:
     """Refine the calibration, unless it is from a file, over the whole recording; of the method duplex."""
     smooth: Literal["off", "whole"] = "off"
     """whole: each frame counts what comes after it as well; no lag, and calmer. Of the method duplex."""
+    unit: Literal["auto", "m", "cm", "mm", "ft", "in"] = "auto"
+    """Unit of the positions in .csv files. auto: found from the size of the person."""
     depth: Literal["none", "half", "full"] = "full"
     """For an .mkv: its depth images in the session: none, every second pixel in both directions, or all."""
 

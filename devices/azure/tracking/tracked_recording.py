@@ -96,7 +96,6 @@ class RecordingWithSkeletons:
 
     Attributes:
         name, intrinsics: The recording's.
-        warnings: The recording's, and the number of frames without a saved skeleton.
     """
 
     def __init__(self, recording: MkvRecording, skeletons: Sensor) -> None:
@@ -104,12 +103,17 @@ class RecordingWithSkeletons:
         self.recording, self.skeletons = recording, skeletons
         self.name: str = recording.name
         self.intrinsics: Intrinsics | None = None
-        self.warnings: list[str] = []
+        self._unmatched: tuple[str, ...] = ()
 
     @property
     def body(self) -> Body:
         """The body of the saved skeletons; known after opening."""
         return self.skeletons.body
+
+    @property
+    def warnings(self) -> list[str]:
+        """Of the recording and of the skeletons, and the number of frames without a saved skeleton."""
+        return [*self.recording.warnings, *self.skeletons.warnings, *self._unmatched]
 
     def __enter__(self) -> RecordingWithSkeletons:
         """Opens both sources.
@@ -123,7 +127,7 @@ class RecordingWithSkeletons:
         except BaseException:
             self.__exit__()
             raise
-        self.intrinsics, self.warnings = self.recording.intrinsics, self.recording.warnings
+        self.intrinsics, self._unmatched = self.recording.intrinsics, ()
         return self
 
     def __exit__(self, *exc_info: object) -> None:
@@ -159,4 +163,4 @@ class RecordingWithSkeletons:
                 f"are of another recording or on another clock. Name the files that belong together."
             )
         if found < total:
-            self.warnings.append(f"{self.name}: {total - found} of {total} frames have no saved skeleton.")
+            self._unmatched = (f"{self.name}: {total - found} of {total} frames have no saved skeleton.",)

@@ -1,0 +1,91 @@
+"""What a reader of skeleton files takes and gives: the bytes of a text file, and the recording in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from devices.sensor import DeviceError, SensorFrame
+from fusion.body import Body
+
+_KINDS = (
+    (b"RRF", "a session or another Rerun recording; look at it with duplex review"),
+    (b"\x1f\x8b", "compressed by gzip; unpack it first"),
+    (b"PK\x03\x04", "a zip archive or a spreadsheet; save it as text"),
+    (b"\x1aE\xdf\xa3", "a Matroska video; its name must end in .mkv"),
+    (b"\xff\xfe", "UTF-16; save it as UTF-8"),
+    (b"\xfe\xff", "UTF-16; save it as UTF-8"),
+)
+"""First bytes of files that are often taken for a skeleton file, and what to say about them."""
+_FEWEST_NULS = 8  # bytes in a row that a power cut leaves; a single one may be a flipped bit
+
+
+@dataclass(frozen=True, eq=False)
+class ReadFile:
+    """The content of a skeleton file.
+
+    Attributes:
+        body: The body to which its joints belong.
+        frames: In time order.
+        warnings: What the user should know about the file, a line each.
+    """
+
+    body: Body
+    frames: list[SensorFrame]
+    warnings: tuple[str, ...] = ()
+
+
+def text_bytes(path: Path) -> bytes:
+    """The bytes of a text file in UTF-8.
+
+    Raises:
+        DeviceError: The file is no regular file, is empty, has another format, or is not UTF-8.
+        OSError: It cannot be read.
+    """
+    if path.exists() and not path.is_file():  # a pipe would be waited for without end
+        raise DeviceError(f"{path} cannot be read: it is {'a folder' if path.is_dir() else 'not a file'}.")
+    with path.open("rb") as file:
+        start = file.read(1024)
+        for magic, words in _KINDS:
+            if start.startswith(magic):
+                raise DeviceError(f"{path} is not a file of skeletons but {words}.")
+        if b"\0" * _FEWEST_NULS in start:
+            raise DeviceError(f"{path} is not text: it contains zero bytes.")
+        raw = start + file.read()
+    if not raw.strip():
+        raise DeviceError(f"{path} is empty.")
+    nuls = raw.find(b"\0" * _FEWEST_NULS)
+    if nuls >= 0:
+        line = _line_at(raw, nuls)
+        raise DeviceError(f"{path} is damaged: zero bytes in line {line}. Copy it again, or delete the rest.")
+    try:
+        raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = _line_at(raw, error.start)
+        raise DeviceError(
+            f"{path} is not text in UTF-8: byte {error.start + 1}, in line {line}. Save it as UTF-8."
+        ) from None
+    return raw
+
+
+def in_time_order(path: Path, frames: list[SensorFrame]) -> tuple[list[SensorFrame], tuple[str, ...]]:
+    """The frames sorted by time, with a warning if they were not.
+
+    Raises:
+        DeviceError: Two frames have the same time.
+    """
+    ordered = sorted(frames, key=lambda frame: frame.time_ns)
+    for before, after in pairwise(ordered):
+        if before.time_ns == after.time_ns:
+            raise DeviceError(f"{path}: two frames have the same time, {after.time_ns // 1000} µs.")
+    for number, (before, after) in enumerate(pairwise(frames), start=1):
+        if after.time_ns < before.time_ns:
+            return ordered, (
+                f"{path}: the time goes back at frame {number}; the frames were sorted by time.",
+            )
+    return ordered, ()
+
+
+def _line_at(raw: bytes, offset: int) -> int:
+    return raw.count(b"\n", 0, offset) + 1

@@ -1,0 +1,299 @@
+"""Skeleton files as other programs and accidents leave them: read, or refused with a line that helps."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from devices.sensor import DeviceError
+from devices.skeletons.conventions import METRES
+from devices.skeletons.recording import SkeletonRecording
+from devices.two_recordings import RecordingChoice, read_two
+from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2, Body
+from tests.helpers.command_line import duplex, one_line
+from tests.helpers.skeleton_views import REAL, write_view
+from tests.helpers.two_views import moving, standing
+from tests.helpers.written_recordings import write_recordings
+
+Cells = list[str]
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    noise = np.random.default_rng(0).normal(0.0, 0.005, (20, len(KINECT_V2), 3))
+    return write_view(tmp_path_factory.mktemp("good") / "a.csv", KINECT_V2, moving(KINECT_V2, 20) + noise)
+
+
+def rewritten(text: str, change: Callable[[int, Cells], Cells]) -> str:
+    """The file with the cells of each row changed; the first row has number 0."""
+    header, *rows = text.splitlines()
+    cells = (change(k, row.split(",")) for k, row in enumerate(rows))
+    return "\n".join([header, *(",".join(row) for row in cells)]) + "\n"
+
+
+def with_xyz(value: str) -> Callable[[str], str]:
+    return lambda text: rewritten(text, lambda _, c: [*c[:3], value, value, value, *c[6:]])
+
+
+def with_commas(text: str) -> str:
+    return text.replace(".", ",")
+
+
+def in_other_order(text: str) -> str:
+    header, *rows = text.splitlines()
+    return "\n".join([header, *rows[250:], *rows[:250]]) + "\n"
+
+
+def one_clock_reset(text: str) -> str:
+    return rewritten(text, lambda k, c: [str(int(c[0]) - (333_333 if k >= 250 else 0)), *c[1:]])
+
+
+SAME = {
+    "CRLF": lambda text: text.replace("\n", "\r\n"),
+    "CR": lambda text: text.replace("\n", "\r"),
+    "byte-order mark": lambda text: "\ufeff" + text,
+    "semicolons": lambda text: text.replace(",", ";"),
+    "semicolons, decimal commas": lambda text: with_commas(text.replace(",", ";")),
+    "tabs": lambda text: text.replace(",", "\t"),
+    "tabs, decimal commas": lambda text: with_commas(text.replace(",", "\t")),
+    "quotes": lambda text: "".join(
+        ",".join(f'"{c}"' for c in row.split(",")) + "\n" for row in text.splitlines()
+    ),
+    "spaces": lambda text: text.replace(",", ", "),
+    "capitals": lambda text: text.replace("time_us,body,joint,x,y,z,state", "Time_us,Body,Joint,X,Y,Z,State"),
+    "times as decimals": lambda text: rewritten(text, lambda _, c: [f"{c[0]}.0", *c[1:]]),
+    "empty lines": lambda text: text.replace("\n", "\n\n"),
+    "no newline at the end": lambda text: text.rstrip("\n"),
+}
+
+
+@pytest.mark.parametrize("kind", SAME)
+def test_files_of_other_programs_give_the_same_frames(tmp_path: Path, good: Path, kind: str) -> None:
+    odd = tmp_path / "a.csv"
+    odd.write_bytes(SAME[kind](good.read_text(encoding="utf-8")).encode())
+    with SkeletonRecording(good) as one, SkeletonRecording(odd) as other:
+        assert not other.warnings
+        frames = list(zip(one.frames(), other.frames(), strict=True))
+    for expected, found in frames:
+        assert found.time_ns == expected.time_ns
+        np.testing.assert_array_equal(found.people["0"].positions, expected.people["0"].positions)
+
+
+REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
+    "empty": (lambda _: "", "is empty"),
+    "blank": (lambda _: "\n \n", "is empty"),
+    "header only": (lambda text: text.splitlines()[0] + "\n", "a header and no rows"),
+    "all NaN": (with_xyz("nan"), "no joint has a position in any frame"),
+    "all zero": (with_xyz("0"), "no joint has a position in any frame"),
+    "all infinite": (with_xyz("inf"), "no joint has a position in any frame"),
+    "a time that is no number": (
+        lambda text: rewritten(text, lambda k, c: ["nan" if k == 30 else c[0], *c[1:]]),
+        "line 32: time_us must be a whole number; got 'nan'",
+    ),
+    "a time twice": (
+        lambda text: text + text.splitlines()[1] + "\n",
+        "two rows in one frame, the second in line 502. Are two",
+    ),
+    "a clock reset": (one_clock_reset, "two rows in one frame, the second in line 252. Are two recordings"),
+    "empty lines, a bad state": (
+        lambda text: text.replace("\n", "\n\n").replace("tracked", "seen"),
+        "line 3: state 'seen'",
+    ),
+    "decimal commas": (
+        lambda text: rewritten(text, lambda _, c: [*c[:3], *(with_commas(v) for v in c[3:6]), *c[6:]]),
+        "line 2: .* does not have 7 columns. If its numbers have decimal commas, separate",
+    ),
+    "Latin-1": (lambda text: text.replace(",0,", ",José,", 1).encode("latin-1"), "byte 37, in line 2. Save"),
+    "UTF-16": (lambda text: text.encode("utf-16"), "UTF-16; save it as UTF-8"),
+    "gzip": (lambda text: gzip.compress(text.encode()), "compressed by gzip; unpack it first"),
+    "a session": (lambda _: b"RRF2" + bytes(40), "look at it with duplex review"),
+    "a video": (lambda _: b"\x1aE\xdf\xa3" + bytes(40), "must end in .mkv"),
+    "JSON": (lambda _: '{"joint_names": []}\n', "This looks like JSON: name it .json"),
+    "a hole": (lambda text: text.encode() + bytes(5000), "is damaged: zero bytes in line 502"),
+    "noise": (lambda _: bytes(range(128, 256)), "not text in UTF-8: byte 1, in line 1"),
+    "a wide table": (lambda _: "time,head_x\n1,2\n", "no column time_us, body, joint, x, y, z"),
+    "backward z": (
+        lambda text: rewritten(text, lambda _, c: [*c[:5], f"-{c[5]}", *c[6:]]),
+        "The z axis must point forward",
+    ),
+    "kilometres": (
+        lambda text: rewritten(
+            text, lambda _, c: [*c[:3], *(f"{float(v) / 1e3:.9f}" for v in c[3:6]), *c[6:]]
+        ),
+        "the unit of the positions is unclear; in metres the person would be 0.0",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_files_that_cannot_be_used_are_refused_in_one_line(
+    tmp_path: Path, good: Path, kind: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    make, message = REFUSED[kind]
+    content = make(good.read_text(encoding="utf-8"))
+    odd = tmp_path / "odd.csv"
+    odd.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(DeviceError, match=message) as refused, SkeletonRecording(odd):
+        pass
+    assert duplex("fuse", good, odd, "--no-viewer") == 2
+    assert capfd.readouterr().err == f"duplex: {refused.value}\n"
+
+
+def test_what_is_not_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "folder.csv").mkdir()
+    os.mkfifo(tmp_path / "pipe.csv")  # opened, it would be waited for without end
+    with (tmp_path / "hole.csv").open("wb") as hole:
+        hole.truncate(2_000_000_000)
+    for name, message in (
+        ("folder.csv", "it is a folder"),
+        ("pipe.csv", "it is not a file"),
+        ("hole.csv", "it contains zero bytes"),
+        ("none.csv", "No file"),
+    ):
+        with pytest.raises(DeviceError, match=message), SkeletonRecording(tmp_path / name):
+            pass
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() == 0, reason="root may read every file")
+def test_a_file_without_permission_is_refused(tmp_path: Path) -> None:
+    secret = tmp_path / "a.csv"
+    secret.write_bytes(good.read_bytes())
+    secret.chmod(0)
+    with pytest.raises(DeviceError, match="cannot be read: Permission denied"), SkeletonRecording(secret):
+        pass
+
+
+def test_other_formats_under_a_wrong_name_are_refused(tmp_path: Path, good: Path) -> None:
+    for suffix, message in (
+        (".json", "is not JSON: it begins with 'time_us"),
+        (".skeleton", "frame count must"),
+    ):
+        wrong = (tmp_path / "a.csv").with_suffix(suffix)
+        wrong.write_bytes(good.read_bytes())
+        with pytest.raises(DeviceError, match=message), SkeletonRecording(wrong):
+            pass
+
+
+def scaled(path: Path, body: Body, metres: float, stature: float = 1.0) -> Path:
+    return write_view(path, body, moving(body, 3) * stature / metres)
+
+
+@pytest.mark.parametrize("body", [KINECT_V1, KINECT_V2, AZURE_KINECT], ids=str)
+@pytest.mark.parametrize("unit", ["cm", "mm", "ft", "in"])
+def test_another_unit_is_found_by_the_size_of_the_person(tmp_path: Path, body: Body, unit: str) -> None:
+    metres, name = METRES[unit]
+    with (
+        SkeletonRecording(scaled(tmp_path / "a.csv", body, 1.0)) as expected,
+        SkeletonRecording(scaled(tmp_path / "b.csv", body, metres)) as found,
+    ):
+        (said,) = found.warnings
+        assert f"are taken as {name}, so that the person is 1." in said
+        # the files have six decimals: half of the last, in metres
+        for one, other in zip(expected.frames(), found.frames(), strict=True):
+            np.testing.assert_allclose(
+                other.people["0"].positions, one.people["0"].positions, rtol=0, atol=1e-6 * max(1.0, metres)
+            )
+
+
+def test_a_stated_unit_is_taken_without_a_question(tmp_path: Path) -> None:
+    kilometres = scaled(tmp_path / "a.csv", KINECT_V2, 1.0, stature=5.0)
+    with pytest.raises(DeviceError, match="State the unit"), SkeletonRecording(kilometres):
+        pass
+    with SkeletonRecording(kilometres, "m") as read:
+        assert not read.warnings
+    feet = scaled(tmp_path / "b.csv", KINECT_V2, 0.3048)
+    with SkeletonRecording(feet, "ft") as read:
+        assert not read.warnings
+
+
+def test_the_units_of_people_do_not_overlap() -> None:
+    """A size in a file means one unit, or none."""
+    tall = np.geomspace(1e-3, 1e4, 20_000)
+    meant = [(tall * metres >= 1.1) & (tall * metres <= 2.2) for metres, _ in METRES.values()]
+    assert np.sum(meant, axis=0).max() == 1
+
+
+def test_impossible_positions_are_counted(tmp_path: Path, good: Path) -> None:
+    def spoil(row: int, cells: Cells) -> Cells:
+        return {7: [*cells[:3], "inf", *cells[4:]], 9: [*cells[:5], "1e300", *cells[6:]]}.get(row, cells)
+
+    odd = tmp_path / "odd.csv"
+    odd.write_text(rewritten(good.read_text(encoding="utf-8"), spoil), encoding="utf-8")
+    with SkeletonRecording(odd) as read:
+        assert read.warnings == [
+            f"{odd}: 2 positions are impossible and count as not tracked, first in line 9, x = inf m. "
+            "Each coordinate must be within 20 m, and z above 0."
+        ]
+        assert next(read.frames()).people["0"].has_position.sum() == len(KINECT_V2) - 2
+
+
+def test_frames_out_of_order_are_sorted_with_a_warning(tmp_path: Path, good: Path) -> None:
+    odd = tmp_path / "odd.csv"
+    odd.write_text(in_other_order(good.read_text(encoding="utf-8")), encoding="utf-8")
+    with SkeletonRecording(odd) as read:
+        assert read.warnings == [f"{odd}: time_us goes back in line 252; the frames were sorted by time."]
+        times = [frame.time_ns for frame in read.frames()]
+    assert times == sorted(times)
+
+
+def test_a_tracker_that_stands_still_is_named(tmp_path: Path) -> None:
+    frozen = write_view(tmp_path / "a.csv", KINECT_V2, np.stack([standing(KINECT_V2)] * 40))
+    with SkeletonRecording(frozen) as read:
+        assert ["almost every frame repeats the one before" in said for said in read.warnings] == [True]
+
+
+def _json(path: Path, times_us: list[int]) -> Path:
+    positions = (1e3 * standing(KINECT_V2)).tolist()
+    frames = [
+        {"timestamp_usec": t, "bodies": [{"body_id": 1, "joint_positions": positions}]} for t in times_us
+    ]
+    path.write_text(json.dumps({"joint_names": KINECT_V2.joints, "frames": frames}), encoding="utf-8")
+    return path
+
+
+def test_times_of_json_that_go_back_or_repeat(tmp_path: Path) -> None:
+    with SkeletonRecording(_json(tmp_path / "a.json", [0, 66_666, 33_333])) as read:
+        assert "the time goes back at frame 2" in read.warnings[0]
+        assert [frame.time_ns for frame in read.frames()] == [0, 33_333_000, 66_666_000]
+    with (
+        pytest.raises(DeviceError, match="two frames have the same time, 33333 µs"),
+        SkeletonRecording(_json(tmp_path / "b.json", [0, 33_333, 33_333])),
+    ):
+        pass
+
+
+def test_one_recording_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    a, _ = write_recordings(tmp_path)
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes(a.read_bytes())
+    for other in (a, tmp_path / "." / "a.csv", copy):
+        with pytest.raises(DeviceError, match="are the same recording"):
+            read_two(RecordingChoice(a), RecordingChoice(other))
+    assert duplex("fuse", a, copy, "--no-viewer") == 2
+    assert "Fusion needs one recording of each sensor" in one_line(capsys)
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_recordings_give_no_warning(shared: Path, name: str) -> None:
+    folder = shared / "real" / f"kinect_v2_90deg_{name}"
+    with SkeletonRecording(folder / "a.csv") as a, SkeletonRecording(folder / "b.csv") as b:
+        assert (*a.warnings, *b.warnings) == ()
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_few_frames_are_fused_and_nothing_is_claimed(
+    tmp_path: Path, frames: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in write_recordings(tmp_path):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        path.write_text("\n".join(lines[: 1 + frames * len(KINECT_V2)]) + "\n", encoding="utf-8")
+    assert duplex("fuse", tmp_path / "a.csv", tmp_path / "b.csv", "--no-viewer") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "too few frames to tell: " in said
+    assert "at least 15 are needed" in said
