@@ -23,7 +23,8 @@ from recordings.session import Session
 from recordings.writing.recorder import Recorder
 from recordings.writing.stream_memory import free_dropped_streams, send_blueprint
 
-_BLOCK = 2048
+_BLOCK = 300
+"""Frames per write: a file that is cut off loses at most ten seconds more than what is missing."""
 _FLUSH_WITHIN = 60.0  # seconds
 
 
@@ -71,6 +72,9 @@ def write_session(
         start_ns = int(session.rows.time_ns[first])
         if page is not None:  # before the frames, so that it is seen from the beginning
             recorder.coach(page)
+        if segments[0][1].start < first:  # its calibration event comes before the range
+            recorder.event(f"calibrated: {segments[0][0].calibration.how}", at=(0, 0))
+        events = [event for event in session.events if first <= event.frame < end]
         for setup, own in segments:
             if own.start > first:
                 recorder.recalibrated(setup)
@@ -80,13 +84,11 @@ def write_session(
                 rows = session.rows[part]
                 rows = replace(rows, frame=rows.frame - first, time_ns=rows.time_ns - start_ns)
                 recorder.record_rows(rows, (session.fused_checksums[part], session.joint_digests[part]))
+                # with their frames: a file that is cut off keeps the events up to the cut
+                for event in (event for event in events if part.start <= event.frame < part.stop):
+                    moment = event.frame - first, event.time_ns - start_ns
+                    recorder.event(event.text, event.level, event.topic, event.phase, moment)
         damaged = _copy_images(session, recorder, first, end)
-        if segments[0][1].start < first:  # its calibration event comes before the range
-            recorder.event(f"calibrated: {segments[0][0].calibration.how}", at=(0, 0))
-        for event in session.events:
-            if first <= event.frame < end:
-                moment = event.frame - first, event.time_ns - start_ns
-                recorder.event(event.text, event.level, event.topic, event.phase, moment)
         recorder.finish()
     return damaged
 

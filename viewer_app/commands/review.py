@@ -41,7 +41,10 @@ def run(options: ReviewOptions) -> None:
     if events or session.damage is None:
         print_events(console, events, all_of_them=options.verbose)
     else:
-        console.print("Its events are lost.")
+        console.print(
+            "Its events are lost. To find them again: duplex replay SESSION.rrd --save NEW.rrd.",
+            highlight=False,
+        )
     if options.html is not None:
         console.print(f"Wrote {options.html}.", highlight=False, markup=False, soft_wrap=True)
     elif not options.verbose:

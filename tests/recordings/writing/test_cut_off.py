@@ -1,0 +1,56 @@
+"""A session that is cut off keeps the events up to the cut."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from recordings import Session, fuse
+from recordings.errors import RecordingError
+from recordings.events import Event
+from recordings.writing.session_writer import write_session
+from tests.helpers.command_line import duplex
+from tests.helpers.written_recordings import write_recordings
+
+_BLOCK = 10
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """A session with an event at every second frame."""
+    session = fuse(*write_recordings(tmp_path_factory.mktemp("told")))
+    events = [Event(k, int(session.time_ns[k]), f"event {k}", "INFO") for k in range(0, len(session), 2)]
+    return replace(session, events=tuple(events))
+
+
+def test_events_are_kept_up_to_the_cut(told: Session, tmp_path: Path) -> None:
+    whole, cut = tmp_path / "s.rrd", tmp_path / "cut.rrd"
+    write_session(told, whole, block=_BLOCK)
+    data = whole.read_bytes()
+    assert len(Session.open(whole).events) == len(told.events)
+    lengths = set()
+    for share in range(30, 100, 5):
+        cut.write_bytes(data[: len(data) * share // 100])
+        try:
+            found = Session.open(cut)
+        except RecordingError:
+            continue  # not one whole frame
+        lengths.add(len(found))
+        kept = {event.frame for event in found.events}
+        # what was written in one go, frames and events, may be torn apart: at most two blocks
+        assert kept >= set(range(0, len(found) - 2 * _BLOCK, 2)), share
+    assert len(lengths) >= 3, "the cuts fall between frames"
+
+
+def test_review_says_how_to_find_lost_events_again(
+    told: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    silent, cut = tmp_path / "s.rrd", tmp_path / "cut.rrd"
+    write_session(replace(told, events=()), silent)  # as version 1.0 left a session cut off before its end
+    cut.write_bytes(silent.read_bytes()[:-2000])
+    assert duplex("review", cut, "--no-viewer") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "is not whole" in said
+    assert "Its events are lost. To find them again: duplex replay SESSION.rrd --save NEW.rrd." in said
