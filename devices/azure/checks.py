@@ -68,7 +68,7 @@ def device_checks(
         replace(sdk, needed=not orbbec.ok, alternative=orbbec.name),
         replace(orbbec, needed=not sdk.ok, alternative=sdk.name),
         _needed_if(sdk.ok, _depth_engine(root, x_answers)),
-        Check("body tracker to run", True, f"{tracker.full_name}: {tracker.reason}", needed=False),
+        Check("body tracker in use", True, f"{tracker.full_name} ({tracker.reason})", needed=False),
         *k4abt,
         _needed_if(not with_k4abt, networks_check(tracker.blazepose)),
         _usb_permission(root),

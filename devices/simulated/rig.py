@@ -41,7 +41,7 @@ class Rig:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.angle_deg <= 180.0:
-            raise DeviceError(f"A rig's angle is between 0 and 180 degrees; got {self.angle_deg}.")
+            raise DeviceError(f"The sensors' angle must be from 0 to 180 degrees; got {self.angle_deg:g}.")
         if not (self.distance > 0.5 and self.frame_seconds > 0.0 and 0.0 <= self.dropped < 1.0):
             raise DeviceError(
                 f"A rig needs distance > 0.5 m, frame_seconds > 0 and 0 <= dropped < 1; got "

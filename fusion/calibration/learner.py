@@ -163,8 +163,9 @@ class CalibrationLearner:
         self._replace(fit, evidence, f"refined on {len(evidence.a)} keyframes")
         turn, shift = _difference(old, fit)
         event = (
-            f"Registration refined: R by {np.degrees(turn):.2f}°, t by {shift * 1e3:.0f} mm at the person; "
-            f"now certain to {np.degrees(fit.rotation_sd):.2f}° and {fit.translation_sd * 1e3:.0f} mm."
+            f"Registration refined: the view of B turns by {np.degrees(turn):.2f}°, and moves by "
+            f"{shift * 1e3:.0f} mm where the person stands; now certain to "
+            f"{np.degrees(fit.rotation_sd):.2f}° and {fit.translation_sd * 1e3:.0f} mm."
         )
         return [CalibrationChange("refined", event, pair.time_ns, self.calibration)]
 
@@ -192,8 +193,8 @@ class CalibrationLearner:
         self._replace(fit, evidence, f"registered anew on {len(evidence.a)} frames after a sensor moved")
         turn, shift = _difference(old, fit)
         event = (
-            f"Registration follows the sensor that was moved: R by {np.degrees(turn):.1f}°, t by "
-            f"{shift * 1e3:.0f} mm at the person."
+            f"Registration follows the sensor that was moved: the view of B turns by "
+            f"{np.degrees(turn):.1f}°, and moves by {shift * 1e3:.0f} mm where the person stands."
         )
         return [CalibrationChange("followed", event, now_ns, self.calibration, since_ns)]
 

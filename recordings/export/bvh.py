@@ -71,7 +71,7 @@ def write_bvh(session: Session, path: Path) -> str:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     words = even.in_words(len(rows))
     if not present.all():
-        words += f"; the last pose is held in {np.count_nonzero(~present)}"
+        words += f"; {np.count_nonzero(~present)} of them hold the pose before, for lack of an S*"
     if first:
         between = session.rows.time_ns[first - 1 : first + 1].mean() * 1e-9
         words += (

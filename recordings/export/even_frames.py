@@ -37,10 +37,10 @@ class EvenFrames:
         counts = {
             "repeated": len(near) - stood,
             "left out": recorded - stood,
-            "of nothing": len(self.index) - len(near),
+            "without a recorded frame": len(self.index) - len(near),
         }
         made = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
-        return f"{len(self.index)} frames at an even {self.rate:.6g} Hz" + (f" ({made})" if made else "")
+        return f"{len(self.index)} frames at a constant {self.rate:.6g} Hz" + (f" ({made})" if made else "")
 
 
 def even_frames(rows: SessionArrays) -> EvenFrames:

@@ -257,7 +257,7 @@ def test_orbbecs_software_and_our_tracker_are_enough(
     assert [
         check.name for check in checks if check.needed and not check.ok and check.name != "blazepose"
     ] == []
-    assert named["body tracker to run"].detail == "blazepose full: asked for with --tracker"
+    assert named["body tracker in use"].detail == "blazepose full (asked for with --tracker)"
     bolt, gemini = named["Orbbec CL8H741005K"], named["Orbbec AY8T43E0031"]
     assert bolt.ok
     assert bolt.detail == "Orbbec Femto Bolt, USB3.2, firmware 1.1.3, sync jacks not known"

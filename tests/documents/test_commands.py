@@ -14,6 +14,7 @@ from tests.helpers.command_line import duplex
 from tests.helpers.documents import ROOT, commands_of, documents, mentions_of
 from tests.helpers.written_recordings import write_recordings
 from viewer_app import cli
+from viewer_app.options.command_line import COMMANDS
 
 NAMES = [document.relative_to(ROOT).as_posix() for document in documents()]
 RUN = ("demo", "fuse", "review", "info", "export", "trim", "replay", "compare")
@@ -46,7 +47,7 @@ def test_the_documents_have_commands() -> None:
 
 
 def test_commands_in_sentences_exist() -> None:
-    known = {name for command in cli._COMMANDS for name in (command, command.partition(" ")[0])}
+    known = {name for command in COMMANDS for name in (command, command.partition(" ")[0])}
     for document in documents():
         for mention in mentions_of(document):
             words = mention.split()

@@ -143,7 +143,7 @@ def test_bvh_has_the_frames_of_the_last_bone_lengths_and_says_so(tmp_path: Path)
     )
     path = tmp_path / "s.bvh"
     said = writer_for(path)(session, path)
-    assert "18 frames at an even 30 Hz; without the 12 frames before" in said
+    assert "18 frames at a constant 30 Hz; without the 12 frames before" in said
     assert "duplex trim --to 0.383" in said  # between frames 11 and 12
     np.testing.assert_allclose(bvh_joints(path, KINECT_V2), y_up(session.rows.fused[12:]), atol=1e-4)
     write_session(session, tmp_path / "before.rrd", first=0, end=12)
@@ -182,8 +182,9 @@ def test_c3d_refuses_what_its_readers_would_silently_lose(tmp_path: Path) -> Non
 
 def test_an_even_rate_says_what_it_did_to_the_frames() -> None:
     even = EvenFrames(30.0, np.array([0, 1, 1, -1, 4]))
-    assert even.in_words(5) == "5 frames at an even 30 Hz (1 repeated, 2 left out, 1 of nothing)"
-    assert EvenFrames(15.0, np.arange(3)).in_words(3) == "3 frames at an even 15 Hz"
+    said = "5 frames at a constant 30 Hz (1 repeated, 2 left out, 1 without a recorded frame)"
+    assert even.in_words(5) == said
+    assert EvenFrames(15.0, np.arange(3)).in_words(3) == "3 frames at a constant 15 Hz"
 
 
 def test_a_pause_in_the_recording_is_a_gap_at_an_even_rate(tmp_path: Path) -> None:

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.documents import ROOT
 from viewer_app import cli
-from viewer_app.usage import _options, mistake
+from viewer_app.options.command_line import COMMANDS
+from viewer_app.options.usage import _options, mistake
 
 
 @pytest.fixture
@@ -89,7 +90,7 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
 
 def test_every_option_of_the_help_is_known_to_the_explanation(capsys: pytest.CaptureFixture[str]) -> None:
     """An option that tyro accepts and the explanation does not know would be called unknown."""
-    for name, (kind, _) in cli._COMMANDS.items():
+    for name, (kind, _) in COMMANDS.items():
         assert duplex(*name.split(), "--help") == 0
         help_text = capsys.readouterr().out
         for option in _options(kind):
@@ -124,5 +125,5 @@ def test_any_command_line_is_accepted_or_refused_in_one_line(
 
 
 def test_a_mistake_that_only_tyro_sees_has_a_line_too() -> None:
-    commands = {name: kind for name, (kind, _) in cli._COMMANDS.items()}
+    commands = {name: kind for name, (kind, _) in COMMANDS.items()}
     assert mistake(["fuse", "a.csv", "b.csv"], commands) == "the command cannot be read (duplex fuse --help)"
