@@ -156,7 +156,9 @@ def _table(raw: bytes, path: Path) -> _Text:
     """Reads all columns as text."""
     header = raw.splitlines()[0].decode("utf-8-sig")
     separator = max(_SEPARATORS, key=header.count)
-    columns = [name.strip().lower() for name in next(csv.reader([header], delimiter=separator), [])]
+    columns = [name.strip() for name in next(csv.reader([header], delimiter=separator), [])]
+    if not set(COLUMNS) <= set(columns):  # X beside x is a column of its own
+        columns = [name.lower() for name in columns]
     missing = [name for name in COLUMNS if name not in columns]
     if missing:
         raise DeviceError(
