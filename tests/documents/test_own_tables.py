@@ -14,7 +14,8 @@ from fusion.body import BODIES
 from recordings import Session, fuse
 from tests.helpers.command_line import duplex
 from tests.helpers.documents import ROOT, python_of
-from tests.helpers.two_views import moving
+from tests.helpers.skeleton_views import write_view
+from tests.helpers.two_views import A_FROM_B, moving
 from tests.helpers.written_recordings import write_recordings
 
 START = ROOT / "docs" / "start.md"
@@ -63,7 +64,7 @@ def test_arrays_become_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.chdir(tmp_path)
     positions, joints = moving(KINECT_V2, 70), KINECT_V2.joints
     exec(FROM_ARRAYS, {"positions": positions, "joints": joints, "seconds": np.arange(70) / 30})
-    session = fuse("a.csv", "a.csv")  # one recording twice: S* is nearly the person
+    session = fuse("a.csv", write_view(tmp_path / "b.csv", KINECT_V2, A_FROM_B.inverse().apply(positions)))
     assert session.body is KINECT_V2
     np.testing.assert_allclose(session.skeleton_a.positions, positions, atol=1e-6)
     np.testing.assert_allclose(session.time_ns * 1e-9, np.arange(70) / 30, atol=1e-6)
