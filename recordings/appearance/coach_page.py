@@ -73,8 +73,13 @@ class CoachPage:
 def _large(text: str) -> str:
     """Each paragraph as a heading, which the viewer draws larger: it is read from where the person stands.
 
-    Three or more are smaller, so that they fit.
+    Three or more are smaller, so that they fit. From the fourth on they are plain text: what is said first is
+    to be mended first.
     """
     paragraphs = [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
-    level = "##" if len(paragraphs) < _MANY else "####"
-    return "\n\n".join(part if part.startswith(("#", "-")) else f"{level} {part}" for part in paragraphs)
+    level = "## " if len(paragraphs) < _MANY else "#### "
+    levels = [level] * min(len(paragraphs), _MANY) + [""] * (len(paragraphs) - _MANY)
+    return "\n\n".join(
+        part if part.startswith(("#", "-")) else f"{large}{part}"
+        for large, part in zip(levels, paragraphs, strict=True)
+    )

@@ -25,7 +25,7 @@ from tests.helpers.pictures import headless_viewer, pixels_near
 from tests.helpers.two_views import A_FROM_B
 from tests.helpers.waiting import eventually
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.viewer.blueprint import LAYOUTS, Layout, bone_title, session_blueprint
+from viewer_app.viewer.blueprint import LAYOUTS, SCENE, Layout, bone_title, session_blueprint
 
 _NO_DEFECT = (
     "oftware rasterizer",  # there is no graphics card
@@ -62,8 +62,7 @@ def expected(active: Layout) -> set[str]:
     if active == "setup":
         return {"Kinect A", "Kinect B", "where to stand", "what to do next"}
     limbs = {"upper arms (m)", "forearms (m)", "thighs (m)", "shins (m)"}
-    scene = "S*: brown from A, blue from B, purple from both"
-    return limbs | {scene, "which sensor each joint follows", "views differ (mm)"}
+    return limbs | {SCENE, "which sensor each joint follows", "views differ (mm)"}
 
 
 def ink(picture: NDArray[np.uint8]) -> float:
