@@ -72,7 +72,7 @@ def print_summary(
         verbose: Whether all figures follow.
     """
     print_lines(
-        console, [*fusion_lines(result.calibration, figures), *_shortfalls(figures), *_warnings(events)]
+        console, [*fusion_lines(result.calibration, figures), *shortfalls(figures), *_warnings(events)]
     )
     if verbose:
         print_details(console, result, figures)
@@ -173,7 +173,8 @@ def _bones(error_mm: Figures) -> str:
     return f"S* within {fused} of their lengths; S_A up to {a} off, S_B {b}."
 
 
-def _shortfalls(figures: Figures) -> Iterator[Line]:
+def shortfalls(figures: Figures) -> Iterator[Line]:
+    """The lines about what recordings lack: partners, people, sides."""
     dropped, absent, frames = figures["dropped"], figures["without_person"], figures["frames"]
     if dropped["a"] or dropped["b"]:
         of_a, of_b = (f"{dropped[key]} of {frames[key]}" for key in ("a", "b"))

@@ -25,7 +25,7 @@ from recordings.appearance import entity_styles
 Layout = Literal["setup", "inspect", "report"]
 LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report")
 
-SCENE = "S*: brown from A, blue from B, purple from both; thin lines: S_A, S_B"
+SCENE = "S*: brown from A, blue from B, purple from both; lines: S_A, S_B"
 """Title of the scene in *inspect*, which is its legend."""
 
 _FIGURES = (
@@ -169,8 +169,8 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
         rrb.Vertical(
             rrb.Tabs(
                 scene(SCENE, *hidden),
-                scene("S* with 1 σ", *hidden, *(layout.skeleton(side) for side in layout.SIDES), sigma=True),
-                *([scene("with point clouds", f"{layout.COACH}/**")] if depth else []),
+                scene("with 1 σ", *hidden, *(layout.skeleton(side) for side in layout.SIDES), sigma=True),
+                *([scene("point clouds", f"{layout.COACH}/**")] if depth else []),
                 active_tab=0,
             ),
             rrb.Tabs(

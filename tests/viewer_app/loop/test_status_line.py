@@ -37,8 +37,8 @@ def statuses() -> list[Any]:
 def later(status: Any, frames: int) -> Any:
     """The same status so many frames later."""
     pair = status.frame.pair
-    a = replace(pair.a, time_ns=pair.a.time_ns + frames * 10**9 // 30)
-    frame = replace(status.frame, pair=replace(pair, a=a))
+    skeletons = replace(pair.skeletons, time_ns=pair.time_ns + frames * 10**9 // 30)
+    frame = replace(status.frame, pair=replace(pair, skeletons=skeletons))
     return SimpleNamespace(**{**vars(status), "frame": frame})
 
 
