@@ -13,7 +13,7 @@ from fusion.intrinsics import Intrinsics
 from recordings import layout
 from recordings.appearance.body_shape import capsule_radii
 
-_CLOUD_RADIUS = rr.components.Radius.ui_points(0.9)  # metres would hide the person behind points near the eye
+_CLOUD_RADIUS = rr.components.Radius.ui_points(0.5)  # metres would hide the person behind points near the eye
 _BONE_RADIUS = 1.2  # points on the screen: seen beside the body from where the eye stands, light and dark
 _FRUSTUM_DEPTH = 0.25  # metres
 _ABOVE_SENSOR = (0.0, -0.42, 0.0)  # above the frustum, which is drawn 0.2 or 0.3 m deep

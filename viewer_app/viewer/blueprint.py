@@ -125,7 +125,7 @@ def _setup(
     advice = rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="what to do next")
     return rrb.Horizontal(
         rrb.Vertical(*images),
-        rrb.Vertical(advice, scene, row_shares=[2, 3]),
+        rrb.Vertical(advice, scene, row_shares=[3, 5]),
         column_shares=[1, 2],
         name="setup",
     )
