@@ -170,6 +170,22 @@ def test_inspect_has_one_subject() -> None:
     assert len(limbs) == 4
 
 
+def test_a_session_without_depth_images_promises_none() -> None:
+    tabs: dict[bool, list[str]] = {}
+    images: dict[bool, list[str]] = {}
+    for depth in (False, True):
+        blueprint = session_blueprint(
+            FusionSetup(nominal_calibration(KINECT_V2)), np.array([0.1, 0.1, 2.6]), "inspect", depth=depth
+        )
+        setup, inspect, _ = blueprint.root_container.contents
+        tabs[depth] = [view.name for view in inspect.contents[0].contents[0].contents]
+        images[depth] = [view.name for view in panes(setup)[:2]]
+    assert tabs == {False: [SCENE, "with 1 σ"], True: [SCENE, "with 1 σ", "point clouds"]}
+    assert images == {
+        False: ["Kinect A: its skeleton", "Kinect B: its skeleton"], True: ["Kinect A", "Kinect B"],
+    }  # fmt: skip
+
+
 def test_setup_has_images_advice_and_the_place_to_stand() -> None:
     kinds = [type(view) for view in panes(layouts(KINECT_V2)["setup"])]
     assert kinds == [rrb.Spatial2DView, rrb.Spatial2DView, rrb.TextDocumentView, rrb.Spatial3DView]
