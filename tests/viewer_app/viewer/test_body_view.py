@@ -85,7 +85,7 @@ def test_a_body_without_a_person_is_not_drawn_and_not_a_fault(tmp_path: Path) ->
     with headless_viewer(str(file)) as viewer:
 
         def shaded_at(frame: int) -> int:
-            with contextlib.suppress(RuntimeError, ValueError):  # the file is not loaded yet
+            with contextlib.suppress(ConnectionError, RuntimeError, ValueError):  # not loaded yet
                 viewer.set_time(layout.FRAME, sequence=frame, play_state="paused")
             return shaded(picture_of(viewer, tmp_path / "w.png"), "fused")
 
