@@ -156,8 +156,8 @@ SKELETON_COLORS: dict[str, Color] = {
     "exchanged_b": (70, 225, 225),
 }
 VIEW_COLORS: dict[str, tuple[Color, Color, Color]] = {
-    "a": (SKELETON_COLORS["a"], (116, 97, 79), (128, 118, 40)),
-    "b": (SKELETON_COLORS["b"], (82, 99, 131), (40, 120, 120)),
+    "a": (SKELETON_COLORS["a"], (134, 104, 76), (176, 156, 36)),
+    "b": (SKELETON_COLORS["b"], (92, 116, 164), (28, 164, 164)),
 }
 """Of a joint of S_A and S_B that is tracked, that is inferred, and whose sides were exchanged. The last two
 are dimmed."""

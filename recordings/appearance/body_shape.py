@@ -83,7 +83,7 @@ def bone_vectors(body: Body, positions: NDArray[np.floating]) -> NDArray[np.floa
         positions: (…, J, 3) metres.
     """
     at = np.asarray(positions, dtype=np.float32)
-    return _rounded(np.nan_to_num(at[..., _parents(body), :] - at))
+    return _rounded(np.nan_to_num(at[..., parents(body), :] - at))
 
 
 def capsule_rotations(body: Body, positions: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -96,7 +96,7 @@ def capsule_rotations(body: Body, positions: NDArray[np.floating]) -> NDArray[np
         positions: (…, J, 3) metres. A missing joint gets no rotation.
     """
     at = np.asarray(positions, dtype=np.float32)
-    along = np.nan_to_num(at[..., _parents(body), :] - at)
+    along = np.nan_to_num(at[..., parents(body), :] - at)
     length = np.sqrt((along * along).sum(axis=-1, keepdims=True))
     z_axis = np.array([0.0, 0.0, 1.0], dtype=np.float32)
     along = np.where(length > 0.0, along / np.where(length > 0.0, length, 1.0), z_axis)
@@ -110,7 +110,7 @@ def capsule_rotations(body: Body, positions: NDArray[np.floating]) -> NDArray[np
     return rotations
 
 
-def _parents(body: Body) -> NDArray[np.int64]:
+def parents(body: Body) -> NDArray[np.int64]:
     """(J,) the parent of each joint; the root itself at the root."""
     return np.where(body.parent_indices < 0, body.root, body.parent_indices)
 

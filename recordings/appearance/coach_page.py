@@ -73,8 +73,14 @@ class CoachPage:
 def _large(text: str) -> str:
     """Each paragraph as a heading, which the viewer draws larger: it is read from where the person stands.
 
-    Three or more are smaller, so that they fit.
+    Three are smaller, so that they fit. Of more, only the first two are larger than plain text: what is said
+    first is to be mended first.
     """
     paragraphs = [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
-    level = "##" if len(paragraphs) < _MANY else "####"
-    return "\n\n".join(part if part.startswith(("#", "-")) else f"{level} {part}" for part in paragraphs)
+    level = "## " if len(paragraphs) < _MANY else "#### "
+    large = len(paragraphs) if len(paragraphs) <= _MANY else _MANY - 1
+    levels = [level] * large + [""] * (len(paragraphs) - large)
+    return "\n\n".join(
+        part if part.startswith(("#", "-")) else f"{level}{part}"
+        for level, part in zip(levels, paragraphs, strict=True)
+    )

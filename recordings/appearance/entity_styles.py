@@ -13,7 +13,8 @@ from fusion.intrinsics import Intrinsics
 from recordings import layout
 from recordings.appearance.body_shape import capsule_radii
 
-_CLOUD_RADIUS = 0.009  # metres
+_CLOUD_RADIUS = rr.components.Radius.ui_points(0.5)  # metres would hide the person behind points near the eye
+_BONE_RADIUS = 1.2  # points on the screen: seen beside the body from where the eye stands, light and dark
 _FRUSTUM_DEPTH = 0.25  # metres
 _ABOVE_SENSOR = (0.0, -0.42, 0.0)  # above the frustum, which is drawn 0.2 or 0.3 m deep
 _GRID_X, _GRID_Z = (-5, 5), (-1, 6)  # metres from K_A, to the right and forward
@@ -219,7 +220,7 @@ def body_capsules(body: Body) -> Visualizer:
 
 def thin_bones() -> Visualizer:
     """The bones of S_A or S_B as thin lines, each in the colour of the joint at its far end."""
-    look = rr.Arrows3D.from_fields(radii=rr.components.Radius.ui_points(0.6), show_labels=False)
+    look = rr.Arrows3D.from_fields(radii=rr.components.Radius.ui_points(_BONE_RADIUS), show_labels=False)
     return look.visualizer(
         mappings=_mapped(
             "Arrows3D", vectors=layout.BONE_VECTORS, origins="Points3D:positions", colors="Points3D:colors"

@@ -17,6 +17,8 @@ _EVERY = 15
 class QualityLog:
     """Logs jitter and the drift of the calibration, about twice a second.
 
+    The first values are those of the first three frames, so that no plot of a new session is empty.
+
     Args:
         stream: The recording stream.
     """
@@ -33,7 +35,7 @@ class QualityLog:
         for t in range(len(rows)):
             each = rows.positions_a[t], rows.positions_b[t], rows.fused[t].astype(np.float32)
             self._kept.append(each)
-            if len(self._kept) < _EVERY + 2:
+            if len(self._kept) < (3 if self._first is None else _EVERY + 2):
                 continue
             jitters = [1e3 * jitter(np.array(of)) for of in zip(*self._kept, strict=True)]
             self._kept = self._kept[-2:]

@@ -18,6 +18,7 @@ from recordings.appearance.body_shape import (
     bone_vectors,
     capsule_lengths,
     capsule_rotations,
+    parents,
     pelvis_rotations,
 )
 from recordings.appearance.joint_trust import trust_colors
@@ -82,10 +83,18 @@ def _pelvis(rows: SessionArrays) -> NDArray[Any]:
 
 
 def _sigma_spheres(rows: SessionArrays) -> NDArray[Any] | None:
-    """(T, J, 3) half sizes of spheres of one standard deviation, in steps that compress well."""
+    """(T, J, 3) half sizes of spheres of one standard deviation, in steps that compress well.
+
+    A joint whose bone could have any direction is off by √(σ² of its parent + 2 L²): it lies on a sphere of
+    radius L about its parent. A larger σ, which a joint without data may have, is drawn as that, so that the
+    sphere of a thumb does not hide the person.
+    """
     if rows.sigma is None:
         return None
-    radii = np.round(rows.sigma / _SPHERE_STEP) * _SPHERE_STEP
+    sigma, to_parent = rows.sigma, parents(rows.body)
+    most = np.sqrt(sigma[:, to_parent] ** 2 + 2.0 * rows.bone_lengths**2)
+    most[:, rows.body.root] = np.inf
+    radii = np.round(np.fmin(sigma, most) / _SPHERE_STEP) * _SPHERE_STEP
     return np.repeat(radii[..., None], 3, axis=2)
 
 

@@ -41,7 +41,7 @@ from viewer_app.cli import main
 from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.blueprint import LAYOUTS, Layout, session_blueprint
 from viewer_app.viewer.rerun_process import Hub, free_port, rerun_program, start_viewer, stop
-from viewer_app.viewer.stored_clouds import send_clouds
+from viewer_app.viewer.stored_clouds import has_depth, send_clouds
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / "docs" / "pictures"
@@ -81,7 +81,8 @@ def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout
         stream.connect_grpc(f"rerun+http://{LOOPBACK}:{port}/proxy")
         for name, moment in moments.items():
             before = blueprint_of(client)
-            stream.send_blueprint(without_menu(session_blueprint(setup, session.whereabouts, name)))
+            blueprint = session_blueprint(setup, session.whereabouts, name, depth=has_depth(session))
+            stream.send_blueprint(without_menu(blueprint))
             stream.flush(timeout_sec=20.0)
             eventually(lambda before=before: blueprint_of(client) != before, 60.0)  # type: ignore[misc]
             found[name] = settled_picture(client, moment)
@@ -154,7 +155,7 @@ def write_png(path: Path, picture: Image.Image, limit: int = _LIMIT) -> None:
     """
     for colors in _COLORS:
         made = io.BytesIO()
-        reduced = picture.quantize(colors, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        reduced = picture.quantize(colors, Image.Quantize.MEDIANCUT, kmeans=3, dither=Image.Dither.NONE)
         reduced.save(made, "PNG", optimize=True)
         if len(made.getvalue()) < limit:
             path.write_bytes(made.getvalue())

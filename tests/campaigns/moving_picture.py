@@ -2,9 +2,9 @@
 
 ``python -m tests.campaigns.moving_picture`` runs ``duplex demo``, draws what Kinect A, Kinect B and the
 program make of the same moments in a viewer without a screen, and writes ``docs/pictures/moving.webp``.
-Joints that are far from the truth are red. Of a session of one's own (``--session``) it shows the moment in
-which the two views disagree most; where the truth is unknown, S* stands for it. A graphics driver or Debian's
-mesa-vulkan-drivers is needed.
+Joints that are far from the truth are red; what a Kinect does not see is grey, where it really is. Of a
+session of one's own (``--session``) it shows the moment in which the two views disagree most; where the truth
+is unknown, S* stands for it. A graphics driver or Debian's mesa-vulkan-drivers is needed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rerun.experimental import ViewerClient
 from devices.simulated.demonstration import MIRRORED, MISPLACED
 from fusion.rigid import RigidTransform
 from recordings import Session, layout
-from recordings.appearance.body_shape import capsule_lengths, capsule_radii, capsule_rotations
+from recordings.appearance.body_shape import capsule_lengths, capsule_radii, capsule_rotations, parents
 from recordings.appearance.floor import find_floor
 from tests.helpers.waiting import eventually
 from viewer_app.cli import main
@@ -43,6 +43,7 @@ _TITLES = {"a": "Kinect A", "b": "Kinect B", "fused": "fused"}
 WRONG = (255, 60, 50)
 _PAPER = (17, 19, 24)
 _GRID = (70, 74, 84)
+_GHOST, _QUIET = (84, 88, 98), (150, 153, 160)
 _EYE_M, _EYE_ABOVE_M, _EYE_TURNED = 3.1, 0.2, np.radians(24.0)
 """The eye: distance from the person, height above the pelvis, and turn from the middle between the sensors to
 B, so that a lunge towards the sensors is not foreshortened."""
@@ -79,12 +80,17 @@ class Skeletons:
     """What is drawn: three skeletons over time.
 
     Attributes:
-        positions: By the keys of ``layout.SKELETON_NAMES``, (T, J, 3) metres in K_A's frame.
+        positions: By the keys of ``layout.SKELETON_NAMES``, (T, J, 3) metres in K_A's frame; those of a joint
+            that is not seen are the true ones.
+        unseen: Of each, (T, J) whether the joint has no position.
+        hidden: Of each, (T,) whether more than one joint of trunk and limbs is not seen.
         wrong: Of each, (T, J) whether the joint is far from the truth.
         exchanged: Of each, (T,) whether its wrong joints fit the truth better with left and right exchanged.
     """
 
     positions: dict[str, NDArray[np.float64]]
+    unseen: dict[str, NDArray[np.bool_]]
+    hidden: dict[str, NDArray[np.bool_]]
     wrong: dict[str, NDArray[np.bool_]]
     exchanged: dict[str, NDArray[np.bool_]]
 
@@ -102,7 +108,11 @@ def skeletons_of(session: Session) -> Skeletons:
     exchanged = {
         key: ((swapped[key] < off[key]) & wrong[key]).sum(1) > 0.5 * wrong[key].sum(1) for key in off
     }
-    return Skeletons(positions, wrong, exchanged)
+    unseen = {key: ~np.isfinite(at).all(axis=2) for key, at in positions.items()}
+    drawn = {key: np.where(unseen[key][..., None], truth, at) for key, at in positions.items()}
+    bones = capsule_lengths(session.body, np.ones(len(session.body))) > 0.0  # the face has none
+    hidden = {key: each[:, bones].sum(axis=1) > 1 for key, each in unseen.items()}
+    return Skeletons(drawn, unseen, hidden, wrong, exchanged)
 
 
 def pictures(
@@ -150,11 +160,12 @@ def _write_scene(file: Path, session: Session, skeletons: Skeletons, rows: Seque
         for key in SHOWN:
             at = skeletons.positions[key][row]
             known = np.isfinite(at).all(axis=1)
-            whole = known & known[np.where(body.parent_indices < 0, body.root, body.parent_indices)]
+            unseen = skeletons.unseen[key][row]
             colors = np.tile(layout.SKELETON_COLORS[key], (len(body), 1))
             colors[skeletons.wrong[key][row]] = WRONG
+            colors[unseen | unseen[parents(body)]] = _GHOST  # a bone needs both of its ends
             capsules = rr.Capsules3D(
-                lengths=np.where(whole, lengths, 0.0)[known],  # a bone needs both of its ends
+                lengths=lengths[known],
                 radii=capsule_radii(body)[known],
                 translations=at[known],
                 quaternions=capsule_rotations(body, at)[known],
@@ -241,6 +252,8 @@ def with_captions(picture: Image.Image, skeletons: Skeletons, row: int) -> Image
             pen.text(
                 (middle, picture.height - 20), fault or "stays right", fill=color, font=text, anchor="mm"
             )
+        elif key != "fused" and skeletons.hidden[key][row]:
+            pen.text((middle, picture.height - 20), "grey: not seen", fill=_QUIET, font=text, anchor="mm")
         if place:
             pen.line([(place * width, 12), (place * width, picture.height - 12)], fill=_GRID)
     return picture
@@ -251,7 +264,7 @@ def fault_of(skeletons: Skeletons, key: str, row: int) -> str:
     wrong = int(skeletons.wrong[key][row].sum())
     if wrong < 2:
         return ""
-    return "left and right exchanged" if skeletons.exchanged[key][row] else "an arm is lost"
+    return "left and right exchanged" if skeletons.exchanged[key][row] else "an arm is misplaced"
 
 
 def write_animation(path: Path, frames: Sequence[Image.Image], seconds: float, limit: int = LIMIT) -> int:

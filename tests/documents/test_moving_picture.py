@@ -55,11 +55,15 @@ def test_the_animation_stays_below_its_limit(tmp_path: Path) -> None:
         write_animation(file, noise(8), 2.0, limit=10)
 
 
-def skeletons(wrong: tuple[str, ...], exchanged: tuple[str, ...] = ()) -> Skeletons:
-    """One frame of five joints, of which two are wrong in some skeletons."""
+def skeletons(
+    wrong: tuple[str, ...], exchanged: tuple[str, ...] = (), unseen: tuple[str, ...] = ()
+) -> Skeletons:
+    """One frame of five joints, of which two are wrong in some skeletons, and all unseen in others."""
     far = np.array([[True, True, False, False, False]])
     return Skeletons(
         {key: np.zeros((1, 5, 3)) for key in SHOWN},
+        {key: np.array([[key in unseen] * 5]) for key in SHOWN},
+        {key: np.array([key in unseen]) for key in SHOWN},
         {key: far if key in wrong else ~far & far for key in SHOWN},
         {key: np.array([key in exchanged]) for key in SHOWN},
     )
@@ -77,9 +81,12 @@ def test_the_captions_name_the_skeletons_and_their_faults() -> None:
         assert colored(right, key, WRONG) == 0
     assert colored(lost, "a", WRONG) > 10
     assert colored(lost, "b", WRONG) == colored(lost, "fused", WRONG) == 0
+    hidden = skeletons((), unseen=("b",))
+    assert colored(hidden, "b", (150, 153, 160)) > 10
+    assert colored(hidden, "a", (150, 153, 160)) == 0
     own = layout.SKELETON_COLORS["fused"]
     assert colored(lost, "fused", own) > colored(right, "fused", own)  # it says that S* stays right
-    assert fault_of(lost, "a", 0) == "an arm is lost"
+    assert fault_of(lost, "a", 0) == "an arm is misplaced"
     assert fault_of(skeletons(("b",), ("b",)), "b", 0) == "left and right exchanged"
 
 

@@ -100,5 +100,5 @@ def to_markdown(advice: Sequence[Advice]) -> str:
     """Formats advice as Markdown for the coach's page."""
     if not advice:
         return "## All is well\n"
-    marks = {"WARN": "**Mend:**", "INFO": ""}
+    marks = {"WARN": "**Fix:**", "INFO": ""}
     return "\n\n".join(f"{marks[each.level]} {each.text}".strip() for each in advice) + "\n"

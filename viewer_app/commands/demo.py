@@ -95,8 +95,12 @@ def run(options: DemoOptions) -> None:
     nominal = FusionSetup(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
     person_at = np.asarray(start.mean(axis=0))
     layout = "setup" if options.bad_setup else options.layout
-    blueprint = session_blueprint(nominal, person_at, layout, live=True)
-    live = session_blueprint(nominal, person_at, layout, live=True, infrared=own_tracker)
+    blueprint, live = (
+        session_blueprint(
+            nominal, person_at, layout, live=True, depth=options.depth != "none", infrared=infrared
+        )
+        for infrared in (False, own_tracker)
+    )
     pace = _own_tracker(options, console) if own_tracker else None
     warm_up(Fuser(nominal), console, lambda: next(a.frames(), None))
     if own_tracker:

@@ -94,7 +94,8 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, FusionR
     segments = setups_of(plan, settings, read.cameras(options.depth))
     setup = segments[-1][0]
     warm_up(Fuser(setup), console)
-    blueprint = session_blueprint(setup, _whereabouts(skeletons), options.layout)
+    depth = options.depth != "none" and any(camera is not None for camera in read.intrinsics)
+    blueprint = session_blueprint(setup, _whereabouts(skeletons), options.layout, depth=depth)
     sources = str(options.a), str(options.b)
     announce(viewing, console)
     viewer = viewer_sink(setup, sources, blueprint, viewing, uuid4(), complete=True)

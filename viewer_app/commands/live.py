@@ -111,6 +111,7 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                 session_blueprint(
                     *(nominal, _PERSON_AT, options.layout),
                     live=True,
+                    depth=options.depth != "none",
                     color=options.color != "off",
                     infrared=infrared,
                 )

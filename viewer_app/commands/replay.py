@@ -39,6 +39,7 @@ from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.blueprint import inspect_blueprint
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
+from viewer_app.viewer.stored_clouds import has_depth
 
 _CUT_WITHIN = 1e-6  # metres; float32 shows 2.4e-7 at 4 m
 _SETTLED_NS = 1_000_000_000  # the time in which the estimator forgets a person
@@ -117,7 +118,7 @@ def run(options: ReplayOptions) -> None:
     damaged = 0
     with written_and_shown(options.save, window) as path:
         if path is not None:
-            blueprint = inspect_blueprint(session.body, session.whereabouts)
+            blueprint = inspect_blueprint(session.body, session.whereabouts, has_depth(replayed))
             *_, (setup, _) = replayed.setups()
             damaged = write_session(replayed, path, blueprint=blueprint, page=verdict_page(setup))
     rows = replayed.rows

@@ -15,7 +15,7 @@ from viewer_app.report.figures import FusionResult, report
 from viewer_app.report.session_notes import print_damage, print_events
 from viewer_app.report.summary import print_summary, say_more
 from viewer_app.viewer.display import has_display
-from viewer_app.viewer.file_window import show
+from viewer_app.viewer.file_window import in_this_layout, show
 
 
 def run(options: ReviewOptions) -> None:
@@ -55,7 +55,9 @@ def run(options: ReviewOptions) -> None:
         console.print(f"There is no display; a viewer would open {where}.", highlight=False, markup=False)
     else:
         console.print(f"The viewer opens {where}.", highlight=False, markup=False)
-        if not show(options.session, at_ns):
+        with in_this_layout(session, options.session) as file:
+            stands_there = show(file, at_ns)
+        if not stands_there:
             console.print("The viewer did not take the time; move its time cursor by hand.", style="yellow")
 
 

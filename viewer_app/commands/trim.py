@@ -13,6 +13,7 @@ from viewer_app.options.sessions import TrimOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.session_notes import print_damage, print_damaged_images
 from viewer_app.viewer.blueprint import inspect_blueprint
+from viewer_app.viewer.stored_clouds import has_depth
 
 
 def run(options: TrimOptions) -> None:
@@ -33,7 +34,7 @@ def run(options: TrimOptions) -> None:
             f"No frame from {options.start:g} s to {last:g} s; {session} runs from 0 to {time[-1]:.3f} s."
         )
     with whole_file(options.save) as partial:
-        blueprint = inspect_blueprint(session.body, session.whereabouts)
+        blueprint = inspect_blueprint(session.body, session.whereabouts, has_depth(session))
         page = verdict_page(next(setup for setup, own in session.setups() if end <= own.stop))
         damaged = write_session(
             session, partial, blueprint=blueprint, page=page, first=int(first), end=int(end)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections import deque
 from collections.abc import Callable
@@ -20,6 +21,8 @@ from viewer_app.loop.live_loop import Status
 from viewer_app.sinks.live_session import LiveSession
 
 _EVERY = 0.5  # seconds between two status lines; a person cannot read them faster
+_OVER_AFTER_NS = 2_000_000_000  # without a problem until it counts as ended
+_SAID_AGAIN_NS = 30_000_000_000
 _RATE_OVER = 2.0  # seconds over which the frame rate is averaged
 
 
@@ -48,7 +51,8 @@ class LiveDisplay:
         self._verbose, self._clock = verbose, clock
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._shows = not quiet and not verbose and console.is_terminal
-        self._said: dict[str, str] = {}
+        self._said: dict[str, tuple[str, int]] = {}  # by topic: what was said, and when it was last so
+        self._printed: dict[str, int] = {}  # by topic: when, ns
         self._scene = CoachScene(coach.body, coach.intrinsics)
         self._page: CoachPage | None = None
         self._failure_told = False
@@ -137,12 +141,30 @@ class LiveDisplay:
         self._say(advice)
 
     def _say(self, advice: list[Advice]) -> None:
-        """Logs an event when a problem begins or ends; the coach's page shows the rest."""
-        wrong = {each.topic: each.text for each in advice if each.level == "WARN"}
-        for topic, text in wrong.items():
-            if topic not in self._said:
-                self._session.event(text, "WARN")
-                self._console.print(text, style="yellow", highlight=False, markup=False, soft_wrap=True)
-        for topic in self._said.keys() - wrong.keys():
-            self._session.event(f"{topic}: all right again")
-        self._said = wrong
+        """Logs an event when a problem begins or ends; the coach's page shows the rest.
+
+        A figure about its threshold would begin and end many times a second: a problem has ended when it did
+        not occur for a while, and one that comes back soon is not printed again.
+        """
+        now_ns = self._frames[-1].frame.pair.time_ns
+        for each in advice:
+            if each.level != "WARN":
+                continue
+            if each.topic not in self._said:
+                self._session.event(each.text, "WARN")
+                if now_ns - self._printed.get(each.topic, -_SAID_AGAIN_NS) >= _SAID_AGAIN_NS:
+                    self._printed[each.topic] = now_ns
+                    self._console.print(
+                        each.text, style="yellow", highlight=False, markup=False, soft_wrap=True
+                    )
+            self._said[each.topic] = each.text, now_ns
+        for topic, (text, last_ns) in list(self._said.items()):
+            if now_ns - last_ns >= _OVER_AFTER_NS:
+                del self._said[topic]
+                self._session.event(f"no longer: {_clause(text)}")
+
+
+def _clause(text: str) -> str:
+    """What is wrong, without the threshold and what to do."""
+    clause = re.split(r"[:;(]|\. ", text)[0].strip(" .")
+    return clause if clause[1:2].isupper() else clause[:1].lower() + clause[1:]

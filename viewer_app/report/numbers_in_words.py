@@ -24,3 +24,12 @@ def in_percent(share: float | None) -> str:
     if 0.0 < percent < 0.05:
         return "below 0.1 %"
     return f"{percent:.0f} %" if percent >= 10.0 or percent == 0.0 else f"{percent:.1f} %"
+
+
+def in_bytes(size: int) -> str:
+    """A file's size as kB, MB or GB of a thousand each, with two digits at least."""
+    value, unit = size * 1e-3, "kB"
+    for larger in ("MB", "GB"):
+        if value >= 1000.0:
+            value, unit = value * 1e-3, larger
+    return f"{value:.0f} {unit}" if value >= 10.0 else f"{value:.1f} {unit}"

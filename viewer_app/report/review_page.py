@@ -7,6 +7,8 @@ all text from the session.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,9 +19,19 @@ from recordings import layout
 from recordings.session import Session
 from recordings.session_comparison import frame_noise_of
 from viewer_app.report.details import calibration_in_words
-from viewer_app.report.event_list import event_in_words, list_events, seconds_of
-from viewer_app.report.numbers_in_words import in_mm
-from viewer_app.report.svg_plots import bar_plot, line_plot, trust_map
+from viewer_app.report.event_list import (
+    ListedEvent,
+    event_in_words,
+    list_events,
+    seconds_of,
+    shortest_list,
+)
+from viewer_app.report.numbers_in_words import in_mm, in_percent
+from viewer_app.report.summary import Line, fusion_lines, shortfalls
+from viewer_app.report.svg_plots import bar_plot, line_plot, skeleton_color, trust_map
+
+_MOST_EVENTS = 12
+"""Listed at first; the others open below."""
 
 
 def review_page(session: Session, figures: dict[str, Any]) -> str:
@@ -34,6 +46,9 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
     )
     environment.filters["millimetres"] = in_mm
     source_a, source_b = _without_folders(session.sources)
+    tiles, lines = _lead(session, figures)
+    events = list_events(session.events)
+    shortest = shortest_list(events, _MOST_EVENTS)
     time_ns = session.rows.time_ns
     return environment.get_template("review_page.html").render(
         name=session.name,
@@ -45,8 +60,9 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
         settings=", ".join(f"{name} {values[0]}" for name, values in session.about["settings"].items()),
         source_a=source_a,
         source_b=source_b,
-        bone_error=figures["bone_error_mm"],
-        without_person=figures["without_person"],
+        colors={key: skeleton_color(key) for key in ("a", "b", "fused")},
+        tiles=tiles,
+        lines=lines,
         calibration=_calibration(session),
         bone_plots=_bone_plots(session),
         bones=_bone_rows(figures),
@@ -57,8 +73,41 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
         fuse_ms=figures["fuse_ms"],
         frame_rate=session.frame_rate,
         timing_plots=_timing_plots(session),
-        events=_event_rows(session),
+        events=_event_rows(shortest),
+        all_events=_event_rows(events) if len(shortest) < len(events) else [],
     )
+
+
+@dataclass(frozen=True)
+class _Tile:
+    """A figure that leads the page, with the terminal's line about it."""
+
+    label: str
+    figure: str
+    text: str
+    warning: bool
+
+
+def _lead(session: Session, figures: dict[str, Any]) -> tuple[list[_Tile], list[Line]]:
+    """What leads the terminal's summary: its figures, and what else there is to say."""
+    registration = session.calibration.registration
+    apart = figures["disagreement_mm"]["median"]
+    if registration is not None:
+        apart = registration.residual_median * 1e3
+    rate = figures["frames_per_second"]
+    leading = {
+        "Views agree": in_mm(apart),
+        "Repaired": in_percent(figures["repaired"]["unseen_joints"]),
+        "S*": "–" if rate is None else f"{rate:.1f} / s",
+        "Bones": in_mm(figures["bone_error_mm"]["fused"]["max"]),
+    }
+    said = [*fusion_lines(session.calibration, figures), *shortfalls(figures)]
+    tiles = [
+        _Tile(each.label, leading[each.label], each.text, each.warning)
+        for each in said
+        if each.label in leading
+    ]
+    return tiles, [each for each in said if each.label not in leading]
 
 
 def _calibration(session: Session) -> list[str]:
@@ -128,11 +177,8 @@ def _timing_plots(session: Session) -> Markup:
     return Markup(fusion) + Markup(skew)
 
 
-def _event_rows(session: Session) -> list[tuple[str, str, str]]:
-    return [
-        (str(event.number), seconds_of(event.time_ns), event_in_words(event))
-        for event in list_events(session.events)
-    ]
+def _event_rows(events: Sequence[ListedEvent]) -> list[tuple[str, str, str]]:
+    return [(str(event.number), seconds_of(event.time_ns), event_in_words(event)) for event in events]
 
 
 def _without_folders(sources: tuple[str, str]) -> tuple[str, str]:

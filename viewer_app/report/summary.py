@@ -18,11 +18,11 @@ from rich.text import Text
 
 from fusion.calibration.calibration import Calibration
 from recordings.events import Event
-from viewer_app.coach.advice import GOOD, USABLE, placement, quality
+from viewer_app.coach.advice import ANGLES, GOOD, USABLE, placement, quality
 from viewer_app.report.details import FEWEST_FRAMES, print_details
 from viewer_app.report.event_list import UNSETTLED, list_events, seconds_of
 from viewer_app.report.figures import Figures, FusionResult
-from viewer_app.report.numbers_in_words import in_mm, in_percent
+from viewer_app.report.numbers_in_words import in_bytes, in_mm, in_percent
 from viewer_app.viewer.display import has_display
 
 _LABEL_WIDTH = 13
@@ -72,7 +72,7 @@ def print_summary(
         verbose: Whether all figures follow.
     """
     print_lines(
-        console, [*fusion_lines(result.calibration, figures), *_shortfalls(figures), *_warnings(events)]
+        console, [*fusion_lines(result.calibration, figures), *shortfalls(figures), *_warnings(events)]
     )
     if verbose:
         print_details(console, result, figures)
@@ -94,7 +94,16 @@ def fusion_lines(
     yield Line("Bones", _bones(figures["bone_error_mm"]))
     for advice in placement(calibration):
         if advice.topic == "angle":
-            yield Line("Placement", advice.text, warning=True)
+            yield Line("Placement", _placement(advice.figure), warning=True)
+
+
+def _placement(angle: float) -> str:
+    low, high = ANGLES
+    way = "further apart" if angle < low else "closer together"
+    return (
+        f"{angle:.0f}° between the sensors; good is {low:.0f}° to {high:.0f}°. Move them {way} round the "
+        "person."
+    )
 
 
 def say_saved(console: Console, path: Path) -> None:
@@ -104,9 +113,10 @@ def say_saved(console: Console, path: Path) -> None:
     on_path = found is not None and Path(found).resolve() == called.resolve()
     program = str(called) if called.name.startswith("duplex") and not on_path else "duplex"
     page = "" if has_display() else f" --html {path.with_suffix('.html')}"
+    size = in_bytes(path.stat().st_size)
     # a command must be copied in one piece: no wrapping
     console.print(
-        f"{'Saved':{_LABEL_WIDTH}}{path}. Look at it with: {program} review {path}{page}",
+        f"{'Saved':{_LABEL_WIDTH}}{path}, {size}. Look at it with: {program} review {path}{page}",
         highlight=False,
         markup=False,
         soft_wrap=True,
@@ -163,7 +173,8 @@ def _bones(error_mm: Figures) -> str:
     return f"S* within {fused} of their lengths; S_A up to {a} off, S_B {b}."
 
 
-def _shortfalls(figures: Figures) -> Iterator[Line]:
+def shortfalls(figures: Figures) -> Iterator[Line]:
+    """The lines about what recordings lack: partners, people, sides."""
     dropped, absent, frames = figures["dropped"], figures["without_person"], figures["frames"]
     if dropped["a"] or dropped["b"]:
         of_a, of_b = (f"{dropped[key]} of {frames[key]}" for key in ("a", "b"))

@@ -37,7 +37,9 @@ def line_plot(
     figure, axes = _figure(_WIDE if wide else 6.0, 2.4)
     for name, (values, key) in lines.items():
         at, thinned = _thinned(time, np.asarray(values, dtype=np.float64))
-        axes.plot(at, thinned, color=_color(key), linewidth=1.6 if key == "fused" else 0.8, label=name)
+        axes.plot(
+            at, thinned, color=skeleton_color(key), linewidth=1.6 if key == "fused" else 0.8, label=name
+        )
     if level is not None:
         axes.axhline(level, color=_INK, linewidth=0.9, linestyle=(0, (5, 4)))
     if logarithmic and any(np.nanmax(values) > 0.0 for values, _ in lines.values()):
@@ -59,7 +61,7 @@ def bar_plot(unit: str, names: Sequence[str], bars: Mapping[str, Line]) -> str:
             at + (k - (len(bars) - 1) / 2) * width,
             np.nan_to_num(values),
             width,
-            color=_color(key),
+            color=skeleton_color(key),
             label=name,
         )
     axes.set_xticks(at, names, rotation=60, ha="right", fontsize=8)
@@ -69,12 +71,15 @@ def bar_plot(unit: str, names: Sequence[str], bars: Mapping[str, Line]) -> str:
 
 
 def trust_map(time: NDArray[Any], names: Sequence[str], share: NDArray[Any]) -> str:
-    """Plots the share of A (T, J), one row per joint: from A's colour to B's, empty without data."""
+    """Plots the share of A (T, J), one row per joint: from A's colour over that of S* to B's, empty
+    without data."""
     from matplotlib.colors import LinearSegmentedColormap
 
     figure, axes = _figure(_WIDE, 0.16 * len(names) + 1.0)
     mean = _columns_of_time(time, share)
-    colors = LinearSegmentedColormap.from_list("trust", [_color("b"), "#b0b0b0", _color("a")])
+    colors = LinearSegmentedColormap.from_list(
+        "trust", [skeleton_color("b"), skeleton_color("fused"), skeleton_color("a")]
+    )
     extent = (float(time[0]), float(time[-1]) or 1.0, len(names) - 0.5, -0.5)
     image = axes.imshow(
         mean.T, aspect="auto", cmap=colors, vmin=0.0, vmax=1.0, extent=extent, interpolation="none"
@@ -154,7 +159,8 @@ def _svg(figure: Any, label: str, wide: bool = False) -> str:
     return f'<figure{kind} role="img" aria-label="{label}">{svg}</figure>'
 
 
-def _color(key: str) -> str:
+def skeleton_color(key: str) -> str:
+    """The colour of a skeleton as CSS and SVG write it."""
     return "#{:02x}{:02x}{:02x}".format(*layout.SKELETON_COLORS[key])
 
 

@@ -25,6 +25,9 @@ from recordings.appearance import entity_styles
 Layout = Literal["setup", "inspect", "report"]
 LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report")
 
+SCENE = "S*: brown from A, blue from B, purple from both; lines: S_A, S_B"
+"""Title of the scene in *inspect*, which is its legend."""
+
 _FIGURES = (
     ("disagreement_mm", "views differ (mm)"),
     ("bone_error_mm", "bone error of S* (mm)"),
@@ -58,6 +61,7 @@ def session_blueprint(
     active: Layout,
     *,
     live: bool = False,
+    depth: bool = True,
     color: bool = False,
     infrared: bool = False,
 ) -> rrb.Blueprint:
@@ -68,14 +72,15 @@ def session_blueprint(
         person_at: (3,) metres in K_A's frame: where to look.
         active: The layout that is open at first.
         live: Whether two running sensors are shown, with figures of how their streams go.
-        color: Whether they give colour images.
-        infrared: Whether they give infrared images, which are then shown instead of the depth images.
+        depth: Whether there are depth images, from which point clouds are computed.
+        color: Whether there are colour images.
+        infrared: Whether there are infrared images, which are then shown instead of the depth images.
     """
     body = setup.body
     return rrb.Blueprint(
         rrb.Tabs(
-            _setup(setup, person_at, color, infrared),
-            _inspect(setup, person_at, live),
+            _setup(setup, person_at, depth, color, infrared),
+            _inspect(setup, person_at, live, depth),
             _report(body),
             active_tab=LAYOUTS.index(active),
         ),
@@ -86,17 +91,20 @@ def session_blueprint(
     )
 
 
-def inspect_blueprint(body: Body, person_at: NDArray[np.float64]) -> rrb.Blueprint:
+def inspect_blueprint(body: Body, person_at: NDArray[np.float64], depth: bool = True) -> rrb.Blueprint:
     """All layouts for a session whose sensors' placement is in its frames, with *inspect* open."""
-    return session_blueprint(FusionSetup(nominal_calibration(body)), person_at, "inspect")
+    return session_blueprint(FusionSetup(nominal_calibration(body)), person_at, "inspect", depth=depth)
 
 
-def _setup(setup: FusionSetup, person_at: NDArray[np.float64], color: bool, infrared: bool) -> rrb.Container:
+def _setup(
+    setup: FusionSetup, person_at: NDArray[np.float64], depth: bool, color: bool, infrared: bool
+) -> rrb.Container:
+    shown = ", infrared" if infrared else "" if depth else ": its skeleton"
     depths = [
         rrb.Spatial2DView(
             origin=layout.depth(side),
             contents=[*_images(side, infrared), layout.skeleton(side)],
-            name=f"Kinect {side.upper()}, infrared" if infrared else f"Kinect {side.upper()}",
+            name=f"Kinect {side.upper()}{shown}",
             visual_bounds=rrb.VisualBounds2D(x_range=(0, camera.width), y_range=(0, camera.height)),
         )
         for side, camera in zip(layout.SIDES, setup.intrinsics, strict=True)
@@ -117,7 +125,7 @@ def _setup(setup: FusionSetup, person_at: NDArray[np.float64], color: bool, infr
     advice = rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="what to do next")
     return rrb.Horizontal(
         rrb.Vertical(*images),
-        rrb.Vertical(advice, scene, row_shares=[1, 2]),
+        rrb.Vertical(advice, scene, row_shares=[3, 5]),
         column_shares=[1, 2],
         name="setup",
     )
@@ -144,7 +152,7 @@ def _place_of_b(setup: FusionSetup, person_at: NDArray[np.float64]) -> NDArray[n
     return np.asarray(person_at + np.linalg.norm(person_at) * np.array([1.0, 0.0, 0.0]))
 
 
-def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool) -> rrb.Container:
+def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, depth: bool) -> rrb.Container:
     body = setup.body
     away = person_at - 0.5 * _place_of_b(setup, person_at)
     away /= max(float(np.linalg.norm(away)), 1e-6)
@@ -160,9 +168,9 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool) -> 
     return rrb.Horizontal(
         rrb.Vertical(
             rrb.Tabs(
-                scene("S*: brown from A, blue from B, purple from both", *hidden),
-                scene("S* with 1 σ", *hidden, *(layout.skeleton(side) for side in layout.SIDES), sigma=True),
-                scene("with point clouds", f"{layout.COACH}/**"),
+                scene(SCENE, *hidden),
+                scene("with 1 σ", *hidden, *(layout.skeleton(side) for side in layout.SIDES), sigma=True),
+                *([scene("point clouds", f"{layout.COACH}/**")] if depth else []),
                 active_tab=0,
             ),
             rrb.Tabs(

@@ -13,10 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from recordings import layout
+from recordings.session import Session
+from recordings.writing.session_writer import write_session
 from viewer_app.addresses import LOOPBACK
+from viewer_app.coach.scene import verdict_page
 from viewer_app.output_files import whole_file
+from viewer_app.viewer.blueprint import inspect_blueprint
 from viewer_app.viewer.rerun_process import start_viewer
-from viewer_app.viewer.stored_clouds import add_clouds, has_depth_images
+from viewer_app.viewer.stored_clouds import add_clouds, has_depth, has_depth_images
 
 _READS_WITHIN, _LOOKS_EVERY = 20.0, 0.1  # seconds
 
@@ -47,6 +51,31 @@ def written_and_shown(save: Path | None, window: bool) -> Iterator[Path | None]:
         yield path
         if path is not None and window:
             show(path)
+
+
+@contextmanager
+def in_this_layout(session: Session, path: Path) -> Iterator[Path]:
+    """Yields a file of a session that the layouts of this version can show.
+
+    A session of an older version lacks what draws S* as a body, the floor and the names of the sensors. It is
+    written again for the viewer, with the same frames, events and images; the session itself is not changed.
+
+    Args:
+        session: The open session.
+        path: Its file.
+
+    Yields:
+        `path`, or a temporary file.
+    """
+    if session.about["session"]["layout_version"][0] >= layout.VERSION:
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        shown = Path(folder) / path.name
+        blueprint = inspect_blueprint(session.body, session.whereabouts, has_depth(session))
+        *_, (setup, _) = session.setups()
+        write_session(session, shown, blueprint=blueprint, page=verdict_page(setup))
+        yield shown
 
 
 def show(path: Path, at_ns: int | None = None) -> bool:

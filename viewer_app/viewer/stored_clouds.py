@@ -70,6 +70,11 @@ def has_depth_images(path: Path) -> bool:
         return False
 
 
+def has_depth(session: Session) -> bool:
+    """Whether an open session has a depth image."""
+    return any(next(iter(session.depth(side)), None) is not None for side in layout.SIDES)
+
+
 def clouds(session: Session) -> Iterator[tuple[str, int, NDArray[np.float32]]]:
     """Side, frame and (N, 3) points in the sensor's frame, metres: both sensors by turns, evenly in time."""
     step = max(1, -(-2 * len(session) // _MOST))

@@ -209,6 +209,6 @@ def test_a_joint_is_named_as_one_says_it(joint: str, words: str) -> None:
 
 def test_problems_come_first_on_the_page() -> None:
     page = to_markdown(list(watched(b=False, now=Situation(KNOWN, settled=False, held=0.0)).values()))
-    assert page.startswith("**Mend:** Sensor B has seen no one")
+    assert page.startswith("**Fix:** Sensor B has seen no one")
     assert "arms out" in page
     assert to_markdown([]).startswith("## All is well")

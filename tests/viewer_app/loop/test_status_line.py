@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
@@ -31,6 +32,14 @@ def statuses() -> list[Any]:
         SimpleNamespace(frame=frame, sensors=sensors, calibrator=calibrator, events=())
         for frame in frames(fuser, 60)
     ]
+
+
+def later(status: Any, frames: int) -> Any:
+    """The same status so many frames later."""
+    pair = status.frame.pair
+    skeletons = replace(pair.skeletons, time_ns=pair.time_ns + frames * 10**9 // 30)
+    frame = replace(status.frame, pair=replace(pair, skeletons=skeletons))
+    return SimpleNamespace(**{**vars(status), "frame": frame})
 
 
 class Shown:
@@ -93,13 +102,36 @@ def test_verbose_prints_one_unbroken_line_every_half_second(statuses: list[Any])
 @pytest.mark.parametrize("quiet", [False, True])
 def test_a_warning_is_one_event_and_one_when_it_is_over(statuses: list[Any], quiet: bool) -> None:
     shown = Shown(quiet=quiet)
-    advised = [[], *[[WARNING]] * 5, *[[]] * 3, [WARNING]]
-    for status, advice in zip(statuses, advised, strict=False):
+    advised = [[], *[[WARNING]] * 5, *[[]] * 54]
+    for status, advice in zip(statuses, advised, strict=True):
         shown.coach.watch.return_value = advice
         shown.display(status)
     begins = (WARNING.text, "WARN")
-    assert shown.events() == [begins, (f"{WARNING.topic}: all right again",), begins]
-    assert shown.printed.getvalue() == f"{WARNING.text}\n" * 2
+    assert shown.events() == [begins]  # 1.8 s without it
+    for k in (6, 7):
+        shown.display(later(statuses[-1], k))
+    assert shown.events() == [begins, ("no longer: sensor A sees no one",)]
+    assert shown.printed.getvalue() == f"{WARNING.text}\n"
+
+
+def test_a_warning_about_its_threshold_is_not_repeated(statuses: list[Any]) -> None:
+    shown = Shown()
+    for k, status in enumerate(statuses):
+        text = f"Sensor A sees {k} of 25 joints"  # its figure changes, too
+        shown.coach.watch.return_value = [replace(WARNING, text=text)] if k % 3 else []
+        shown.display(status)
+    assert len(shown.events()) == 1
+    shown.coach.watch.return_value = []
+    shown.display(later(statuses[-1], 90))
+    shown.coach.watch.return_value = [WARNING]
+    shown.display(later(statuses[-1], 91))
+    assert shown.events()[-1] == (WARNING.text, "WARN")  # it came back, which the session tells
+    assert shown.printed.getvalue() == "Sensor A sees 1 of 25 joints\n"
+    shown.coach.watch.return_value = []
+    shown.display(later(statuses[-1], 2000))
+    shown.coach.watch.return_value = [WARNING]
+    shown.display(later(statuses[-1], 2001))
+    assert shown.printed.getvalue().endswith(f"\n{WARNING.text}\n")  # a minute later
 
 
 def test_the_coach_knows_what_the_sensors_do(statuses: list[Any]) -> None:

@@ -16,12 +16,17 @@ from viewer_app.report import summary
     [(True, "duplex review a/long/folder/s.rrd"), (False, "duplex review a/long/folder/s.rrd --html")],
 )
 def test_the_next_step_is_one_line_that_works_without_a_display(
-    display: bool, command: str, monkeypatch: pytest.MonkeyPatch
+    display: bool, command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(summary, "has_display", lambda: display)
     monkeypatch.setattr("sys.argv", ["pytest"])
+    monkeypatch.chdir(tmp_path)
+    file = Path("a/long/folder/s.rrd")
+    file.parent.mkdir(parents=True)
+    file.write_bytes(bytes(122_400_000))
     out = io.StringIO()
-    summary.say_saved(Console(file=out, width=40), Path("a/long/folder/s.rrd"))
+    summary.say_saved(Console(file=out, width=40), file)
     (line,) = out.getvalue().splitlines()
+    assert f"{file}, 122 MB" in line
     assert command in line
     assert line.endswith(".html") is not display

@@ -25,7 +25,7 @@ from tests.helpers.pictures import headless_viewer, pixels_near
 from tests.helpers.two_views import A_FROM_B
 from tests.helpers.waiting import eventually
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.viewer.blueprint import LAYOUTS, Layout, bone_title, session_blueprint
+from viewer_app.viewer.blueprint import LAYOUTS, SCENE, Layout, bone_title, session_blueprint
 
 _NO_DEFECT = (
     "oftware rasterizer",  # there is no graphics card
@@ -62,8 +62,7 @@ def expected(active: Layout) -> set[str]:
     if active == "setup":
         return {"Kinect A", "Kinect B", "where to stand", "what to do next"}
     limbs = {"upper arms (m)", "forearms (m)", "thighs (m)", "shins (m)"}
-    scene = "S*: brown from A, blue from B, purple from both"
-    return limbs | {scene, "which sensor each joint follows", "views differ (mm)"}
+    return limbs | {SCENE, "which sensor each joint follows", "views differ (mm)"}
 
 
 def ink(picture: NDArray[np.uint8]) -> float:
@@ -169,6 +168,22 @@ def test_inspect_has_one_subject() -> None:
     assert isinstance(figure, rrb.TimeSeriesView)
     assert isinstance(trust, rrb.Spatial2DView)
     assert len(limbs) == 4
+
+
+def test_a_session_without_depth_images_promises_none() -> None:
+    tabs: dict[bool, list[str]] = {}
+    images: dict[bool, list[str]] = {}
+    for depth in (False, True):
+        blueprint = session_blueprint(
+            FusionSetup(nominal_calibration(KINECT_V2)), np.array([0.1, 0.1, 2.6]), "inspect", depth=depth
+        )
+        setup, inspect, _ = blueprint.root_container.contents
+        tabs[depth] = [view.name for view in inspect.contents[0].contents[0].contents]
+        images[depth] = [view.name for view in panes(setup)[:2]]
+    assert tabs == {False: [SCENE, "with 1 σ"], True: [SCENE, "with 1 σ", "point clouds"]}
+    assert images == {
+        False: ["Kinect A: its skeleton", "Kinect B: its skeleton"], True: ["Kinect A", "Kinect B"],
+    }  # fmt: skip
 
 
 def test_setup_has_images_advice_and_the_place_to_stand() -> None:

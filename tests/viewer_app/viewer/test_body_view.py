@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -82,9 +83,14 @@ def test_a_body_without_a_person_is_not_drawn_and_not_a_fault(tmp_path: Path) ->
         for frame in made:
             live.write(frame)
     with headless_viewer(str(file)) as viewer:
-        assert eventually(lambda: shaded(picture_of(viewer, tmp_path / "w.png"), "fused") > 500, 30.0)
-        viewer.set_time(layout.FRAME, sequence=9, play_state="paused")
-        assert eventually(lambda: shaded(picture_of(viewer, tmp_path / "w.png"), "fused") < 50, 30.0)
+
+        def shaded_at(frame: int) -> int:
+            with contextlib.suppress(ConnectionError, RuntimeError, ValueError):  # not loaded yet
+                viewer.set_time(layout.FRAME, sequence=frame, play_state="paused")
+            return shaded(picture_of(viewer, tmp_path / "w.png"), "fused")
+
+        assert eventually(lambda: shaded_at(5) > 500, 30.0)
+        assert eventually(lambda: shaded_at(9) < 50, 30.0)
         assert [report for view in viewer.get_state().views for report in view.reports] == []
 
 
@@ -104,8 +110,8 @@ def test_joints_of_a_view_are_dimmed_where_inferred_or_exchanged(side: str) -> N
     assert (colors[1, 5] == inferred).all()
     assert (np.delete(colors[1], 5, axis=0) == tracked).all()
     assert (colors[2] == swapped).all()
-    for dimmed in (inferred, swapped):
-        assert max(dimmed) < 0.75 * max(tracked)
+    assert max(inferred) < 0.75 * max(tracked)
+    assert max(swapped) < 0.75 * max(layout.SKELETON_COLORS[layout.exchanged(side)])
 
 
 def test_an_exchanged_view_looks_other_than_a_tracked_one(tmp_path: Path) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import lzma
 import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, Any
 
+import numpy as np
 import pytest
 import rerun as rr
 import rerun.blueprint as rrb
@@ -21,8 +23,10 @@ from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
 from viewer_app.viewer import file_window, rerun_process, stored_clouds
+from viewer_app.viewer.blueprint import SCENE
 from viewer_app.viewer.rerun_process import stop
 
+VERSION_0_1 = Path(__file__).parents[2] / "data" / "version_0_1"
 BLUEPRINT = rrb.Blueprint(rrb.TextDocumentView(origin="/words", name="the only view"))
 
 
@@ -112,6 +116,39 @@ def test_a_viewer_shows_the_file_with_its_own_layout_after_the_file_is_gone(
     ((_, port),) = headless
     viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
     assert eventually(lambda: [view.name for view in viewer.get_state().views] == ["the only view"], 30.0)
+
+
+def test_a_session_of_version_0_1_is_shown_in_the_layout_of_today(
+    headless: list[tuple[subprocess.Popen[bytes], int]], tmp_path: Path
+) -> None:
+    """No view complains that it lacks what older sessions do not have."""
+    from rerun.experimental import ViewerClient
+
+    old = tmp_path / "live.rrd"  # with depth images
+    old.write_bytes(lzma.decompress((VERSION_0_1 / "live.rrd.xz").read_bytes()))
+    session = Session.open(old)
+    with file_window.in_this_layout(session, old) as file:
+        again = Session.open(file)
+        assert again.fused.astype(np.float32).tobytes() == session.fused.astype(np.float32).tobytes()
+        assert [event.text for event in again.events] == [event.text for event in session.events]
+        assert sum(1 for _ in again.depth("a")) == sum(1 for _ in session.depth("a")) > 0
+        assert file_window.show(file, 0)
+    assert not file.exists()
+    assert old.read_bytes() == lzma.decompress((VERSION_0_1 / "live.rrd.xz").read_bytes())
+    ((_, port),) = headless
+    viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+    assert eventually(lambda: any(view.name == SCENE for view in viewer.get_state().views), 30.0)
+    assert eventually(lambda: not viewer.get_state().loading, 30.0)
+    assert [(view.name, report.summary) for view in viewer.get_state().views for report in view.reports] == []
+
+
+def test_a_session_of_today_is_shown_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "s.rrd"
+    with session(known_fuser(), path) as live:
+        for frame in frames(known_fuser(), 3):
+            live.write(frame)
+    with file_window.in_this_layout(Session.open(path), path) as file:
+        assert file == path
 
 
 def test_the_time_cursor_of_a_new_window_stands_where_asked(

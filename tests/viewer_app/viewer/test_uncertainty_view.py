@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 import rerun.blueprint as rrb
 
 from fusion.setup import FuserSettings
@@ -47,7 +48,25 @@ def test_spheres_have_the_radius_of_one_standard_deviation() -> None:
     assert data is not None
     half_sizes = np.asarray(data[layout.SIGMA_SPHERES].flatten()).reshape(3, len(BODY), 3)
     sigma = np.array([frame.fused.sigma for frame in made])
+    thumbs = [BODY.joint("THUMB_LEFT"), BODY.joint("THUMB_RIGHT")]  # see the next test
+    sigma, half_sizes = np.delete(sigma, thumbs, axis=1), np.delete(half_sizes, thumbs, axis=1)
     np.testing.assert_allclose(half_sizes, np.repeat(sigma[..., None], 3, axis=2), rtol=0, atol=0.51 * STEP)
+
+
+def test_a_sphere_is_no_larger_than_a_bone_of_any_direction_allows() -> None:
+    """A point on a sphere of radius L is √2 L from a random one (RMS): L² (1 − cos) · 2 on average."""
+    made = frames(known_fuser(), 1)
+    thumb = BODY.joint("THUMB_LEFT")
+    parent = int(BODY.parents[thumb])
+    sigma = np.full(len(BODY), 0.03)
+    sigma[thumb] = 0.7
+    lost = [replace(made[0], fused=replace(made[0].fused, sigma=sigma))]
+    data = stream_of(SessionArrays.stack(BODY, BODY.nominal_lengths, lost), layout.FUSED_SKELETON).data
+    assert data is not None
+    drawn = np.asarray(data[layout.SIGMA_SPHERES].flatten()).reshape(len(BODY), 3)[:, 0]
+    most = np.hypot(sigma[parent], np.sqrt(2.0) * BODY.nominal_lengths[thumb])
+    assert drawn[thumb] == pytest.approx(most, abs=0.51 * STEP)
+    np.testing.assert_allclose(np.delete(drawn, thumb), 0.03, rtol=0, atol=0.51 * STEP)
 
 
 def test_the_papers_methods_have_no_spheres() -> None:
