@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeGuard, TypeVar
+
 from devices.sensor import (
     ArrivesByNetwork,
     CountsMissed,
@@ -11,6 +13,15 @@ from devices.sensor import (
     Sensor,
 )
 
+_Offer = TypeVar("_Offer", ArrivesByNetwork, CountsMissed)
+_MEMBER = {ArrivesByNetwork: "told", CountsMissed: "missed"}
+
+
+def _offers(sensor: Sensor, offer: type[_Offer]) -> TypeGuard[_Offer]:
+    """Whether a sensor has what a protocol describes. Asked several times per frame: ``isinstance`` with a
+    protocol would take 30 µs."""
+    return hasattr(sensor, _MEMBER[offer])
+
 
 def wait_of(sensor: Sensor) -> str:
     """What a sensor is waiting for, if it reports this; else empty."""
@@ -19,17 +30,17 @@ def wait_of(sensor: Sensor) -> str:
 
 def told_by(sensor: Sensor) -> list[str]:
     """What happened to a sensor's messages on their way, if it hangs on another PC."""
-    return sensor.told() if isinstance(sensor, ArrivesByNetwork) else []
+    return sensor.told() if _offers(sensor, ArrivesByNetwork) else []
 
 
 def link_of(sensor: Sensor) -> LinkFigures | None:
     """How a sensor's messages arrive; None for a sensor of this machine."""
-    return sensor.link if isinstance(sensor, ArrivesByNetwork) else None
+    return sensor.link if _offers(sensor, ArrivesByNetwork) else None
 
 
 def missed_by(sensor: Sensor) -> int:
     """Number of captured frames that never arrived, if the sensor counts them; else 0."""
-    return sensor.missed if isinstance(sensor, CountsMissed) else 0
+    return sensor.missed if _offers(sensor, CountsMissed) else 0
 
 
 def not_opened(sensor: str, within_s: float, waits_for: str) -> DeviceError:

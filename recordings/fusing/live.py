@@ -77,11 +77,17 @@ class LiveFusion:
         return True
 
     def fuse(self, pair: FramePair) -> RecordedFrame:
-        """Fuses a pair whose person is chosen; then passes the pair to the calibration learner."""
-        frame = fuse_one(self._fuser, pair)
-        self._told = self._sides.observe(frame.fused) + self._limbs.observe(pair.skeletons, frame.fused)
+        """Fuses a pair whose person is chosen."""
+        return fuse_one(self._fuser, pair)
+
+    def learn(self, frame: RecordedFrame) -> None:
+        """Learns from the frame that was fused last: its events, and a calibration for the next pairs.
+
+        Call it before the next pair, when the frame is handed over: a refinement takes longer than S*.
+        """
+        fused, pair = frame.fused, frame.pair
+        self._told = self._sides.observe(fused) + self._limbs.observe(pair.skeletons, fused)
         if self._learner is not None and self.calibrator.settled:
-            fused = frame.fused
             codes = fused.exchanged_a & WHOLE, fused.exchanged_b & WHOLE
             stale = fused.stale_a, fused.stale_b
             changes = self._learner.observe(pair.skeletons, codes, stale, pair.skeletons.skew_ns)
@@ -89,10 +95,10 @@ class LiveFusion:
             for change in changes:
                 level = "WARN" if change.kind in ("knocked", "followed") else "INFO"
                 self._told.append((change.event, level, "", "moment"))
-        return frame
 
     def told(self) -> list[Told]:
-        """Returns the events of the last pair: of views, the calibration and the sensors."""
+        """Returns the events of the last pair that was learned from: of views, the calibration and the
+        sensors."""
         return self._told
 
 
@@ -161,6 +167,7 @@ class LiveFrames(Iterator[RecordedFrame]):
                 pair = fusion.chosen(pair)
                 fusion.recalibrated(pair)
                 frame = fusion.fuse(pair)
+                fusion.learn(frame)
                 self._note(fusion, frame)
                 yield frame
 

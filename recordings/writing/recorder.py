@@ -25,6 +25,7 @@ from recordings.images.depth_points import prepare_points, thin_points
 from recordings.images.infrared_images import show_infrared
 from recordings.images.rvl import MEDIA_TYPE, encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.writing.arrow_columns import Times
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.writing.frame_streams import frame_streams
 from recordings.writing.placement_log import PlacementLog
@@ -293,8 +294,5 @@ class Recorder:
         once(layout.TRUTH_SKELETON, entity_styles.joint_look(body, "truth"))
 
 
-def _times(rows: SessionArrays) -> list[rr.TimeColumn]:
-    return [
-        rr.TimeColumn(layout.FRAME, sequence=rows.frame),
-        rr.TimeColumn(layout.TIME, duration=rows.time_ns.astype("timedelta64[ns]")),
-    ]
+def _times(rows: SessionArrays) -> list[Times]:
+    return [Times(layout.FRAME, rows.frame), Times(layout.TIME, rows.time_ns.astype("timedelta64[ns]"))]

@@ -104,6 +104,7 @@ def run_live(
             frame = replace(frame, truth=truth_at(pair.time_ns - ahead_ns))
         events = tuple(event.message for event in sensors.events())
         sink.write(frame)
+        fusion.learn(frame)
         if recalibrated:
             sink.event(f"calibrated: {fusion.setup.calibration.how}")
         for told in fusion.told():
