@@ -71,20 +71,34 @@ class FrameStream:
         return sent + [Column.of_data(name, of, frames) for name, of in (self.data or {}).items()]
 
 
-def frame_streams(rows: SessionArrays, checks: FusedChecks | None = None) -> Iterator[FrameStream]:
+PLOTTED = frozenset({layout.QUALITY, layout.BONES, layout.kinect("b")})
+"""Entities that are plotted or only read back; all others are drawn into the scene."""
+
+
+def frame_streams(
+    rows: SessionArrays, checks: FusedChecks | None = None, *, drawn: bool = True, plotted: bool = True
+) -> Iterator[FrameStream]:
     """All data logged per frame: the recorded figures, then figures derived for the viewer.
 
     Args:
         rows: The frames, one or more.
         checks: Checks of S* in float64, if `rows` come from a file in float32.
+        drawn: Whether entities that are drawn into the scene are included.
+        plotted: Whether the other entities are, see :data:`PLOTTED`.
     """
-    drawn: dict[str, dict[str, NDArray[Any]]] = {}  # by entity and "archetype:argument"
+
+    def left_out(entity: str) -> bool:
+        return not (plotted if entity in PLOTTED else drawn)
+
+    arguments: dict[str, dict[str, NDArray[Any]]] = {}  # by entity and "archetype:argument"
     data: dict[str, dict[str, pa.Array]] = {}  # by entity and component
     flat: dict[tuple[str, str], list[tuple[FrameField, NDArray[Any]]]] = {}
     for _, spec, values in rows.figures():
+        if left_out(spec.entity):
+            continue
         stored = spec.to_file(rows.body, values)
         if ":" in spec.component:
-            drawn.setdefault(spec.entity, {})[spec.component] = stored
+            arguments.setdefault(spec.entity, {})[spec.component] = stored
         else:
             flat.setdefault((spec.entity, spec.component), []).append((spec, stored))
     for (entity, component), parts in flat.items():
@@ -93,20 +107,21 @@ def frame_streams(rows: SessionArrays, checks: FusedChecks | None = None) -> Ite
             stored = np.concatenate([values.reshape(len(rows), -1) for _, values in parts], axis=1)
         data.setdefault(entity, {})[component] = spec.in_arrow(rows.body, stored)
     for shown in SHOWN_FIGURES:
-        derived = shown.values(rows)
+        derived = None if left_out(shown.entity) else shown.values(rows)
         if derived is None:
             continue
         if ":" in shown.component:
-            drawn.setdefault(shown.entity, {})[shown.component] = derived
+            arguments.setdefault(shown.entity, {})[shown.component] = derived
         else:
             data.setdefault(shown.entity, {})[shown.component] = _vectors(derived)
-    data[layout.QUALITY] |= _checks(rows, checks)
-    for entity in dict.fromkeys([*drawn, *data]):
-        yield _stream(entity, rows, drawn.get(entity, {}), data.get(entity, {}))
-    chosen = np.flatnonzero(rows.frame % _BONES_EVERY == 0)
-    plotted = rows if len(chosen) == len(rows) else rows[chosen]
-    if len(plotted):
-        yield FrameStream(layout.BONES, plotted, data={layout.BONE_LENGTHS: _bones(plotted)})
+    if plotted:
+        data[layout.QUALITY] |= _checks(rows, checks)
+    for entity in dict.fromkeys([*arguments, *data]):
+        yield _stream(entity, rows, arguments.get(entity, {}), data.get(entity, {}))
+    chosen = np.flatnonzero(rows.frame % _BONES_EVERY == 0) if plotted else ()
+    if len(chosen):
+        every = rows if len(chosen) == len(rows) else rows[chosen]
+        yield FrameStream(layout.BONES, every, data={layout.BONE_LENGTHS: _bones(every)})
 
 
 def _stream(

@@ -27,7 +27,7 @@ from recordings.images.rvl import MEDIA_TYPE, encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.arrow_columns import Times
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
-from recordings.writing.frame_streams import frame_streams
+from recordings.writing.frame_streams import FrameStream, frame_streams
 from recordings.writing.placement_log import PlacementLog
 from recordings.writing.properties import session_properties
 from recordings.writing.quality_log import QualityLog
@@ -49,6 +49,8 @@ class Recorder:
         about: Additional properties about the session's origin.
         start_ns: Start time of the session; None: the time of the first recorded frame.
         points: Whether to log depth images as point clouds too.
+        plots_every: Of how many frames the figures that are plotted are logged together; those that are drawn
+            into the scene are logged with each frame. Each message costs as much as many numbers.
         drafts: Whether to log incomplete pages of the trust matrix, too. A stream that is written as a whole
             does not need them, and drawing them takes a tenth of the time.
     """
@@ -64,10 +66,12 @@ class Recorder:
         start_ns: int | None = None,
         points: bool = False,
         drafts: bool = True,
+        plots_every: int = 1,
     ) -> None:
         self._stream = stream
         self._calibration = setup.calibration
         self._frames, self._start_ns = 0, start_ns
+        self._plots_every, self._unplotted = plots_every, list[tuple[RecordedFrame, int]]()
         self._like: SessionArrays | None = None
         self._last: tuple[int, int] | None = None
         self._depth_every, self._points = depth_every, points
@@ -90,6 +94,7 @@ class Recorder:
 
     def recalibrated(self, setup: FusionSetup) -> None:
         """Logs the calibration of a new setup, which applies to the following frames."""
+        self.plot()
         calibration = self._calibration = setup.calibration
         registration = calibration.registration
         values: dict[str, Any] = {
@@ -133,7 +138,13 @@ class Recorder:
             The logged arrays.
         """
         rows = self._stack(frames, numbers)
-        self.record_rows(rows)
+        if self._plots_every > 1:
+            self._draw(rows)
+            self._unplotted += zip(frames, rows.frame.tolist(), strict=True)
+            if len(self._unplotted) >= self._plots_every:
+                self.plot()
+        else:
+            self.record_rows(rows)
         self._log_sensors(frames, rows)
         return rows
 
@@ -145,14 +156,33 @@ class Recorder:
             checks: Checks of S* in float64, if `rows` come from a file in float32.
         """
         self._placement.record(rows)
-        timed, times = rows, _times(rows)
-        for stream in frame_streams(rows, checks):
-            if stream.rows is not timed:
-                timed, times = stream.rows, _times(stream.rows)
-            self._stream.send_columns(stream.entity, times, stream.columns())
+        self._send(frame_streams(rows, checks))
         self._explain(rows)
         self._frames = max(self._frames, int(rows.frame[-1]) + 1)
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
+
+    def plot(self) -> None:
+        """Logs the figures of frames that are drawn and not yet plotted; does nothing without `plots_every`."""
+        if self._unplotted:
+            frames, numbers = zip(*self._unplotted, strict=True)
+            self._unplotted.clear()
+            rows = self._stack(frames, numbers)
+            self._send(frame_streams(rows, drawn=False))
+            self._explain(rows)
+
+    def _draw(self, rows: SessionArrays) -> None:
+        """Logs what is drawn into the scene, and leaves the rest to :meth:`plot`."""
+        self._placement.record(rows)
+        self._send(frame_streams(rows, plotted=False))
+        self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
+
+    def _send(self, streams: Iterable[FrameStream]) -> None:
+        timed: SessionArrays | None = None
+        times: list[Times] = []
+        for stream in streams:
+            if stream.rows is not timed:
+                timed, times = stream.rows, _times(stream.rows)
+            self._stream.send_columns(stream.entity, times, stream.columns())
 
     def record_images(self, number: int, frame: RecordedFrame) -> None:
         """Logs the images of a frame, in time order. The frame must be recorded later without images."""
@@ -216,6 +246,7 @@ class Recorder:
 
     def finish(self) -> None:
         """Marks the session as complete; a reader treats a session without this mark as cut off."""
+        self.plot()
         self._log_matrix(self._matrix.rest())
         self._stream.send_property("end", rr.AnyValues(frames=self._frames))
 
@@ -255,9 +286,12 @@ class Recorder:
         self._log_matrix(self._matrix.add(rows))
         for side, joint, changes in self._lanes.add(rows):
             lane = layout.state_lane(side, rows.body.joints[joint])
-            if len(rows) == len(changes) == 1:  # columns would take three times as long
-                self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
-                self._stream.log(lane, _STATE_CHANGES[changes[0][1]])
+            t, state = changes[0]
+            few = len(rows) == 1 or self._plots_every > 1
+            if few and len(changes) == 1 and t is not None:
+                # columns would take three times as long
+                self._set_time(int(rows.frame[t]), int(rows.time_ns[t]))
+                self._stream.log(lane, _STATE_CHANGES[state])
                 continue
             places = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
             self._stream.send_columns(

@@ -148,6 +148,8 @@ class ViewerFeed:
                     self._queue.clear()
                     self._idle = self._idle and not items
                 write_items(recorder, items)
+                if not items:  # the session stands still: show the plots of its last frames, too
+                    recorder.plot()
         finally:
             encoded.read()  # Rerun would report the rest as lost
 

@@ -31,6 +31,7 @@ _QUEUE = 60
 _DEPTH_HZ = 10.0  # limited by the viewer's memory for images
 _SHOWN_WITHIN = 60.0  # seconds
 _SHOWN_EVERY = 3  # depth images of a recording
+_PLOTS_EVERY = 5  # frames, a sixth of a second
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,11 @@ class ShownSession(ViewerSink):
 
     def _begin(self, stream: rr.RecordingStream) -> Recorder:
         recorder = Recorder(
-            stream, self._setup, self._sources, depth_every=1, start_ns=self._start_ns, points=True
+            *(stream, self._setup, self._sources),
+            depth_every=1,
+            start_ns=self._start_ns,
+            points=True,
+            plots_every=_PLOTS_EVERY,
         )
         # the timeline it names must be there; it is active, or a viewer would show what it remembers
         stream.send_blueprint(self._blueprint)
