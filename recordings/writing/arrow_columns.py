@@ -7,7 +7,7 @@ made directly.
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -86,6 +86,49 @@ class Times:
         return self._times
 
 
+class Batch:
+    """One component at one time; what ``log`` takes for a ``DescribedComponentBatch``.
+
+    Args:
+        descriptor: The component.
+        values: Its values.
+    """
+
+    def __init__(self, descriptor: rr.ComponentDescriptor, values: pa.Array) -> None:
+        self._descriptor, self._values = descriptor, values
+
+    def component_descriptor(self) -> rr.ComponentDescriptor:
+        """The component."""
+        return self._descriptor
+
+    def as_arrow_array(self) -> pa.Array:
+        """The values."""
+        return self._values
+
+
+def depth_image(blob: bytes, media_type: str, meter: float) -> list[Any]:
+    """What ``rr.EncodedDepthImage`` with these arguments consists of.
+
+    Args:
+        blob: The encoded image.
+        media_type: Of the encoding.
+        meter: Units of the image in a metre.
+    """
+    descriptor, kind, same = _depth_image(media_type, meter)
+    whole = np.array([0, len(blob)], dtype=np.int32)
+    values = pa.ListArray.from_arrays(pa.array(whole), pa.array(np.frombuffer(blob, np.uint8)), type=kind)
+    return [Batch(descriptor, values), *same]
+
+
+@cache
+def _depth_image(media_type: str, meter: float) -> tuple[rr.ComponentDescriptor, pa.DataType, list[Any]]:
+    """Component and type of the image's bytes, and the components that are the same for all images."""
+    batches = rr.EncodedDepthImage(b"", media_type=media_type, meter=meter).as_component_batches()
+    by_name = {batch.component_descriptor().component: batch for batch in batches}
+    blob = by_name.pop("EncodedDepthImage:blob")
+    return blob.component_descriptor(), blob.as_arrow_array().type, list(by_name.values())
+
+
 @cache
 def _descriptor(name: str) -> rr.ComponentDescriptor:
     return rr.ComponentDescriptor(name)
@@ -102,7 +145,7 @@ def _like(archetype: Any, argument: str) -> tuple[rr.ComponentDescriptor, pa.Dat
 _EXAMPLES = {"colors": np.uint8, "class_ids": np.uint16}
 
 
-@cache
+@lru_cache(maxsize=64)
 def _offsets(frames: int, values: int) -> pa.Array:
     """Where the values of each frame begin."""
     return pa.array(np.arange(frames + 1, dtype=np.int32) * np.int32(values // frames))

@@ -25,7 +25,7 @@ from recordings.images.depth_points import prepare_points, thin_points
 from recordings.images.infrared_images import show_infrared
 from recordings.images.rvl import MEDIA_TYPE, encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
-from recordings.writing.arrow_columns import Times
+from recordings.writing.arrow_columns import Times, depth_image
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.writing.frame_streams import FrameStream, frame_streams
 from recordings.writing.placement_log import PlacementLog
@@ -203,7 +203,7 @@ class Recorder:
         self._set_time(frame, time_ns)
         self._stream.log(
             layout.depth(side),
-            rr.EncodedDepthImage(blob, media_type=MEDIA_TYPE, meter=1000.0),
+            depth_image(blob, MEDIA_TYPE, meter=1000.0),
             rr.AnyValues(crc32=image_checksum(frame, blob)),
         )
         if self._points:
