@@ -5,7 +5,7 @@ Both ways give the same layout, because both use :mod:`recordings.writing.frame_
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -51,6 +51,7 @@ class Recorder:
         points: Whether to log depth images as point clouds too.
         plots_every: Of how many frames the figures that are plotted are logged together; those that are drawn
             into the scene are logged with each frame. Each message costs as much as many numbers.
+        pause: Called between two messages of a block of frames, so that threads in a hurry go first.
         drafts: Whether to log incomplete pages of the trust matrix, too. A stream that is written as a whole
             does not need them, and drawing them takes a tenth of the time.
     """
@@ -67,10 +68,12 @@ class Recorder:
         points: bool = False,
         drafts: bool = True,
         plots_every: int = 1,
+        pause: Callable[[], object] | None = None,
     ) -> None:
         self._stream = stream
         self._calibration = setup.calibration
         self._frames, self._start_ns = 0, start_ns
+        self._pause = pause or (lambda: None)
         self._plots_every, self._unplotted = plots_every, list[tuple[RecordedFrame, int]]()
         self._like: SessionArrays | None = None
         self._last: tuple[int, int] | None = None
@@ -183,6 +186,7 @@ class Recorder:
             if stream.rows is not timed:
                 timed, times = stream.rows, _times(stream.rows)
             self._stream.send_columns(stream.entity, times, stream.columns())
+            self._pause()
 
     def record_images(self, number: int, frame: RecordedFrame) -> None:
         """Logs the images of a frame, in time order. The frame must be recorded later without images."""
@@ -285,6 +289,7 @@ class Recorder:
         self._quality.record(rows)
         self._log_matrix(self._matrix.add(rows))
         for side, joint, changes in self._lanes.add(rows):
+            self._pause()
             lane = layout.state_lane(side, rows.body.joints[joint])
             t, state = changes[0]
             few = len(rows) == 1 or self._plots_every > 1

@@ -72,6 +72,12 @@ class ViewerSink(Sink):
         viewer."""
         return None
 
+    @property
+    def wait_until_free(self) -> Callable[[float], object] | None:
+        """A function that waits while a frame is being written, at most the given seconds; None without a
+        viewer."""
+        return None
+
     def depth_image(self, side: str, frame: int, time_ns: int, depth: NDArray[np.uint16]) -> None:
         """Takes a depth image of an earlier frame, for recordings only.
 
@@ -181,6 +187,15 @@ class ShownSession(ViewerSink):
     def wait_for_turn(self) -> Callable[[float], object] | None:
         """Waits until the feed has written, so many seconds at most."""
         return self.feed.wait_for_turn
+
+    @property
+    def wait_until_free(self) -> Callable[[float], object] | None:
+        """Waits while the feed writes, so many seconds at most."""
+        return self.feed.wait_until_free
+
+    def rest(self, seconds: float) -> None:
+        """Waits until the feed has written."""
+        self.feed.wait_until_free(seconds)
 
     def _feed_into(self, start: Callable[[], subprocess.Popen[bytes]], restart: bool = True) -> ViewerFeed:
         stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=self._identity)
