@@ -14,9 +14,10 @@ from devices.sensor import Sensor
 from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration
 from fusion.calibration.calibrator import Calibrator
-from fusion.calibration.learner import CalibrationChange, CalibrationLearner
+from fusion.calibration.learner import CalibrationChange, CalibrationLearner, LearnerSettings
 from fusion.facing.model import WHOLE
 from fusion.fuser import Fuser
+from fusion.registration.refinement import RefinementSettings
 from fusion.setup import FusionSetup
 from recordings.errors import RecordingError
 from recordings.events import Event
@@ -43,7 +44,8 @@ class LiveFusion:
         self._fuser = Fuser(setup)
         self._people = PersonOfPair()
         learns = setup.settings.method == "duplex" and (refine or not calibrated)
-        self._learner = CalibrationLearner(setup.body, setup.calibration) if learns else None
+        settings = LearnerSettings(refinement=RefinementSettings(in_steps=True))
+        self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if learns else None
         self._changes: list[CalibrationChange] = []
         self._sides, self._limbs = ExchangedSides(), LostLimbs(setup.body)
         self._told: list[Told] = []
