@@ -165,7 +165,7 @@ class Recorder:
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
 
     def plot(self) -> None:
-        """Logs the figures of frames that are drawn and not yet plotted; does nothing without `plots_every`."""
+        """Logs the figures of frames that are drawn and not yet plotted, if there are any."""
         if self._unplotted:
             frames, numbers = zip(*self._unplotted, strict=True)
             self._unplotted.clear()

@@ -17,7 +17,7 @@ from viewer_app.sinks.sink import FanOut, Sink
 from viewer_app.sinks.viewer_sink import Viewing, viewer_sink
 
 _PAUSE = 0.02
-"""Seconds for which the file's thread waits between two messages at most, while a frame goes to the viewer."""
+"""Seconds: for so long at most, the file's thread waits between two messages while the viewer's writes."""
 
 
 class LiveSession(FanOut):

@@ -81,9 +81,13 @@ class ViewerFeed:
         self._turn_over.clear()
         self._turn_over.wait(seconds)
 
-    def wait_until_free(self, seconds: float) -> None:
-        """Waits while an item is queued or being written, at most the given seconds."""
-        self._free.wait(seconds)
+    def wait_until_free(self, seconds: float) -> bool:
+        """Waits while an item is queued or being written, at most the given seconds.
+
+        Returns:
+            Whether everything is written.
+        """
+        return self._free.wait(seconds)
 
     def finish(self, timeout: float) -> bool:
         """Waits until all items are written or the process is gone; returns whether all were written."""
