@@ -44,18 +44,8 @@ class Column:
             count: T, or T times n.
             frames: T.
         """
-        descriptor, kind = _like(archetype, argument)
-        flat = np.ascontiguousarray(values).reshape(count, -1)
-        if argument == "colors":  # 0xRRGGBBAA
-            bytes_of = np.full((count, 4), 255, dtype=np.uint8)
-            bytes_of[:, : flat.shape[1]] = flat
-            flat = bytes_of.view(">u4").astype(np.uint32)
-        elif argument == "mat3x3":  # column by column
-            flat = np.ascontiguousarray(flat.reshape(count, 3, 3).transpose(0, 2, 1)).reshape(count, 9)
-        if not pa.types.is_fixed_size_list(kind):
-            return Column(descriptor, pa.array(flat.ravel(), kind), frames)
-        each = pa.array(flat.ravel(), kind.value_type)
-        return Column(descriptor, pa.FixedSizeListArray.from_arrays(each, type=kind), frames)
+        descriptor, array = _converted(archetype, argument, values, count)
+        return Column(descriptor, array, frames)
 
     def component_descriptor(self) -> rr.ComponentDescriptor:
         """The component."""
@@ -106,6 +96,11 @@ class Batch:
         return self._values
 
 
+def batch_of(archetype: Any, argument: str, values: NDArray[Any]) -> Batch:
+    """An argument of one of Rerun's archetypes, (n, …) numbers at one time."""
+    return Batch(*_converted(archetype, argument, values, len(values)))
+
+
 def depth_image(blob: bytes, media_type: str, meter: float) -> list[Any]:
     """What ``rr.EncodedDepthImage`` with these arguments consists of.
 
@@ -118,6 +113,24 @@ def depth_image(blob: bytes, media_type: str, meter: float) -> list[Any]:
     whole = np.array([0, len(blob)], dtype=np.int32)
     values = pa.ListArray.from_arrays(pa.array(whole), pa.array(np.frombuffer(blob, np.uint8)), type=kind)
     return [Batch(descriptor, values), *same]
+
+
+def _converted(
+    archetype: Any, argument: str, values: NDArray[Any], count: int
+) -> tuple[rr.ComponentDescriptor, pa.Array]:
+    """Component and `count` values of an argument, as the archetype converts it."""
+    descriptor, kind = _like(archetype, argument)
+    flat = np.ascontiguousarray(values).reshape(count, values.size // max(count, 1))
+    if argument == "colors":  # 0xRRGGBBAA
+        bytes_of = np.full((count, 4), 255, dtype=np.uint8)
+        bytes_of[:, : flat.shape[1]] = flat
+        flat = bytes_of.view(">u4").astype(np.uint32)
+    elif argument == "mat3x3":  # column by column
+        flat = np.ascontiguousarray(flat.reshape(count, 3, 3).transpose(0, 2, 1)).reshape(count, 9)
+    if not pa.types.is_fixed_size_list(kind):
+        return descriptor, pa.array(flat.ravel(), kind)
+    each = pa.array(flat.ravel(), kind.value_type)
+    return descriptor, pa.FixedSizeListArray.from_arrays(each, type=kind)
 
 
 @cache

@@ -25,7 +25,7 @@ from recordings.images.depth_points import prepare_points, thin_points
 from recordings.images.infrared_images import show_infrared
 from recordings.images.rvl import MEDIA_TYPE, encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
-from recordings.writing.arrow_columns import Times, depth_image
+from recordings.writing.arrow_columns import Times, batch_of, depth_image
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.writing.frame_streams import FrameStream, frame_streams
 from recordings.writing.placement_log import PlacementLog
@@ -212,7 +212,7 @@ class Recorder:
         )
         if self._points:
             cloud = thin_points(depth, self._cameras[side])
-            self._stream.log(layout.points(side), rr.Points3D.from_fields(positions=cloud))
+            self._stream.log(layout.points(side), [batch_of(rr.Points3D, "positions", cloud)])
 
     def record_color(self, side: str, frame: int, time_ns: int, color: ColorImage) -> None:
         """Logs a colour image."""

@@ -39,6 +39,7 @@ class SensorProcess:
         like = simulated_pair(motion="walk", depth=depth)[which]
         assert not isinstance(like, tuple)
         self.name, self.body, self.intrinsics = like.name, like.body, like.intrinsics  # type: ignore[union-attr]
+        self._start = start  # kept: the processes open it by its name
         self._frames, theirs = _SPAWN.Pipe(duplex=False)
         self._process = _SPAWN.Process(target=_give, args=(theirs, which, depth, start), daemon=True)
         self._stopping = threading.Event()
@@ -64,11 +65,15 @@ class SensorProcess:
             if not self._frames.poll(_POLL):
                 continue
             time_ns, host_ns, people, size = self._frames.recv()
-            seen = {name: Skeleton(self.body, *of) for name, of in people.items()}
+            seen = {name: self._skeleton(*of) for name, of in people.items()}
             depth = None
             if size is not None:
                 depth = np.frombuffer(self._frames.recv_bytes(), dtype=np.uint16).reshape(size)
             yield SensorFrame(time_ns, seen, depth, host_ns=host_ns)
+
+    def _skeleton(self, positions: Any, states: Any, time_ns: int, witness: Any) -> Skeleton:
+        # as every sensor makes one: kernels are compiled for its read-only arrays
+        return Skeleton.of(self.body, positions, states, time_ns).with_witness(witness)
 
 
 def sensor_processes(depth: Depth) -> tuple[SensorProcess, SensorProcess]:
