@@ -96,9 +96,9 @@ class Batch:
         return self._values
 
 
-def batch_of(archetype: Any, argument: str, values: NDArray[Any]) -> Batch:
-    """An argument of one of Rerun's archetypes, (n, …) numbers at one time."""
-    return Batch(*_converted(archetype, argument, values, len(values)))
+def points(positions: NDArray[np.float32]) -> list[Any]:
+    """What ``rr.Points3D.from_fields(positions=…)`` consists of; (n, 3) metres."""
+    return [Batch(*_converted(rr.Points3D, "positions", positions, len(positions)))]
 
 
 def depth_image(blob: bytes, media_type: str, meter: float) -> list[Any]:

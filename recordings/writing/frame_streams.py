@@ -118,8 +118,8 @@ def frame_streams(
         data[layout.QUALITY] |= _checks(rows, checks)
     for entity in dict.fromkeys([*arguments, *data]):
         yield _stream(entity, rows, arguments.get(entity, {}), data.get(entity, {}))
-    chosen = np.flatnonzero(rows.frame % _BONES_EVERY == 0) if plotted else ()
-    if len(chosen):
+    chosen = np.flatnonzero(rows.frame % _BONES_EVERY == 0)
+    if plotted and len(chosen):
         every = rows if len(chosen) == len(rows) else rows[chosen]
         yield FrameStream(layout.BONES, every, data={layout.BONE_LENGTHS: _bones(every)})
 

@@ -1,6 +1,8 @@
 """All log calls. Constant data is logged once; frames are logged one by one (live) or by columns (offline).
 
 Both ways give the same layout, because both use :mod:`recordings.writing.frame_streams`.
+
+A little over 300 lines: all log calls of a session are in one place.
 """
 
 from __future__ import annotations
@@ -25,13 +27,12 @@ from recordings.images.depth_points import prepare_points, thin_points
 from recordings.images.infrared_images import show_infrared
 from recordings.images.rvl import MEDIA_TYPE, encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
-from recordings.writing.arrow_columns import Times, batch_of, depth_image
+from recordings.writing.arrow_columns import Times, depth_image, points
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.writing.frame_streams import FrameStream, frame_streams
 from recordings.writing.placement_log import PlacementLog
 from recordings.writing.properties import session_properties
-from recordings.writing.quality_log import QualityLog
-from recordings.writing.sensor_stream_log import StreamFiguresLog
+from recordings.writing.quality_log import QualityLog, StreamFiguresLog
 
 _MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
 """Interval between drawings of an incomplete page of the trust matrix: live, and in files."""
@@ -185,7 +186,8 @@ class Recorder:
         for stream in streams:
             if stream.rows is not timed:
                 timed, times = stream.rows, _times(stream.rows)
-            self._stream.send_columns(stream.entity, times, stream.columns())
+            columns: list[Any] = stream.columns()
+            self._stream.send_columns(stream.entity, times, columns)
             self._pause()
 
     def record_images(self, number: int, frame: RecordedFrame) -> None:
@@ -212,7 +214,7 @@ class Recorder:
         )
         if self._points:
             cloud = thin_points(depth, self._cameras[side])
-            self._stream.log(layout.points(side), [batch_of(rr.Points3D, "positions", cloud)])
+            self._stream.log(layout.points(side), points(cloud))
 
     def record_color(self, side: str, frame: int, time_ns: int, color: ColorImage) -> None:
         """Logs a colour image."""

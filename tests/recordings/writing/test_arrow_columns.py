@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from recordings.writing.arrow_columns import Column, Times, batch_of, depth_image
+from recordings.writing.arrow_columns import Column, Times, depth_image, points
 
 FRAMES, POINTS = 3, 4
 RANDOM = np.random.default_rng(0)
@@ -33,10 +33,10 @@ def test_an_argument_of_an_archetype_becomes_what_rerun_makes_of_it(archetype: s
     assert ours.as_arrow_array().type.value_type == theirs.as_arrow_array().type.value_type
 
 
-@pytest.mark.parametrize("points", [0, 1, 7])
-def test_points_become_what_rerun_makes_of_them(points: int) -> None:
-    values = RANDOM.normal(size=(points, 3)).astype(np.float32)
-    ours = batch_of(rr.Points3D, "positions", values)
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_points_become_what_rerun_makes_of_them(count: int) -> None:
+    values = RANDOM.normal(size=(count, 3)).astype(np.float32)
+    (ours,) = points(values)
     (theirs,) = rr.Points3D.from_fields(positions=values).as_component_batches()
     assert ours.component_descriptor() == theirs.component_descriptor()
     assert ours.as_arrow_array().equals(theirs.as_arrow_array())
