@@ -1,7 +1,7 @@
 """Figures that are not logged with every pair.
 
-Quality over several frames that needs no truth: jitter, and how far K_B's pose has changed. And the state of two
-live streams: clock drift, dropped frames, unpaired frames.
+Quality over several frames that needs no truth: jitter, and how far K_B's pose has changed. State of two live
+streams: clock drift, dropped frames, unpaired frames.
 """
 
 from __future__ import annotations

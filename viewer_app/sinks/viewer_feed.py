@@ -54,7 +54,6 @@ class ViewerFeed:
         self._stopping = False
         self._idle = False
         self._turn_over, self._free = threading.Event(), threading.Event()
-        self._free.set()
         self.dropped = 0
         """Frames dropped because the viewer was too slow."""
         self.starts = 0
@@ -82,7 +81,7 @@ class ViewerFeed:
         self._turn_over.wait(seconds)
 
     def wait_until_free(self, seconds: float) -> bool:
-        """Waits while an item is queued or being written, at most the given seconds.
+        """Waits while the static data or an item is to be written, at most the given seconds.
 
         Returns:
             Whether everything is written.

@@ -30,6 +30,7 @@ _QUEUE = 60
 """Maximum number of queued frames: two seconds; older frames are dropped."""
 _DEPTH_HZ = 10.0  # limited by the viewer's memory for images
 _SHOWN_WITHIN = 60.0  # seconds
+_BEGINS_WITHIN = 1.0  # seconds
 _SHOWN_EVERY = 3  # depth images of a recording
 _PLOTS_EVERY = 5  # frames, a sixth of a second
 
@@ -133,6 +134,8 @@ class ShownSession(ViewerSink):
         except UsageError:
             self.feed.close(end_process=True)
             raise
+        # A hub that takes the static data would hold up the first frames. One that takes none is replaced later.
+        self.feed.wait_until_free(_BEGINS_WITHIN)
         if viewing.window:
             self.window = ViewerWindow(lambda: start_window(hub, viewing.headless))
 

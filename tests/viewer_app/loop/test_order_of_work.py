@@ -99,7 +99,7 @@ def test_a_feed_is_free_when_it_has_written_and_when_it_has_ended(fuser: Fuser) 
         rr.RecordingStream("test"),
         lambda stream: Slow(stream, fuser.setup, ("a", "b")),
     )
-    assert is_free(feed)
+    assert eventually(lambda: is_free(feed)), "the static data is written"
     feed.offer(Frame(0, frames(fuser, 1)[0]))
     assert writing.wait(30.0)
     assert not is_free(feed)
