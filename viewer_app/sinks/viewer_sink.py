@@ -134,7 +134,7 @@ class ShownSession(ViewerSink):
         except UsageError:
             self.feed.close(end_process=True)
             raise
-        # A hub that takes the static data would hold up the first frames. One that takes none is replaced later.
+        # While a hub takes the static data, it would hold up the first frames.
         self.feed.wait_until_free(_BEGINS_WITHIN)
         if viewing.window:
             self.window = ViewerWindow(lambda: start_window(hub, viewing.headless))
