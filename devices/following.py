@@ -39,6 +39,11 @@ class PersonChoice:
         """The tracker's id of the person followed; None before the first."""
         return self._identity
 
+    @property
+    def position(self) -> NDArray[np.float64] | None:
+        """(3,) where the person was when chosen last, metres; None before the first."""
+        return self._at
+
     def choose(
         self, people: Mapping[str, Skeleton], time_ns: int, at: NDArray[np.float64] | None = None
     ) -> Skeleton | None:
@@ -105,7 +110,7 @@ def _chosen(
 ) -> tuple[Skeleton | None, NDArray[np.float64] | None]:
     """The person's skeleton in a frame, and where it is."""
     person = None if frame is None else choice.choose(frame.people, frame.time_ns, at)
-    return person, None if person is None else centre(person)
+    return person, None if person is None else choice.position
 
 
 def centre(person: Skeleton) -> NDArray[np.float64] | None:

@@ -115,6 +115,11 @@ class TwoSensors:
         unpaired = figures.alone_a, figures.alone_b + figures.unmatched_b
         return StreamFigures(figures.drift_ppm, (self.a.dropped, self.b.dropped), unpaired)
 
+    @property
+    def waiting(self) -> bool:
+        """Whether a frame has come that was not taken yet."""
+        return self.a.waiting or self.b.waiting
+
     def __enter__(self) -> TwoSensors:
         """Opens both.
 

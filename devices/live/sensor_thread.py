@@ -91,6 +91,11 @@ class SensorThread:
         return self._returns
 
     @property
+    def waiting(self) -> bool:
+        """Whether a frame waits for the reader."""
+        return bool(self._frames)
+
+    @property
     def state(self) -> SensorState:
         """What the sensor is doing now."""
         with self._lock:

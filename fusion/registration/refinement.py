@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,6 +14,8 @@ from fusion.registration.keyframes import Evidence, KeyframeSet
 from fusion.registration.robust_fit import Prior, RobustFit, RobustFitSettings, disagreement, fit_robust
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
+
+_STALE_NS = 500_000_000  # a proposal that was interrupted for so long is dropped
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,8 @@ class RefinementSettings:
         smallest_turn, smallest_shift: Radians and metres; a smaller change is not proposed.
         half_life_ns: Age at which the weight of a keyframe is one half.
         fit: What the fit assumes.
+        in_steps: Whether a proposal is computed in three steps, one with each pair, as a live loop needs it:
+            the whole takes a third of a frame's time. It then takes effect two pairs later.
     """
 
     interval_ns: int = 1_000_000_000
@@ -35,6 +40,7 @@ class RefinementSettings:
     smallest_shift: float = 0.003
     half_life_ns: int = 600_000_000_000
     fit: RobustFitSettings = field(default_factory=RobustFitSettings)
+    in_steps: bool = False
 
 
 class Refinement:
@@ -65,10 +71,12 @@ class Refinement:
         self._biases: NDArray[np.float64] | None = None
         self._next_ns: int | None = None
         self._seen = 0
+        self._proposal: Generator[None, None, RobustFit | None] | None = None
+        self._proposed_ns = 0
 
     def restart(self, a_from_b: RigidTransform, keep_from_ns: int | None = None) -> None:
         """Puts another transform in force and forgets the keyframes, or those before a time."""
-        self._in_force, self._prior = a_from_b, None
+        self._in_force, self._prior, self._proposal = a_from_b, None, None
         self._biases, self._next_ns = None, None
         if keep_from_ns is None:
             self.keyframes.clear()
@@ -77,7 +85,7 @@ class Refinement:
 
     def adopt(self, a_from_b: RigidTransform, prior: Prior | None = None) -> None:
         """Puts another transform in force and keeps the evidence."""
-        self._in_force, self._prior = a_from_b, prior
+        self._in_force, self._prior, self._proposal = a_from_b, prior, None
 
     def observe(self, pair: SkeletonPair, codes: tuple[int, int] = (0, 0)) -> RobustFit | None:
         """Takes a pair that is neither stale nor one-sided.
@@ -88,26 +96,48 @@ class Refinement:
         self._seen += self.keyframes.add(pair, codes)
         if self._next_ns is None:
             self._next_ns = pair.time_ns + self._settings.interval_ns
+        if self._proposal is not None and pair.time_ns - self._proposed_ns < _STALE_NS:
+            return self._go_on()
+        self._proposal = None
         if pair.time_ns < self._next_ns or self._seen == 0 or len(self.keyframes) < self._settings.fewest:
             return None
         self._next_ns = pair.time_ns + self._settings.interval_ns
         self._seen = 0
-        return self.propose(pair.time_ns)
+        self._proposal, self._proposed_ns = self._steps(pair.time_ns), pair.time_ns
+        return self._go_on()
 
-    def propose(self, now_ns: int) -> RobustFit | None:
+    def _go_on(self) -> RobustFit | None:
+        """Takes one step of the proposal, or all of them; returns its result with the last step."""
+        assert self._proposal is not None
+        try:
+            next(self._proposal)
+            while not self._settings.in_steps:
+                next(self._proposal)
+        except StopIteration as done:
+            self._proposal = None
+            result: RobustFit | None = done.value
+            return result
+        return None
+
+    def _steps(self, now_ns: int) -> Generator[None, None, RobustFit | None]:
         """Fits all keyframes and accepts the fit if it explains held-out pairs better."""
         settings = self._settings
         self.keyframes.relabel(self._in_force)
         evidence = aged(self.keyframes.evidence, now_ns, settings.half_life_ns)
+        if settings.in_steps:
+            evidence = evidence.copy()  # keyframes come in between the steps
         try:
             candidate = self._fit(evidence, iterations=3)
             self._biases, self._noise_sd = candidate.biases, candidate.noise_sd
             if not self._worth_it(candidate.a_from_b, candidate.centre):
                 return None
-            if (
-                held_out_gain(self._body, evidence, self._in_force, candidate, settings.fit, self._prior)
-                < settings.gain
-            ):
+            gain = 0.0
+            for fold in (0, 1):
+                yield
+                gain = _with_fold(
+                    gain, fold, self._body, evidence, self._in_force, candidate, settings.fit, self._prior
+                )
+            if gain < settings.gain:
                 return None
         except CalibrationError:
             return None
@@ -149,13 +179,27 @@ def held_out_gain(
     """
     gain = 0.0
     for fold in (0, 1):
-        learned, held_out = evidence.chosen(evidence.folds != fold), evidence.chosen(evidence.folds == fold)
-        if len(learned.a) < 6 or len(held_out.a) < 6:
-            return -np.inf
-        fit = fit_robust(
-            body, learned, candidate.a_from_b, settings,
-            iterations=2, noise_sd=candidate.noise_sd, biases=candidate.biases, prior=prior,
-        )  # fmt: skip
-        gain += disagreement(body, held_out, in_force, settings, candidate.noise_sd)
-        gain -= disagreement(body, held_out, fit.a_from_b, settings, candidate.noise_sd)
+        gain = _with_fold(gain, fold, body, evidence, in_force, candidate, settings, prior)
     return gain
+
+
+def _with_fold(
+    gain: float,
+    fold: int,
+    body: Body,
+    evidence: Evidence,
+    in_force: RigidTransform,
+    candidate: RobustFit,
+    settings: RobustFitSettings,
+    prior: Prior | None,
+) -> float:
+    """Adds one fold's part of :func:`held_out_gain` to the other's."""
+    learned, held_out = evidence.chosen(evidence.folds != fold), evidence.chosen(evidence.folds == fold)
+    if len(learned.a) < 6 or len(held_out.a) < 6:
+        return -np.inf
+    fit = fit_robust(
+        body, learned, candidate.a_from_b, settings,
+        iterations=2, noise_sd=candidate.noise_sd, biases=candidate.biases, prior=prior,
+    )  # fmt: skip
+    gain += disagreement(body, held_out, in_force, settings, candidate.noise_sd)
+    return gain - disagreement(body, held_out, fit.a_from_b, settings, candidate.noise_sd)

@@ -14,9 +14,10 @@ from devices.sensor import Sensor
 from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration
 from fusion.calibration.calibrator import Calibrator
-from fusion.calibration.learner import CalibrationChange, CalibrationLearner
+from fusion.calibration.learner import CalibrationChange, CalibrationLearner, LearnerSettings
 from fusion.facing.model import WHOLE
 from fusion.fuser import Fuser
+from fusion.registration.refinement import RefinementSettings
 from fusion.setup import FusionSetup
 from recordings.errors import RecordingError
 from recordings.events import Event
@@ -43,7 +44,8 @@ class LiveFusion:
         self._fuser = Fuser(setup)
         self._people = PersonOfPair()
         learns = setup.settings.method == "duplex" and (refine or not calibrated)
-        self._learner = CalibrationLearner(setup.body, setup.calibration) if learns else None
+        settings = LearnerSettings(refinement=RefinementSettings(in_steps=True))
+        self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if learns else None
         self._changes: list[CalibrationChange] = []
         self._sides, self._limbs = ExchangedSides(), LostLimbs(setup.body)
         self._told: list[Told] = []
@@ -77,11 +79,17 @@ class LiveFusion:
         return True
 
     def fuse(self, pair: FramePair) -> RecordedFrame:
-        """Fuses a pair whose person is chosen; then passes the pair to the calibration learner."""
-        frame = fuse_one(self._fuser, pair)
-        self._told = self._sides.observe(frame.fused) + self._limbs.observe(pair.skeletons, frame.fused)
+        """Fuses a pair whose person is chosen."""
+        return fuse_one(self._fuser, pair)
+
+    def learn(self, frame: RecordedFrame) -> None:
+        """Learns from the frame that was fused last: its events, and a calibration for the next pairs.
+
+        Call it before the next pair, when the frame is handed over: a refinement takes longer than S*.
+        """
+        fused, pair = frame.fused, frame.pair
+        self._told = self._sides.observe(fused) + self._limbs.observe(pair.skeletons, fused)
         if self._learner is not None and self.calibrator.settled:
-            fused = frame.fused
             codes = fused.exchanged_a & WHOLE, fused.exchanged_b & WHOLE
             stale = fused.stale_a, fused.stale_b
             changes = self._learner.observe(pair.skeletons, codes, stale, pair.skeletons.skew_ns)
@@ -89,10 +97,10 @@ class LiveFusion:
             for change in changes:
                 level = "WARN" if change.kind in ("knocked", "followed") else "INFO"
                 self._told.append((change.event, level, "", "moment"))
-        return frame
 
     def told(self) -> list[Told]:
-        """Returns the events of the last pair: of views, the calibration and the sensors."""
+        """Returns the events of the last pair that was learned from: of views, the calibration and the
+        sensors."""
         return self._told
 
 
@@ -161,6 +169,7 @@ class LiveFrames(Iterator[RecordedFrame]):
                 pair = fusion.chosen(pair)
                 fusion.recalibrated(pair)
                 frame = fusion.fuse(pair)
+                fusion.learn(frame)
                 self._note(fusion, frame)
                 yield frame
 

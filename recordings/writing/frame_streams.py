@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from recordings import layout
 from recordings.frame_fields import FrameField
 from recordings.session_arrays import SessionArrays
+from recordings.writing.arrow_columns import Column
 from recordings.writing.checksums import (
     FRAME_CRC,
     FUSED_CRC,
@@ -59,38 +60,45 @@ class FrameStream:
             logged.append(rr.AnyValues(**{name: self.data[name][:n] for name, n in each.items()}))
         return logged
 
-    def columns(self) -> list[Any]:
+    def columns(self) -> list[Column]:
         """The data to send for all frames."""
         frames = len(self.rows)
-        sent: list[Any] = []
         values, each = self.values
-        if self.archetype is not None and each is None:
-            sent += self.archetype.columns(**values)
-        elif self.archetype is not None:
-            flat = {name: of.reshape(-1, *of.shape[2:]) for name, of in values.items()}
-            sent += self.archetype.columns(**flat).partition([each] * frames)
-        for name, of in (
-            self.data or {}
-        ).items():  # AnyValues itself would convert every value through Python
-            ends = np.arange(frames + 1, dtype=np.int32) * np.int32(len(of) // frames)
-            sent.append(rr.ComponentColumn(name, rr.AnyBatchValue(name, of), offsets=ends))
-        return sent
+        sent = [
+            Column.of_archetype(self.archetype, name, of, frames * (each or 1), frames)
+            for name, of in values.items()
+        ]
+        return sent + [Column.of_data(name, of, frames) for name, of in (self.data or {}).items()]
 
 
-def frame_streams(rows: SessionArrays, checks: FusedChecks | None = None) -> Iterator[FrameStream]:
+PLOTTED = frozenset({layout.QUALITY, layout.BONES, layout.kinect("b")})
+"""Entities that are plotted or only read back; all others are drawn into the scene."""
+
+
+def frame_streams(
+    rows: SessionArrays, checks: FusedChecks | None = None, *, drawn: bool = True, plotted: bool = True
+) -> Iterator[FrameStream]:
     """All data logged per frame: the recorded figures, then figures derived for the viewer.
 
     Args:
         rows: The frames, one or more.
         checks: Checks of S* in float64, if `rows` come from a file in float32.
+        drawn: Whether entities that are drawn into the scene are included.
+        plotted: Whether the other entities are, see :data:`PLOTTED`.
     """
-    drawn: dict[str, dict[str, NDArray[Any]]] = {}  # by entity and "archetype:argument"
+
+    def left_out(entity: str) -> bool:
+        return not (plotted if entity in PLOTTED else drawn)
+
+    arguments: dict[str, dict[str, NDArray[Any]]] = {}  # by entity and "archetype:argument"
     data: dict[str, dict[str, pa.Array]] = {}  # by entity and component
     flat: dict[tuple[str, str], list[tuple[FrameField, NDArray[Any]]]] = {}
     for _, spec, values in rows.figures():
+        if left_out(spec.entity):
+            continue
         stored = spec.to_file(rows.body, values)
         if ":" in spec.component:
-            drawn.setdefault(spec.entity, {})[spec.component] = stored
+            arguments.setdefault(spec.entity, {})[spec.component] = stored
         else:
             flat.setdefault((spec.entity, spec.component), []).append((spec, stored))
     for (entity, component), parts in flat.items():
@@ -99,20 +107,21 @@ def frame_streams(rows: SessionArrays, checks: FusedChecks | None = None) -> Ite
             stored = np.concatenate([values.reshape(len(rows), -1) for _, values in parts], axis=1)
         data.setdefault(entity, {})[component] = spec.in_arrow(rows.body, stored)
     for shown in SHOWN_FIGURES:
-        derived = shown.values(rows)
+        derived = None if left_out(shown.entity) else shown.values(rows)
         if derived is None:
             continue
         if ":" in shown.component:
-            drawn.setdefault(shown.entity, {})[shown.component] = derived
+            arguments.setdefault(shown.entity, {})[shown.component] = derived
         else:
             data.setdefault(shown.entity, {})[shown.component] = _vectors(derived)
-    data[layout.QUALITY] |= _checks(rows, checks)
-    for entity in dict.fromkeys([*drawn, *data]):
-        yield _stream(entity, rows, drawn.get(entity, {}), data.get(entity, {}))
+    if plotted:
+        data[layout.QUALITY] |= _checks(rows, checks)
+    for entity in dict.fromkeys([*arguments, *data]):
+        yield _stream(entity, rows, arguments.get(entity, {}), data.get(entity, {}))
     chosen = np.flatnonzero(rows.frame % _BONES_EVERY == 0)
-    plotted = rows if len(chosen) == len(rows) else rows[chosen]
-    if len(plotted):
-        yield FrameStream(layout.BONES, plotted, data={layout.BONE_LENGTHS: _bones(plotted)})
+    if plotted and len(chosen):
+        every = rows if len(chosen) == len(rows) else rows[chosen]
+        yield FrameStream(layout.BONES, every, data={layout.BONE_LENGTHS: _bones(every)})
 
 
 def _stream(
@@ -141,9 +150,13 @@ def _bones(rows: SessionArrays) -> pa.Array:
     """[S_A, S_B, S*, target] lengths of each bone in float16, whose step is 0.25 mm at the length of a
     thigh."""
     lengths = np.concatenate([rows.bone_length_of_each, rows.bone_lengths[None]])  # (4, T, J)
-    bones = {rows.body.bones[j]: lengths[:, :, j].T.astype(np.float16) for j in rows.body.bone_joints}
+    each = _array(lengths.transpose(2, 1, 0).astype(np.float16))  # one array, of which each bone is a part
+    count = lengths.shape[0] * lengths.shape[1]
+    of = _array(np.tile(np.arange(len(lengths), dtype=np.uint8), len(rows)))
+    body = rows.body
+    bones = [each.slice(j * count, count) for j in body.bone_joints]
     # the viewer plots float16 only if the struct has another numeric field
-    return _struct({"of": np.tile(np.arange(len(lengths), dtype=np.uint8), len(rows)), **bones})
+    return pa.StructArray.from_arrays([of, *bones], names=["of", *(body.bones[j] for j in body.bone_joints)])
 
 
 def _checks(rows: SessionArrays, checks: FusedChecks | None) -> dict[str, pa.Array]:
@@ -153,10 +166,6 @@ def _checks(rows: SessionArrays, checks: FusedChecks | None) -> dict[str, pa.Arr
         FUSED_CRC: _array(fused_crc),
         layout.JOINT_DIGESTS: _array(digests),
     }
-
-
-def _struct(of: dict[str, NDArray[Any]]) -> pa.Array:
-    return pa.StructArray.from_arrays([_array(values) for values in of.values()], names=list(of))
 
 
 def _vectors(values: NDArray[Any]) -> pa.Array:

@@ -1,4 +1,8 @@
-"""Figures of quality over several frames that need no truth: jitter, and how far K_B's pose has changed."""
+"""Figures that are not logged with every pair.
+
+Quality over several frames that needs no truth: jitter, and how far K_B's pose has changed. State of two live
+streams: clock drift, dropped frames, unpaired frames.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,15 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from devices.live.sensor_pair import StreamFigures
 from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.session_arrays import SessionArrays
 
 _EVERY = 15
 """Frames between two values, half a second."""
+_AGAIN_NS = 1_000_000_000
+"""Longest interval between two values of an unchanged figure of a stream, so that its plot line continues."""
 
 
 class QualityLog:
@@ -52,6 +59,32 @@ class QualityLog:
         cosine = (np.trace(self._first[0].T @ rotation) - 1.0) / 2.0
         turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
         return 1e3 * float(np.linalg.norm(translation - self._first[1])), float(turned)
+
+
+class StreamFiguresLog:
+    """Writes the figures to a stream when they change, and at least once per second."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._last: dict[str, tuple[int, list[float]]] = {}
+
+    def record(self, frame: int, time_ns: int, figures: StreamFigures) -> None:
+        """Logs the figures known at a frame."""
+        by_name = {
+            "drift_ppm": [figures.drift_ppm],
+            "dropped": [float(count) for count in figures.dropped],
+            "unpaired": [float(count) for count in figures.unpaired],
+        }
+        for name, values in by_name.items():
+            before = self._last.get(name)
+            if before is None:
+                self._stream.log(layout.stream_figure(name), entity_styles.STREAM_LINES[name], static=True)
+            elif time_ns - before[0] < _AGAIN_NS and (values == before[1] or name == "drift_ppm"):
+                continue  # drift changes a little with every frame
+            self._last[name] = time_ns, values
+            self._stream.set_time(layout.FRAME, sequence=frame)
+            self._stream.set_time(layout.TIME, duration=np.timedelta64(time_ns, "ns"))
+            self._stream.log(layout.stream_figure(name), rr.Scalars(values))
 
 
 def jitter(positions: NDArray[np.float32]) -> float:

@@ -1,11 +1,13 @@
 """All log calls. Constant data is logged once; frames are logged one by one (live) or by columns (offline).
 
 Both ways give the same layout, because both use :mod:`recordings.writing.frame_streams`.
+
+A little over 300 lines: all log calls of a session are in one place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -25,12 +27,12 @@ from recordings.images.depth_points import prepare_points, thin_points
 from recordings.images.infrared_images import show_infrared
 from recordings.images.rvl import MEDIA_TYPE, encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.writing.arrow_columns import Times, depth_image, points
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
-from recordings.writing.frame_streams import frame_streams
+from recordings.writing.frame_streams import FrameStream, frame_streams
 from recordings.writing.placement_log import PlacementLog
 from recordings.writing.properties import session_properties
-from recordings.writing.quality_log import QualityLog
-from recordings.writing.sensor_stream_log import StreamFiguresLog
+from recordings.writing.quality_log import QualityLog, StreamFiguresLog
 
 _MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
 """Interval between drawings of an incomplete page of the trust matrix: live, and in files."""
@@ -48,6 +50,9 @@ class Recorder:
         about: Additional properties about the session's origin.
         start_ns: Start time of the session; None: the time of the first recorded frame.
         points: Whether to log depth images as point clouds too.
+        plots_every: Of how many frames the figures that are plotted are logged together; those that are drawn
+            into the scene are logged with each frame. Each message costs as much as many numbers.
+        pause: Called between two messages of a block of frames, so that threads in a hurry go first.
         drafts: Whether to log incomplete pages of the trust matrix, too. A stream that is written as a whole
             does not need them, and drawing them takes a tenth of the time.
     """
@@ -63,10 +68,14 @@ class Recorder:
         start_ns: int | None = None,
         points: bool = False,
         drafts: bool = True,
+        plots_every: int = 1,
+        pause: Callable[[], object] | None = None,
     ) -> None:
         self._stream = stream
         self._calibration = setup.calibration
         self._frames, self._start_ns = 0, start_ns
+        self._pause = pause or (lambda: None)
+        self._plots_every, self._unplotted = plots_every, list[tuple[RecordedFrame, int]]()
         self._like: SessionArrays | None = None
         self._last: tuple[int, int] | None = None
         self._depth_every, self._points = depth_every, points
@@ -89,6 +98,7 @@ class Recorder:
 
     def recalibrated(self, setup: FusionSetup) -> None:
         """Logs the calibration of a new setup, which applies to the following frames."""
+        self.plot()
         calibration = self._calibration = setup.calibration
         registration = calibration.registration
         values: dict[str, Any] = {
@@ -132,7 +142,13 @@ class Recorder:
             The logged arrays.
         """
         rows = self._stack(frames, numbers)
-        self.record_rows(rows)
+        if self._plots_every > 1:
+            self._draw(rows)
+            self._unplotted += zip(frames, rows.frame.tolist(), strict=True)
+            if len(self._unplotted) >= self._plots_every:
+                self.plot()
+        else:
+            self.record_rows(rows)
         self._log_sensors(frames, rows)
         return rows
 
@@ -144,14 +160,35 @@ class Recorder:
             checks: Checks of S* in float64, if `rows` come from a file in float32.
         """
         self._placement.record(rows)
-        timed, times = rows, _times(rows)
-        for stream in frame_streams(rows, checks):
-            if stream.rows is not timed:
-                timed, times = stream.rows, _times(stream.rows)
-            self._stream.send_columns(stream.entity, times, stream.columns())
+        self._send(frame_streams(rows, checks))
         self._explain(rows)
         self._frames = max(self._frames, int(rows.frame[-1]) + 1)
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
+
+    def plot(self) -> None:
+        """Logs the figures of frames that are drawn and not yet plotted, if there are any."""
+        if self._unplotted:
+            frames, numbers = zip(*self._unplotted, strict=True)
+            self._unplotted.clear()
+            rows = self._stack(frames, numbers)
+            self._send(frame_streams(rows, drawn=False))
+            self._explain(rows)
+
+    def _draw(self, rows: SessionArrays) -> None:
+        """Logs what is drawn into the scene, and leaves the rest to :meth:`plot`."""
+        self._placement.record(rows)
+        self._send(frame_streams(rows, plotted=False))
+        self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
+
+    def _send(self, streams: Iterable[FrameStream]) -> None:
+        timed: SessionArrays | None = None
+        times: list[Times] = []
+        for stream in streams:
+            if stream.rows is not timed:
+                timed, times = stream.rows, _times(stream.rows)
+            columns: list[Any] = stream.columns()
+            self._stream.send_columns(stream.entity, times, columns)
+            self._pause()
 
     def record_images(self, number: int, frame: RecordedFrame) -> None:
         """Logs the images of a frame, in time order. The frame must be recorded later without images."""
@@ -172,12 +209,12 @@ class Recorder:
         self._set_time(frame, time_ns)
         self._stream.log(
             layout.depth(side),
-            rr.EncodedDepthImage(blob, media_type=MEDIA_TYPE, meter=1000.0),
+            depth_image(blob, MEDIA_TYPE, meter=1000.0),
             rr.AnyValues(crc32=image_checksum(frame, blob)),
         )
         if self._points:
             cloud = thin_points(depth, self._cameras[side])
-            self._stream.log(layout.points(side), rr.Points3D.from_fields(positions=cloud))
+            self._stream.log(layout.points(side), points(cloud))
 
     def record_color(self, side: str, frame: int, time_ns: int, color: ColorImage) -> None:
         """Logs a colour image."""
@@ -215,6 +252,7 @@ class Recorder:
 
     def finish(self) -> None:
         """Marks the session as complete; a reader treats a session without this mark as cut off."""
+        self.plot()
         self._log_matrix(self._matrix.rest())
         self._stream.send_property("end", rr.AnyValues(frames=self._frames))
 
@@ -253,10 +291,14 @@ class Recorder:
         self._quality.record(rows)
         self._log_matrix(self._matrix.add(rows))
         for side, joint, changes in self._lanes.add(rows):
+            self._pause()
             lane = layout.state_lane(side, rows.body.joints[joint])
-            if len(rows) == len(changes) == 1:  # columns would take three times as long
-                self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
-                self._stream.log(lane, _STATE_CHANGES[changes[0][1]])
+            t, state = changes[0]
+            few = len(rows) == 1 or self._plots_every > 1
+            if few and len(changes) == 1 and t is not None:
+                # columns would take three times as long
+                self._set_time(int(rows.frame[t]), int(rows.time_ns[t]))
+                self._stream.log(lane, _STATE_CHANGES[state])
                 continue
             places = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
             self._stream.send_columns(
@@ -293,8 +335,5 @@ class Recorder:
         once(layout.TRUTH_SKELETON, entity_styles.joint_look(body, "truth"))
 
 
-def _times(rows: SessionArrays) -> list[rr.TimeColumn]:
-    return [
-        rr.TimeColumn(layout.FRAME, sequence=rows.frame),
-        rr.TimeColumn(layout.TIME, duration=rows.time_ns.astype("timedelta64[ns]")),
-    ]
+def _times(rows: SessionArrays) -> list[Times]:
+    return [Times(layout.FRAME, rows.frame), Times(layout.TIME, rows.time_ns.astype("timedelta64[ns]"))]

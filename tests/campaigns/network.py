@@ -66,8 +66,9 @@ def measured(sensors: TwoSensors, seconds: float) -> Run:
     for live in sensors.pairs():
         pair = fusion.chosen(live)
         fusion.recalibrated(pair)
-        fusion.fuse(pair)
+        frame = fusion.fuse(pair)
         now_ns = time.perf_counter_ns()
+        fusion.learn(frame)
         elapsed = now_ns * 1e-9 - begun
         if elapsed > _SETTLED_S and not settled:
             settled = True

@@ -1,7 +1,8 @@
 """Two simulated sensors at 30 fps with depth, for as long as one likes: memory, pace, latency, pairs lost.
 
 ``python -m tests.campaigns.soak --minutes 10`` prints a line every half minute and the verdict at the end;
-with ``--viewer`` the session goes to a viewer's hub too.
+with ``--viewer`` the session goes to a viewer's hub too. With ``--sensors processes`` each sensor is
+simulated in a process of its own: a real sensor's SDK needs no Python interpreter either.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from unittest import mock
 
 import numpy as np
 
+from devices import depth_witness
 from devices.live.sensor_pair import TwoSensors
 from devices.live.stream_pairing import PairingFigures
 from devices.simulated.kinect import simulated_pair
@@ -32,6 +34,7 @@ from fusion.setup import FusionSetup
 from recordings.images.rvl import encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.recorder import Recorder
+from tests.helpers.sensor_process import sensor_processes
 from viewer_app.loop.live_loop import Status, run_live
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.sink import FanOut, Sink
@@ -130,16 +133,19 @@ def soak(
     path: Path,
     report_every_s: float = 30.0,
     viewer: bool = False,
+    processes: bool = False,
 ) -> Soak:
     """Runs the loop and inspects it a few times per second."""
     seen = Soak(shown=_TimedRecorder.shown)
     seen.shown.clear()
     a, b, _ = simulated_pair(motion="walk", depth=depth)
     Fuser(FusionSetup(nominal_calibration(AZURE_KINECT))).warm_up()
+    depth_witness.warm_up()
     for sensor in (a, b):
         image = next(sensor.frames()).depth  # compiles the renderer before the clock runs
         if image is not None:
             encode_depth(image)
+    both = sensor_processes(depth) if processes else paced_together(a, b)
     begun, said = time.perf_counter(), [0.0]
     looked = [0.0]
 
@@ -168,7 +174,7 @@ def soak(
     with (
         mock.patch("viewer_app.sinks.viewer_sink.Recorder", _TimedRecorder) if viewer else nullcontext(),
         LiveSession(nominal, (a.name, b.name), blueprint, file=path, viewing=viewing) as session,
-        TwoSensors(*paced_together(a, b)) as sensors,
+        TwoSensors(*both) as sensors,
     ):
         timer = threading.Timer(seconds, sensors.stop)
         timer.daemon = True
@@ -206,9 +212,12 @@ def main() -> int:
     options.add_argument("--minutes", type=float, default=10.0)
     options.add_argument("--depth", choices=("none", "half", "full"), default="half")
     options.add_argument("--viewer", action="store_true")
+    options.add_argument("--sensors", choices=("threads", "processes"), default="threads")
     given = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        seen = soak(60.0 * given.minutes, given.depth, Path(folder) / "soak.rrd", viewer=given.viewer)
+        processes = given.sensors == "processes"
+        path = Path(folder) / "soak.rrd"
+        seen = soak(60.0 * given.minutes, given.depth, path, viewer=given.viewer, processes=processes)
     figures = seen.pairing
     lost = (
         seen.lost + sum(seen.dropped) + figures.alone_a + figures.alone_b + figures.unmatched_b + figures.late
@@ -221,7 +230,7 @@ def main() -> int:
         f"{seen.growth_mb:.1f} MB after the first minute (end {seen.memory[-1][1]:.0f} MB); file "
         f"{seen.saved_mb:.1f} MB; real sensors would add {PYK4A_MB_PER_HOUR * seen.seconds / 3600:.1f} MB "
         f"({PYK4A_MB_PER_HOUR:.0f} MB per hour, which pyk4a leaks); {seen.processor:.0%} of a processor, "
-        f"simulation included; "
+        f"simulation {'not ' * processes}included; "
         f"{seen.stolen:.1%} of the processors stolen"
     )
     for what, ms in (

@@ -13,12 +13,18 @@ from fusion.body import KINECT_V2
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.calibration.bone_statistics import robust_bone_lengths
 from fusion.calibration.calibration import Calibration
-from fusion.calibration.learner import CalibrationChange, CalibrationLearner, register_anew
+from fusion.calibration.learner import (
+    CalibrationChange,
+    CalibrationLearner,
+    LearnerSettings,
+    register_anew,
+)
 from fusion.calibration.recording_learner import learn_from_recording
 from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
-from fusion.registration import robust_fit
+from fusion.registration import refinement, robust_fit
 from fusion.registration.keyframes import evidence_of
+from fusion.registration.refinement import RefinementSettings
 from fusion.registration.robust_fit import RobustFitSettings
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
@@ -50,10 +56,10 @@ def walk(count: int = 450, noise: float = 0.01, mirrored: bool = False) -> list[
 
 
 def learned(
-    pairs: list[SkeletonPair], start: RigidTransform
+    pairs: list[SkeletonPair], start: RigidTransform, settings: LearnerSettings | None = None
 ) -> tuple[CalibrationLearner, list[CalibrationChange]]:
     learner = CalibrationLearner(
-        KINECT_V2, Calibration(KINECT_V2, start, KINECT_V2.nominal_lengths * 1.1, "start")
+        KINECT_V2, Calibration(KINECT_V2, start, KINECT_V2.nominal_lengths * 1.1, "start"), settings
     )
     return learner, [change for pair in pairs for change in learner.observe(pair)]
 
@@ -158,3 +164,30 @@ def test_a_learner_compiles_nothing_after_the_fuser_is_warm(monkeypatch: pytest.
     assert any(change.kind == "refined" for change in changes)
     assert compiling.buffer == []
     assert len(fresh.signatures) == 1  # a kernel found on disk here would have to be compiled elsewhere
+
+
+def test_a_refinement_in_steps_is_the_same_two_pairs_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    fits: list[int] = []
+    fit = refinement.fit_robust
+    monkeypatch.setattr(refinement, "fit_robust", lambda *of, **more: (fits.append(1), fit(*of, **more))[1])
+    pairs = walk(120)
+    in_steps = LearnerSettings(refinement=RefinementSettings(in_steps=True))
+    learner = CalibrationLearner(
+        KINECT_V2, Calibration(KINECT_V2, OFF, KINECT_V2.nominal_lengths, "start"), in_steps
+    )
+    each, stepwise = [], []
+    for pair in pairs:
+        before = len(fits)
+        stepwise += [change for change in learner.observe(pair) if change.kind == "refined"]
+        each.append(len(fits) - before)
+        if stepwise:
+            break
+    assert max(each) == 1, "one fit of the three with each pair"
+    at_once = [change for change in learned(pairs, OFF)[1] if change.kind == "refined"]
+    assert stepwise[0].time_ns - at_once[0].time_ns == 2 * FRAME_NS
+    np.testing.assert_array_equal(
+        stepwise[0].calibration.a_from_b.rotation, at_once[0].calibration.a_from_b.rotation
+    )
+    np.testing.assert_array_equal(
+        stepwise[0].calibration.a_from_b.translation, at_once[0].calibration.a_from_b.translation
+    )

@@ -45,6 +45,7 @@ def fused_demonstration(body: Body, seconds: float, seed: int = 0, motion: str =
     for pair in pairs_of(shown.a, shown.b):
         fusion.recalibrated(pair)
         run.frames.append(fusion.fuse(pair))
+        fusion.learn(run.frames[-1])
         run.events.extend((pair.time_ns * 1e-9, text) for text, *_ in fusion.told())
     return run
 

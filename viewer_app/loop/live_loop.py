@@ -25,6 +25,8 @@ from viewer_app.sinks.sink import Sink
 _KEPT_FRAMES = 1_800
 """One minute at 30 fps: the frames that the final summary covers."""
 _SWITCH_INTERVAL = 0.0005  # seconds
+_REST = 0.010
+"""Seconds, a third of a frame: for so long, learning waits for the threads that pass the frame on."""
 
 
 @dataclass(frozen=True)
@@ -106,12 +108,16 @@ def run_live(
         sink.write(frame)
         if recalibrated:
             sink.event(f"calibrated: {fusion.setup.calibration.how}")
-        for told in fusion.told():
-            sink.event(*told)
         for event in events:
             sink.event(event, "WARN")
         kept.append(replace(frame, pair=without_images(pair)))
-        if not go_on(Status(frame, fusion.calibrator, sensors, events)):
+        goes_on = go_on(Status(frame, fusion.calibrator, sensors, events))
+        if not sensors.waiting:
+            sink.rest(_REST)
+        fusion.learn(frame)
+        for told in fusion.told():
+            sink.event(*told)
+        if not goes_on:
             break
     for late in sensors.events():  # what happened after the last pair
         sink.event(late.message, "WARN")

@@ -16,6 +16,9 @@ from viewer_app.sinks.session_file import FileSink, SessionFile
 from viewer_app.sinks.sink import FanOut, Sink
 from viewer_app.sinks.viewer_sink import Viewing, viewer_sink
 
+_PAUSE = 0.02
+"""Seconds: for so long at most, the file's thread waits between two messages while the viewer's writes."""
+
 
 class LiveSession(FanOut):
     """A viewer and a file of one recording, and further sinks.
@@ -59,7 +62,9 @@ class LiveSession(FanOut):
         self.viewer = viewer_sink(setup, sources, blueprint, viewing, identity)
 
         def begin(stream: rr.RecordingStream) -> Recorder:
-            recorder = Recorder(stream, setup, sources, depth_every=1, about=about)
+            between = self.viewer.wait_until_free
+            pause = None if between is None else lambda: between(_PAUSE)
+            recorder = Recorder(stream, setup, sources, depth_every=1, about=about, pause=pause)
             # The blueprint's timeline must exist. If not active, a viewer restores a remembered layout.
             stream.send_blueprint(file_blueprint or blueprint)
             return recorder

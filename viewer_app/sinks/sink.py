@@ -36,6 +36,9 @@ class Sink:
     def coach(self, page: CoachPage) -> None:
         """Takes the coach's page, at the time of the last frame."""
 
+    def rest(self, seconds: float) -> None:
+        """Waits until the last frame is passed on, at most so long; the loop then does what is not urgent."""
+
     def finish(self) -> None:
         """Called when the loop has ended normally; no frame follows."""
 
@@ -72,6 +75,11 @@ class FanOut(Sink):
         """To each."""
         for sink in self.sinks:
             sink.coach(page)
+
+    def rest(self, seconds: float) -> None:
+        """To each."""
+        for sink in self.sinks:
+            sink.rest(seconds)
 
     def finish(self) -> None:
         """To each."""

@@ -53,7 +53,7 @@ class ViewerFeed:
         self._more = threading.Condition()
         self._stopping = False
         self._idle = False
-        self._turn_over = threading.Event()
+        self._turn_over, self._free = threading.Event(), threading.Event()
         self.dropped = 0
         """Frames dropped because the viewer was too slow."""
         self.starts = 0
@@ -67,17 +67,26 @@ class ViewerFeed:
     def offer(self, item: Item) -> None:
         """Takes an item, without waiting."""
         with self._more:
-            if self._stopping or not self._thread.is_alive():
+            if self._stopping:
                 return
             if self._keep is not None and len(self._queue) >= self._keep:
                 self._drop_oldest_frame()
             self._queue.append(item)
+            self._free.clear()
             self._more.notify()
 
     def wait_for_turn(self, seconds: float) -> None:
         """Waits until the queued items are written, at most the given seconds."""
         self._turn_over.clear()
         self._turn_over.wait(seconds)
+
+    def wait_until_free(self, seconds: float) -> bool:
+        """Waits while the static data or an item is to be written, at most the given seconds.
+
+        Returns:
+            Whether everything is written.
+        """
+        return self._free.wait(seconds)
 
     def finish(self, timeout: float) -> bool:
         """Waits until all items are written or the process is gone; returns whether all were written."""
@@ -114,6 +123,8 @@ class ViewerFeed:
         try:
             self._feed_each()
         finally:
+            self._stopping = True
+            self._free.set()  # nobody waits for a thread that has ended
             self._stream.disconnect()
 
     def _feed_each(self) -> None:
@@ -142,12 +153,16 @@ class ViewerFeed:
                 self._turn_over.set()
                 with self._more:
                     self._idle = not self._queue
+                    if self._idle:
+                        self._free.set()
                     if not self._queue:
                         self._more.wait(0.2)
                     items = list(self._queue)
                     self._queue.clear()
                     self._idle = self._idle and not items
                 write_items(recorder, items)
+                if not items:  # the session stands still: show the plots of its last frames, too
+                    recorder.plot()
         finally:
             encoded.read()  # Rerun would report the rest as lost
 

@@ -30,7 +30,9 @@ _QUEUE = 60
 """Maximum number of queued frames: two seconds; older frames are dropped."""
 _DEPTH_HZ = 10.0  # limited by the viewer's memory for images
 _SHOWN_WITHIN = 60.0  # seconds
+_BEGINS_WITHIN = 1.0  # seconds
 _SHOWN_EVERY = 3  # depth images of a recording
+_PLOTS_EVERY = 5  # frames, a sixth of a second
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,12 @@ class ViewerSink(Sink):
     @property
     def wait_for_turn(self) -> Callable[[float], object] | None:
         """A function that waits until the queued items are written, at most the given seconds; None without a
+        viewer."""
+        return None
+
+    @property
+    def wait_until_free(self) -> Callable[[float], object] | None:
+        """A function that waits while a frame is being written, at most the given seconds; None without a
         viewer."""
         return None
 
@@ -126,6 +134,8 @@ class ShownSession(ViewerSink):
         except UsageError:
             self.feed.close(end_process=True)
             raise
+        # While a hub takes the static data, it would hold up the first frames.
+        self.feed.wait_until_free(_BEGINS_WITHIN)
         if viewing.window:
             self.window = ViewerWindow(lambda: start_window(hub, viewing.headless))
 
@@ -181,6 +191,15 @@ class ShownSession(ViewerSink):
         """Waits until the feed has written, so many seconds at most."""
         return self.feed.wait_for_turn
 
+    @property
+    def wait_until_free(self) -> Callable[[float], object] | None:
+        """Waits while the feed writes, so many seconds at most."""
+        return self.feed.wait_until_free
+
+    def rest(self, seconds: float) -> None:
+        """Waits until the feed has written."""
+        self.feed.wait_until_free(seconds)
+
     def _feed_into(self, start: Callable[[], subprocess.Popen[bytes]], restart: bool = True) -> ViewerFeed:
         stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=self._identity)
         keep = None if self._complete else _QUEUE
@@ -188,7 +207,11 @@ class ShownSession(ViewerSink):
 
     def _begin(self, stream: rr.RecordingStream) -> Recorder:
         recorder = Recorder(
-            stream, self._setup, self._sources, depth_every=1, start_ns=self._start_ns, points=True
+            *(stream, self._setup, self._sources),
+            depth_every=1,
+            start_ns=self._start_ns,
+            points=True,
+            plots_every=_PLOTS_EVERY,
         )
         # the timeline it names must be there; it is active, or a viewer would show what it remembers
         stream.send_blueprint(self._blueprint)

@@ -197,7 +197,7 @@ def test_an_earlier_calibration_is_kept() -> None:
 class ResetSensors:
     """Two sensors. The clock of A is set back by a second, then A misses a frame."""
 
-    stream_figures = None
+    stream_figures, waiting = None, False
 
     def pairs(self) -> Iterator[FramePair]:
         truth = standing(KINECT_V1)
@@ -228,7 +228,7 @@ class TwoPeople:
     """Two sensors that see two people: one is in the middle of A's view, the other in the middle of B's."""
 
     where: tuple[list[float], list[float]]  # metres in K_A's frame, from the standing person
-    stream_figures = None
+    stream_figures, waiting = None, False
 
     def pairs(self) -> Iterator[FramePair]:
         for t in range(3):

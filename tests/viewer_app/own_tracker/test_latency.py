@@ -26,7 +26,7 @@ DONE = (1_100, 1_300, 1_600, 1_900)
 class Arriving:
     """Two sensors whose images arrive at known times, milliseconds."""
 
-    stream_figures = None
+    stream_figures, waiting = None, False
 
     def pairs(self) -> Iterator[FramePair]:
         for t, arrived in enumerate(ARRIVED):

@@ -1,0 +1,64 @@
+"""Columns made without Rerun's conversions are what Rerun makes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from recordings.writing.arrow_columns import Column, Times, depth_image, points
+
+FRAMES, POINTS = 3, 4
+RANDOM = np.random.default_rng(0)
+VALUES: dict[tuple[str, str], Any] = {
+    ("Points3D", "positions"): RANDOM.normal(size=(FRAMES, POINTS, 3)).astype(np.float32),
+    ("Points3D", "colors"): RANDOM.integers(0, 256, (FRAMES, POINTS, 3)).astype(np.uint8),
+    ("Points3D", "class_ids"): RANDOM.integers(0, 9, (FRAMES, POINTS)).astype(np.uint16),
+    ("Transform3D", "mat3x3"): RANDOM.normal(size=(FRAMES, 3, 3)).astype(np.float32),
+    ("Transform3D", "translation"): RANDOM.normal(size=(FRAMES, 3)).astype(np.float32),
+}
+
+
+@pytest.mark.parametrize(("archetype", "argument"), VALUES)
+def test_an_argument_of_an_archetype_becomes_what_rerun_makes_of_it(archetype: str, argument: str) -> None:
+    values, each = VALUES[archetype, argument], POINTS if archetype == "Points3D" else 1
+    flat = values.reshape(FRAMES * each, *values.shape[2 if each > 1 else 1 :])
+    kind = getattr(rr, archetype)
+    (theirs,) = kind.columns(**{argument: flat}).partition([each] * FRAMES)
+    ours = Column.of_archetype(kind, argument, values, FRAMES * each, FRAMES)
+    assert ours.component_descriptor() == theirs.component_descriptor()
+    assert ours.as_arrow_array().equals(theirs.as_arrow_array())
+    assert ours.as_arrow_array().type.value_type == theirs.as_arrow_array().type.value_type
+
+
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_points_become_what_rerun_makes_of_them(count: int) -> None:
+    values = RANDOM.normal(size=(count, 3)).astype(np.float32)
+    (ours,) = points(values)
+    (theirs,) = rr.Points3D.from_fields(positions=values).as_component_batches()
+    assert ours.component_descriptor() == theirs.component_descriptor()
+    assert ours.as_arrow_array().equals(theirs.as_arrow_array())
+    assert ours.as_arrow_array().type == theirs.as_arrow_array().type
+
+
+def test_an_image_becomes_what_rerun_makes_of_it() -> None:
+    theirs = rr.EncodedDepthImage(b"a blob", media_type="application/rvl", meter=1000.0)
+    ours = depth_image(b"a blob", "application/rvl", 1000.0)
+    for mine, their in zip(ours, theirs.as_component_batches(), strict=True):
+        assert mine.component_descriptor() == their.component_descriptor()
+        assert mine.as_arrow_array().equals(their.as_arrow_array())
+        assert mine.as_arrow_array().type == their.as_arrow_array().type
+
+
+def test_times_become_what_rerun_makes_of_them() -> None:
+    numbers = np.arange(5)
+    spans = numbers.astype("timedelta64[ns]")
+    for ours, theirs in (
+        (Times("frame", numbers), rr.TimeColumn("frame", sequence=numbers)),
+        (Times("time", spans), rr.TimeColumn("time", duration=spans)),
+    ):
+        assert ours.timeline_name() == theirs.timeline_name()
+        assert ours.as_arrow_array().equals(theirs.as_arrow_array())
+        assert ours.as_arrow_array().type == theirs.as_arrow_array().type

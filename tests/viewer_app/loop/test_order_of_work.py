@@ -1,0 +1,185 @@
+"""What the loop and its threads do first: a frame is handed over before anything that can wait."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import types
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import pytest
+import rerun as rr
+
+from devices import depth_witness
+from devices.pairing import FramePair
+from devices.simulated.kinect import simulated_pair
+from fusion.body import KINECT_V1
+from fusion.calibration.calibration import nominal_calibration
+from fusion.fuser import Fuser
+from fusion.registration import refinement
+from fusion.setup import FusionSetup
+from fusion.skeleton import SkeletonPair
+from recordings import layout
+from recordings.fusing.live import LiveFusion
+from recordings.session_arrays import RecordedFrame
+from recordings.writing.recorder import Recorder
+from tests.helpers.live_frames import frames, session
+from tests.helpers.waiting import eventually
+from viewer_app.loop.live_loop import run_live
+from viewer_app.sinks import live_session
+from viewer_app.sinks.queue_items import Frame
+from viewer_app.sinks.sink import FanOut, Sink
+from viewer_app.sinks.viewer_feed import ViewerFeed
+from viewer_app.sinks.viewer_sink import ViewerSink
+
+
+class Sensors:
+    """Sensors whose pairs are known."""
+
+    stream_figures = None
+
+    def __init__(self, pairs: list[FramePair], waiting: bool) -> None:
+        self._pairs, self.waiting = pairs, waiting
+
+    def pairs(self) -> Iterator[FramePair]:
+        return iter(self._pairs)
+
+    def events(self) -> tuple[()]:
+        return ()
+
+
+def walking(count: int) -> tuple[FusionSetup, list[FramePair]]:
+    """Pairs of a simulated walk, with images, and the setup at the start."""
+    a, b, _ = simulated_pair(motion="walk", body=KINECT_V1, depth="half")
+    setup = FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
+    both = islice(zip(a.frames(), b.frames(), strict=False), count)
+    return setup, [FramePair(of_a, of_b, SkeletonPair(None, None, of_a.time_ns)) for of_a, of_b in both]
+
+
+@pytest.mark.parametrize("waiting", [False, True])
+def test_a_frame_is_handed_over_before_the_program_learns_from_it(
+    waiting: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And learning leaves the viewer's thread alone, unless the next frame waits already."""
+    done: list[str] = []
+
+    class Handed(Sink):
+        def write(self, frame: RecordedFrame) -> None:
+            assert frame.fused.has_person
+            done.append("handed over")
+
+        def rest(self, seconds: float) -> None:
+            assert 0.0 < seconds < 0.5 / 30.0
+            done.append("rested")
+
+    learn = LiveFusion.learn
+    monkeypatch.setattr(LiveFusion, "learn", lambda *of: (done.append("learned"), learn(*of)))
+    setup, pairs = walking(2)
+    run_live(Sensors(pairs, waiting), setup, FanOut([Handed()]))  # type: ignore[arg-type]
+    assert done == ["handed over", *([] if waiting else ["rested"]), "learned"] * 2
+
+
+def test_a_feed_is_free_when_it_has_written_and_when_it_has_ended(fuser: Fuser) -> None:
+    go_on, writing = threading.Event(), threading.Event()
+
+    class Slow(Recorder):
+        def record_all(self, *of: Any) -> Any:
+            writing.set()
+            assert go_on.wait(30.0)
+            return super().record_all(*of)
+
+    reader = [sys.executable, "-c", "import sys; sys.stdin.buffer.read()"]
+    feed = ViewerFeed(
+        lambda: subprocess.Popen(reader, stdin=subprocess.PIPE, bufsize=0),
+        rr.RecordingStream("test"),
+        lambda stream: Slow(stream, fuser.setup, ("a", "b")),
+    )
+    assert eventually(lambda: is_free(feed)), "the static data is written"
+    feed.offer(Frame(0, frames(fuser, 1)[0]))
+    assert writing.wait(30.0)
+    assert not is_free(feed)
+    go_on.set()
+    assert eventually(lambda: is_free(feed))
+    go_on.clear()
+    feed.offer(Frame(1, frames(fuser, 1)[0]))
+    assert not is_free(feed)
+    threading.Timer(0.0, go_on.set).start()
+    feed.close(end_process=True)
+    assert eventually(lambda: is_free(feed)), "nobody waits for a thread that has ended"
+
+
+def is_free(feed: ViewerFeed) -> bool:
+    """Whether waiting for the feed ends at once."""
+    return bool(feed.wait_until_free(0.0))
+
+
+def test_the_file_pauses_between_its_messages(
+    fuser: Fuser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paused: list[str] = []
+    sent: list[str] = []
+    send = rr.RecordingStream.send_columns
+
+    def counted(stream: rr.RecordingStream, entity: str, *of: Any, **more: Any) -> None:
+        sent.append(entity)
+        send(stream, entity, *of, **more)
+
+    monkeypatch.setattr(rr.RecordingStream, "send_columns", counted)
+    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
+    stream.save(tmp_path / "s.rrd")
+    recorder = Recorder(stream, fuser.setup, ("a", "b"), pause=lambda: paused.append(sent[-1]))
+    recorder.record_all(frames(fuser, 15))
+    assert paused == sent
+    stream.disconnect()
+
+
+def test_a_session_s_file_gives_way_to_its_viewer(
+    fuser: Fuser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waited: list[float] = []
+
+    class Viewer(ViewerSink):
+        wait_until_free = staticmethod(waited.append)  # type: ignore[assignment]
+
+    monkeypatch.setattr(live_session, "viewer_sink", lambda *_: Viewer())
+    with session(fuser, tmp_path / "s.rrd") as live:
+        for frame in frames(fuser, 3):
+            live.write(frame)
+    assert waited
+    assert 0.0 < max(waited) < 1.0 / 30.0
+
+
+def test_nothing_is_compiled_after_the_first_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a live session calls is compiled before its sensors open: a kernel takes seconds."""
+    fits: list[int] = []
+    fit = refinement.fit_robust
+    monkeypatch.setattr(refinement, "fit_robust", lambda *of, **more: (fits.append(1), fit(*of, **more))[1])
+    setup, pairs = walking(240)
+    Fuser(setup).warm_up()
+    depth_witness.warm_up()
+    fusion = LiveFusion(setup)
+    before = compiled()
+    for pair in pairs:
+        chosen = fusion.chosen(pair)
+        fusion.recalibrated(chosen)
+        fusion.learn(fusion.fuse(chosen))
+    assert fusion.calibrator.settled
+    assert len(fits) >= 3, "a whole proposal"
+    assert compiled() == before
+
+
+def compiled() -> dict[str, int]:
+    """How many versions each kernel of the method and of the devices has."""
+    modules: list[types.ModuleType] = list(sys.modules.values())
+    return {
+        f"{module.__name__}.{name}": len(kernel.overloads)
+        for module in modules
+        if module.__name__.startswith(("fusion", "devices.depth_witness", "devices.rvl"))
+        for name, kernel in vars(module).items()
+        if hasattr(kernel, "overloads")
+    }
