@@ -180,16 +180,16 @@ class CalibrationLearner:
         self._judge_ns = now_ns + settings.block_ns
         from_ns = max(since_ns + settings.moving_ns, now_ns - settings.settled_ns if settled else 0)
         found = self._fit_knock(since_ns, from_ns)
+        gain = -np.inf if found is None else found.gain / settings.needed(found.keyframes)
         changes: list[CalibrationChange] = []
-        if found is not None and found.gain > settings.gain:
+        if found is not None and gain > 1.0:
             if not self._knocked:
                 self._knocked = True
                 changes.append(self._notice(now_ns, found))
             if settled:
                 changes.append(self._follow(now_ns, from_ns, found))
         elif not self._knocked and age_ns > settings.dropped_ns:
-            hopeful = found is not None and found.gain > 0.5 * settings.gain
-            if not hopeful or age_ns > 2 * settings.dropped_ns:
+            if gain < 0.5 or age_ns > 2 * settings.dropped_ns:
                 self._knock.withdraw()
         return changes
 

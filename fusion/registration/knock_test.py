@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 KNOCK_TURN, KNOCK_SHIFT = float(np.radians(8.0)), 0.4
 """Standard deviations of a knock: radians, and metres at the person."""
 _KNOWN = 1e-4  # metres, deviation of biases that are already subtracted
+_LEAST_NOISE = 0.015
+"""Metres, the spine's: a person who stands still shows less, but does not show how biases change with the pose."""
 _ROUNDS = 2  # of T with β and D in turn; a third changes the gain by less than a tenth
 
 
@@ -39,12 +41,14 @@ class KnockFit:
         fit: R and t after the knock.
         turn: Radians, by which the sensor would have turned.
         shift: Metres, by which it would have moved the person.
+        keyframes: Number of pairs before it.
     """
 
     gain: float
     fit: RobustFit
     turn: float
     shift: float
+    keyframes: int
 
 
 def fit_knock(
@@ -98,12 +102,13 @@ def fit_knock(
     found = RobustFit(T @ knock, new.covariance, new.centre, biases, noise_sd)
     turn = knock.angle_to(RigidTransform.identity())
     shift = float(np.linalg.norm(found.a_from_b.apply(T.inverse().apply(new.centre)) - new.centre))
+    noise_sd = max(noise_sd, _LEAST_NOISE)
     costs = [
         cost_of(body, evidence, fit.a_from_b, settings, noise_sd, fit.biases) + _price(prior, fit)
         for evidence, fit in ((every, one), (both, two))
     ]
     price = 0.5 * (turn / KNOCK_TURN) ** 2 + 0.5 * (shift / KNOCK_SHIFT) ** 2
-    return KnockFit(costs[0] - costs[1] - price, found, turn, shift)
+    return KnockFit(costs[0] - costs[1] - price, found, turn, shift, len(before.a))
 
 
 def _joined(one: Evidence, other: Evidence) -> Evidence:

@@ -56,13 +56,15 @@ class KnockSettings:
         dropped_ns: Time after which it is dropped if it has less than half the gain that it needs, and
             after twice this time in any case.
         gain: By how much a knock must raise the log-likelihood of the pairs.
+        few: Number of keyframes before the knock at which twice that gain is needed: they do not yet show
+            how biases change from pose to pose.
     """
 
     block_ns: int = 250_000_000
     blocks: int = 4
-    smallest: float = 0.045
-    deviations: float = 5.0
-    unfamiliar: float = 0.180
+    smallest: float = 0.035
+    deviations: float = 4.0
+    unfamiliar: float = 0.090
     history: int = 200
     alike: int = 8
     fewest: int = 10
@@ -71,6 +73,11 @@ class KnockSettings:
     judged_ns: int = 1_250_000_000
     dropped_ns: int = 2_500_000_000
     gain: float = 30.0
+    few: float = 3.0
+
+    def needed(self, keyframes: int) -> float:
+        """The gain that a knock needs after so many keyframes."""
+        return self.gain * (1.0 + self.few / max(keyframes, 1))
 
 
 class _Block(NamedTuple):
