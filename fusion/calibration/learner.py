@@ -17,8 +17,7 @@ from fusion.registration.keyframes import Evidence, evidence_of, match_sides
 from fusion.registration.knock_test import KnockFit, fit_knock
 from fusion.registration.knocked import KnockDetector, KnockSettings, SensorState
 from fusion.registration.refinement import Refinement, RefinementSettings
-from fusion.registration.rigid_fit import Registration
-from fusion.registration.robust_fit import Prior, RobustFit
+from fusion.registration.robust_fit import Prior, RobustFit, registration_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
@@ -273,26 +272,6 @@ def prior_of(calibration: Calibration) -> Prior:
     registration = calibration.registration
     rotation_sd = _UNKNOWN_TURN if registration is None else registration.rotation_sd
     return Prior(calibration.a_from_b, max(rotation_sd, _LEAST_TURN), _UNKNOWN_SHIFT)
-
-
-def registration_of(body: Body, evidence: Evidence, fit: RobustFit) -> Registration:
-    """Converts a fit, with its residuals, to a ``Registration``."""
-    sure = evidence.weights > 0.5
-    distance = np.where(sure, np.linalg.norm(evidence.a - fit.a_from_b.apply(evidence.b), axis=2), np.nan)
-    joints = np.full(len(body), np.nan)
-    for joint in np.flatnonzero(sure.any(axis=0)):
-        joints[joint] = np.nanmedian(distance[:, joint])
-    known = distance[sure]
-    return Registration(
-        a_from_b=fit.a_from_b,
-        residual_median=float(np.median(known)),
-        residual_rms=float(np.sqrt(np.mean(known**2))),
-        joint_residuals=joints,
-        rotation_sd=fit.rotation_sd,
-        frames=len(evidence.a),
-        body=body,
-        translation_sd=fit.translation_sd,
-    )
 
 
 def _difference(old: RigidTransform, fit: RobustFit) -> tuple[float, float]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from fusion.body import Body
 from fusion.calibration.bone_statistics import robust_bone_lengths
 from fusion.calibration.calibration import (
@@ -19,16 +17,14 @@ from fusion.calibration.learner import (
     CalibrationLearner,
     LearnerSettings,
     prior_of,
-    registration_of,
 )
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
+from fusion.registration.label_free import label_free_fit
 from fusion.registration.refinement import held_out_gain
-from fusion.registration.rigid_fit import fit_rigid
-from fusion.registration.robust_fit import RobustFit, disagreement, fit_robust
-from fusion.rigid import RigidTransform
+from fusion.registration.robust_fit import RobustFit, disagreement, fit_robust, registration_of
 from fusion.skeleton import SkeletonPair
 
 _KEYFRAMES = 128  # per span; the tempering of the fit was chosen for this number
@@ -137,28 +133,6 @@ def learn_from_recording(
         )
     events = tuple(change for change in changes if change.kind in ("knocked", "followed"))
     return LearnedCalibration(tuple(spans), clock, events)
-
-
-def label_free_fit(body: Body, evidence: Evidence) -> RigidTransform | None:
-    """A robust fit of R and t to the midline and to midpoints of left and right; None if undetermined.
-
-    These points are the same whether or not a view is mirrored. They determine R only if the person walks
-    about.
-    """
-    own = np.array([j for j in range(len(body)) if j <= body.mirror[j]])
-    other = body.mirror[own]
-    usable = np.minimum(evidence.weights[:, own], evidence.weights[:, other]) > 0.5
-    p = (0.5 * (evidence.a[:, own] + evidence.a[:, other]))[usable]
-    q = (0.5 * (evidence.b[:, own] + evidence.b[:, other]))[usable]
-    try:
-        found = fit_rigid(p, q)
-        for _ in range(10):
-            apart = np.linalg.norm(p - found.apply(q), axis=1)
-            near = apart <= 2.0 * max(float(np.median(apart)), 1e-4)
-            found = fit_rigid(p[near], q[near])
-    except CalibrationError:
-        return None
-    return found
 
 
 def _fresh(pairs: Sequence[SkeletonPair]) -> list[int]:

@@ -27,6 +27,7 @@ from fusion.compiling.kernels import kernel
 from fusion.errors import CalibrationError
 from fusion.registration.joint_noise import relative_noise
 from fusion.registration.keyframes import Evidence
+from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 
 Array = NDArray[np.float64]
@@ -214,6 +215,26 @@ def cost_of(
     )
     price = np.sum(biases**2 / _BASIS_VARIANCE[:, None, None]) / settings.bias_sd**2
     return float(sums.figures[0]) + 0.5 * float(price)
+
+
+def registration_of(body: Body, evidence: Evidence, fit: RobustFit) -> Registration:
+    """Converts a fit, with its residuals, to a ``Registration``."""
+    sure = evidence.weights > 0.5
+    distance = np.where(sure, np.linalg.norm(evidence.a - fit.a_from_b.apply(evidence.b), axis=2), np.nan)
+    joints = np.full(len(body), np.nan)
+    for joint in np.flatnonzero(sure.any(axis=0)):
+        joints[joint] = np.nanmedian(distance[:, joint])
+    known = distance[sure]
+    return Registration(
+        a_from_b=fit.a_from_b,
+        residual_median=float(np.median(known)),
+        residual_rms=float(np.sqrt(np.mean(known**2))),
+        joint_residuals=joints,
+        rotation_sd=fit.rotation_sd,
+        frames=len(evidence.a),
+        body=body,
+        translation_sd=fit.translation_sd,
+    )
 
 
 def warm_up() -> None:
