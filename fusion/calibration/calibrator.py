@@ -1,7 +1,7 @@
 """Calibration while pairs come in.
 
-There are three ways, in this order: the start-up pose seen whole by both sensors; the pose seen in part, where that
-determines R well enough; and movement, where the pose is never held or never seen.
+There are three ways, in this order: the start-up pose seen whole by both sensors; the pose seen in part,
+where that determines R well enough; and movement, where the pose is never held or never seen.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fusion.skeleton import SkeletonPair
 
 _PROVISIONAL_PAIRS = 30
 _CERTAIN, _FAR = np.radians(2.0), 0.06
-"""Of a start-up pose seen in part: largest standard error of R, radians, and distance of the views, metres."""
+"""Of a start-up pose seen in part: largest standard error of R, radians; distance of the views, metres."""
 
 
 class Calibrator:

@@ -1,9 +1,9 @@
 """Calibration from movement, for a person whose start-up pose is not recognised.
 
 Far-apart sensors each see one side of the person, so that few joints are tracked by both at once. Over some
-seconds of movement all of them are. R and t then follow by the robust fit of the registration. A tracker that
-takes a back for a front gives a second, wrong solution, turned by half a circle about the person, in which the
-sides of the limbs are exchanged. Both are tried, and the better one must be better by far.
+seconds of movement all of them are. R and t then follow by the robust fit of the registration. A tracker
+that takes a back for a front gives a second, wrong solution, turned by half a circle about the person, in
+which the sides of the limbs are exchanged. Both are tried, and the better one must be better by far.
 """
 
 from __future__ import annotations

@@ -187,9 +187,8 @@ class CalibrationLearner:
                 changes.append(self._notice(now_ns, found))
             if settled:
                 changes.append(self._follow(now_ns, from_ns, found))
-        elif not self._knocked and age_ns > settings.dropped_ns:
-            if gain < 0.5 or age_ns > 2 * settings.dropped_ns:
-                self._knock.withdraw()
+        elif not self._knocked and age_ns > settings.dropped_ns * (1 if gain < 0.5 else 2):
+            self._knock.withdraw()
         return changes
 
     def _fit_knock(self, since_ns: int, from_ns: int) -> KnockFit | None:

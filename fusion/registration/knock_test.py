@@ -6,8 +6,8 @@ The pairs before and after the suspected moment are explained twice, each time b
 * **untouched**: one transform T for all pairs, which may differ from the one in force;
 * **knocked**: T before, and T D after, with D a rigid movement of a sensor.
 
-A tracker's bias that changes with heading is in β, and a registration that was never quite right is in T, so that
-both are explained without D. What remains is the gain of log-likelihood by D, at the price of D's prior.
+A tracker's bias that changes with heading is in β, and a registration that was never quite right is in T, so
+that both are explained without D. What remains is the gain of log-likelihood by D, at the price of D's prior.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ KNOCK_TURN, KNOCK_SHIFT = float(np.radians(8.0)), 0.4
 """Standard deviations of a knock: radians, and metres at the person."""
 _KNOWN = 1e-4  # metres, deviation of biases that are already subtracted
 _LEAST_NOISE = 0.015
-"""Metres, the spine's: a person who stands still shows less, but does not show how biases change with the pose."""
+"""Metres, the spine's: a person who stands still shows less, but not how biases change with the pose."""
 _ROUNDS = 2  # of T with β and D in turn; a third changes the gain by less than a tenth
 
 
@@ -95,9 +95,7 @@ def fit_knock(
         if number == 0:
             match_sides(body, later, new.a_from_b)
         both = _joined(before, later._replace(b=knock.apply(later.b)))
-        two = fit_robust(
-            body, both, T, settings, iterations=2, noise_sd=noise_sd, biases=biases, prior=prior
-        )
+        two = fit_robust(body, both, T, settings, iterations=2, noise_sd=noise_sd, biases=biases, prior=prior)
         T, biases, noise_sd = two.a_from_b, two.biases, two.noise_sd
     found = RobustFit(T @ knock, new.covariance, new.centre, biases, noise_sd)
     turn = knock.angle_to(RigidTransform.identity())

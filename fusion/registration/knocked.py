@@ -50,6 +50,7 @@ class KnockSettings:
         history: Number of blocks in the history.
         alike: Number of blocks with the most similar place and heading that an offset is compared with.
         fewest: Number of blocks that a decision needs.
+        still: Metres, by which the offsets of a sensor that is still may differ.
         settled_ns: How long the offset must be steady before the sensors are registered anew.
         moving_ns: How long a sensor moves; pairs within this time count neither as before nor as after.
         judged_ns: Time after which a suspicion is judged; see :mod:`fusion.registration.knock_test`.
@@ -68,6 +69,7 @@ class KnockSettings:
     history: int = 200
     alike: int = 8
     fewest: int = 10
+    still: float = 0.05
     settled_ns: int = 1_500_000_000
     moving_ns: int = 250_000_000
     judged_ns: int = 1_250_000_000
@@ -221,8 +223,8 @@ class KnockDetector:
         if len(since) < needed:
             return False
         off = np.array([self._excess(block)[0] for block in since[-needed:]])
-        spread = np.linalg.norm(off - np.median(off, axis=0), axis=1).max()
-        return bool(spread < max(self._settings.smallest, 0.3 * self.offset))
+        spread = np.sort(np.linalg.norm(off - np.median(off, axis=0), axis=1))
+        return bool(spread[-2] < max(self._settings.still, 0.3 * self.offset))  # one block may be wrong
 
     def _measure(self, pairs: list[SkeletonPair]) -> _Block | None:
         """The median offset of the points without a side, and the person's place and heading."""

@@ -210,9 +210,7 @@ def cost_of(
 ) -> float:
     """Minus the log-likelihood of the evidence and of given biases, up to a constant."""
     noise, centre = relative_noise(body), np.zeros(3)
-    sums = _sums(
-        evidence, evidence.weights, a_from_b, biases, noise, noise_sd, settings.tempering, centre
-    )
+    sums = _sums(evidence, evidence.weights, a_from_b, biases, noise, noise_sd, settings.tempering, centre)
     price = np.sum(biases**2 / _BASIS_VARIANCE[:, None, None]) / settings.bias_sd**2
     return float(sums.figures[0]) + 0.5 * float(price)
 
