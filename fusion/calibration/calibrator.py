@@ -18,7 +18,7 @@ from fusion.registration.robust_fit import registration_of
 from fusion.skeleton import SkeletonPair
 
 _PROVISIONAL_PAIRS = 30
-_CERTAIN, _FAR = np.radians(2.0), 0.06
+_CERTAIN, _FAR = np.radians(2.3), 0.05
 """Of a start-up pose seen in part: largest standard error of R, radians; distance of the views, metres."""
 
 

@@ -21,7 +21,7 @@ from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
 _EVERY_NS = 1_000_000_000
-_FEWEST = 16  # keyframes, as for a refinement
+_FEWEST, _MOST = 16, 64  # keyframes; as for a refinement, and enough for a first fit
 _CERTAIN_TURN, _CERTAIN_SHIFT = np.radians(1.5), 0.06  # stated deviations; metres at the person
 _SAME_TURN = np.radians(3.0)  # fits this near to each other are one solution
 _FAR = 0.08  # metres, the largest median distance of the views' joints
@@ -37,9 +37,10 @@ class GradualCalibration:
 
     def __init__(self, body: Body) -> None:
         self._body, self._settings = body, RobustFitSettings()
-        self._frames = KeyframeSet(body)
+        self._frames = KeyframeSet(body, _MOST)
         self._next_ns: int | None = None
         self._before: RobustFit | None = None
+        self._last: RigidTransform | None = None
 
     def watch(self, pair: SkeletonPair, provisional: RigidTransform) -> tuple[RobustFit, Evidence] | None:
         """Takes the next pair.
@@ -61,14 +62,14 @@ class GradualCalibration:
         if found is None:
             return None
         fit, evidence = found
-        self._before = fit
+        self._before, self._last = fit, fit.a_from_b
         agree = before is not None and before.a_from_b.angle_to(fit.a_from_b) < _SAME_TURN
         return found if agree and _certain(fit, evidence) else None
 
     def _best(self, provisional: RigidTransform) -> tuple[RobustFit, Evidence] | None:
         """The best fit; None if another solution is nearly as good."""
         evidence = self._frames.evidence
-        starts = [provisional] if self._before is None else [provisional, self._before.a_from_b]
+        starts = [provisional if self._last is None else self._last]
         free = label_free_fit(self._body, evidence)
         starts += [] if free is None else [free]
         fits: list[tuple[float, RobustFit, Evidence]] = []
