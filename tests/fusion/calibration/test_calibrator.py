@@ -62,11 +62,11 @@ def test_a_pose_that_both_sensors_see_whole_is_preferred() -> None:
 
 @pytest.mark.parametrize(("body", "angle"), [(KINECT_V2, 90.0), (AZURE_KINECT, 180.0)], ids=str)
 def test_a_person_who_walks_needs_no_pose(body: Body, angle: float) -> None:
-    """The recording begins after the pose. 16 keyframes and a second fit take 5 s or more."""
+    """The recording begins after the pose. 16 keyframes 0.2 s apart and a second fit take 4 s."""
     calibrator, seconds, truth = watched(body, "walk", angle, 17.0, from_second=5.0)
     assert calibrator.settled
     assert calibrator.calibration.how.startswith("movement, ")
-    assert 4.0 < seconds < 12.0
+    assert 3.9 < seconds < 12.0
     turn, shift = errors(calibrator.calibration.a_from_b, truth)
     assert turn < 5.0
     assert shift < 0.1
