@@ -14,7 +14,7 @@ from fusion.calibration.calibration import Calibration
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, ClockOffsetEstimator
 from fusion.registration.keyframes import Evidence, evidence_of, match_sides
-from fusion.registration.knock_test import KnockFit, fit_knock
+from fusion.registration.knock_evidence import KnockFit, fit_knock
 from fusion.registration.knocked import KnockDetector, KnockSettings, SensorState
 from fusion.registration.refinement import Refinement, RefinementSettings
 from fusion.registration.robust_fit import Prior, RobustFit, registration_of

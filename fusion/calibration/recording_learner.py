@@ -22,7 +22,7 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
-from fusion.registration.knock_test import fit_knock
+from fusion.registration.knock_evidence import fit_knock
 from fusion.registration.label_free import label_free_fit
 from fusion.registration.refinement import held_out_gain
 from fusion.registration.robust_fit import RobustFit, disagreement, fit_robust, registration_of

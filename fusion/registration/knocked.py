@@ -53,7 +53,7 @@ class KnockSettings:
         still: Metres, by which the offsets of a sensor that is still may differ.
         settled_ns: How long the offset must be steady before the sensors are registered anew.
         moving_ns: How long a sensor moves; pairs within this time count neither as before nor as after.
-        judged_ns: Time after which a suspicion is judged; see :mod:`fusion.registration.knock_test`.
+        judged_ns: Time after which a suspicion is judged; see :mod:`fusion.registration.knock_evidence`.
         dropped_ns: Time after which it is dropped if it has less than half the gain that it needs, and
             after twice this time in any case.
         gain: By how much a knock must raise the log-likelihood of the pairs.

@@ -19,7 +19,7 @@ from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
 from fusion.registration import robust_fit
 from fusion.registration.keyframes import evidence_of
-from fusion.registration.knock_test import fit_knock
+from fusion.registration.knock_evidence import fit_knock
 from fusion.registration.robust_fit import RobustFitSettings
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup

@@ -16,7 +16,7 @@ from fusion.calibration.calibrator import Calibrator
 from fusion.calibration.learner import CalibrationLearner
 from fusion.calibration.recording_learner import learn_from_recording
 from fusion.registration.keyframes import Evidence, evidence_of
-from fusion.registration.knock_test import KnockFit, fit_knock
+from fusion.registration.knock_evidence import KnockFit, fit_knock
 from fusion.registration.knocked import KnockSettings
 from fusion.registration.robust_fit import Prior, RobustFitSettings
 from fusion.rigid import RigidTransform
@@ -31,7 +31,7 @@ NEEDED = KnockSettings().needed(24)
 def seen(
     first: int, bias: Callable[[float], Array], knock: RigidTransform | None = None, turn: float = 1.6
 ) -> Evidence:
-    """24 pairs of a person who walks about and turns; B has a bias by heading, and stands elsewhere if knocked."""
+    """24 pairs of a person who walks about and turns; B has a bias by heading, and may be knocked."""
     rng = np.random.default_rng(first)
     pairs = []
     for k in range(first, first + 24):
@@ -78,7 +78,8 @@ def test_biases_that_change_with_the_heading_are_no_knock() -> None:
 
 
 def test_a_registration_that_was_never_right_is_no_knock() -> None:
-    off = RigidTransform.of(Rotation.from_euler("y", 6.0, degrees=True).as_matrix(), [0.05, 0.0, 0.0]) @ A_FROM_B
+    turn = Rotation.from_euler("y", 6.0, degrees=True).as_matrix()
+    off = RigidTransform.of(turn, [0.05, 0.0, 0.0]) @ A_FROM_B
     found = judged(seen(0, none), seen(24, none), off)
     assert found.gain < 0.1 * NEEDED
 
