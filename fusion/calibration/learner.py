@@ -14,10 +14,10 @@ from fusion.calibration.calibration import Calibration
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, ClockOffsetEstimator
 from fusion.registration.keyframes import Evidence, evidence_of, match_sides
+from fusion.registration.knock_evidence import KnockFit, fit_knock
 from fusion.registration.knocked import KnockDetector, KnockSettings, SensorState
 from fusion.registration.refinement import Refinement, RefinementSettings
-from fusion.registration.rigid_fit import Registration
-from fusion.registration.robust_fit import Prior, RobustFit, RobustFitSettings, disagreement, fit_robust
+from fusion.registration.robust_fit import Prior, RobustFit, registration_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
@@ -27,9 +27,10 @@ _BONES_AT_NS = (10_000_000_000, 30_000_000_000, 60_000_000_000)
 """When bone lengths are learned, counted from the first pair; after the last they are fixed."""
 _BONE_CHANGE = 0.002  # metres; if no bone changes by more, the lengths are kept
 _FEWEST_BONE_KEYFRAMES = 24
-_RECENT = 60  # pairs kept for registering anew after a knock
+_RECENT, _RECENT_NS = 60, 95_000_000
+"""Pairs kept for judging a knock, and their distance: 6 s at 30 pairs per second."""
 _UNKNOWN_TURN, _LEAST_TURN, _UNKNOWN_SHIFT = 0.035, 0.01, 0.05  # radians, radians, metres at the person
-_KNOCK_TURN, _KNOCK_SHIFT = np.radians(8.0), 0.4  # standard deviations of a knock; metres at the person
+_FOLLOWED_TURN, _FOLLOWED_SHIFT = 0.035, 0.05  # the same after a knock
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,7 @@ class CalibrationLearner:
         self._clock = ClockOffsetEstimator(body)
         self._recent: deque[tuple[SkeletonPair, tuple[int, int]]] = deque(maxlen=_RECENT)
         self._knocked = False
+        self._judge_ns = 0  # a suspected knock is judged from this time on
         self._first_ns: int | None = None
         self._bones_learned = 0
 
@@ -129,7 +131,8 @@ class CalibrationLearner:
         if pair.a is None or pair.b is None or any(stale):
             return []
         self._first_ns = pair.time_ns if self._first_ns is None else self._first_ns
-        self._recent.append((pair, codes))
+        if not self._recent or pair.time_ns - self._recent[-1][0].time_ns >= _RECENT_NS:
+            self._recent.append((pair, codes))
         changes: list[CalibrationChange] = []
         state = self._knock.observe(pair) if self._settings.follow else SensorState.STEADY
         if state is SensorState.STEADY:
@@ -138,11 +141,7 @@ class CalibrationLearner:
                 changes += self._refine(pair, codes)
         else:
             self._refinement.keyframes.add(pair, codes)
-            if not self._knocked:
-                self._knocked = True
-                changes.append(self._notice(pair.time_ns))
-            if state is SensorState.SETTLED:
-                changes += self._follow(pair.time_ns)
+            changes += self._judge(pair.time_ns, state)
         if self._settings.bones and not self._knocked:
             changes += self._learn_bones(pair.time_ns)
         if self._settings.clock and not self._knocked:
@@ -169,34 +168,69 @@ class CalibrationLearner:
         )
         return [CalibrationChange("refined", event, pair.time_ns, self.calibration)]
 
-    def _notice(self, now_ns: int) -> CalibrationChange:
+    def _judge(self, now_ns: int, state: SensorState) -> list[CalibrationChange]:
+        """Reports a knock once it explains the pairs far better; follows it once the sensor is still."""
+        since_ns, settings = self._knock.since_ns, self._settings.knock
+        age_ns = 0 if since_ns is None else now_ns - since_ns
+        settled = state is SensorState.SETTLED
+        if since_ns is None or now_ns < self._judge_ns or age_ns < settings.judged_ns:
+            return []
+        if self._knocked and not settled:
+            return []
+        self._judge_ns = now_ns + settings.block_ns
+        from_ns = max(since_ns + settings.moving_ns, now_ns - settings.settled_ns if settled else 0)
+        found = self._fit_knock(since_ns, from_ns)
+        gain = -np.inf if found is None else found.gain / settings.needed(found.keyframes)
+        changes: list[CalibrationChange] = []
+        if found is not None and gain > 1.0:
+            if not self._knocked:
+                self._knocked = True
+                changes.append(self._notice(now_ns, found))
+            if settled:
+                changes.append(self._follow(now_ns, from_ns, found))
+        elif not self._knocked and age_ns > settings.dropped_ns * (1 if gain < 0.5 else 2):
+            self._knock.withdraw()
+        return changes
+
+    def _fit_knock(self, since_ns: int, from_ns: int) -> KnockFit | None:
+        """The test of a knock at ``since_ns`` on the keyframes before and the pairs from ``from_ns`` on."""
+        known = self._refinement.keyframes.evidence
+        before = known.chosen(known.time_ns < since_ns)
+        later = [(pair, codes) for pair, codes in self._recent if pair.time_ns >= from_ns]
+        after = evidence_of(self._body, [pair for pair, _ in later], [codes for _, codes in later])
+        old = self.calibration.a_from_b
+        match_sides(self._body, before, old)
+        try:
+            return fit_knock(
+                self._body, before, after, old, self._settings.refinement.fit, self._refinement.prior
+            )
+        except CalibrationError:
+            return None
+
+    def _notice(self, now_ns: int, found: KnockFit) -> CalibrationChange:
         event = (
-            f"A sensor seems to have been moved: the two views parted by {self._knock.offset * 1e3:.0f} mm. "
+            f"A sensor seems to have been moved: the two views parted by {found.shift * 1e3:.0f} mm. "
             "Registration follows once it is still."
         )
         return CalibrationChange("knocked", event, now_ns, self.calibration, self._knock.since_ns)
 
-    def _follow(self, now_ns: int) -> list[CalibrationChange]:
-        """Registers again on the pairs since the sensor is still, if the views then agree better."""
-        since_ns, old = self._knock.since_ns, self.calibration.a_from_b
-        if since_ns is None:
-            return []
-        still_ns = now_ns - self._settings.knock.settled_ns
-        still = [(pair, codes) for pair, codes in self._recent if pair.time_ns >= still_ns]
-        evidence = evidence_of(self._body, [pair for pair, _ in still], [codes for _, codes in still])
-        fit = register_anew(self._body, evidence, old, self._settings.refinement.fit)
-        if fit is None:
-            return []
-        self._refinement.restart(fit.a_from_b, keep_from_ns=still_ns)
+    def _follow(self, now_ns: int, still_ns: int, found: KnockFit) -> CalibrationChange:
+        """Puts the registration after the knock in force."""
+        since_ns, old, fit = self._knock.since_ns, self.calibration.a_from_b, found.fit
+        prior = Prior(fit.a_from_b, _FOLLOWED_TURN, _FOLLOWED_SHIFT)
+        self._refinement.restart(fit.a_from_b, keep_from_ns=still_ns, prior=prior)
         self._knock.adopt(fit.a_from_b)
         self._knocked = False
+        later = [(pair, codes) for pair, codes in self._recent if pair.time_ns >= still_ns]
+        evidence = evidence_of(self._body, [pair for pair, _ in later], [codes for _, codes in later])
+        match_sides(self._body, evidence, fit.a_from_b)
         self._replace(fit, evidence, f"registered anew on {len(evidence.a)} frames after a sensor moved")
         turn, shift = _difference(old, fit)
         event = (
             f"Registration follows the sensor that was moved: the view of B turns by "
             f"{np.degrees(turn):.1f}°, and moves by {shift * 1e3:.0f} mm where the person stands."
         )
-        return [CalibrationChange("followed", event, now_ns, self.calibration, since_ns)]
+        return CalibrationChange("followed", event, now_ns, self.calibration, since_ns)
 
     def _learn_bones(self, now_ns: int) -> list[CalibrationChange]:
         if self._bones_learned == len(_BONES_AT_NS) or self._first_ns is None:
@@ -238,49 +272,6 @@ def prior_of(calibration: Calibration) -> Prior:
     registration = calibration.registration
     rotation_sd = _UNKNOWN_TURN if registration is None else registration.rotation_sd
     return Prior(calibration.a_from_b, max(rotation_sd, _LEAST_TURN), _UNKNOWN_SHIFT)
-
-
-def register_anew(
-    body: Body, evidence: Evidence, old: RigidTransform, settings: RobustFitSettings
-) -> RobustFit | None:
-    """The transform after a knock, near the old one; None if it explains the evidence no better."""
-    prior = Prior(old, float(_KNOCK_TURN), _KNOCK_SHIFT)
-    try:
-        fit = fit_robust(body, evidence, old, settings, iterations=6, noise_sd=0.05, prior=prior)
-        match_sides(body, evidence, fit.a_from_b)
-        fit = fit_robust(body, evidence, fit.a_from_b, settings, iterations=6, prior=prior)
-    except CalibrationError:
-        return None
-    gain = disagreement(body, evidence, old, settings, fit.noise_sd) - disagreement(
-        body, evidence, fit.a_from_b, settings, fit.noise_sd
-    )
-    apart = [float(np.median(_residuals(evidence, transform))) for transform in (old, fit.a_from_b)]
-    return fit if gain > 0.0 and apart[1] < 0.8 * apart[0] else None
-
-
-def registration_of(body: Body, evidence: Evidence, fit: RobustFit) -> Registration:
-    """Converts a fit, with its residuals, to a ``Registration``."""
-    sure = evidence.weights > 0.5
-    distance = np.where(sure, np.linalg.norm(evidence.a - fit.a_from_b.apply(evidence.b), axis=2), np.nan)
-    joints = np.full(len(body), np.nan)
-    for joint in np.flatnonzero(sure.any(axis=0)):
-        joints[joint] = np.nanmedian(distance[:, joint])
-    known = distance[sure]
-    return Registration(
-        a_from_b=fit.a_from_b,
-        residual_median=float(np.median(known)),
-        residual_rms=float(np.sqrt(np.mean(known**2))),
-        joint_residuals=joints,
-        rotation_sd=fit.rotation_sd,
-        frames=len(evidence.a),
-        body=body,
-        translation_sd=fit.translation_sd,
-    )
-
-
-def _residuals(evidence: Evidence, a_from_b: RigidTransform) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    sure = evidence.weights > 0.5
-    return np.asarray(np.linalg.norm(evidence.a[sure] - a_from_b.apply(evidence.b[sure]), axis=1))
 
 
 def _difference(old: RigidTransform, fit: RobustFit) -> tuple[float, float]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from fusion.body import Body
 from fusion.calibration.bone_statistics import robust_bone_lengths
 from fusion.calibration.calibration import (
@@ -19,15 +17,15 @@ from fusion.calibration.learner import (
     CalibrationLearner,
     LearnerSettings,
     prior_of,
-    registration_of,
 )
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
+from fusion.registration.knock_evidence import fit_knock
+from fusion.registration.label_free import label_free_fit
 from fusion.registration.refinement import held_out_gain
-from fusion.registration.rigid_fit import fit_rigid
-from fusion.registration.robust_fit import RobustFit, disagreement, fit_robust
+from fusion.registration.robust_fit import RobustFit, disagreement, fit_robust, registration_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
@@ -108,7 +106,9 @@ def learn_from_recording(
     for k in fresh:
         changes += learner.observe(pairs[k], codes[k], (False, False), skews_ns[k])
 
-    knocks = [change for change in changes if change.kind == "followed" and change.since_ns is not None]
+    knocks = _lasting_knocks(
+        body, [pairs[k] for k in fresh], [codes[k] for k in fresh], changes, start, settings
+    )
     begins = [pairs[0].time_ns, *(int(change.since_ns or 0) for change in knocks)]
     starts = [start, *(change.calibration for change in knocks)]
     spans, bone_evidence = [], []
@@ -135,30 +135,51 @@ def learn_from_recording(
         clock = clock_offset_of(
             body, [pairs[k] for k in last], spans[0].calibration.a_from_b, [skews_ns[k] for k in last]
         )
-    events = tuple(change for change in changes if change.kind in ("knocked", "followed"))
+    lasting = {change.since_ns for change in knocks}
+    events = tuple(c for c in changes if c.kind in ("knocked", "followed") and c.since_ns in lasting)
     return LearnedCalibration(tuple(spans), clock, events)
 
 
-def label_free_fit(body: Body, evidence: Evidence) -> RigidTransform | None:
-    """A robust fit of R and t to the midline and to midpoints of left and right; None if undetermined.
+def _lasting_knocks(
+    body: Body,
+    pairs: Sequence[SkeletonPair],
+    codes: Sequence[tuple[int, int]],
+    changes: Sequence[CalibrationChange],
+    start: Calibration,
+    settings: LearnerSettings,
+) -> list[CalibrationChange]:
+    """The knocks that were followed and that explain all pairs up to the next, not only the first seconds."""
+    followed = [change for change in changes if change.kind == "followed"]
+    times = [int(change.since_ns or 0) for change in followed]
+    knocks: list[CalibrationChange] = []
+    begin_ns = pairs[0].time_ns if pairs else 0
+    for number, change in enumerate(followed):
+        moved_ns = times[number]
+        end_ns = times[number + 1] if number + 1 < len(times) else pairs[-1].time_ns + 1
+        before, after = KeyframeSet(body, _KEYFRAMES), KeyframeSet(body, _KEYFRAMES)
+        for pair, code in zip(pairs, codes, strict=True):
+            if begin_ns <= pair.time_ns < moved_ns:
+                before.add(pair, code)
+            elif moved_ns + settings.knock.moving_ns <= pair.time_ns < end_ns:
+                after.add(pair, code)
+        old = next((c.calibration for c in reversed(changes) if c.time_ns < moved_ns), start)
+        if _is_knock(body, before.evidence, after.evidence, old.a_from_b, settings):
+            knocks.append(change)
+            begin_ns = moved_ns
+    return knocks
 
-    These points are the same whether or not a view is mirrored. They determine R only if the person walks
-    about.
-    """
-    own = np.array([j for j in range(len(body)) if j <= body.mirror[j]])
-    other = body.mirror[own]
-    usable = np.minimum(evidence.weights[:, own], evidence.weights[:, other]) > 0.5
-    p = (0.5 * (evidence.a[:, own] + evidence.a[:, other]))[usable]
-    q = (0.5 * (evidence.b[:, own] + evidence.b[:, other]))[usable]
+
+def _is_knock(
+    body: Body, before: Evidence, after: Evidence, old: RigidTransform, settings: LearnerSettings
+) -> bool:
+    if min(len(before.a), len(after.a)) == 0:
+        return True  # nothing contradicts it
+    match_sides(body, before, old)
     try:
-        found = fit_rigid(p, q)
-        for _ in range(10):
-            apart = np.linalg.norm(p - found.apply(q), axis=1)
-            near = apart <= 2.0 * max(float(np.median(apart)), 1e-4)
-            found = fit_rigid(p[near], q[near])
+        found = fit_knock(body, before, after, old, settings.refinement.fit)
     except CalibrationError:
-        return None
-    return found
+        return True
+    return found.gain > settings.knock.needed(found.keyframes)
 
 
 def _fresh(pairs: Sequence[SkeletonPair]) -> list[int]:

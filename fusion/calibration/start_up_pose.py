@@ -17,8 +17,10 @@ from fusion.errors import CalibrationError
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 
 _SHORTEST_NS = 1_000_000_000
+_SHORTEST_PARTLY_NS = 2_000_000_000
 _LONGEST_NS = 3_000_000_000
 _FEWEST_PAIRS = 15
+_FEWEST_SHARED = 4  # main joints that both sensors track, of a pose that each sees in part
 _STILL = 0.040  # metres RMS about the window's mean; real still poses tremble by 1–20 mm a joint
 _ARM_ANGLE = np.radians(25.0)  # shoulder → wrist against the trunk's axis
 _LEG_ANGLE = np.radians(12.0)  # hips' centre → one ankle against the other
@@ -34,11 +36,20 @@ _MAIN_JOINTS = (
 
 
 class StartUpPose:
-    """Detects when the start-up pose has been held long enough."""
+    """Detects when the start-up pose has been held long enough.
 
-    def __init__(self, body: Body) -> None:
+    Args:
+        body: Of both views.
+        partly: Whether a pose counts that each sensor sees in part: at least four main joints are tracked by
+            both, and it is held for two seconds. Sensors far apart see no more, because one arm and one leg
+            are hidden from each.
+    """
+
+    def __init__(self, body: Body, *, partly: bool = False) -> None:
         self._main = main_joints(body)
         self._body = body
+        self._fewest = _FEWEST_SHARED if partly else len(self._main)
+        self._shortest_ns = _SHORTEST_PARTLY_NS if partly else _SHORTEST_NS
         self._held: deque[SkeletonPair] = deque()
 
     @property
@@ -73,7 +84,7 @@ class StartUpPose:
 
     def _finish(self, but_last: int = 0) -> list[SkeletonPair] | None:
         pose = list(self._held)[: len(self._held) - but_last]
-        long_enough = len(pose) >= _FEWEST_PAIRS and pose[-1].time_ns - pose[0].time_ns >= _SHORTEST_NS
+        long_enough = len(pose) >= _FEWEST_PAIRS and pose[-1].time_ns - pose[0].time_ns >= self._shortest_ns
         if long_enough or not but_last:
             self._held.clear()
         else:
@@ -82,17 +93,22 @@ class StartUpPose:
         return pose if long_enough else None
 
     def _holds(self, pair: SkeletonPair) -> bool:
-        return (
-            pair.a is not None
-            and pair.b is not None
-            and bool(pair.a.tracked[self._main].all() and pair.b.tracked[self._main].all())
-            and (limbs_apart(pair.a) or limbs_apart(pair.b))
-        )
+        if pair.a is None or pair.b is None:
+            return False
+        shared = np.count_nonzero((pair.a.tracked & pair.b.tracked)[self._main])
+        return bool(shared >= self._fewest and (limbs_apart(pair.a) or limbs_apart(pair.b)))
 
     def _still(self) -> bool:
-        a = np.array([p.a.positions[self._main] for p in self._held if p.a is not None])
-        b = np.array([p.b.positions[self._main] for p in self._held if p.b is not None])
-        return max(_tremble(a), _tremble(b)) < _STILL
+        return max(_tremble(self._tracked(side)) for side in zip(*self._views(), strict=True)) < _STILL
+
+    def _views(self) -> Iterator[tuple[Skeleton, Skeleton]]:
+        return ((pair.a, pair.b) for pair in self._held if pair.a is not None and pair.b is not None)
+
+    def _tracked(self, views: tuple[Skeleton, ...]) -> NDArray[np.float32]:
+        """(T, M, 3) the main joints of one view; NaN where not tracked."""
+        at = np.array([view.positions[self._main] for view in views])
+        tracked = np.array([view.tracked[self._main] for view in views])
+        return np.where(tracked[..., None], at, np.float32(np.nan))
 
 
 def find_start_up_pose(body: Body, pairs: Sequence[SkeletonPair]) -> tuple[list[SkeletonPair], str]:

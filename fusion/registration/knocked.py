@@ -31,7 +31,7 @@ class SensorState(Enum):
 
     STEADY = "steady"
     """The offset between the views is as before."""
-    KNOCKED = "knocked"
+    APART = "apart"
     """The views moved apart, and the offset still changes or was seen too briefly."""
     SETTLED = "settled"
     """The views moved apart, and the offset is steady again, so that the sensors can be registered anew."""
@@ -50,18 +50,36 @@ class KnockSettings:
         history: Number of blocks in the history.
         alike: Number of blocks with the most similar place and heading that an offset is compared with.
         fewest: Number of blocks that a decision needs.
+        still: Metres, by which the offsets of a sensor that is still may differ.
         settled_ns: How long the offset must be steady before the sensors are registered anew.
+        moving_ns: How long a sensor moves; pairs within this time count neither as before nor as after.
+        judged_ns: Time after which a suspicion is judged; see :mod:`fusion.registration.knock_evidence`.
+        dropped_ns: Time after which it is dropped if it has less than half the gain that it needs, and
+            after twice this time in any case.
+        gain: By how much a knock must raise the log-likelihood of the pairs.
+        few: Number of keyframes before the knock at which twice that gain is needed: they do not yet show
+            how biases change from pose to pose.
     """
 
     block_ns: int = 250_000_000
     blocks: int = 4
-    smallest: float = 0.045
-    deviations: float = 5.0
-    unfamiliar: float = 0.180
+    smallest: float = 0.035
+    deviations: float = 4.0
+    unfamiliar: float = 0.090
     history: int = 200
     alike: int = 8
     fewest: int = 10
+    still: float = 0.05
     settled_ns: int = 1_500_000_000
+    moving_ns: int = 250_000_000
+    judged_ns: int = 1_250_000_000
+    dropped_ns: int = 2_500_000_000
+    gain: float = 30.0
+    few: float = 3.0
+
+    def needed(self, keyframes: int) -> float:
+        """The gain that a knock needs after so many keyframes."""
+        return self.gain * (1.0 + self.few / max(keyframes, 1))
 
 
 class _Block(NamedTuple):
@@ -73,6 +91,7 @@ class _Block(NamedTuple):
 
 
 _TRACKED = int(TrackingState.TRACKED)
+_RECENT = 40  # blocks: no suspicion lasts longer
 _PLACE, _HEADING = 0.6, 0.7  # metres; chord of a turn by about 40°
 
 
@@ -96,7 +115,7 @@ class KnockDetector:
         self._shoulders = [body.joint("SHOULDER_LEFT"), body.joint("SHOULDER_RIGHT")]
         self._a_from_b = a_from_b
         self._history: deque[_Block] = deque(maxlen=self._settings.history)
-        self._recent: deque[_Block] = deque(maxlen=max(12, 2 * self._settings.blocks))
+        self._recent: deque[_Block] = deque(maxlen=_RECENT)
         self._growing: list[SkeletonPair] = []
         self._block_start_ns = 0
         self._steady = False
@@ -130,6 +149,13 @@ class KnockDetector:
         self._recent = deque(map(moved, self._recent), maxlen=self._recent.maxlen)
         self._growing.clear()
 
+    def withdraw(self) -> None:
+        """Counts the offsets since the views moved apart as usual: no sensor was moved."""
+        since_ns = self.since_ns
+        if since_ns is not None:
+            self._history.extend(block for block in self._recent if block.start_ns >= since_ns)
+        self.since_ns, self.offset = None, 0.0
+
     def observe(self, pair: SkeletonPair) -> SensorState:
         """Takes a pair that is neither stale nor one-sided."""
         if not self._growing:
@@ -140,7 +166,7 @@ class KnockDetector:
         self._growing.append(pair)
         if self.since_ns is None:
             return SensorState.STEADY
-        return SensorState.SETTLED if self._steady else SensorState.KNOCKED
+        return SensorState.SETTLED if self._steady else SensorState.APART
 
     def _end_block(self) -> None:
         block = self._measure(self._growing)
@@ -197,8 +223,8 @@ class KnockDetector:
         if len(since) < needed:
             return False
         off = np.array([self._excess(block)[0] for block in since[-needed:]])
-        spread = np.linalg.norm(off - np.median(off, axis=0), axis=1).max()
-        return bool(spread < max(self._settings.smallest, 0.3 * self.offset))
+        spread = np.sort(np.linalg.norm(off - np.median(off, axis=0), axis=1))
+        return bool(spread[-2] < max(self._settings.still, 0.3 * self.offset))  # one block may be wrong
 
     def _measure(self, pairs: list[SkeletonPair]) -> _Block | None:
         """The median offset of the points without a side, and the person's place and heading."""

@@ -55,6 +55,10 @@ class Refinement:
         a_from_b: In force at the start.
         settings: When a refinement is proposed and accepted.
         prior: Knowledge of the transform besides the keyframes.
+
+    Attributes:
+        keyframes: The evidence.
+        prior: As given.
     """
 
     def __init__(
@@ -66,7 +70,7 @@ class Refinement:
     ) -> None:
         self._body, self._settings = body, settings or RefinementSettings()
         self.keyframes = KeyframeSet(body)
-        self._in_force, self._prior = a_from_b, prior
+        self._in_force, self.prior = a_from_b, prior
         self._noise_sd = 0.02
         self._biases: NDArray[np.float64] | None = None
         self._next_ns: int | None = None
@@ -74,9 +78,11 @@ class Refinement:
         self._proposal: Generator[None, None, RobustFit | None] | None = None
         self._proposed_ns = 0
 
-    def restart(self, a_from_b: RigidTransform, keep_from_ns: int | None = None) -> None:
+    def restart(
+        self, a_from_b: RigidTransform, keep_from_ns: int | None = None, prior: Prior | None = None
+    ) -> None:
         """Puts another transform in force and forgets the keyframes, or those before a time."""
-        self._in_force, self._prior, self._proposal = a_from_b, None, None
+        self._in_force, self.prior, self._proposal = a_from_b, prior, None
         self._biases, self._next_ns = None, None
         if keep_from_ns is None:
             self.keyframes.clear()
@@ -85,7 +91,7 @@ class Refinement:
 
     def adopt(self, a_from_b: RigidTransform, prior: Prior | None = None) -> None:
         """Puts another transform in force and keeps the evidence."""
-        self._in_force, self._prior, self._proposal = a_from_b, prior, None
+        self._in_force, self.prior, self._proposal = a_from_b, prior, None
 
     def observe(self, pair: SkeletonPair, codes: tuple[int, int] = (0, 0)) -> RobustFit | None:
         """Takes a pair that is neither stale nor one-sided.
@@ -135,7 +141,7 @@ class Refinement:
             for fold in (0, 1):
                 yield
                 gain = _with_fold(
-                    gain, fold, self._body, evidence, self._in_force, candidate, settings.fit, self._prior
+                    gain, fold, self._body, evidence, self._in_force, candidate, settings.fit, self.prior
                 )
             if gain < settings.gain:
                 return None
@@ -147,7 +153,7 @@ class Refinement:
     def _fit(self, evidence: Evidence, iterations: int) -> RobustFit:
         return fit_robust(
             self._body, evidence, self._in_force, self._settings.fit,
-            iterations=iterations, noise_sd=self._noise_sd, biases=self._biases, prior=self._prior,
+            iterations=iterations, noise_sd=self._noise_sd, biases=self._biases, prior=self.prior,
         )  # fmt: skip
 
     def _worth_it(self, proposed: RigidTransform, centre: NDArray[np.float64]) -> bool:

@@ -27,6 +27,7 @@ from fusion.compiling.kernels import kernel
 from fusion.errors import CalibrationError
 from fusion.registration.joint_noise import relative_noise
 from fusion.registration.keyframes import Evidence
+from fusion.registration.rigid_fit import Registration
 from fusion.rigid import RigidTransform
 
 Array = NDArray[np.float64]
@@ -197,6 +198,41 @@ def disagreement(
             _, _, own, _ = _eliminate_biases(sums, bias_information)
             beta = np.moveaxis(own, 0, 1)
     return cost
+
+
+def cost_of(
+    body: Body,
+    evidence: Evidence,
+    a_from_b: RigidTransform,
+    settings: RobustFitSettings,
+    noise_sd: float,
+    biases: Array,
+) -> float:
+    """Minus the log-likelihood of the evidence and of given biases, up to a constant."""
+    noise, centre = relative_noise(body), np.zeros(3)
+    sums = _sums(evidence, evidence.weights, a_from_b, biases, noise, noise_sd, settings.tempering, centre)
+    price = np.sum(biases**2 / _BASIS_VARIANCE[:, None, None]) / settings.bias_sd**2
+    return float(sums.figures[0]) + 0.5 * float(price)
+
+
+def registration_of(body: Body, evidence: Evidence, fit: RobustFit) -> Registration:
+    """Converts a fit, with its residuals, to a ``Registration``."""
+    sure = evidence.weights > 0.5
+    distance = np.where(sure, np.linalg.norm(evidence.a - fit.a_from_b.apply(evidence.b), axis=2), np.nan)
+    joints = np.full(len(body), np.nan)
+    for joint in np.flatnonzero(sure.any(axis=0)):
+        joints[joint] = np.nanmedian(distance[:, joint])
+    known = distance[sure]
+    return Registration(
+        a_from_b=fit.a_from_b,
+        residual_median=float(np.median(known)),
+        residual_rms=float(np.sqrt(np.mean(known**2))),
+        joint_residuals=joints,
+        rotation_sd=fit.rotation_sd,
+        frames=len(evidence.a),
+        body=body,
+        translation_sd=fit.translation_sd,
+    )
 
 
 def warm_up() -> None:

@@ -17,13 +17,13 @@ from fusion.calibration.learner import (
     CalibrationChange,
     CalibrationLearner,
     LearnerSettings,
-    register_anew,
 )
 from fusion.calibration.recording_learner import learn_from_recording
 from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
 from fusion.registration import refinement, robust_fit
 from fusion.registration.keyframes import evidence_of
+from fusion.registration.knock_evidence import fit_knock
 from fusion.registration.refinement import RefinementSettings
 from fusion.registration.robust_fit import RobustFitSettings
 from fusion.rigid import RigidTransform
@@ -160,7 +160,8 @@ def test_a_learner_compiles_nothing_after_the_fuser_is_warm(monkeypatch: pytest.
         _, changes = learned(pairs, OFF)
         learn_from_recording(KINECT_V2, pairs)
         transposed = RigidTransform(np.asfortranarray(OFF.rotation), OFF.translation)  # as an inverse is
-        register_anew(KINECT_V2, evidence_of(KINECT_V2, pairs), transposed, RobustFitSettings())
+        half = evidence_of(KINECT_V2, pairs[:100]), evidence_of(KINECT_V2, pairs[100:])
+        fit_knock(KINECT_V2, *half, transposed, RobustFitSettings())
     assert any(change.kind == "refined" for change in changes)
     assert compiling.buffer == []
     assert len(fresh.signatures) == 1  # a kernel found on disk here would have to be compiled elsewhere

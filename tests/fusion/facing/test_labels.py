@@ -277,3 +277,25 @@ def test_every_body_has_a_model() -> None:
     assert azure.face[AZURE_KINECT.joint("EarLeft")]
     shares = [FacingConstants.of(body).mirrored_back for body in (BLAZEPOSE, AZURE_KINECT, KINECT_V2)]
     assert shares == sorted(set(shares)), "of the trackers, from the one that errs least"
+
+
+def frames_until_turned(spell: int, constants: FacingConstants) -> int:
+    """Frames until the heading follows a person who turns round at once, after a spell facing one way."""
+    front, back = (simulated_views(motion, seconds=9.0) for motion in ("walk", "walk@180"))
+    model, state = new_facing_model(KINECT_V2, constants), new_facing_state(KINECT_V2)
+    one_second = [*range(120, 150), *range(149, 119, -1)]  # there and back
+    for k in range(spell):
+        step(model, state, front, one_second[k % 60])
+    before = state.facing.copy()
+    for k in range(300):
+        step(model, state, back, one_second[k % 60])
+        if state.facing @ before < 0.0:
+            return k
+    return 300
+
+
+def test_a_minute_of_evidence_does_not_make_the_filter_deaf_for_a_turn() -> None:
+    """The prior of turning bounds what frames add up to: a minute counts as much as two seconds."""
+    short, long = (frames_until_turned(spell, FacingConstants()) for spell in (60, 1800))
+    assert short < 20
+    assert abs(long - short) <= 2  # a frame each for the posture in which the spell ends

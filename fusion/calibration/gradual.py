@@ -1,0 +1,113 @@
+"""Calibration from movement, for a person whose start-up pose is not recognised.
+
+Far-apart sensors each see one side of the person, so that few joints are tracked by both at once. Over some
+seconds of movement all of them are. R and t then follow by the robust fit of the registration. A tracker
+that takes a back for a front gives a second, wrong solution, turned by half a circle about the person, in
+which the sides of the limbs are exchanged. Both are tried, and the better one must be better by far.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fusion.body import Body
+from fusion.errors import CalibrationError
+from fusion.registration.keyframes import Evidence, KeyframeSet, match_sides
+from fusion.registration.label_free import label_free_fit
+from fusion.registration.robust_fit import RobustFit, RobustFitSettings, disagreement, fit_robust
+from fusion.rigid import RigidTransform
+from fusion.skeleton import SkeletonPair
+
+_EVERY_NS = 1_000_000_000
+_FEWEST, _MOST = 16, 64  # keyframes; as for a refinement, and enough for a first fit
+_CERTAIN_TURN, _CERTAIN_SHIFT = np.radians(1.5), 0.06  # stated deviations; metres at the person
+_SAME_TURN = np.radians(3.0)  # fits this near to each other are one solution
+_FAR = 0.08  # metres, the largest median distance of the views' joints
+_GAIN = 10.0  # log likelihood by which the best solution must beat the others
+
+
+class GradualCalibration:
+    """Collects keyframes until they determine R and t.
+
+    Args:
+        body: Of both views.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self._body, self._settings = body, RobustFitSettings()
+        self._frames = KeyframeSet(body, _MOST)
+        self._next_ns: int | None = None
+        self._before: RobustFit | None = None
+        self._last: RigidTransform | None = None
+
+    def watch(self, pair: SkeletonPair, provisional: RigidTransform) -> tuple[RobustFit, Evidence] | None:
+        """Takes the next pair.
+
+        Args:
+            pair: As the sensors reported it.
+            provisional: R and t in force; they may be wrong.
+
+        Returns:
+            The fit and its evidence once two fits in a row, a second apart, agree and are certain; else None.
+        """
+        self._frames.add(pair)
+        self._next_ns = pair.time_ns if self._next_ns is None else self._next_ns
+        if pair.time_ns < self._next_ns or len(self._frames) < _FEWEST:
+            return None
+        self._next_ns = pair.time_ns + _EVERY_NS
+        before, self._before = self._before, None
+        found = self._best(provisional)
+        if found is None:
+            return None
+        fit, evidence = found
+        self._before, self._last = fit, fit.a_from_b
+        agree = before is not None and before.a_from_b.angle_to(fit.a_from_b) < _SAME_TURN
+        return found if agree and _certain(fit, evidence) else None
+
+    def _best(self, provisional: RigidTransform) -> tuple[RobustFit, Evidence] | None:
+        """The best fit; None if another solution is nearly as good."""
+        evidence = self._frames.evidence
+        starts = [provisional if self._last is None else self._last]
+        free = label_free_fit(self._body, evidence)
+        starts += [] if free is None else [free]
+        fits: list[tuple[float, RobustFit, Evidence]] = []
+        for start in starts:
+            for one in (start, _turned(start, evidence)):
+                copy = evidence.copy()
+                match_sides(self._body, copy, one)
+                try:
+                    fit = fit_robust(self._body, copy, one, self._settings, iterations=6, noise_sd=0.03)
+                    match_sides(self._body, copy, fit.a_from_b)
+                    fit = fit_robust(
+                        self._body, copy, fit.a_from_b, self._settings,
+                        iterations=4, noise_sd=fit.noise_sd, biases=fit.biases,
+                    )  # fmt: skip
+                except CalibrationError:
+                    continue
+                cost = disagreement(self._body, copy, fit.a_from_b, self._settings, 0.03)
+                fits.append((cost, fit, copy))
+        if not fits:
+            return None
+        cost, best, shown = min(fits, key=lambda item: item[0])
+        others = [c for c, fit, _ in fits if fit.a_from_b.angle_to(best.a_from_b) > _SAME_TURN]
+        return (best, shown) if min(others, default=np.inf) > cost + _GAIN else None
+
+
+def _certain(fit: RobustFit, evidence: Evidence) -> bool:
+    sure = evidence.weights > 0.5
+    apart = np.linalg.norm((evidence.a - fit.a_from_b.apply(evidence.b))[sure], axis=1)
+    return bool(
+        fit.rotation_sd < _CERTAIN_TURN
+        and fit.translation_sd < _CERTAIN_SHIFT
+        and len(apart) > 0
+        and np.median(apart) < _FAR
+    )
+
+
+def _turned(a_from_b: RigidTransform, evidence: Evidence) -> RigidTransform:
+    """The transform followed by half a turn about the vertical axis of A through the person."""
+    centre: NDArray[np.float64] = evidence.a[evidence.weights > 0.5].mean(axis=0)
+    half = Rotation.from_euler("y", 180.0, degrees=True).as_matrix()
+    return RigidTransform.of(half, centre - half @ centre) @ a_from_b

@@ -1,0 +1,78 @@
+"""Calibration while pairs come in: on the whole pose, on a pose seen in part, and on movement."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from devices.pairing import pair_recordings
+from devices.simulated.kinect import PERSON, simulated_pair
+from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2, Body
+from fusion.calibration.calibrator import Calibrator
+from fusion.rigid import RigidTransform
+from fusion.skeleton import SkeletonPair
+
+
+def watched(
+    body: Body, motion: str, angle: float, seconds: float, from_second: float = 0.0, seed: int = 3
+) -> tuple[Calibrator, float, RigidTransform]:
+    """The calibrator after the recording or once it settled, the seconds until then, and the true R and t."""
+    a, b, truth = simulated_pair(motion=motion, seed=seed, body=body, angle_deg=angle, seconds=seconds)
+    pairs = [frame.skeletons for frame in pair_recordings([*a.frames()], [*b.frames()], PERSON, PERSON).pairs]
+    first_ns = pairs[0].time_ns + round(from_second * 1e9)
+    calibrator = Calibrator(body)
+    pair: SkeletonPair
+    for pair in pairs:
+        if pair.time_ns >= first_ns:
+            calibrator.watch(pair)
+            if calibrator.settled:
+                break
+    return calibrator, (pair.time_ns - first_ns) * 1e-9, truth.a_from_b
+
+
+def errors(found: RigidTransform, truth: RigidTransform) -> tuple[float, float]:
+    """Degrees, and metres at a person 2.6 m before both sensors."""
+    centre = truth.inverse().apply(np.array([0.0, 0.0, 2.6]))
+    apart = np.linalg.norm(found.apply(centre) - truth.apply(centre))
+    return float(np.degrees(found.angle_to(truth))), float(apart)
+
+
+@pytest.mark.parametrize("body", [BLAZEPOSE, AZURE_KINECT, KINECT_V2], ids=str)
+@pytest.mark.parametrize("angle", [120.0, 135.0])
+def test_sensors_that_each_see_one_side_are_calibrated(body: Body, angle: float) -> None:
+    calibrator, seconds, truth = watched(body, "badminton", angle, 12.0)
+    assert calibrator.settled
+    assert seconds < 12.0  # on the pose after three seconds, or on the movement that follows
+    turn, shift = errors(calibrator.calibration.a_from_b, truth)
+    assert turn < 5.0
+    assert shift < 0.1
+
+
+def test_a_pose_of_which_each_sensor_sees_a_part_is_enough() -> None:
+    calibrator, seconds, _ = watched(AZURE_KINECT, "squat", 120.0, 5.0, seed=3400)
+    assert seconds < 4.0
+    assert calibrator.calibration.how.startswith("start-up pose seen in part, ")
+
+
+def test_a_pose_that_both_sensors_see_whole_is_preferred() -> None:
+    calibrator, seconds, _ = watched(AZURE_KINECT, "walk", 90.0, 5.0)
+    assert seconds < 4.0
+    assert calibrator.calibration.how.startswith("start-up pose, ")
+
+
+@pytest.mark.parametrize(("body", "angle"), [(KINECT_V2, 90.0), (AZURE_KINECT, 180.0)], ids=str)
+def test_a_person_who_walks_needs_no_pose(body: Body, angle: float) -> None:
+    """The recording begins after the pose. 16 keyframes 0.2 s apart and a second fit take 4 s."""
+    calibrator, seconds, truth = watched(body, "walk", angle, 17.0, from_second=5.0)
+    assert calibrator.settled
+    assert calibrator.calibration.how.startswith("movement, ")
+    assert 3.9 < seconds < 12.0
+    turn, shift = errors(calibrator.calibration.a_from_b, truth)
+    assert turn < 5.0
+    assert shift < 0.1
+
+
+def test_a_person_who_shows_too_little_leaves_the_calibration_provisional() -> None:
+    """At 180° a squat seen from two sides leaves a solution turned by half a circle nearly as good."""
+    calibrator, _, _ = watched(KINECT_V2, "squat", 180.0, 12.0)
+    assert not calibrator.settled
