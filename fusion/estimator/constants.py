@@ -103,6 +103,7 @@ class Constants(NamedTuple):
         velocity_seconds: How long a joint keeps its velocity relative to its parent's.
         agreement_seconds: How long an offset between the views lasts while both see the joint.
         alone_seconds: How long an offset lasts while one view sees it.
+        usual_seconds: Over how long the usual offsets are averaged, to which offsets decay.
         outlier: Probability that a tracked joint is an outlier.
         inferred_outlier: The same of an inferred joint.
         outlier_lasts: Probability that an outlier is followed by one.
@@ -114,6 +115,8 @@ class Constants(NamedTuple):
         sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
         length_error: Error of a bone's length within a view, metres, that multiplies the odds of an outlier
             at either of its ends by e.
+        length_by_speed: Error of a bone's length added for each m/s between its ends, s. A tracker smears a
+            limb that swings.
         length_limit: Largest logarithm of that factor.
         scale_sd: Standard deviation of a view's scale about 1; of the body's tracker, see :meth:`of`.
         scale_seconds: How long a scale lasts.
@@ -126,27 +129,29 @@ class Constants(NamedTuple):
     slow_scale: float = 0.8
     along_ray: float = 1.3
     inferred_slow: float = 2.5
-    inferred_fast: float = 10.0
+    inferred_fast: float = 20.0
     fast_scale: float = 2.5
     fast_by_speed: float = 0.004
     near: float = 0.10
     near_power: float = 2.0
     near_limit: float = 20.0
     before: float = 0.0
-    acceleration: float = 1.0
+    acceleration: float = 2.0
     acceleration_by_speed: float = 16.0
     velocity_seconds: float = 0.4
     agreement_seconds: float = 1.0
-    alone_seconds: float = 2.0
+    alone_seconds: float = 0.7
+    usual_seconds: float = 20.0
     outlier: float = 0.02
     inferred_outlier: float = 0.2
-    outlier_lasts: float = 0.85
+    outlier_lasts: float = 0.9
     outlier_side: float = 0.6
     surface_slow: float = 2.0
     surface_fast: float = 0.008
     surprise: float = 0.05
     sides_doubted: float = 1.0
-    length_error: float = 0.02
+    length_error: float = 0.015
+    length_by_speed: float = 0.03
     length_limit: float = 4.0
     scale_sd: float = 0.035
     scale_seconds: float = 0.6

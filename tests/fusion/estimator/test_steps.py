@@ -236,6 +236,37 @@ def test_the_difference_of_the_views_is_shared_by_covariance(scene: Scene) -> No
     assert 3 < changed < J
 
 
+def test_offsets_return_to_the_usual_ones(scene: Scene) -> None:
+    state, seen, k = scene.state, scene.views, scene.model.constants
+    usual = scene.random.normal(0.0, 0.05, (2, J, 3))
+    state.usual_offsets[:], before = usual, state.offsets.copy()
+    interpreted(offsets.fade_offsets)(scene.model, state, seen, DT)
+    agreed = (seen.states > 0).all(axis=0) & (state.doubt < 0.5).all(axis=0)
+    kept = np.exp(-DT / np.where(agreed, k.agreement_seconds, k.alone_seconds))[None, :, None]
+    np.testing.assert_allclose(state.offsets, usual + kept * (before - usual), atol=1e-12)
+    assert 3 < agreed.sum() < J - 3
+
+
+def test_the_usual_offsets_are_means_over_the_time_of_agreement(scene: Scene) -> None:
+    state, seen, k = scene.state, scene.views, scene.model.constants
+    seen.states[:], seen.trust[:], seen.delays[:] = 2, 1.0, 0.0
+    seen.states[0, 3], seen.trust[0, 4] = 1, 0.0
+    d = np.array((0.06, -0.02, 0.01))
+    seen.positions[0] = seen.positions[1] + d
+    learn = interpreted(offsets.learn_usual_offsets)
+    learn(scene.model, state, seen, DT)
+    assert np.linalg.norm(state.usual_offsets[:, 5]) < 0.02 * np.linalg.norm(d), "one frame says little"
+    for _ in range(int(2.0 * k.usual_seconds)):
+        learn(scene.model, state, seen, 1.0)
+    a, b = (np.trace(seen.slow[v, 5]) for v in range(2))
+    # after the first usual_seconds, each second takes 1 / (usual_seconds + 3) of what remains
+    remains = (1.0 - 1.0 / (k.usual_seconds + 3.0)) ** k.usual_seconds
+    for found, whole in zip(state.usual_offsets[:, 5], (a / (a + b) * d, -b / (a + b) * d), strict=True):
+        assert np.linalg.norm(found - whole) < remains * np.linalg.norm(whole)
+    np.testing.assert_array_equal(state.usual_offsets[:, 3:5], 0.0)
+    assert state.agreed[5] == k.usual_seconds
+
+
 def test_a_joint_begins_at_the_mean_by_information(scene: Scene) -> None:
     state, seen = scene.state, scene.views
     state.known[:] = False
