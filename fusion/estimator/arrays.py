@@ -100,7 +100,7 @@ class Views(NamedTuple):
     surprise: Array  # (J,) probability that both views are right and the prediction is wrong
     trust: Array  # (2, J) probability that the measurement is no outlier
     evidence: Array  # (2, J) log likelihood ratio that the joint is no outlier, by depth image and bones
-    length_errors: Array  # (2, J) largest error of a view's bones at the joint over what is expected; -1 without any
+    length_errors: Array  # (2, J) largest error of a bone at the joint over the expected one; -1 without any
     places: Array  # (2, J, 3) position by the depth image, metres; NaN without one
     place_information: Array  # (2, J, 3, 3) 1/m²
     said: Said  # workspace for one image

@@ -158,7 +158,9 @@ def test_the_skeleton_stays_between_the_views_while_one_of_them_is_lost() -> Non
         pairs[k] = replace(pairs[k], b=None)
     found = positions(fused(pairs))
     seen = np.array([p.a.positions for p in pairs if p.a is not None])
-    before, after = (np.median(apart(found[k], seen[k].mean(axis=0))) for k in (slice(300, 360), slice(440, 450)))
+    before, after = (
+        np.median(apart(found[k], seen[k].mean(axis=0))) for k in (slice(300, 360), slice(440, 450))
+    )
     assert after > 0.5 * before > 0.01
 
 
