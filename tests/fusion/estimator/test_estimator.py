@@ -150,7 +150,7 @@ def test_the_skeleton_stays_between_the_views_while_one_of_them_is_lost() -> Non
     """After 12 s of agreement, B is lost for three: S* moves by less than half of the way to A.
 
     The views are 6 cm apart, so S* lies 3 cm from A. n / (n + 3 s) of an offset is known after n = 12 s,
-    and S* would keep 0.8 of it; without usual offsets it keeps exp(-3/0.7), less than 2 %.
+    and S* would keep 0.8 of it; without usual offsets it keeps exp(-3/0.85), 3 %.
     """
     truth = np.tile(standing(BODY), (450, 1, 1))
     pairs = [replace(p, b=changed(p.b, lambda at: at + 0.035)) for p in recording(truth, 0.002)]
