@@ -258,11 +258,13 @@ def test_the_usual_offsets_are_means_over_the_time_of_agreement(scene: Scene) ->
     assert np.linalg.norm(state.usual_offsets[:, 5]) < 0.02 * np.linalg.norm(d), "one frame says little"
     for _ in range(int(2.0 * k.usual_seconds)):
         learn(scene.model, state, seen, 1.0)
+    n = known = 0.0  # seconds of agreement, and the part of the difference that is known
+    for dt in (DT, *[1.0] * int(2.0 * k.usual_seconds)):
+        n = min(n + dt, k.usual_seconds)
+        known += dt / (n + 3.0) * (1.0 - known)
     a, b = (np.trace(seen.slow[v, 5]) for v in range(2))
-    # after the first usual_seconds, each second takes 1 / (usual_seconds + 3) of what remains
-    remains = (1.0 - 1.0 / (k.usual_seconds + 3.0)) ** k.usual_seconds
-    for found, whole in zip(state.usual_offsets[:, 5], (a / (a + b) * d, -b / (a + b) * d), strict=True):
-        assert np.linalg.norm(found - whole) < remains * np.linalg.norm(whole)
+    np.testing.assert_allclose(state.usual_offsets[0, 5], known * a / (a + b) * d)
+    np.testing.assert_allclose(state.usual_offsets[1, 5], -known * b / (a + b) * d)
     np.testing.assert_array_equal(state.usual_offsets[:, 3:5], 0.0)
     assert state.agreed[5] == k.usual_seconds
 
