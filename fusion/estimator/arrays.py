@@ -59,6 +59,8 @@ class State(NamedTuple):
     known: NDArray[np.bool_]  # (J,)
     offsets: Array  # (2, J, 3) lasting error of each view relative to S*, metres
     offset_variances: Array  # (2, J)
+    usual_offsets: Array  # (2, J, 3) mean share of each view in the views' difference, metres
+    agreed: Array  # (J,) seconds that these are means of, at most usual_seconds
     shared_error: Array  # (J, 3, 3) covariance of the slow error of S*, m²
     doubt: Array  # (2, J) probability that the view's last measurement was an outlier
     view_doubt: Array  # (2,) its mean over the joints that the view measured
@@ -98,7 +100,7 @@ class Views(NamedTuple):
     surprise: Array  # (J,) probability that both views are right and the prediction is wrong
     trust: Array  # (2, J) probability that the measurement is no outlier
     evidence: Array  # (2, J) log likelihood ratio that the joint is no outlier, by depth image and bones
-    length_errors: Array  # (2, J) largest error of a view's bones at the joint, metres; -1 without any
+    length_errors: Array  # (2, J) largest error of a bone at the joint over the expected one; -1 without any
     places: Array  # (2, J, 3) position by the depth image, metres; NaN without one
     place_information: Array  # (2, J, 3, 3) 1/m²
     said: Said  # workspace for one image
@@ -184,6 +186,8 @@ def new_state(joints: int) -> State:
         known=np.zeros(joints, dtype=np.bool_),
         offsets=np.zeros((2, joints, 3)),
         offset_variances=np.zeros((2, joints)),
+        usual_offsets=np.zeros((2, joints, 3)),
+        agreed=np.zeros(joints),
         shared_error=np.zeros((joints, 3, 3)),
         doubt=np.zeros((2, joints)),
         view_doubt=np.zeros(2),

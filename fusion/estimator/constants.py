@@ -98,11 +98,12 @@ class Constants(NamedTuple):
         near_power: How steeply that grows as the two come nearer.
         near_limit: Largest factor of that variance.
         before: How much farther than this joint the other may be and still count as before it, metres.
-        acceleration: Standard deviation of a still elbow's acceleration, m/s².
+        acceleration: Standard deviation of a still elbow's acceleration, m/s², of the body's tracker.
         acceleration_by_speed: What is added for each m/s, 1/s.
         velocity_seconds: How long a joint keeps its velocity relative to its parent's.
         agreement_seconds: How long an offset between the views lasts while both see the joint.
         alone_seconds: How long an offset lasts while one view sees it.
+        usual_seconds: Over how long the usual offsets are averaged, to which offsets decay.
         outlier: Probability that a tracked joint is an outlier.
         inferred_outlier: The same of an inferred joint.
         outlier_lasts: Probability that an outlier is followed by one.
@@ -114,6 +115,8 @@ class Constants(NamedTuple):
         sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
         length_error: Error of a bone's length within a view, metres, that multiplies the odds of an outlier
             at either of its ends by e.
+        length_by_speed: Error of a bone's length added for each m/s between its ends, s. A tracker smears a
+            limb that swings.
         length_limit: Largest logarithm of that factor.
         scale_sd: Standard deviation of a view's scale about 1; of the body's tracker, see :meth:`of`.
         scale_seconds: How long a scale lasts.
@@ -126,7 +129,7 @@ class Constants(NamedTuple):
     slow_scale: float = 0.8
     along_ray: float = 1.3
     inferred_slow: float = 2.5
-    inferred_fast: float = 10.0
+    inferred_fast: float = 20.0
     fast_scale: float = 2.5
     fast_by_speed: float = 0.004
     near: float = 0.10
@@ -137,21 +140,23 @@ class Constants(NamedTuple):
     acceleration_by_speed: float = 16.0
     velocity_seconds: float = 0.4
     agreement_seconds: float = 1.0
-    alone_seconds: float = 2.0
+    alone_seconds: float = 0.85
+    usual_seconds: float = 20.0
     outlier: float = 0.02
     inferred_outlier: float = 0.2
-    outlier_lasts: float = 0.85
+    outlier_lasts: float = 0.9
     outlier_side: float = 0.6
     surface_slow: float = 2.0
     surface_fast: float = 0.008
     surprise: float = 0.05
     sides_doubted: float = 1.0
-    length_error: float = 0.02
+    length_error: float = 0.015
+    length_by_speed: float = 0.03
     length_limit: float = 4.0
     scale_sd: float = 0.035
     scale_seconds: float = 0.6
     bone_sd: float = 0.03
-    spread: float = 1.1
+    spread: float = 1.05
     bones: bool = True
 
     @staticmethod
@@ -163,15 +168,21 @@ class Constants(NamedTuple):
         pairs of Kinect v2 it brings nothing (roughness 0.496 of the views' with 0.01, 0.500 with 0.035), nor
         on the simulated one.
 
-        ``spread``: chosen on simulated recordings of seed 3000, 8 movements at three angles, registered and
-        labelled over the whole recording. ``duplex bench accuracy --methods duplex`` prints the coverage.
+        ``spread``: chosen on simulated recordings of seeds 3000 and 4100, 8 movements at three angles,
+        registered and labelled over the whole recording. ``duplex bench accuracy --methods duplex`` prints
+        the coverage.
+
+        ``acceleration``: simulated recordings of seed 4100. With Kinect v2, S* is 0.33 frames late with 2,
+        and 0.35 with 1. With Azure Kinects, joints that both views hide are 1.2 mm worse with 2 than with 1.
 
         ``inferred_outlier``: BlazePose guesses hidden arms 100 to 250 mm off. On nine scenes of seed 100, S*
         has 33.0 mm with 0.2, 32.2 mm with 0.4 and 32.1 mm with 0.6.
         """
         if body is BLAZEPOSE:
             return Constants(scale_sd=0.01, spread=1.4, inferred_outlier=0.4)
-        return Constants() if body is AZURE_KINECT else Constants(scale_sd=0.01, spread=1.4)
+        if body is AZURE_KINECT:
+            return Constants()
+        return Constants(scale_sd=0.01, spread=1.3, acceleration=2.0)
 
 
 DEFAULT_SMOOTHING = 0.5

@@ -9,7 +9,7 @@ from fusion.estimator.bones import aim, follow_bones, hold_bones
 from fusion.estimator.limits import respect_hinges
 from fusion.estimator.measuring.lengths import weigh_lengths
 from fusion.estimator.measuring.measurement import cast_rays, find_covers, set_covariances
-from fusion.estimator.measuring.offsets import fade_offsets, learn_offsets
+from fusion.estimator.measuring.offsets import fade_offsets, learn_offsets, learn_usual_offsets
 from fusion.estimator.measuring.robust import be_surprised, judge, remember_doubt
 from fusion.estimator.measuring.surface import ask_images, measure_surface
 from fusion.estimator.measuring.views import relabel, rescale, take_views
@@ -103,7 +103,7 @@ def estimate_pair(  # type: ignore[no-untyped-def]
     # remove each view's own scale
     rescale(model, state, views, dt)
     # evidence of the bones' lengths within each view
-    weigh_lengths(model, views)
+    weigh_lengths(model, state, views)
     # predict positions, velocities and variances
     predict(model, state, dt)
     trace_prediction(model, state, trace, k, dt)
@@ -122,6 +122,7 @@ def estimate_pair(  # type: ignore[no-untyped-def]
     take_in(model, state, views)
     # divide the remaining difference of the views between their offsets
     learn_offsets(model, state, views, room)
+    learn_usual_offsets(model, state, views, dt)
     together, alone = math.exp(-dt / constants.agreement_seconds), math.exp(-dt / constants.alone_seconds)
     share_error(model, state, views, together, alone, sums, room)
     # start joints that are seen for the first time

@@ -66,6 +66,8 @@ def begin_joints(model, state, views, sum_, room):  # type: ignore[no-untyped-de
             state.velocities[i, r] = 0.0
             for c in range(3):
                 state.shared_error[i, r, c] = room[r, c]
+            state.usual_offsets[0, i, r] = state.usual_offsets[1, i, r] = 0.0
+        state.agreed[i] = 0.0
         state.variances[i, 1], state.variances[i, 2] = 0.0, _FIRST_SPEED**2
         for s in range(2):
             seen = views.states[s, i] != 0

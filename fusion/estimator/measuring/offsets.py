@@ -3,6 +3,9 @@
 Two trackers place a joint centimetres apart for as long as the pose lasts. Only the difference is observable;
 each view takes a share of it according to its covariance. With the offsets removed the views agree, and S*
 does not jump when one view loses the joint or finds it again.
+
+A part of the difference outlasts the pose. Without news, each offset returns to its mean share of the
+difference, the usual offset, so that S* stays between the views also where one of them is lost.
 """
 
 from __future__ import annotations
@@ -15,7 +18,9 @@ from fusion.estimator.three import inverse
 
 @inner_kernel
 def fade_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
-    """Offsets decay like an Ornstein–Uhlenbeck process does: b ← φ b, Var b ← φ² Var b + (1 - φ²) C.
+    """Offsets return to the usual ones like an Ornstein–Uhlenbeck process does:
+
+        b ← b_usual + φ (b - b_usual),    Var b ← φ² Var b + (1 - φ²) C
 
     C is the mean slow variance of the measurement. They last for ``agreement_seconds`` while both views are
     trusted, for ``alone_seconds`` while only one is. The variance of an offset does not grow for a view that
@@ -29,7 +34,8 @@ def fade_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
         kept = together if agreed else alone
         for v in range(2):
             for c in range(3):
-                state.offsets[v, i, c] *= kept
+                usual = state.usual_offsets[v, i, c]
+                state.offsets[v, i, c] = usual + kept * (state.offsets[v, i, c] - usual)
             if views.states[v, i] != 0:
                 C = views.slow[v, i]
                 slow = (C[0, 0] + C[1, 1] + C[2, 2]) / 3.0
@@ -101,4 +107,32 @@ def learn_offsets(model, state, views, room):  # type: ignore[no-untyped-def]
         state.offset_variances[1, i] *= 1.0 - gain
 
 
+@inner_kernel
+def learn_usual_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
+    """Averages each view's share of the difference d = y_A - y_B, while both views track a joint.
+
+        n ← min(n + β_A β_B dt, usual_seconds),    g = β_A β_B dt / (n + _AT_FIRST)
+        b_usual,A ← b_usual,A + g (w d - b_usual,A),    b_usual,B ← b_usual,B + g ((w - 1) d - b_usual,B)
+
+    with w = tr C_A / (tr C_A + tr C_B), and n the seconds that the mean is of. So it is 0 at first, and a
+    running mean later.
+    """
+    later = views.delays[0] - views.delays[1]
+    for i in range(len(model.parents)):
+        if views.states[0, i] != _TRACKED or views.states[1, i] != _TRACKED or not state.known[i]:
+            continue
+        seconds = views.trust[0, i] * views.trust[1, i] * dt
+        state.agreed[i] = min(state.agreed[i] + seconds, model.constants.usual_seconds)
+        pace = min(seconds / (state.agreed[i] + _AT_FIRST), 1.0)
+        A, B = views.slow[0, i], views.slow[1, i]
+        a, b = A[0, 0] + A[1, 1] + A[2, 2], B[0, 0] + B[1, 1] + B[2, 2]
+        share = a / (a + b)
+        for c in range(3):
+            d = views.positions[0, i, c] - views.positions[1, i, c] - state.velocities[i, c] * later
+            state.usual_offsets[0, i, c] += pace * (share * d - state.usual_offsets[0, i, c])
+            state.usual_offsets[1, i, c] += pace * ((share - 1.0) * d - state.usual_offsets[1, i, c])
+
+
+_TRACKED = 2  # fusion.skeleton.TrackingState.TRACKED
+_AT_FIRST = 3.0  # s of agreement without which a mean says little: poses last about that long
 _UNSEEN = 2.0  # a joint that the view does not report is probably covered

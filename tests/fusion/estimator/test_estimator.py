@@ -146,6 +146,24 @@ def test_a_view_that_is_lost_and_found_makes_no_jump() -> None:
     assert steps[40:100].max() < 0.006
 
 
+def test_the_skeleton_stays_between_the_views_while_one_of_them_is_lost() -> None:
+    """After 12 s of agreement, B is lost for three: S* moves by less than half of the way to A.
+
+    The views are 6 cm apart, so S* lies 3 cm from A. n / (n + 3 s) of an offset is known after n = 12 s,
+    and S* would keep 0.8 of it; without usual offsets it keeps exp(-3/0.85), 3 %.
+    """
+    truth = np.tile(standing(BODY), (450, 1, 1))
+    pairs = [replace(p, b=changed(p.b, lambda at: at + 0.035)) for p in recording(truth, 0.002)]
+    for k in range(360, 450):
+        pairs[k] = replace(pairs[k], b=None)
+    found = positions(fused(pairs))
+    seen = np.array([p.a.positions for p in pairs if p.a is not None])
+    before, after = (
+        np.median(apart(found[k], seen[k].mean(axis=0))) for k in (slice(300, 360), slice(440, 450))
+    )
+    assert after > 0.5 * before > 0.01
+
+
 def test_uncertainty_grows_while_no_one_sees_a_joint_and_shrinks_again() -> None:
     wrist = BODY.joint("WristLeft")
     pairs = recording(moving(BODY, 140), 0.004)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -44,20 +45,23 @@ def two_views(random: np.random.Generator) -> tuple[Model, Views]:
 def test_the_worst_tracked_bone_at_a_joint_counts_against_it() -> None:
     random = np.random.default_rng(3)
     model, seen = two_views(random)
+    state = new_state(J)
+    state.velocities[:] = random.normal(0.0, 1.0, (J, 3))
     image = random.normal(0.0, 1.0, (2, J))
     seen.evidence[:] = image
-    interpreted(weigh_lengths)(model, seen)
-    k = model.constants
+    interpreted(weigh_lengths)(model, state, seen)
+    k, u = model.constants, state.velocities
     costs = []
     for v in range(2):
         for i in range(J):
             bones = [(j, p) for j, p in enumerate(BODY.parents) if p >= 0 and i in (j, p)]
             errors = [
                 abs(np.linalg.norm(seen.positions[v, j] - seen.positions[v, p]) - model.bone_lengths[j])
+                / math.hypot(k.length_error, k.length_by_speed * np.linalg.norm(u[j] - u[p]))
                 for j, p in bones
                 if seen.states[v, j] == seen.states[v, p] == 2
             ]
-            costs.append(min(max(errors, default=0.0) / k.length_error, k.length_limit))
+            costs.append(min(max(errors, default=0.0), k.length_limit))
             assert seen.evidence[v, i] == pytest.approx(image[v, i] - costs[-1], abs=ROUNDING)
     assert max(costs) == k.length_limit, "some bones are decimetres off"
     assert 0.0 in costs, "some joints have no tracked bone"
@@ -66,8 +70,24 @@ def test_the_worst_tracked_bone_at_a_joint_counts_against_it() -> None:
 def test_bones_of_the_right_lengths_are_no_evidence() -> None:
     model, seen = two_views(np.random.default_rng(3))
     seen.positions[:], seen.states[:] = standing(BODY), 2
-    interpreted(weigh_lengths)(model, seen)
+    interpreted(weigh_lengths)(model, new_state(J), seen)
     np.testing.assert_allclose(seen.evidence, 0.0, atol=ROUNDING)
+
+
+def test_a_wrong_length_says_less_of_a_limb_that_swings() -> None:
+    model, seen = two_views(np.random.default_rng(3))
+    state, wrist, elbow = new_state(J), BODY.joint("WristLeft"), BODY.joint("ElbowLeft")
+    seen.positions[:], seen.states[:] = standing(BODY), 2
+    seen.positions[0, wrist] += 0.03 * (standing(BODY)[wrist] - standing(BODY)[elbow]) / 0.25
+    costs = []
+    for own, trunk in ((0.0, 0.0), (3.0, 0.0), (3.0, 3.0)):
+        state.velocities[:] = trunk
+        state.velocities[[wrist, *(BODY.joint(f"{j}Left") for j in ("Hand", "HandTip", "Thumb"))]] = own
+        seen.evidence[:] = 0.0
+        interpreted(weigh_lengths)(model, state, seen)
+        costs.append(-seen.evidence[0, elbow])
+    assert costs[1] < 0.5 * costs[0]
+    assert costs[2] == pytest.approx(costs[0]), "the whole person moves: the bone does not swing"
 
 
 def with_arm_near_trunk(skeleton: Skeleton | None, share: float) -> Skeleton:

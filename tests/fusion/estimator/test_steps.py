@@ -236,6 +236,39 @@ def test_the_difference_of_the_views_is_shared_by_covariance(scene: Scene) -> No
     assert 3 < changed < J
 
 
+def test_offsets_return_to_the_usual_ones(scene: Scene) -> None:
+    state, seen, k = scene.state, scene.views, scene.model.constants
+    usual = scene.random.normal(0.0, 0.05, (2, J, 3))
+    state.usual_offsets[:], before = usual, state.offsets.copy()
+    interpreted(offsets.fade_offsets)(scene.model, state, seen, DT)
+    agreed = (seen.states > 0).all(axis=0) & (state.doubt < 0.5).all(axis=0)
+    kept = np.exp(-DT / np.where(agreed, k.agreement_seconds, k.alone_seconds))[None, :, None]
+    np.testing.assert_allclose(state.offsets, usual + kept * (before - usual), atol=1e-12)
+    assert 3 < agreed.sum() < J - 3
+
+
+def test_the_usual_offsets_are_means_over_the_time_of_agreement(scene: Scene) -> None:
+    state, seen, k = scene.state, scene.views, scene.model.constants
+    seen.states[:], seen.trust[:], seen.delays[:] = 2, 1.0, 0.0
+    seen.states[0, 3], seen.trust[0, 4] = 1, 0.0
+    d = np.array((0.06, -0.02, 0.01))
+    seen.positions[0] = seen.positions[1] + d
+    learn = interpreted(offsets.learn_usual_offsets)
+    learn(scene.model, state, seen, DT)
+    assert np.linalg.norm(state.usual_offsets[:, 5]) < 0.02 * np.linalg.norm(d), "one frame says little"
+    for _ in range(int(2.0 * k.usual_seconds)):
+        learn(scene.model, state, seen, 1.0)
+    n = known = 0.0  # seconds of agreement, and the part of the difference that is known
+    for dt in (DT, *[1.0] * int(2.0 * k.usual_seconds)):
+        n = min(n + dt, k.usual_seconds)
+        known += dt / (n + 3.0) * (1.0 - known)
+    a, b = (np.trace(seen.slow[v, 5]) for v in range(2))
+    np.testing.assert_allclose(state.usual_offsets[0, 5], known * a / (a + b) * d)
+    np.testing.assert_allclose(state.usual_offsets[1, 5], -known * b / (a + b) * d)
+    np.testing.assert_array_equal(state.usual_offsets[:, 3:5], 0.0)
+    assert state.agreed[5] == k.usual_seconds
+
+
 def test_a_joint_begins_at_the_mean_by_information(scene: Scene) -> None:
     state, seen = scene.state, scene.views
     state.known[:] = False
