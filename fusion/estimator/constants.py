@@ -168,12 +168,12 @@ class Constants(NamedTuple):
         pairs of Kinect v2 it brings nothing (roughness 0.496 of the views' with 0.01, 0.500 with 0.035), nor
         on the simulated one.
 
-        ``spread``: chosen on simulated recordings of seeds 3000 and 4100, 8 movements at three angles,
+        ``spread``: chosen on simulated recordings of seed 4100, 8 movements at three angles,
         registered and labelled over the whole recording. ``duplex bench accuracy --methods duplex`` prints
         the coverage.
 
         ``acceleration``: simulated recordings of seed 4100. With Kinect v2, S* is 0.33 frames late with 2,
-        and 0.35 with 1. With Azure Kinects, joints that both views hide are 1.2 mm worse with 2 than with 1.
+        and 0.35 with 1. With Azure Kinects, joints that both views hide are 1.9 mm worse with 2 than with 1.
 
         ``inferred_outlier``: BlazePose guesses hidden arms 100 to 250 mm off. On nine scenes of seed 100, S*
         has 33.0 mm with 0.2, 32.2 mm with 0.4 and 32.1 mm with 0.6.
