@@ -123,8 +123,9 @@ class ViewerFeed:
         try:
             self._feed_each()
         finally:
-            self._stopping = True
-            self._free.set()  # nobody waits for a thread that has ended
+            with self._more:  # or an item that is being offered would clear the event again
+                self._stopping = True
+                self._free.set()  # nobody waits for a thread that has ended
             self._stream.disconnect()
 
     def _feed_each(self) -> None:
