@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,6 +39,8 @@ class Skeleton:
         time_ns: When it was captured, on the sensor's clock.
         witness: (J, 4) float32, evidence of the depth image on each joint, see :mod:`fusion.witness`; None
             without an image.
+
+    The constructor checks nothing; :meth:`of` does. Arrays that are writable or of another type are copied.
     """
 
     body: Body
@@ -45,6 +48,12 @@ class Skeleton:
     states: NDArray[np.uint8]
     time_ns: int
     witness: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        # The kernels are compiled for one type of array. Another, even a writable one, would compile them
+        # again in the middle of a session.
+        object.__setattr__(self, "positions", _read_only(self.positions, np.float32))
+        object.__setattr__(self, "states", _read_only(self.states, np.uint8))
 
     @staticmethod
     def of(body: Body, positions: ArrayLike, states: ArrayLike | None = None, time_ns: int = 0) -> Skeleton:
@@ -111,6 +120,16 @@ class Skeleton:
             and np.array_equal(self.positions, earlier.positions, equal_nan=True)
             and np.array_equal(self.states, earlier.states)
         )
+
+
+def _read_only(array: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
+    """The array itself, if it has the type and cannot be written; otherwise a copy like that."""
+    flags = array.flags
+    if array.dtype == dtype and flags.c_contiguous and not flags.writeable:
+        return array
+    copy = np.array(array, dtype=dtype, order="C")
+    copy.flags.writeable = False
+    return copy
 
 
 @dataclass(frozen=True)

@@ -48,15 +48,14 @@ class DuplexFusion:
         """Continues with another calibration without a jump of S*.
 
         A change of R and t moves S_B. B's offsets absorb the change at the last position of each joint in B,
-        and decay afterwards, to usual offsets that share it.
+        and decay afterwards. The usual offsets stay: whether they were learned under the same error, or before
+        a sensor was moved, is not known, and they adapt over time.
         """
         before = self._setup.calibration.a_from_b
         last = self._state.last_positions[1].astype(np.float64)
         moved = setup.calibration.a_from_b.apply(last) - before.apply(last)
         seen = np.isfinite(moved).all(axis=1)
         self._state.offsets[1][seen] += moved[seen]
-        self._state.usual_offsets[0][seen] -= 0.5 * moved[seen]
-        self._state.usual_offsets[1][seen] += 0.5 * moved[seen]
         self._calibrate(setup)
 
     def _calibrate(self, setup: FusionSetup) -> None:

@@ -102,7 +102,7 @@ def test_an_implausible_fit_is_reported() -> None:
     states = np.zeros(20)
     states[:4] = 2
     few = Skeleton.of(KINECT_V1, standing(KINECT_V1), states)
-    with pytest.raises(CalibrationError, match="Only 4 joints"):
+    with pytest.raises(CalibrationError, match="4, and registration needs 5"):
         register([SkeletonPair(few, one.b, 0)])
     line = np.linspace(0, 1, 20)[:, None] * [[1.0, 2.0, 3.0]]
     with pytest.raises(CalibrationError, match="one line"):

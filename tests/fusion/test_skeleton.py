@@ -28,6 +28,18 @@ def test_values_that_do_not_fit_the_body_are_refused() -> None:
         Skeleton.of(KINECT_V1, np.ones((20, 3)), np.full(20, 3))
 
 
+def test_arrays_of_a_callers_own_become_those_of_the_kernels() -> None:
+    positions, states = np.ones((20, 3)), np.full(20, 2)
+    skeleton = Skeleton(KINECT_V1, positions, states, 0)  # type: ignore[arg-type]
+    checked = Skeleton.of(KINECT_V1, positions, states)
+    for array, other in ((skeleton.positions, checked.positions), (skeleton.states, checked.states)):
+        assert array.dtype == other.dtype
+        assert not array.flags.writeable
+        assert array.flags.c_contiguous
+    positions[0] = 0.0
+    assert skeleton.positions[0].tolist() == [1.0, 1.0, 1.0]
+
+
 def test_a_repeated_skeleton_is_noticed_holes_included() -> None:
     positions = np.ones((20, 3))
     positions[3] = np.nan

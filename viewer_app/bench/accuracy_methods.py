@@ -180,11 +180,15 @@ def without_depth(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
 
 
 def as_live(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
-    """What ``duplex live`` makes of the recording: nothing looks ahead."""
+    """What ``duplex live`` makes of the recording, refinement included: nothing looks ahead."""
 
     def find(recording: RecordedPair) -> Found:
         live = LiveFusion(FusionSetup(recording.calibration, settings), refine=True)
-        frames = [live.fuse(pair) for pair in recording.pairs]
+        frames = []
+        for pair in recording.pairs:
+            live.recalibrated(pair)
+            frames.append(live.fuse(pair))
+            live.learn(frames[-1])
         return _found([f.fused for f in frames], float(np.median([f.fuse_ns for f in frames])) * 1e-3)
 
     return find

@@ -90,7 +90,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, FusionR
     calibration = _calibrate(options.calibrate, read.body, skeletons)
     kept = calibration is not None and not options.calibrate.startswith("seconds:")
     with console.status("Learning the registration …") if console.is_terminal else nullcontext():
-        plan = plan_recording(read.body, skeletons, settings, calibration, options.refine and not kept)
+        plan = plan_recording(read.body, skeletons, settings, calibration, not (options.no_refine or kept))
     segments = setups_of(plan, settings, read.cameras(options.depth))
     setup = segments[-1][0]
     warm_up(Fuser(setup), console)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from viewer_app.options.shared import FusionOptions, RecordingOptions, TrackerOptions
 
@@ -21,7 +22,7 @@ class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
     The exit code is 1 if a pair could not be fused.
     """
 
-    source: Positional[Path] = field(kw_only=True)
+    source: Annotated[Positional[Path], arg(metavar="SOURCE")] = field(kw_only=True)
     """A folder of recordings, or a manifest (.csv) with paths relative to its own folder."""
     out: Path = field(kw_only=True)
     """Folder for the sessions, one subfolder each, and the summary (summary.html, summary.parquet)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 from collections.abc import Callable
 from contextlib import redirect_stderr
@@ -71,11 +72,15 @@ def parsed(arguments: list[str]) -> Any:
     with redirect_stderr(io.StringIO()):  # a box of several lines, which is not shown
         try:
             return tyro.cli(
-                _command_line(),
+                _command_line(overview=not arguments or arguments[0].startswith("-")),
                 args=arguments,
                 prog="duplex",
                 description="One skeleton from two Kinects. --version prints the program's version.",
-                config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.FlagCreatePairsOff),
+                config=(
+                    tyro.conf.OmitSubcommandPrefixes,
+                    tyro.conf.FlagCreatePairsOff,
+                    tyro.conf.DisallowNone,
+                ),
             )
         except SystemExit as end:
             if not end.code:
@@ -83,8 +88,12 @@ def parsed(arguments: list[str]) -> Any:
     raise UsageError(mistake(arguments, {name: kind for name, (kind, _) in COMMANDS.items()}))
 
 
-def _command_line() -> Any:
-    """The command table as a union of subcommands; a group is a nested union."""
+def _command_line(overview: bool) -> Any:
+    """The command table as a union of subcommands; a group is a nested union.
+
+    Args:
+        overview: Whether a command is described by the first paragraph of its help only.
+    """
     import tyro
 
     nothing = Annotated[None, tyro.conf.Suppress]  # cannot be selected; a union needs two members
@@ -92,7 +101,11 @@ def _command_line() -> Any:
     groups: dict[str, Any] = dict.fromkeys(_GROUPS, nothing)
     for name, (options, _) in COMMANDS.items():
         group, _, command = name.rpartition(" ")
-        subcommand = Annotated[Any, tyro.conf.subcommand(command, constructor=options)]
+        text = inspect.getdoc(options) or ""
+        description = " ".join(text.partition("\n\n")[0].split()) if overview else None
+        subcommand = Annotated[
+            Any, tyro.conf.subcommand(command, constructor=options, description=description)
+        ]
         if group:
             groups[group] |= subcommand
         else:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from viewer_app.options.shared import (
     LiveOutputOptions,
@@ -28,14 +28,14 @@ class FuseOptions(
 ):
     """Fuse two recorded skeleton streams into one skeleton with bones of constant length.
 
-    Recordings are .csv (time_us,body,joint,x,y,z[,state]; metres), .json (Microsoft's offline_processor),
+    Recordings are .csv (time_us,body,joint,x,y,z[,state]), .json (Microsoft's offline_processor),
     .skeleton (NTU RGB+D); or images, on which a body tracker is run: .mkv of an Azure Kinect, .bag of
     Orbbec's SDK v2.
     """
 
-    a: Positional[Path] = field(kw_only=True)
+    a: Annotated[Positional[Path], arg(metavar="A")] = field(kw_only=True)
     """Recording of the principal sensor K_A; S* is in its frame."""
-    b: Positional[Path] = field(kw_only=True)
+    b: Annotated[Positional[Path], arg(metavar="B")] = field(kw_only=True)
     """Recording of the secondary sensor K_B."""
     person_a: str | None = None
     """Id of the person in A; the one seen longest if not given."""

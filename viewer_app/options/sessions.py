@@ -18,7 +18,7 @@ class ReplayOptions(LiveOutputOptions, SummaryOptions, OutputOptions):
     With the session's own settings S* is identical bit for bit; --verify checks this.
     """
 
-    session: Positional[Path] = field(kw_only=True)
+    session: Annotated[Positional[Path], arg(metavar="SESSION")] = field(kw_only=True)
     """The .rrd to replay."""
     h: float | None = None
     """How much more a tracked joint counts than an inferred one; as recorded if not given."""
@@ -46,7 +46,7 @@ class InfoOptions:
     """Show the contents of a session: body, frames, length, settings, calibration, size, and whether it is
     whole."""
 
-    session: Positional[Path]
+    session: Annotated[Positional[Path], arg(metavar="SESSION")]
     """The .rrd to read."""
 
 
@@ -54,7 +54,7 @@ class InfoOptions:
 class TrimOptions:
     """Save a time range of a session as a new session. Frames are copied; nothing is fused again."""
 
-    session: Positional[Path]
+    session: Annotated[Positional[Path], arg(metavar="SESSION")]
     """The .rrd to cut."""
     save: Path
     """The .rrd to write."""
@@ -70,9 +70,9 @@ class TrimOptions:
 class CompareOptions(SummaryOptions):
     """Compare two fusions of the same capture, joint by joint and bone by bone."""
 
-    first: Positional[Path] = field(kw_only=True)
+    first: Annotated[Positional[Path], arg(metavar="FIRST")] = field(kw_only=True)
     """A session."""
-    second: Positional[Path] = field(kw_only=True)
+    second: Annotated[Positional[Path], arg(metavar="SECOND")] = field(kw_only=True)
     """Another of the same capture: a replay with other settings, say."""
     save: Path | None = None
     """Keep both S* and their difference as an .rrd file."""
@@ -88,7 +88,7 @@ class CompareOptions(SummaryOptions):
 class ReviewOptions(SummaryOptions):
     """Show a saved session: a summary, its events, the viewer at one of them, and an HTML page."""
 
-    session: Positional[Path] = field(kw_only=True)
+    session: Annotated[Positional[Path], arg(metavar="SESSION")] = field(kw_only=True)
     """The .rrd to show."""
     event: int | None = None
     """Open the viewer at the event of this number. If neither this nor --at is given: at the first warning
@@ -107,7 +107,7 @@ class ReviewOptions(SummaryOptions):
 class ExportOptions:
     """Write S* for another program: .bvh, .c3d, .csv, .npz, .parquet or .trc, by the file's ending."""
 
-    session: Positional[Path]
+    session: Annotated[Positional[Path], arg(metavar="SESSION")]
     """The .rrd to export."""
     to: Path
     """The file to write."""

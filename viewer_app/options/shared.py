@@ -85,8 +85,8 @@ class RecordingOptions:
 
     calibrate: str = "auto"
     """auto: on the start-up pose. seconds:N: on the first N seconds. Or a file of --save-calibration."""
-    refine: bool = True
-    """Refine the calibration, unless it is from a file, over the whole recording; of the method duplex."""
+    no_refine: bool = False
+    """Keep the calibration of --calibrate, rather than refine it over the recording; of the method duplex."""
     smooth: Literal["off", "whole"] = "off"
     """whole: each frame counts what comes after it as well; no lag, and calmer. Of the method duplex."""
     unit: Literal["auto", "m", "cm", "mm", "ft", "in"] = "auto"

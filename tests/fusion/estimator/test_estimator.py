@@ -208,6 +208,25 @@ def test_another_calibration_makes_no_jump_and_is_followed() -> None:
         found.recalibrate(FusionSetup(calibration_of(BODIES["kinect_v1"])))
 
 
+@pytest.mark.parametrize("metres", [0.1, 1.0])
+@pytest.mark.parametrize("before", [0, 150])
+def test_a_corrected_calibration_leaves_no_error_behind(before: int, metres: float) -> None:
+    """B is elsewhere than assumed for two seconds, from the beginning or after a knock; then this is known."""
+    truth = np.tile(standing(BODY), (before + 240, 1, 1))
+    moved = RigidTransform.of(np.eye(3), np.array((metres, 0.0, 0.0)))
+    old = calibration_of(BODY)
+    pairs = [
+        pair if k < before else replace(pair, b=changed(pair.b, moved.inverse().apply))
+        for k, pair in enumerate(recording(truth, 0.002))
+    ]
+    found = Fuser(FusionSetup(old))
+    for pair in pairs[: before + 60]:
+        found.update(pair)
+    found.recalibrate(FusionSetup(replace(old, a_from_b=old.a_from_b @ moved)))
+    last = [found.update(pair).positions for pair in pairs[before + 60 :]][-30:]
+    assert np.median(apart(np.array(last), truth[-30:])) < 0.005
+
+
 def test_more_smoothing_is_calmer_and_less_follows_each_frame() -> None:
     truth = np.tile(standing(BODY), (120, 1, 1))
     pairs = recording(truth, 0.01)

@@ -3,18 +3,24 @@
 import io
 import json
 from contextlib import redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rich.console import Console
+from scipy.spatial.transform import Rotation
 
 from devices.simulated.realism.pair_statistics import PairStatistics
 from devices.simulated.realism.reference_figures import PUBLISHED, REASONS
 from devices.simulated.tracking.harsher_errors import heavy_tailed, scaled
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import KINECT_V2
+from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings, FusionSetup
+from recordings.fusing.live import LiveFusion
 from viewer_app.bench.accuracy_methods import ABLATIONS, METHODS, OURS, WITHOUT_DEPTH
 from viewer_app.bench.accuracy_tables import (
     clearly_best,
@@ -26,7 +32,7 @@ from viewer_app.bench.accuracy_tables import (
     tables_of_methods,
     wins,
 )
-from viewer_app.bench.accuracy_trials import Outcome, Simulation, Trial, run_trials
+from viewer_app.bench.accuracy_trials import Outcome, Simulation, Trial, record, run_trials
 from viewer_app.cli import main
 
 FIGURES = ("mpjpe", "p95", "hidden_one", "hidden_both", "bone_error", "bone_deviation", "jitter",
@@ -268,6 +274,23 @@ def test_depth_images_reach_our_method_and_not_its_ablation() -> None:
     seeing = {o.method: o.figures["mpjpe"] for o in having}
     assert blind[OURS] == blind[WITHOUT_DEPTH]
     assert seeing[OURS] != seeing[WITHOUT_DEPTH]
+
+
+def test_the_live_row_refines_a_wrong_registration() -> None:
+    """Without learning, S* keeps the error of the registration that it starts from."""
+    recording, _ = record(Trial("walk", 90.0, 3), Simulation(seconds=10.0))
+    tilt = RigidTransform(Rotation.from_euler("y", 4.0, degrees=True).as_matrix(), np.array([0.06, 0.0, 0.0]))
+    wrong = replace(recording.calibration, a_from_b=tilt @ recording.calibration.a_from_b)
+    (live,) = (method for method in METHODS if method.name == "duplex, live")
+    setup = FusionSetup(wrong, FuserSettings())
+    kept = LiveFusion(setup, calibrated=True)
+    unrefined = np.array([kept.fuse(pair).fused.positions for pair in recording.pairs])
+    end = slice(-60, None)
+
+    def error(positions: NDArray[np.float64]) -> float:
+        return float(np.nanmean(np.linalg.norm((positions - recording.truth)[end], axis=-1)))
+
+    assert error(live.find(replace(recording, calibration=wrong)).joints) < 0.8 * error(unrefined)
 
 
 def test_set_real_says_which_published_figures_are_out_and_why(

@@ -97,6 +97,25 @@ def test_every_option_of_the_help_is_known_to_the_explanation(capsys: pytest.Cap
             assert option.positional or f"{option.name} " in help_text.replace("\n", " "), name
 
 
+def test_the_overview_describes_each_command_in_its_first_paragraph(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert duplex("--help") == 0
+    overview = capsys.readouterr().out
+    assert duplex("batch", "--help") == 0
+    page = capsys.readouterr().out
+    for text in ("In FOLDER and its subfolders", "The exit code is"):
+        assert text in page
+        assert text not in overview
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_names_what_an_option_takes(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Not the Python type of an optional value, {None}|PATH."""
+    assert duplex(*command.split(), "--help") == 0
+    assert "{None}" not in capsys.readouterr().out
+
+
 WORDS = (
     *("fuse", "demo", "bench", "speed", "tracker", "a.csv", "x", "-1", "", "--", "é", "-h2", "-5e3", "nan"),
     *("--save", "--save=", "--force", "--seconds", "--method", "duplex", "--recording", "--evnt", "--angles"),
