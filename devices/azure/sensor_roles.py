@@ -171,5 +171,5 @@ def cable_notes(a: ConnectedKinect, b: ConnectedKinect, master: str | None) -> l
 
 _NO_CABLE = (
     "No sync cable: pairs are up to half a frame apart, and the sensors' lasers disturb each other where "
-    "both shine. A 3.5 mm cable from one's sync out to the other's sync in mends both."
+    "both shine. A 3.5 mm cable from one's sync out to the other's sync in helps both."
 )

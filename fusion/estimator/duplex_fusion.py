@@ -48,8 +48,8 @@ class DuplexFusion:
         """Continues with another calibration without a jump of S*.
 
         A change of R and t moves S_B. B's offsets absorb the change at the last position of each joint in B,
-        and decay afterwards. The usual offsets stay: whether they were learned under the same error, or before
-        a sensor was moved, is not known, and they adapt over time.
+        and decay afterwards. The usual offsets stay and adapt over time: it is not known whether they were
+        learned under the same error or before a sensor was moved.
         """
         before = self._setup.calibration.a_from_b
         last = self._state.last_positions[1].astype(np.float64)

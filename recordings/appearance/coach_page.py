@@ -74,7 +74,7 @@ def _large(text: str) -> str:
     """Each paragraph as a heading, which the viewer draws larger: it is read from where the person stands.
 
     Three are smaller, so that they fit. Of more, only the first two are larger than plain text: what is said
-    first is to be mended first.
+    first is to be followed first.
     """
     paragraphs = [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
     level = "## " if len(paragraphs) < _MANY else "#### "

@@ -105,11 +105,15 @@ def whole_recording(
         application: The application id; a viewer remembers one layout per id.
 
     Raises:
-        OSError: Some logged data did not reach the file, usually because the disk is full.
+        OSError: The file cannot be created, or some logged data did not reach the file, usually because
+            the disk is full.
     """
     free_dropped_streams()  # of earlier files: this one is still referred to when it is complete
     stream = rr.RecordingStream(application, recording_id=uuid4())
-    stream.set_sinks(rr.FileSink(str(path)))
+    try:
+        stream.set_sinks(rr.FileSink(str(path)))
+    except RuntimeError as error:  # Rerun's, for a folder in which no file can be created
+        raise OSError(f"{path} cannot be created") from error
     try:
         yield stream
         if blueprint is not None:

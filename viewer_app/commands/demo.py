@@ -168,7 +168,9 @@ def _introduce(console: Console, options: DemoOptions, moments: Sequence[HardMom
     if options.quiet:
         return
     if options.bad_setup:
-        console.print("The sensors are badly placed: the advice says what to mend.")
+        console.print(
+            "The sensors are badly placed, and S* is less accurate. The advice says what to change."
+        )
     for moment in sorted(moments, key=lambda each: each.starts[0]):
         when = _listed([f"{start:g}" for start in moment.starts])
         console.print(f"At {when} s {moment.fault} for a second; S* stays right.", highlight=False)

@@ -28,6 +28,8 @@ def run(options: TrimOptions) -> None:
     print_damage(console, session)
     time = session.rows.time_ns * 1e-9
     last = time[-1] if options.end is None else options.end
+    if options.end is not None and options.end < options.start:
+        raise UsageError(f"--from {options.start:g} must be before --to {options.end:g}.")
     first, end = np.searchsorted(time, options.start), np.searchsorted(time, last, side="right")
     if first >= end:
         raise UsageError(

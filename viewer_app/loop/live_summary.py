@@ -43,7 +43,7 @@ def print_frames(console: Console, sensors: TwoSensors) -> None:
 
 
 def _stream_trouble(sensors: TwoSensors) -> Iterator[Line]:
-    """What someone should mend: frames dropped, sensors and messages lost, clocks reset or not related."""
+    """What someone should fix: frames dropped, sensors and messages lost, clocks reset or not related."""
     dropped = {
         "frames of A dropped (too slow)": sensors.a.dropped,
         "frames of B dropped (too slow)": sensors.b.dropped,

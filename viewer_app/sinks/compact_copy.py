@@ -40,7 +40,7 @@ class CompactCopy:
         self._stream = stream
         self._recorder: Recorder | None = None
         self._waiting: list[Item] = []
-        with suppress(OSError):
+        with suppress(OSError, RuntimeError):  # Rerun raises the second
             self._file = tempfile.TemporaryFile(dir=self._path.parent)  # noqa: SIM115
             nameless = Path(f"/proc/self/fd/{self._file.fileno()}")
             self._written = nameless if nameless.exists() else self._partial

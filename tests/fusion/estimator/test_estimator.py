@@ -211,7 +211,7 @@ def test_another_calibration_makes_no_jump_and_is_followed() -> None:
 @pytest.mark.parametrize("metres", [0.1, 1.0])
 @pytest.mark.parametrize("before", [0, 150])
 def test_a_corrected_calibration_leaves_no_error_behind(before: int, metres: float) -> None:
-    """B is elsewhere than assumed for two seconds, from the beginning or after a knock; then this is known."""
+    """For two seconds B is not where it is assumed, from the start or after a knock; then this is known."""
     truth = np.tile(standing(BODY), (before + 240, 1, 1))
     moved = RigidTransform.of(np.eye(3), np.array((metres, 0.0, 0.0)))
     old = calibration_of(BODY)

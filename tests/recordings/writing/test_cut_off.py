@@ -25,6 +25,14 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Session:
     return replace(session, events=tuple(events))
 
 
+def test_a_folder_in_which_no_file_can_be_created_is_an_error_of_the_system(
+    told: Session, tmp_path: Path
+) -> None:
+    """Rerun raises a RuntimeError, which nobody would expect."""
+    with pytest.raises(OSError, match="cannot be created"):
+        write_session(told, tmp_path / "missing" / "s.rrd")
+
+
 def test_events_are_kept_up_to_the_cut(told: Session, tmp_path: Path) -> None:
     whole, cut = tmp_path / "s.rrd", tmp_path / "cut.rrd"
     write_session(told, whole, block=_BLOCK)

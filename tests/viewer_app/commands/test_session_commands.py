@@ -197,6 +197,8 @@ def test_a_trimmed_session_is_a_session(
     capsys.readouterr()
     assert duplex("trim", session, "--from", "9", "--save", tmp_path / "none.rrd") == 2
     assert "runs from 0 to" in one_line(capsys)
+    assert duplex("trim", session, "--from", "2", "--to", "1", "--save", tmp_path / "none.rrd") == 2
+    assert "--from 2 must be before --to 1" in one_line(capsys)
 
 
 def test_a_trim_from_later_says_what_it_was_calibrated_on(session: Path, tmp_path: Path) -> None:
