@@ -8,6 +8,8 @@ which the sides of the limbs are exchanged. Both are tried, and the better one m
 
 from __future__ import annotations
 
+from collections.abc import Generator
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -41,9 +43,10 @@ class GradualCalibration:
         self._next_ns: int | None = None
         self._before: RobustFit | None = None
         self._last: RigidTransform | None = None
+        self._fitting: Generator[None, None, tuple[RobustFit, Evidence] | None] | None = None
 
     def watch(self, pair: SkeletonPair, provisional: RigidTransform) -> tuple[RobustFit, Evidence] | None:
-        """Takes the next pair.
+        """Takes the next pair. It computes one fit at most: all of them take longer than a frame.
 
         Args:
             pair: As the sensors reported it.
@@ -54,11 +57,21 @@ class GradualCalibration:
         """
         self._frames.add(pair)
         self._next_ns = pair.time_ns if self._next_ns is None else self._next_ns
-        if pair.time_ns < self._next_ns or len(self._frames) < _FEWEST:
-            return None
-        self._next_ns = pair.time_ns + _EVERY_NS
+        if self._fitting is None:
+            if pair.time_ns < self._next_ns or len(self._frames) < _FEWEST:
+                return None
+            self._next_ns = pair.time_ns + _EVERY_NS
+            self._fitting = self._best(provisional)
+        try:
+            next(self._fitting)
+        except StopIteration as end:
+            self._fitting = None
+            return self._judge(end.value)
+        return None
+
+    def _judge(self, found: tuple[RobustFit, Evidence] | None) -> tuple[RobustFit, Evidence] | None:
+        """The fit, if it is certain and the one before agrees with it; else None."""
         before, self._before = self._before, None
-        found = self._best(provisional)
         if found is None:
             return None
         fit, evidence = found
@@ -66,9 +79,9 @@ class GradualCalibration:
         agree = before is not None and before.a_from_b.angle_to(fit.a_from_b) < _SAME_TURN
         return found if agree and _certain(fit, evidence) else None
 
-    def _best(self, provisional: RigidTransform) -> tuple[RobustFit, Evidence] | None:
-        """The best fit; None if another solution is nearly as good."""
-        evidence = self._frames.evidence
+    def _best(self, provisional: RigidTransform) -> Generator[None, None, tuple[RobustFit, Evidence] | None]:
+        """Returns the best fit, None if another solution is nearly as good; yields after each fit."""
+        evidence = self._frames.evidence.copy()
         starts = [provisional if self._last is None else self._last]
         free = label_free_fit(self._body, evidence)
         starts += [] if free is None else [free]
@@ -88,6 +101,7 @@ class GradualCalibration:
                     continue
                 cost = disagreement(self._body, copy, fit.a_from_b, self._settings, 0.03)
                 fits.append((cost, fit, copy))
+                yield
         if not fits:
             return None
         cost, best, shown = min(fits, key=lambda item: item[0])
@@ -107,7 +121,10 @@ def _certain(fit: RobustFit, evidence: Evidence) -> bool:
 
 
 def _turned(a_from_b: RigidTransform, evidence: Evidence) -> RigidTransform:
-    """The transform followed by half a turn about the vertical axis of A through the person."""
+    """The transform followed by half a turn about A's y axis through the person.
+
+    The axis is vertical only where sensor A is not tilted. The result is the start of a fit.
+    """
     centre: NDArray[np.float64] = evidence.a[evidence.weights > 0.5].mean(axis=0)
     half = Rotation.from_euler("y", 180.0, degrees=True).as_matrix()
     return RigidTransform.of(half, centre - half @ centre) @ a_from_b
