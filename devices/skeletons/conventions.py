@@ -180,7 +180,7 @@ def upside_down(name: str, body: Body, frames: Sequence[SensorFrame]) -> list[st
         return []
     return [
         f"{name}: the head is below the feet in almost every frame. The y axis must point down; if it points "
-        "up, change the sign of y."
+        "up, change the sign of y (Kinect SDK: of x and y)."
     ]
 
 

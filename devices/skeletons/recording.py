@@ -57,7 +57,7 @@ class SkeletonRecording:
         if reader is None:
             raise DeviceError(
                 f"{self.name}: {self._path.suffix or 'no ending'} is not a format of recorded skeletons. "
-                f"Known: {', '.join(READERS)}."
+                f"Known: {', '.join(READERS)}; with images: .mkv, .bag."
             )
         try:
             read = reader(self._path, self._unit)

@@ -80,7 +80,7 @@ SAY_ALL = {
     "…: the time goes back at frame …; the frames were sorted by time.",
     "…: time_us goes beyond …; times are microseconds.",
     "…: two frames have the same time, … µs.",
-    "…: … is not a format of recorded skeletons. Known: ….",
+    "…: … is not a format of recorded skeletons. Known: …; with images: .mkv, .bag.",
     "…: … must be a whole number; got ….",
     "…: … repeats a column name.",
     "…; the session is saved.",
