@@ -38,10 +38,10 @@ from tests.campaigns.moving_picture import hardest_window
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.cli import main
-from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.blueprint import LAYOUTS, Layout, session_blueprint
 from viewer_app.viewer.rerun_process import Hub, free_port, rerun_program, start_viewer, stop
 from viewer_app.viewer.stored_clouds import has_depth, send_clouds
+from viewer_app.viewer.viewer_choice import Viewing
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES = ROOT / "docs" / "pictures"

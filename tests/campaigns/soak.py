@@ -38,9 +38,9 @@ from tests.helpers.sensor_process import sensor_processes
 from viewer_app.loop.live_loop import Status, run_live
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.sink import FanOut, Sink
-from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.rerun_process import Hub
+from viewer_app.viewer.viewer_choice import Viewing
 
 FPS = 30
 SETTLED_S = 60.0  # the minute after which memory must be flat: caches and kept frames are full by then

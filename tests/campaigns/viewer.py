@@ -32,9 +32,10 @@ from tests.helpers.live_frames import numbers_in
 from viewer_app.loop.live_loop import Status, run_live
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.sink import FanOut
-from viewer_app.sinks.viewer_sink import ShownSession, Viewing
+from viewer_app.sinks.viewer_sink import ShownSession
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.rerun_process import Hub, stop
+from viewer_app.viewer.viewer_choice import Viewing
 
 
 @dataclass

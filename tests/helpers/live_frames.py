@@ -16,9 +16,9 @@ from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 from tests.helpers.two_views import FRAME_NS, calibration_of, pair_of, standing
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.rerun_process import Hub
+from viewer_app.viewer.viewer_choice import Viewing
 
 BODY = KINECT_V2
 

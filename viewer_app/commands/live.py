@@ -39,9 +39,8 @@ from viewer_app.output_files import check_outputs, warn_of_little_room, whole_fi
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
 from viewer_app.report.summary import say_more
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.blueprint import session_blueprint
-from viewer_app.viewer.viewer_choice import announce, viewing_of
+from viewer_app.viewer.viewer_choice import Viewing, announce, viewing_of
 
 _PERSON_AT = np.array([0.0, 0.0, 2.5])  # the initial view target, metres in K_A's frame
 

@@ -14,7 +14,8 @@ from recordings import layout
 from recordings.writing.recorder import Recorder
 from viewer_app.sinks.session_file import FileSink, SessionFile
 from viewer_app.sinks.sink import FanOut, Sink
-from viewer_app.sinks.viewer_sink import Viewing, viewer_sink
+from viewer_app.sinks.viewer_sink import viewer_sink
+from viewer_app.viewer.viewer_choice import Viewing
 
 _PAUSE = 0.02
 """Seconds: for so long at most, the file's thread waits between two messages while the viewer's writes."""

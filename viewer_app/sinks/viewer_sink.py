@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass
 from uuid import UUID
 
 import numpy as np
@@ -23,35 +22,15 @@ from viewer_app.sinks.image_turns import ImageTurns
 from viewer_app.sinks.queue_items import Frame, Image, Note, Page, Recalibration
 from viewer_app.sinks.sink import Sink
 from viewer_app.sinks.viewer_feed import ViewerFeed
-from viewer_app.viewer.rerun_process import Hub, start_window, start_window_on_pipe
-from viewer_app.viewer.viewer_window import ViewerWindow
+from viewer_app.viewer.rerun_process import ViewerWindow, start_window, start_window_on_pipe
+from viewer_app.viewer.viewer_choice import Viewing
 
 _QUEUE = 60
 """Maximum number of queued frames: two seconds; older frames are dropped."""
-_DEPTH_HZ = 10.0  # limited by the viewer's memory for images
 _SHOWN_WITHIN = 60.0  # seconds
 _BEGINS_WITHIN = 1.0  # seconds
 _SHOWN_EVERY = 3  # depth images of a recording
 _PLOTS_EVERY = 5  # frames, a sixth of a second
-
-
-@dataclass(frozen=True)
-class Viewing:
-    """How a running session is shown.
-
-    Attributes:
-        window: Whether a window opens.
-        hub: The hub that viewers connect to; None: only a window, which outlives the program.
-        depth_hz: Maximum depth images per second and sensor in the viewer.
-        headless: Whether the window renders off-screen, for tests.
-        why_not: Why no viewer opens although one was requested.
-    """
-
-    window: bool = False
-    hub: Hub | None = None
-    depth_hz: float = _DEPTH_HZ
-    headless: bool = False
-    why_not: str = ""
 
 
 class ViewerSink(Sink):

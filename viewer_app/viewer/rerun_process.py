@@ -18,8 +18,9 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -31,6 +32,7 @@ from viewer_app.errors import UsageError
 _STARTS_WITHIN = 20.0  # seconds
 _HUB_MEMORY = "512MiB"
 _VIEWER_MEMORY = "2GiB"
+_LOOKED_AFTER_EVERY = 0.5  # seconds
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,39 @@ def stop(process: subprocess.Popen[bytes]) -> None:
             os.killpg(process.pid, signal.SIGKILL) if hasattr(os, "killpg") else process.kill()
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(timeout=1.0)
+
+
+class ViewerWindow:
+    """A viewer window that reopens after a crash, and stays closed when the user closes it."""
+
+    def __init__(self, start: Callable[[], subprocess.Popen[bytes]]) -> None:
+        self._start = start
+        self._leaving = threading.Event()
+        self.process = start()
+        self.starts = 1
+        self.closed = False
+        self._thread = threading.Thread(target=self._look_after, name="viewer window", daemon=True)
+        self._thread.start()
+
+    def leave(self) -> None:
+        """Stops the supervision. The window stays open with its content."""
+        self._leaving.set()
+        self._thread.join(timeout=1.0)
+
+    def _look_after(self) -> None:
+        while not self._leaving.wait(_LOOKED_AFTER_EVERY):
+            if self.process.poll() is None:
+                continue
+            if self.process.returncode == 0:
+                self.closed = True
+                return
+            try:
+                self.process = self._start()
+                self.starts += 1
+            except UsageError:
+                continue
+            if self._leaving.is_set():
+                stop(self.process)
 
 
 def free_port(address: str = LOOPBACK) -> int:

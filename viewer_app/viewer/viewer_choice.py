@@ -5,15 +5,36 @@ from __future__ import annotations
 import ipaddress
 import threading
 import webbrowser
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import ViewerOptions
-from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.display import has_display, why_no_window
 from viewer_app.viewer.rerun_process import Hub
+
+_DEPTH_HZ = 10.0  # limited by the viewer's memory for images
+
+
+@dataclass(frozen=True)
+class Viewing:
+    """How a running session is shown.
+
+    Attributes:
+        window: Whether a window opens.
+        hub: The hub that viewers connect to; None: only a window, which outlives the program.
+        depth_hz: Maximum depth images per second and sensor in the viewer.
+        headless: Whether the window renders off-screen, for tests.
+        why_not: Why no viewer opens although one was requested.
+    """
+
+    window: bool = False
+    hub: Hub | None = None
+    depth_hz: float = _DEPTH_HZ
+    headless: bool = False
+    why_not: str = ""
 
 
 def choose_viewing(

@@ -12,9 +12,8 @@ from contextlib import contextmanager
 import pytest
 
 from viewer_app.errors import UsageError
-from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer import display
-from viewer_app.viewer.viewer_choice import choose_viewing
+from viewer_app.viewer.viewer_choice import Viewing, choose_viewing
 
 pytest.importorskip("Xlib", reason="python-xlib is installed on Linux only")
 

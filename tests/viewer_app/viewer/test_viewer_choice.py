@@ -22,9 +22,8 @@ from tests.helpers.pictures import pixels_near
 from tests.helpers.waiting import eventually
 from viewer_app.errors import UsageError
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.sinks.viewer_sink import Viewing
 from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
-from viewer_app.viewer.viewer_choice import announce, choose_viewing
+from viewer_app.viewer.viewer_choice import Viewing, announce, choose_viewing
 
 _DRAWN_WITHIN = 60.0
 
