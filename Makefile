@@ -34,10 +34,10 @@ docs: $(READY)
 
 # The pictures of the documentation, and the outputs of the notebook; needs a graphics driver or mesa-vulkan-drivers.
 pictures: $(READY)
-	$(BIN)/python -m tests.campaigns.notebook
-	$(BIN)/python -m tests.campaigns.placement_picture
-	$(BIN)/python -m tests.campaigns.moving_picture
-	$(BIN)/python -m tests.campaigns.layout_pictures
+	$(BIN)/python -m tests.experiments.notebook
+	$(BIN)/python -m tests.experiments.placement_picture
+	$(BIN)/python -m tests.experiments.moving_picture
+	$(BIN)/python -m tests.experiments.layout_pictures
 
 # An sdist and a wheel in dist/, checked and tried in a fresh environment.
 package: $(READY)

@@ -19,7 +19,7 @@ silhouette.
 **A surface measurement.** A limb lies in the middle of its silhouette, and as deep below its surface as the
 flesh is thick. That measures a joint across its bone and along its ray, independently of the tracker.
 
-The tables are fitted on simulated sensors by ``python -m tests.campaigns.fit_witness``. No recording of
+The tables are fitted on simulated sensors by ``python -m tests.experiments.fit_witness``. No recording of
 real people with depth images and truth was available, so the evidence is limited to LARGEST.
 """
 
@@ -55,7 +55,7 @@ KNOTS = np.array([-0.30, -0.20, -0.12, -0.08, -0.05, 0.0, 0.010, 0.020, 0.030, 0
 """Metres: negative, how far a surface lies before the joint's flesh; positive, free space about the joint."""
 
 
-# Fitted by ``python -m tests.campaigns.fit_witness --seeds 3000 3001 --seconds 10``: 48 recordings of both
+# Fitted by ``python -m tests.experiments.fit_witness --seeds 3000 3001 --seconds 10``: 48 recordings of both
 # sensors, 21,000 outliers among the tracked joints.
 FLESH = {
     "spine": 0.133, "head": 0.083, "girdle": 0.103, "elbow": 0.047, "wrist": 0.035, "hand": 0.032,

@@ -58,7 +58,7 @@ CONSTANTS = {
     "HEEL": Kind(0.038, 0.7, 0.5, 0.20, 0.10),
     "FOOT": Kind(0.028, 0.9, 0.3, 0.20, 0.10),
 }
-"""The constants, fitted on the simulated person: ``python -m tests.campaigns.fit_blazepose``. That person
+"""The constants, fitted on the simulated person: ``python -m tests.experiments.fit_blazepose``. That person
 wears thin clothes and has the median build; no real person was measured."""
 
 

@@ -180,7 +180,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     It starts from the better of ``start`` and the directions between targets, both with the bones' lengths.
     From targets with a hole among them (:func:`~fusion.solvers.tree_start.aim_at`) it starts from two more
     places and keeps the best end. Where ``MAX_ITERATIONS`` or ``MAX_SYSTEMS`` run out, in a narrow curved
-    valley, it starts from the others too: about ten in a million of the campaign's problems.
+    valley, it starts from the others too: about ten in a million random problems.
 
     Args:
         parents: (J,) int64, -1 for the root.

@@ -13,7 +13,7 @@ from fusion.methods.reliability import reliability_weights
 from fusion.setup import FusionSetup
 from fusion.solvers.published import PaperSolver
 from fusion.solvers.tree_solver import TreeSolver
-from tests.campaigns.solver import slsqp
+from tests.experiments.solver import slsqp
 from tests.helpers.solver_problems import ordinary_problem, solver_of
 from tests.helpers.two_views import FRAME_NS, calibration_of, moving, noisy, pair_of
 

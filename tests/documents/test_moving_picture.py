@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from recordings import fuse, layout
-from tests.campaigns.moving_picture import (
+from tests.experiments.moving_picture import (
     SHOWN,
     WRONG,
     Skeletons,

@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from tests.campaigns.placement_picture import PERSON_AT, a_from_b, seen_by_both
+from tests.experiments.placement_picture import PERSON_AT, a_from_b, seen_by_both
 from tests.helpers.documents import ROOT, documents, message_templates
 
 MARKUP = re.compile(r"\[(/|bold|yellow|bold yellow)\]")

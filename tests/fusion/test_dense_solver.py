@@ -7,7 +7,7 @@ import pytest
 
 from fusion.body import BODIES, Body
 from fusion.solvers.dense import DenseSolver
-from tests.campaigns.solver import bone_error, projected_gradient, slsqp
+from tests.experiments.solver import bone_error, projected_gradient, slsqp
 from tests.helpers.solver_problems import SAME, ordinary_problem, solver_of
 
 

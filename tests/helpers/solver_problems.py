@@ -6,7 +6,7 @@ import numpy as np
 
 from fusion.body import KINECT_V2, Body
 from fusion.solvers.tree_solver import TreeSolver
-from tests.campaigns.solver import Problem
+from tests.experiments.solver import Problem
 
 # m: at 3e-11 m of projected gradient and pivots of at least a hundredth of the information (moderate weights
 # and noise), two solutions of one problem lie within 3e-9 m of each other

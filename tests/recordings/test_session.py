@@ -25,7 +25,7 @@ from recordings.testing import FusedRun, assert_sessions_match, fused_run, recor
 from recordings.writing.checksums import event_checksum, frame_checksums, fused_checksums
 from recordings.writing.recorder import Recorder
 from recordings.writing.session_writer import write_session
-from tests.campaigns import sessions as campaign_sessions
+from tests.experiments import sessions as damaged_sessions
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 
@@ -155,7 +155,7 @@ def test_a_flipped_number_is_noticed_and_counted(tmp_path: Path) -> None:
 
 
 def test_random_damage_gives_the_beginning_or_one_line(tmp_path: Path) -> None:
-    outcomes, wrong = campaign_sessions.campaign(60, tmp_path)
+    outcomes, wrong = damaged_sessions.damage(60, tmp_path)
     assert wrong == []
     assert outcomes["beginning"] > 0
     assert outcomes["refused"] < 30

@@ -22,7 +22,7 @@ class Mirroring:
     """The frequency and form of mirroring. The default has no mirroring.
 
     The values for the Kinect v2 were measured on five real walks of three people with
-    ``python -m tests.campaigns.facing``. The share of mirrored frames depends on the cosine between the
+    ``python -m tests.experiments.facing``. The share of mirrored frames depends on the cosine between the
     person's front and the direction to the sensor: 0 % above 0, 2 % at −0.1, 16 % at −0.4, 63 % at −0.6,
     93 % at −0.8 and 99 % at −1. The share for the Azure Kinect is an assumption, for lack of recordings with
     turned backs.

@@ -57,7 +57,7 @@ class TrackerErrors:
 
     The defaults of :meth:`of` are fitted to real recordings, with the figures of
     ``devices.simulated.realism.pair_statistics``. Those of BlazePose, of which there are no recordings, were
-    read off the tracker itself on simulated images (``python -m tests.campaigns.own_tracker --joints``).
+    read off the tracker itself on simulated images (``python -m tests.experiments.own_tracker --joints``).
 
     Attributes:
         view_bias: Standard deviation per axis of a joint's bias, which is constant in time and depends on the

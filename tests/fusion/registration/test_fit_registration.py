@@ -1,4 +1,4 @@
-"""The campaign of the registration's constants measures what it says."""
+"""The fit of the registration's constants measures what it says."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from fusion.body import KINECT_V2
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
-from tests.campaigns.fit_registration import KNOCK, Recording, errors_of, knocked
+from tests.experiments.fit_registration import KNOCK, Recording, errors_of, knocked
 from tests.helpers.two_views import A_FROM_B, calibration_of, pair_of, standing
 
 SECOND = 1_000_000_000

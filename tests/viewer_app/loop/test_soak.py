@@ -1,4 +1,4 @@
-"""A few seconds of the soak (``python -m tests.campaigns.soak --minutes 10`` runs all of it)."""
+"""A few seconds of the soak (``python -m tests.experiments.soak --minutes 10`` runs all of it)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.campaigns.soak import Soak, at_pace, soak
+from tests.experiments.soak import Soak, at_pace, soak
 
 
 def test_no_pair_is_lost_and_no_queue_grows(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Where the estimator's numbers come from: ``python -m tests.campaigns.fit_estimator errors [FOLDER…]``.
+"""Where the estimator's numbers come from: ``python -m tests.experiments.fit_estimator errors [FOLDER…]``.
 
 ``errors`` prints the tables of :mod:`fusion.estimator.constants`: medians over recordings, by kind of joint.
 ``constants`` searches for better constants, one coordinate at a time, on simulated recordings and the real

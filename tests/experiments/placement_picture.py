@@ -1,7 +1,7 @@
 """Draws two sensors from above, and where both see a whole person, for the documentation.
 
-``python -m tests.campaigns.placement_picture`` writes ``docs/pictures/placement.svg``. The area and the best
-place come from :mod:`viewer_app.coach.standing_spot`, as in the viewer.
+``python -m tests.experiments.placement_picture`` writes ``docs/pictures/placement.svg``. The area and the
+best place come from :mod:`viewer_app.coach.standing_spot`, as in the viewer.
 """
 
 from __future__ import annotations

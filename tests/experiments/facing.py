@@ -1,4 +1,4 @@
-"""The facing filter on real and simulated pairs: ``python -m tests.campaigns.facing FOLDER…``.
+"""The facing filter on real and simulated pairs: ``python -m tests.experiments.facing FOLDER…``.
 
 Each folder holds a.csv and b.csv of a person who walks about before two Kinects. Printed for each pair: in
 which share of the frames with a trunk faster than 0.8 m/s the views, and a stand-in for S*, face against the

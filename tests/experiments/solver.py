@@ -1,4 +1,4 @@
-"""Random problems against the exact solver: ``python -m tests.campaigns.solver --count 100000``.
+"""Random problems against the exact solver: ``python -m tests.experiments.solver --count 100000``.
 
 What a failure is: bones off by more than a micrometre, a point that is not stationary, a NaN, more than 50
 iterations (steps to a better point; the linear systems on the way are counted beside them). With ``--slsqp

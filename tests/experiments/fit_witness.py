@@ -1,4 +1,4 @@
-"""Fits the tables of ``fusion.witness`` on simulated sensors: ``python -m tests.campaigns.fit_witness``.
+"""Fits the tables of ``fusion.witness`` on simulated sensors: ``python -m tests.experiments.fit_witness``.
 
 Prints FLESH, SURFACE_SD and EVIDENCE as Python. The simulated person is made of capsules whose axes are the
 bones; so real standard deviations are larger, and the evidence is limited to a factor of 20.

@@ -1,8 +1,8 @@
 """Two sensor programs → Zenoh → pairs → S* on this machine, beside the direct path: latency and losses.
 
-``python -m tests.campaigns.network --minutes 5`` runs two ``duplex sensor --simulate`` and fuses them in this
-process, then fuses two simulated sensors of this process for a fifth of that time. The latency of a pair is
-from when the later of its two frames existed until S* is there.
+``python -m tests.experiments.network --minutes 5`` runs two ``duplex sensor --simulate`` and fuses them in
+this process, then fuses two simulated sensors of this process for a fifth of that time. The latency of a
+pair is from when the later of its two frames existed until S* is there.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the registration's numbers come from: ``python -m tests.campaigns.fit_registration WHAT``.
+"""Where the registration's numbers come from: ``python -m tests.experiments.fit_registration WHAT``.
 
 ``fit`` prints, for each tempering, bias and inflation, the error of R and t over whole recordings and how
 often it lies within one and two stated standard deviations: about 68 % and 95 % are wanted. ``gain`` does

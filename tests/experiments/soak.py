@@ -1,6 +1,6 @@
 """Two simulated sensors at 30 fps with depth, for as long as one likes: memory, pace, latency, pairs lost.
 
-``python -m tests.campaigns.soak --minutes 10`` prints a line every half minute and the verdict at the end;
+``python -m tests.experiments.soak --minutes 10`` prints a line every half minute and the verdict at the end;
 with ``--viewer`` the session goes to a viewer's hub too. With ``--sensors processes`` each sensor is
 simulated in a process of its own: a real sensor's SDK needs no Python interpreter either.
 """

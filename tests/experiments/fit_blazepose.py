@@ -1,6 +1,6 @@
 """Fits the constants of ``devices.blazepose.landmark_kinds`` on the simulated person.
 
-``python -m tests.campaigns.fit_blazepose`` prints, for each kind of landmark, the depth beneath the surface
+``python -m tests.experiments.fit_blazepose`` prints, for each kind of landmark, the depth beneath the surface
 (the median over landmarks in plain view) and the limits of a seen landmark: those that keep most landmarks in
 plain view, where letting hidden ones through and errors above 10 cm cost. The constants in use are rounded.
 Limits of kinds that are rarely hidden, or that the simulated person has no truth for (mouth, knuckles), are

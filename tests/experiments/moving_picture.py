@@ -1,6 +1,6 @@
 """Makes the moving picture of the README: S_A, S_B and S* side by side in two hard moments.
 
-``python -m tests.campaigns.moving_picture`` runs ``duplex demo``, draws what Kinect A, Kinect B and the
+``python -m tests.experiments.moving_picture`` runs ``duplex demo``, draws what Kinect A, Kinect B and the
 program make of the same moments in a viewer without a screen, and writes ``docs/pictures/moving.webp``.
 Joints that are far from the truth are red; what a Kinect does not see is grey, where it really is. Of a
 session of one's own (``--session``) it shows the moment in which the two views disagree most; where the truth

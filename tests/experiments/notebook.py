@@ -1,6 +1,6 @@
 """Runs the example notebook on a session of the demo and puts the outputs into it.
 
-``python -m tests.campaigns.notebook`` is a part of ``make pictures``. A forge and the site then show the
+``python -m tests.experiments.notebook`` is a part of ``make pictures``. A forge and the site then show the
 plots.
 """
 

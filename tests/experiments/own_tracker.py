@@ -1,9 +1,8 @@
-"""The program's own tracker on simulated images: ``python -m tests.campaigns.own_tracker``.
+"""The program's own tracker on simulated images: ``python -m tests.experiments.own_tracker``.
 
 Prints for each scene how often the person was found, the error of tracked joints, the share of hidden joints
 reported as tracked (also of those of which nothing is visible), S* beside that of the simulated Azure
-tracker, and the CPU time of an image. It is a campaign and not a ``bench`` command: its figures describe the
-tracker and the simulator, not the machine.
+tracker, and the CPU time of an image. Its figures describe the tracker and the simulator, not the machine.
 """
 
 from __future__ import annotations
@@ -246,7 +245,7 @@ def row(name: str, figures: dict[str, float]) -> str:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Runs the campaign."""
+    """Runs the experiment."""
     defaults = BenchAccuracyOptions()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--motions", nargs="+", default=list(defaults.motions))

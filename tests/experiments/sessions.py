@@ -1,6 +1,6 @@
 """Damages a session at random, many times, and reads it back.
 
-The whole of it: ``python -m tests.campaigns.sessions --count 2000``.
+The whole of it: ``python -m tests.experiments.sessions --count 2000``.
 
 Each reading must give one line of error, or exactly the first frames of what was written. The readings run in
 processes of their own, so that one that crashes or hangs is found and not suffered.
@@ -102,7 +102,7 @@ def run_batch(folder: Path, first: int, count: int) -> None:
     path.unlink()
 
 
-def campaign(count: int, folder: Path, first: int = 0) -> tuple[Counter[str], list[str]]:
+def damage(count: int, folder: Path, first: int = 0) -> tuple[Counter[str], list[str]]:
     """How the readings went, and what went wrong, a line each."""
     make_session(folder / "whole.rrd")
     outcomes: Counter[str] = Counter()
@@ -113,7 +113,7 @@ def campaign(count: int, folder: Path, first: int = 0) -> tuple[Counter[str], li
         command = [
             sys.executable,
             "-m",
-            "tests.campaigns.sessions",
+            "tests.experiments.sessions",
             "--batch",
             str(folder),
             str(seed),
@@ -137,7 +137,7 @@ def campaign(count: int, folder: Path, first: int = 0) -> tuple[Counter[str], li
 
 
 def main() -> None:
-    """The whole campaign."""
+    """Damages sessions as the options say, and prints what became of them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--first", type=int, default=0)
@@ -147,7 +147,7 @@ def main() -> None:
         run_batch(Path(options.batch[0]), int(options.batch[1]), int(options.batch[2]))
         return
     with tempfile.TemporaryDirectory() as folder:
-        outcomes, wrong = campaign(options.count, Path(folder), options.first)
+        outcomes, wrong = damage(options.count, Path(folder), options.first)
     print(*(f"{n} {how}" for how, n in outcomes.most_common()), sep=", ")
     print(*wrong, sep="\n")
     sys.exit(bool(wrong))

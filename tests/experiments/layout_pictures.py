@@ -1,6 +1,6 @@
 """Makes the pictures of the viewer's layouts for the documentation.
 
-``python -m tests.campaigns.layout_pictures`` runs ``duplex demo``, ``duplex fuse`` on real recordings, and
+``python -m tests.experiments.layout_pictures`` runs ``duplex demo``, ``duplex fuse`` on real recordings, and
 ``duplex demo --tracker blazepose``. It draws their layouts in a viewer without a screen and writes
 ``docs/pictures/*.png``. ``--only demo`` makes those of one run. A graphics driver or Debian's
 mesa-vulkan-drivers is needed. What is missing for a run is said, and its pictures stay as they are: the
@@ -34,7 +34,7 @@ from recordings import Session, layout
 from recordings.images.session_images import NO_IMAGES
 from recordings.reading.rrd_file import RrdFile
 from recordings.writing.session_writer import write_session
-from tests.campaigns.moving_picture import hardest_window
+from tests.experiments.moving_picture import hardest_window
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.cli import main
