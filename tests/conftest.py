@@ -16,9 +16,8 @@ pytest_plugins = (
     "tests.helpers.machine",
     "tests.helpers.standin_library",
     "tests.helpers.standin_pyk4a",
-    "tests.helpers.real_pyk4a",
+    "tests.helpers.real_libraries",
     "tests.helpers.orbbec.standin",
-    "tests.helpers.orbbec.real_sdk",
 )
 
 

@@ -1,6 +1,6 @@
-"""What a test needs from the machine: a Vulkan driver, a browser, a C compiler.
+"""What a test needs from the machine: a Vulkan driver, a browser, a C compiler, the sensors' real libraries.
 
-A machine without one of them skips the test, with the reason and the Debian package that helps. Two options
+A machine without one of them skips the test, with the reason and what helps. Two options
 let ``.ci/run`` prove that such skips hide nothing: ``--list-machine-skips FILE`` writes the identifiers of
 the tests that were skipped for such a reason, and ``--complete-machine`` makes each such skip a failure.
 """
@@ -29,15 +29,16 @@ _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _complete = False
 
 
-def lacks(what: str, package: str) -> NoReturn:
+def lacks(what: str, remedy: str, *, required: bool = True) -> NoReturn:
     """Skips the running test because the machine lacks something.
 
     Args:
         what: What is missing, as a noun.
-        package: The Debian package that has it.
+        remedy: How to get it.
+        required: Whether ``--complete-machine`` makes the skip a failure.
     """
-    reason = f"{_LACKS} {what}; Debian: apt install {package}"
-    if _complete:
+    reason = f"{_LACKS} {what}; {remedy}"
+    if _complete and required:
         pytest.fail(reason + " (--complete-machine allows no such skip)", pytrace=False)
     pytest.skip(reason)
 
@@ -45,12 +46,12 @@ def lacks(what: str, package: str) -> NoReturn:
 def need_viewer() -> None:
     """Skips the running test where Rerun's viewer cannot draw without a screen."""
     if not _viewer_draws():
-        lacks("a Vulkan driver for Rerun's viewer", "mesa-vulkan-drivers libvulkan1")
+        lacks("a Vulkan driver for Rerun's viewer", "Debian: apt install mesa-vulkan-drivers libvulkan1")
 
 
 def need_browser() -> str:
     """The path of a Chromium; skips the running test where there is none."""
-    return browser() or lacks("a browser", "chromium")
+    return browser() or lacks("a browser", "Debian: apt install chromium")
 
 
 def browser() -> str | None:
@@ -60,19 +61,18 @@ def browser() -> str | None:
 
 def need_compiler() -> str:
     """The path of a C compiler; skips the running test where there is none."""
-    return _first_of(_COMPILERS) or lacks("a C compiler", "gcc libc6-dev")
+    return _first_of(_COMPILERS) or lacks("a C compiler", "Debian: apt install gcc libc6-dev")
 
 
 def need_networks(network: NetworkName = "full") -> Path:
     """The folder of the body tracker's networks; skips the running test where they were not fetched."""
     folder = cache_folder()
     if missing(network, folder):
-        reason = (
-            f"{_LACKS} the body tracker's network {network}; run duplex tracker fetch --network {network}"
+        what, remedy = (
+            f"the body tracker's network {network}",
+            f"run duplex tracker fetch --network {network}",
         )
-        if _complete and network == "full":
-            pytest.fail(reason + " (--complete-machine allows no such skip)", pytrace=False)
-        pytest.skip(reason)
+        lacks(what, remedy, required=network == "full")
     return folder
 
 
@@ -101,7 +101,9 @@ def _viewer_draws() -> bool:
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("machine", "what the machine lacks")
     group.addoption(
-        "--complete-machine", action="store_true", help="fail where a driver, browser or compiler is missing"
+        "--complete-machine",
+        action="store_true",
+        help="fail where a driver, browser, compiler or library is missing",
     )
     group.addoption(
         "--list-machine-skips", metavar="FILE", help="write the tests that a missing one of them skipped"
