@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from devices.depth_camera import DepthCamera
+    from devices.files import RecordingChoice, TwoRecordings, open_source, read_two
     from devices.live.sensor_pair import TwoSensors
     from devices.pairing import FramePair, Pairing, pair_recordings
     from devices.sensor import ColorCamera, ColorImage, DeviceError, Sensor, SensorFrame
     from devices.simulated.kinect import simulated_pair
-    from devices.sources import open_source
-    from devices.two_recordings import RecordingChoice, TwoRecordings, read_two
 
 __all__ = [
     "ColorCamera",
@@ -44,10 +43,10 @@ _HOMES = {
     "Sensor": "devices.sensor",
     "SensorFrame": "devices.sensor",
     "simulated_pair": "devices.simulated.kinect",
-    "open_source": "devices.sources",
-    "RecordingChoice": "devices.two_recordings",
-    "TwoRecordings": "devices.two_recordings",
-    "read_two": "devices.two_recordings",
+    "open_source": "devices.files",
+    "RecordingChoice": "devices.files",
+    "TwoRecordings": "devices.files",
+    "read_two": "devices.files",
 }
 """Module of each public name. Modules are imported on first access, because importing numba takes a
 second."""

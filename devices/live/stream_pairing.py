@@ -5,7 +5,7 @@ machine's: both sensors' frames arrive on it. With a sync cable the sensors capt
 fixed delay apart, and the pairs found so far tell the offset to the microsecond.
 
 The pairs' time is A's clock; it goes on without a jump when that clock is reset, and never back. Nobody has
-been chosen in them yet: see :mod:`devices.following`.
+been chosen in them yet: see :mod:`devices.people`.
 
 Pure: time is passed in, nothing waits.
 """

@@ -6,10 +6,10 @@ from collections.abc import Generator, Iterator
 from dataclasses import replace
 
 from devices import depth_witness
-from devices.following import PersonOfPair
 from devices.image_thinning import without_images
 from devices.live.sensor_pair import TwoSensors
 from devices.pairing import FramePair
+from devices.people import PersonOfPair
 from devices.sensor import Sensor
 from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration

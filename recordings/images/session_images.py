@@ -9,10 +9,10 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.files import Progress, TwoRecordings, quietly
 from devices.image_thinning import Depth
 from devices.pairing import FramePair
 from devices.sensor import ColorImage, SensorFrame
-from devices.two_recordings import Progress, TwoRecordings, quietly
 from recordings.images.color_images import read_color
 from recordings.images.depth_images import read_depth
 

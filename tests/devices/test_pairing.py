@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.pairing import pair_recordings
+from devices.people import choose_person, with_successors
 from devices.sensor import DeviceError, SensorFrame
-from devices.skeletons.recorded_person import choose_person, with_successors
 from fusion.body import KINECT_V1
 from fusion.skeleton import Skeleton
 from tests.helpers.two_views import FRAME_NS, standing

@@ -12,7 +12,7 @@ from devices.azure.recording.mkv import MkvRecording
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
 from devices.sensor import DeviceError, Sensor, SensorFrame
-from devices.skeletons.recording import SkeletonRecording
+from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import KINECT_V2
 from fusion.skeleton import Skeleton
 from tests.helpers.mkv_writer import INTERVAL_US, write_mkv

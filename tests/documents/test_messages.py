@@ -15,7 +15,7 @@ HEADINGS = re.findall(r"^### `(.*)`$", PAGE, re.MULTILINE)
 MARKUP = re.compile(r"\[(/|bold|yellow|bold yellow)\]")
 SCOPE = (
     *sorted((ROOT / "devices" / "skeletons").glob("*.py")),
-    ROOT / "devices" / "two_recordings.py",
+    ROOT / "devices" / "files.py",
     ROOT / "devices" / "pairing.py",
     *sorted((ROOT / "recordings" / "reading").glob("*.py")),
     *(ROOT / "viewer_app" / "commands" / f"{name}.py" for name in ("fuse", "review")),
@@ -43,6 +43,7 @@ SAY_ALL = {
     "The viewer opens ….",
     "There is no display; a viewer would open ….",
     "and … more: --verbose.",
+    "… Or give its skeletons, saved before, with … FILE.",
     "… cannot be read as CSV: ….",
     "… cannot be read: it is ….",
     "… cannot be read: ….",
@@ -51,6 +52,7 @@ SAY_ALL = {
     "… damaged images were skipped.",
     "… has a header and no rows.",
     "… has an unknown body …. Known: ….",
+    "… has its own skeletons; … … is for an .mkv.",
     "… has no frames.",
     "… has the … joints of …, … the … of …. Both sensors must be of one family.",
     "… has … frames and no person in any of them.",
@@ -67,6 +69,7 @@ SAY_ALL = {
     "… is not open.",
     "… is not text: it contains zero bytes.",
     "… is too large for the memory of this machine.",
+    "… … is for an .mkv; … is tracked.",
     "… …, where a … is expected.",
     "…, line …: state … is none of tracked, inferred, not_tracked, 2, 1, 0.",
     "…, line …: … must be …; got ….",

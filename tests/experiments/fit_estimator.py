@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.pairing import pair_recordings
+from devices.people import choose_person
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.person.movements import MOTIONS
-from devices.skeletons.recorded_person import choose_person
-from devices.skeletons.recording import SkeletonRecording
+from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.calibration.calibration import calibrate
 from fusion.estimator.constants import KINDS, Constants, kind_of

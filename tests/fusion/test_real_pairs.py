@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from devices.pairing import pair_recordings
-from devices.skeletons.recording import SkeletonRecording
+from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import FusedFrame, Fuser

@@ -16,7 +16,7 @@ from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.mirroring import Mirroring
 from devices.simulated.tracking.tracker_errors import TrackerErrors
-from devices.skeletons.recording import SkeletonRecording
+from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import BODIES, Body
 from fusion.facing.exchange import exchange
 from fusion.facing.model import new_facing_model

@@ -14,6 +14,7 @@ from rich.progress import track
 from rich.table import Table
 
 from devices.pairing import pair_recordings
+from devices.people import choose_person
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.realism.pair_statistics import statistics
 from devices.simulated.realism.reference_figures import (
@@ -23,8 +24,7 @@ from devices.simulated.realism.reference_figures import (
     published_figures,
     simulated_statistics,
 )
-from devices.skeletons.recorded_person import choose_person
-from devices.skeletons.recording import SkeletonRecording
+from devices.skeletons.file_sensor import SkeletonRecording
 from viewer_app.bench.accuracy_methods import ABLATIONS, METHODS, WITHOUT_DEPTH
 from viewer_app.bench.accuracy_picture import draw
 from viewer_app.bench.accuracy_tables import said_of_losses, table_by, tables_of_methods

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from devices.files import RecordingChoice, read_two
 from devices.pairing import FramePair
-from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import Body
 from fusion.errors import FusionError
 from fusion.evaluation.faults import FAULTS, Fault, share_of_fault, with_fault

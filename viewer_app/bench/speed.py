@@ -20,9 +20,9 @@ from rich.console import Console
 from rich.table import Table
 
 from devices.pairing import pair_recordings
+from devices.people import choose_person
 from devices.sensor import DeviceError
-from devices.skeletons.recorded_person import choose_person
-from devices.skeletons.recording import SkeletonRecording
+from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import BODIES, KINECT_V2, Body
 from fusion.setup import Method
 from fusion.skeleton import Skeleton, SkeletonPair

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from devices.files import Progress, RecordingChoice, not_of_libk4a, read_two
 from devices.sensor import SensorFrame
-from devices.sources import not_of_libk4a
-from devices.two_recordings import Progress, RecordingChoice, read_two
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.errors import CalibrationError

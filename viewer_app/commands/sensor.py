@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from rich.console import Console
 
 from devices.azure.kinect_settings import KinectSettings
+from devices.files import has_images, not_of_libk4a, open_source
 from devices.live.played_recording import PlayedRecording
 from devices.live.sensor_thread import SensorThread
 from devices.network.publishing import FramePublisher, publish_until
@@ -17,7 +18,6 @@ from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zeno
 from devices.sensor import Sensor
 from devices.simulated.by_wall_clock import sensor_by_wall_clock
 from devices.simulated.demonstration import demonstrated
-from devices.sources import has_images, not_of_libk4a, open_source
 from fusion.body import BODIES
 from viewer_app.errors import UsageError
 from viewer_app.live_sensors import one_sensor

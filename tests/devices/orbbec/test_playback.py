@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from devices.blazepose.blazepose import BlazePose
+from devices.files import RecordingChoice, frame_count, open_source, read_two
 from devices.orbbec.playback import OrbbecRecording
 from devices.sensor import DeviceError
-from devices.sources import frame_count, open_source
 from devices.tracker_choice import TrackerChoice
-from devices.two_recordings import RecordingChoice, read_two
 from fusion.body import BLAZEPOSE
 from fusion.skeleton import Skeleton
 from tests.helpers.orbbec.standin import Bag, Orbbec, OrbbecBus

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devices.files import RecordingChoice, read_two
 from devices.sensor import DeviceError
 from devices.skeletons.conventions import METRES
-from devices.skeletons.recording import SkeletonRecording
-from devices.two_recordings import RecordingChoice, read_two
+from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2, Body
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.skeleton_views import REAL, write_view

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from devices.two_recordings import RecordingChoice, read_two
+from devices.files import RecordingChoice, read_two
 from fusion.body import KINECT_V2
 from fusion.calibration.calibrator import Calibrator
 from fusion.calibration.learner import CalibrationLearner

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from devices.skeletons.recording import SkeletonRecording
+from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.skeleton_views import REAL, write_view

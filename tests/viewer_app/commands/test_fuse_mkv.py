@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.sources import open_source, without_images
+from devices.files import open_source, without_images
 from fusion.body import AZURE_KINECT
 from fusion.rigid import RigidTransform
 from recordings.session import Session

@@ -1,35 +1,33 @@
-"""Reads two recordings, chooses the person in each, and pairs the frames."""
+"""Recordings on disk: a sensor for a path, and the two recordings of one capture, paired."""
 
 from __future__ import annotations
 
 import filecmp
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.azure.recording.mkv import MkvInfo
+from devices.azure.recording.mkv import MkvInfo, MkvRecording
+from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
+from devices.blazepose.tracked_images import TrackedImages
+from devices.depth_witness import with_witness
 from devices.image_thinning import Depth, thinned, thinned_camera
+from devices.orbbec.playback import SUFFIX as BAG
+from devices.orbbec.playback import OrbbecRecording
 from devices.pairing import FramePair, Pairing, pair_recordings
+from devices.people import choose_person, one_person, with_successors
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.skeletons.conventions import Unit
-from devices.skeletons.recorded_person import choose_person, with_successors
-from devices.sources import (
-    frame_count,
-    has_images,
-    not_of_libk4a,
-    one_person,
-    open_images,
-    open_source,
-    recording_info,
-    without_images,
-)
+from devices.skeletons.file_sensor import SkeletonRecording
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
 
+MKV = ".mkv"
 Progress = Callable[[Iterable[SensorFrame], str, int | None], Iterable[SensorFrame]]
 """Shows progress: takes frames, a description of the work, and the number of frames if known."""
 
@@ -41,6 +39,82 @@ def quietly(frames: Iterable[SensorFrame], what: str, total: int | None) -> Iter
     """A :data:`Progress` that shows nothing."""
     del what, total
     return frames
+
+
+def open_source(
+    path: Path,
+    skeletons: Path | None = None,
+    tracker: TrackerChoice | None = None,
+    option: str = "",
+    unit: Unit = "auto",
+) -> Sensor:
+    """Creates the sensor for a recording; opens nothing.
+
+    An ``.mkv`` or ``.bag`` holds images, so its people come from a body tracker; an ``.mkv``'s may come from
+    skeletons saved before.
+
+    Args:
+        path: Recorded skeletons, an Azure Kinect recording, or a recording of Orbbec's SDK v2.
+        skeletons: The skeletons of an Azure Kinect recording, saved before.
+        tracker: The body tracker, where one is needed. None: chosen for this machine.
+        option: What the option that gives ``skeletons`` is called, for the message.
+        unit: Unit of the positions of a ``.csv``; found from the size of the person where ``auto``.
+
+    Raises:
+        DeviceError: Skeletons for a file that has its own, or a tracker that cannot take its images.
+    """
+    if not has_images(path):
+        if skeletons is not None:
+            raise DeviceError(f"{path.name} has its own skeletons; {option} {skeletons} is for an .mkv.")
+        return SkeletonRecording(path, unit)
+    images = open_images(path)
+    if skeletons is not None:
+        if not isinstance(images, MkvRecording):
+            raise DeviceError(f"{option} {skeletons} is for an .mkv; {path.name} is tracked.")
+        return RecordingWithSkeletons(images, SkeletonRecording(skeletons, unit))
+    tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(path))
+    if tracker.name == "blazepose" or not isinstance(images, MkvRecording):
+        return TrackedImages(images, tracker.blazepose)
+    return _NeedsTracker(images, tracker.k4abt, option)
+
+
+def has_images(path: Path) -> bool:
+    """Whether a recording holds images, by its suffix; else it holds skeletons."""
+    return path.suffix.lower() in (MKV, BAG)
+
+
+def not_of_libk4a(*paths: Path) -> list[str]:
+    """The names of those recordings whose images are not libk4a's."""
+    return [path.name for path in paths if path.suffix.lower() == BAG]
+
+
+def open_images(path: Path) -> MkvRecording | OrbbecRecording:
+    """Creates the sensor for a recording's images, without people; opens nothing."""
+    return OrbbecRecording(path) if path.suffix.lower() == BAG else MkvRecording(path, color=False)
+
+
+def frame_count(source: Sensor) -> int | None:
+    """About how many frames an open recording has, for a progress bar; None where it does not say."""
+    images = _images_of(source)
+    info = images.info if isinstance(images, MkvRecording) else images
+    if not isinstance(info, MkvInfo | OrbbecRecording) or not info.duration_ns:
+        return None
+    return info.duration_ns // info.interval_ns + 1
+
+
+def _images_of(source: Sensor) -> object:
+    return source.source if isinstance(source, TrackedImages) else getattr(source, "recording", None)
+
+
+def without_images(source: Sensor) -> Iterator[SensorFrame]:
+    """An open source's frames with their people only: an hour of them is some hundred MB, not 150 GB.
+
+    What the depth images say about the joints stays with the skeletons.
+    """
+    for frame in source.frames():
+        if source.intrinsics is not None:
+            frame = with_witness(frame, source.intrinsics)
+        yield replace(frame, depth=None, ir=None, color=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,27 +217,18 @@ def read_two(
         open_source(choice.path, choice.skeletons, tracker, choice.skeletons_option, choice.unit)
         for choice in (choice_a, choice_b)
     )
-    frames_a, info_a = _read(a, choice_a, progress)
-    frames_b, info_b = _read(b, choice_b, progress)
+    read_a, read_b = _read(a, choice_a, progress), _read(b, choice_b, progress)
     if a.body is not b.body:
         raise DeviceError(
             f"{a.name} has the {len(a.body)} joints of {a.body.name}, {b.name} the {len(b.body)} of "
             f"{b.body.name}. Both sensors must be of one family."
         )
-    person_a = choose_person(frames_a, choice_a.person, a.name, choice_a.person_option)
-    person_b = choose_person(frames_b, choice_b.person, b.name, choice_b.person_option)
-    said = [*a.warnings, *b.warnings]
-    if choice_a.person is None:
-        frames_a, renamed = with_successors(frames_a, person_a)
-        said += _said_of(a, person_a, renamed, choice_a.person_option)
-    if choice_b.person is None:
-        frames_b, renamed = with_successors(frames_b, person_b)
-        said += _said_of(b, person_b, renamed, choice_b.person_option)
-    pairing = pair_recordings(frames_a, frames_b, person_a, person_b)
-    said += clock_warnings(info_a, info_b, pairing.pairs)
+    person_a, person_b = read_a.choose(choice_a), read_b.choose(choice_b)
+    pairing = pair_recordings(read_a.frames, read_b.frames, person_a, person_b)
+    warnings = *read_a.warnings, *read_b.warnings, *clock_warnings(read_a.info, read_b.info, pairing.pairs)
     path_a, path_b = (choice.path if has_images(choice.path) else None for choice in (choice_a, choice_b))
     name = tracker.full_name if tracked and tracker is not None else ""
-    return TwoRecordings(a.body, pairing, (a.intrinsics, b.intrinsics), tuple(said), (path_a, path_b), name)
+    return TwoRecordings(a.body, pairing, (a.intrinsics, b.intrinsics), warnings, (path_a, path_b), name)
 
 
 def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePair]) -> list[str]:
@@ -173,8 +238,7 @@ def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePa
     times (start offset + time in the file) are of one clock, on which B lags A by the delay set: pairs are
     then right as they are, and their skew is that delay. Firmware 1.6.107 and later may not restart the
     clock: it then has a constant offset. The skew shows that there is one, but not by how many whole frames,
-        so the
-    function warns and corrects nothing. Without a cable each clock starts with its sensor.
+    so the function warns and corrects nothing. Without a cable each clock starts with its sensor.
     """
     if a is None or b is None:
         return []
@@ -206,24 +270,65 @@ def _refuse_same(a: Path, b: Path) -> None:
         raise DeviceError(f"{a} and {b} are the same recording. Fusion needs one recording of each sensor.")
 
 
-def _read(
-    source: Sensor, choice: RecordingChoice, progress: Progress
-) -> tuple[list[SensorFrame], MkvInfo | None]:
+@dataclass(eq=False)
+class _Read:
+    """All frames of one recording, without images."""
+
+    name: str
+    frames: list[SensorFrame]
+    info: MkvInfo | None
+    warnings: list[str]
+
+    def choose(self, choice: RecordingChoice) -> str:
+        """The id of the person to follow. Unless one was named, later people get the same id."""
+        person = choose_person(self.frames, choice.person, self.name, choice.person_option)
+        if choice.person is not None:
+            return person
+        self.frames, others = with_successors(self.frames, person)
+        if others:
+            named = ", ".join(map(repr, others[:5])) + (" …" if len(others) > 5 else "")
+            self.warnings.append(
+                f"{self.name}: person {named} is followed while {person!r} is not seen. "
+                f"{choice.person_option} {person} follows {person!r} alone."
+            )
+        return person
+
+
+def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
     with source:
         if not has_images(choice.path):
-            return list(source.frames()), None
+            return _Read(source.name, list(source.frames()), None, list(source.warnings))
         frames = without_images(source)
         if choice.person is None:
             frames = one_person(frames)  # a body tracker gives one person several ids
         work = "tracking" if choice.is_tracked else "reading"
-        return list(progress(frames, f"{work} {source.name}", frame_count(source))), recording_info(source)
+        read = list(progress(frames, f"{work} {source.name}", frame_count(source)))
+        images = _images_of(source)
+        info = images.info if isinstance(images, MkvRecording) else None
+    return _Read(source.name, read, info, list(source.warnings))
 
 
-def _said_of(source: Sensor, person: str, others: tuple[str, ...], flag: str) -> list[str]:
-    if not others:
-        return []
-    named = ", ".join(map(repr, others[:5])) + (" …" if len(others) > 5 else "")
-    return [
-        f"{source.name}: person {named} is followed "
-        f"while {person!r} is not seen. {flag} {person} follows {person!r} alone."
-    ]
+class _NeedsTracker(TrackedRecording):
+    """A recording to be tracked, which knows the other way when there is no tracker."""
+
+    def __init__(self, recording: MkvRecording, tracker: TrackerSettings, option: str) -> None:
+        super().__init__(recording, tracker, _libk4a_beside(tracker.library))
+        self._option = option
+
+    def __enter__(self) -> TrackedRecording:
+        with self.recording:
+            pass  # report problems of the file itself first
+        try:
+            return super().__enter__()
+        except DeviceError as fault:
+            raise DeviceError(
+                f"{fault} Or give its skeletons, saved before, with {self._option} FILE."
+            ) from fault
+
+
+def _libk4a_beside(libk4abt: Path | None) -> Path | None:
+    """The Sensor SDK's library in the tracker's folder; None for the system's."""
+    if libk4abt is None:
+        return None
+    names = ("libk4a.so.1.4", "libk4a.so", "k4a.dll")
+    return next((libk4abt.with_name(name) for name in names if libk4abt.with_name(name).is_file()), None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from devices.following import PersonChoice
+from devices.people import PersonChoice
 from fusion.body import AZURE_KINECT
 from fusion.skeleton import Skeleton
 

@@ -1,21 +1,24 @@
-"""Follows the person to fuse among the people in view."""
+"""Chooses the person to fuse: live, by following one of the people in view; of a recording, by id."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.pairing import FramePair
-from devices.sensor import SensorFrame
+from devices.sensor import DeviceError, SensorFrame
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 
 _REACH_M = 0.4  # how far a body's centre may be off from frame to frame: tracker noise and a step
 _SPEED_M_S = 4.0  # speed of a running person
 _HOLD_S = 2.0  # how long to wait for a person who is out of sight
+FOLLOWED = "followed"
+"""The id of the person that :func:`one_person` follows."""
 
 
 class PersonChoice:
@@ -23,10 +26,8 @@ class PersonChoice:
 
     The first choice is the person nearest to the centre of the view. The person is then followed by the
     tracker's id, as long as the id stays with the body, else by the last position of the body: trackers
-    assign a new id
-        after
-    an occlusion, and swap the ids of two people who pass each other. A person out of sight is waited for;
-    after two seconds a new person is chosen.
+    assign a new id after an occlusion, and swap the ids of two people who pass each other. A person out of
+    sight is waited for; after two seconds a new person is chosen.
     """
 
     def __init__(self) -> None:
@@ -53,8 +54,7 @@ class PersonChoice:
             people: Skeletons by the tracker's id, in one sensor's frame.
             time_ns: The frame's time, on the sensor's clock.
             at: (3,) position of the person as seen by the other sensor, metres in this sensor's frame; None
-                if
-            unknown. The person nearest to it is chosen.
+                if unknown. The person nearest to it is chosen.
         """
         centres = {name: seen for name, person in people.items() if (seen := centre(person)) is not None}
         chosen: str | None
@@ -124,3 +124,71 @@ def centre(person: Skeleton) -> NDArray[np.float64] | None:
 
 def _bearing(at: NDArray[np.float64]) -> float:
     return abs(float(np.arctan2(at[0], at[2])))
+
+
+def choose_person(frames: Sequence[SensorFrame], wanted: str | None, source: str, flag: str) -> str:
+    """The id of the person to follow: the one wanted, else the one seen in most frames.
+
+    Args:
+        frames: All frames of a recording.
+        wanted: An id from the recording; None leaves the choice open.
+        source: The recording's name, for the message.
+        flag: The option that names a person, for the message.
+
+    Raises:
+        DeviceError: No one is in the recording, or not the person wanted.
+    """
+    seen = Counter(person for frame in frames for person in frame.people)
+    if not seen:
+        raise DeviceError(f"{source} has {len(frames)} frames and no person in any of them.")
+    if wanted is None:
+        return max(seen, key=lambda person: (seen[person], person))
+    if wanted not in seen:
+        raise DeviceError(
+            f"{source} has no person {wanted!r}. It has "
+            f"{', '.join(f'{person!r} ({n} frames)' for person, n in seen.most_common(8))}; "
+            f"choose one with {flag}."
+        )
+    return wanted
+
+
+def with_successors(frames: Sequence[SensorFrame], person: str) -> tuple[list[SensorFrame], tuple[str, ...]]:
+    """Merges ids: people seen only while the followed person is absent get that person's id.
+
+    A tracker assigns a new id to a person who returns. After the first person has left, the next one is
+    followed.
+
+    Args:
+        frames: All frames of a recording.
+        person: The id to follow.
+
+    Returns:
+        The frames, and the other ids, the one seen longest first.
+    """
+    when: dict[str, set[int]] = {}
+    for k, frame in enumerate(frames):
+        for name in frame.people:
+            when.setdefault(name, set()).add(k)
+    taken, others = set(when[person]), []
+    for name in sorted(when, key=lambda name: (-len(when[name]), name)):
+        if taken.isdisjoint(when[name]):
+            taken |= when[name]
+            others.append(name)
+    if not others:
+        return list(frames), ()
+    followed = []
+    for frame in frames:
+        successor = next((name for name in others if name in frame.people), None)
+        if successor is not None:
+            people = {name: who for name, who in frame.people.items() if name != successor}
+            frame = replace(frame, people={person: frame.people[successor], **people})
+        followed.append(frame)
+    return followed, tuple(others)
+
+
+def one_person(frames: Iterable[SensorFrame]) -> Iterator[SensorFrame]:
+    """The frames with only the person followed from the start, under one id whatever the tracker's ids."""
+    choice = PersonChoice()
+    for frame in frames:
+        person = choice.choose(frame.people, frame.time_ns)
+        yield replace(frame, people={} if person is None else {FOLLOWED: person})
