@@ -16,6 +16,7 @@ MARKUP = re.compile(r"\[(/|bold|yellow|bold yellow)\]")
 SCOPE = (
     *sorted((ROOT / "devices" / "skeletons").glob("*.py")),
     ROOT / "devices" / "files.py",
+    ROOT / "devices" / "people.py",
     ROOT / "devices" / "pairing.py",
     *sorted((ROOT / "recordings" / "reading").glob("*.py")),
     *(ROOT / "viewer_app" / "commands" / f"{name}.py" for name in ("fuse", "review")),
