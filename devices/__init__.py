@@ -6,9 +6,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from devices.depth_camera import DepthCamera
+    from devices.blazepose.depth_camera import DepthCamera
+    from devices.capture.sensor_pair import TwoSensors
     from devices.files import RecordingChoice, TwoRecordings, open_source, read_two
-    from devices.live.sensor_pair import TwoSensors
     from devices.pairing import FramePair, Pairing, pair_recordings
     from devices.sensor import ColorCamera, ColorImage, DeviceError, Sensor, SensorFrame
     from devices.simulated.kinect import simulated_pair
@@ -32,8 +32,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "DepthCamera": "devices.depth_camera",
-    "TwoSensors": "devices.live.sensor_pair",
+    "DepthCamera": "devices.blazepose.depth_camera",
+    "TwoSensors": "devices.capture.sensor_pair",
     "FramePair": "devices.pairing",
     "Pairing": "devices.pairing",
     "pair_recordings": "devices.pairing",

@@ -14,8 +14,8 @@ from devices.azure.recording.mkv import MkvInfo, MkvRecording
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
 from devices.blazepose.tracked_images import TrackedImages
-from devices.depth_witness import with_witness
-from devices.image_thinning import Depth, thinned, thinned_camera
+from devices.depth.image_thinning import Depth, thinned, thinned_camera
+from devices.depth.witness import with_witness
 from devices.orbbec.playback import SUFFIX as BAG
 from devices.orbbec.playback import OrbbecRecording
 from devices.pairing import FramePair, Pairing, pair_recordings

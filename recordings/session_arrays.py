@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.live.sensor_pair import StreamFigures
+from devices.capture.sensor_pair import StreamFigures
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.body import Body

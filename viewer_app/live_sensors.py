@@ -12,13 +12,13 @@ from rich.console import Console
 from devices.azure.kinect import KinectSensor
 from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings
 from devices.azure.pyk4a_access import ConnectedKinect
-from devices.azure.sensor_roles import NeedsChoiceError, cable_notes, choose_one, choose_two, sync_master
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.tracked_images import TrackedImages
-from devices.live.connected_sensors import connected_sensors
-from devices.live.frame_decimation import FrameDecimation
-from devices.live.sensor_pair import TwoSensors
-from devices.live.stream_pairing import LivePairing, Side
+from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.sensor_pair import TwoSensors
+from devices.capture.sensor_roles import NeedsChoiceError, cable_notes, choose_one, choose_two, sync_master
+from devices.capture.stream_pairing import LivePairing, Side
+from devices.connected_sensors import connected_sensors
 from devices.orbbec.sensor import OrbbecSensor
 from devices.orbbec.settings import OrbbecSettings
 from devices.sensor import Sensor

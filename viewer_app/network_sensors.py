@@ -7,9 +7,9 @@ from contextlib import ExitStack, contextmanager
 
 from rich.console import Console
 
-from devices.live.sensor_pair import TwoSensors
-from devices.live.sensor_state import SensorEvent
-from devices.live.stream_pairing import LivePairing
+from devices.capture.sensor_pair import TwoSensors
+from devices.capture.stream_pairing import LivePairing
+from devices.events import Event
 from devices.network.remote_sensor import PREFIX, RemoteSensor
 from devices.network.zenoh_session import ZenohAddresses, zenoh_session
 from devices.sensor import Sensor
@@ -70,6 +70,6 @@ def sensors_by_network(
         )
 
 
-def teller(console: Console) -> Callable[[SensorEvent], None]:
+def teller(console: Console) -> Callable[[Event], None]:
     """Prints events of sensors."""
-    return lambda event: console.print(event.message, style="yellow", highlight=False, markup=False)
+    return lambda event: console.print(event.text, style="yellow", highlight=False, markup=False)

@@ -12,7 +12,7 @@ import numpy as np
 from devices.azure.kinect_settings import KinectSettings
 from devices.azure.pyk4a_access import is_connected
 from devices.azure.pyk4a_leaks import image_of
-from devices.live.frame_decimation import FrameDecimation
+from devices.capture.frame_decimation import FrameDecimation
 from devices.sensor import ColorCamera, ColorImage, DeviceError, SensorFrame
 
 _SAME_CLOCK_NS = 5_000_000_000

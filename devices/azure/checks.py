@@ -9,14 +9,14 @@ from pathlib import Path
 
 from devices.azure.firmware import firmware_advice
 from devices.azure.pyk4a_access import ConnectedKinect, load_sdk
-from devices.azure.sensor_roles import NeedsChoiceError, cable_unknown, choose_two, sync_master
 from devices.azure.tracking.availability import found_gpu
 from devices.azure.tracking.body_tracker import INSTALL, TrackerSettings
 from devices.azure.tracking.native_library import load_library, loaded_file
-from devices.azure.usb import UDEV_ADVICE, usb_kinects
 from devices.blazepose.checks import networks_check
+from devices.capture.sensor_roles import NeedsChoiceError, cable_unknown, choose_two, sync_master
+from devices.capture.usb import UDEV_ADVICE, usb_kinects
 from devices.check import Check, failed
-from devices.live.connected_sensors import connected_sensors
+from devices.connected_sensors import connected_sensors
 from devices.orbbec.checks import sdk_check, sensor_check
 from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice, choose_tracker

@@ -25,7 +25,7 @@ from devices.azure.pyk4a_access import (
 )
 from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
 from devices.azure.tracking.tracker_queue import TrackerQueue
-from devices.live.frame_decimation import FrameDecimation
+from devices.capture.frame_decimation import FrameDecimation
 from devices.sensor import ColorCamera, DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import Intrinsics

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from devices.azure.firmware import firmware_version
 from devices.azure.installing import how_to_install
 from devices.azure.pyk4a_leaks import put_back_none
-from devices.azure.usb import UDEV_ADVICE, UsbKinect, usb_kinects
+from devices.capture.usb import UDEV_ADVICE, UsbKinect, usb_kinects
 from devices.sensor import AbsentError, DeviceError
 
 _opening = threading.Lock()

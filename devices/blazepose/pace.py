@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from devices.blazepose.networks.files import cache_folder, fetch_command, missing
 from devices.blazepose.settings import BlazePoseSettings, NetworkName
-from devices.live.frame_decimation import FrameDecimation
+from devices.capture.frame_decimation import FrameDecimation
 from devices.sensor import DeviceError
 
 _PATIENCE = 60

@@ -14,8 +14,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.depth.rvl import decode_depth, encode_depth
 from devices.network.zenoh_session import LARGEST_MESSAGE
-from devices.rvl import decode_depth, encode_depth
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import BODIES, Body
 from fusion.errors import FusionError

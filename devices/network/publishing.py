@@ -11,8 +11,9 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Any
 
-from devices.live.sensor_state import SensorEvent, SensorState
-from devices.live.sensor_thread import SensorThread
+from devices.capture.sensor_state import SensorState
+from devices.capture.sensor_thread import SensorThread
+from devices.events import Event
 from devices.network.messages import (
     ClockMessage,
     FrameMessage,
@@ -144,7 +145,7 @@ def publish_until(
     thread: SensorThread,
     publisher: FramePublisher,
     stopped: threading.Event,
-    tell: Callable[[SensorEvent], None] = lambda _: None,
+    tell: Callable[[Event], None] = lambda _: None,
 ) -> None:
     """Publishes an open sensor's frames until it ends or ``stopped`` is set.
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from devices.live.frame_decimation import FrameDecimation
+from devices.capture.frame_decimation import FrameDecimation
 from devices.orbbec.images import (
     Moment,
     MomentJoiner,

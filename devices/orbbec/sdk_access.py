@@ -13,7 +13,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from devices.azure.pyk4a_access import why_not_open
-from devices.azure.usb import UDEV_ADVICE, usb_kinects
+from devices.capture.usb import UDEV_ADVICE, usb_kinects
 from devices.orbbec.installing import how_to_install
 from devices.sensor import AbsentError, DeviceError
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from devices.live.frame_decimation import FrameDecimation
+from devices.capture.frame_decimation import FrameDecimation
 from devices.orbbec.frame_stream import OrbbecStream
 from devices.orbbec.lens import color_camera, intrinsics_of
 from devices.orbbec.sdk_access import faults_of, is_connected, load_sdk, open_orbbec

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from devices.image_thinning import Depth
+from devices.depth.image_thinning import Depth
 from devices.simulated.kinect import Movement, Scene, SimulatedKinect, Truth, movement
 from devices.simulated.person.gait import walking
 from devices.simulated.rig import Rig

@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from devices.depth_witness import with_witness
-from devices.image_thinning import Depth
+from devices.depth.image_thinning import Depth
+from devices.depth.witness import with_witness
 from devices.sensor import DeviceError, SensorFrame
 from devices.simulated.imaging.infrared import InfraredModel, infrared_image
 from devices.simulated.imaging.rendering import DepthErrors, depth_image, halved, surface

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Generator, Iterator
 from dataclasses import replace
 
-from devices import depth_witness
-from devices.image_thinning import without_images
-from devices.live.sensor_pair import TwoSensors
+from devices.capture.sensor_pair import TwoSensors
+from devices.depth import witness as depth_witness
+from devices.depth.image_thinning import without_images
 from devices.pairing import FramePair
 from devices.people import PersonOfPair
 from devices.sensor import Sensor

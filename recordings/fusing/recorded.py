@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.depth.image_thinning import Depth
 from devices.files import Progress, RecordingChoice, TwoRecordings, quietly, read_two
-from devices.image_thinning import Depth
 from devices.pairing import FramePair
 from devices.skeletons.conventions import Unit
 from devices.tracker_choice import WantedTracker, choose_tracker

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.point_cloud import depth_to_points, ray_table
+from devices.depth.point_cloud import depth_to_points, ray_table
 from fusion.intrinsics import Intrinsics
 
 _POINTS = 10_000

@@ -1,12 +1,12 @@
-"""Depth images of a session: the RVL code of :mod:`devices.rvl`, with a recording's errors."""
+"""Depth images of a session: the RVL code of :mod:`devices.depth.rvl`, with a recording's errors."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from devices import rvl
-from devices.rvl import MEDIA_TYPE, encode_depth
+from devices.depth import rvl
+from devices.depth.rvl import MEDIA_TYPE, encode_depth
 from devices.sensor import DeviceError
 from recordings.errors import RecordingError
 

@@ -9,8 +9,8 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.depth.image_thinning import Depth
 from devices.files import Progress, TwoRecordings, quietly
-from devices.image_thinning import Depth
 from devices.pairing import FramePair
 from devices.sensor import ColorImage, SensorFrame
 from recordings.images.color_images import read_color

@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from devices.live.sensor_pair import StreamFigures
+from devices.capture.sensor_pair import StreamFigures
 from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.session_arrays import SessionArrays

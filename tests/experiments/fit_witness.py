@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.depth_witness import with_witness
+from devices.depth.witness import with_witness
 from devices.simulated.kinect import PERSON, SimulatedKinect, simulated_pair
 from fusion.body import BODIES, Body
 from fusion.rigid import RigidTransform

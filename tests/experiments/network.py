@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from devices.live.sensor_pair import TwoSensors
-from devices.live.stream_pairing import PairingFigures
+from devices.capture.sensor_pair import TwoSensors
+from devices.capture.stream_pairing import PairingFigures
 from devices.network.remote_sensor import RemoteSensor
 from devices.network.zenoh_session import ZenohAddresses, zenoh_session
 from devices.sensor import LinkFigures

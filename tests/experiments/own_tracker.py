@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from devices.blazepose.blazepose import BlazePose
 from devices.blazepose.settings import BlazePoseSettings
-from devices.depth_witness import with_witness
+from devices.depth.witness import with_witness
 from devices.pairing import pair_recordings
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import PERSON, SimulatedKinect, Truth, simulated_pair

@@ -22,9 +22,9 @@ from unittest import mock
 
 import numpy as np
 
-from devices import depth_witness
-from devices.live.sensor_pair import TwoSensors
-from devices.live.stream_pairing import PairingFigures
+from devices.capture.sensor_pair import TwoSensors
+from devices.capture.stream_pairing import PairingFigures
+from devices.depth import witness as depth_witness
 from devices.simulated.kinect import simulated_pair
 from devices.simulated.real_time import paced_together
 from fusion.body import AZURE_KINECT

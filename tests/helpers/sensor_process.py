@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.image_thinning import Depth
+from devices.depth.image_thinning import Depth
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import simulated_pair
 from devices.simulated.real_time import Beat, PacedSensor

@@ -1,6 +1,6 @@
 """A stand-in for the module pyk4a 1.5.0: its names and capsules, and what libk4a 1.4 refuses.
 
-``tests/devices/test_pyk4a_contract.py`` holds it and the real library to the same clauses.
+``tests/devices/azure/test_pyk4a_contract.py`` holds it and the real library to the same clauses.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devices.live.stream_pairing import LivePairing, Side
+from devices.capture.stream_pairing import LivePairing, Side
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 

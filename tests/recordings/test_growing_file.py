@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from devices.image_thinning import without_images
+from devices.depth.image_thinning import without_images
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from devices.image_thinning import Depth
+from devices.depth.image_thinning import Depth
 from devices.pairing import pair_recordings
 from devices.sensor import DeviceError
 from devices.simulated.kinect import PERSON, simulated_pair

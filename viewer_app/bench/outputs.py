@@ -15,7 +15,7 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from devices.live.sensor_pair import TwoSensors
+from devices.capture.sensor_pair import TwoSensors
 from devices.simulated.kinect import simulated_pair
 from devices.simulated.real_time import paced_together
 from fusion.body import BODIES, Body

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from devices.live.sensor_pair import TwoSensors
+from devices.capture.sensor_pair import TwoSensors
 from devices.simulated.demonstration import BAD_ANGLE_DEG, HardMoment, demonstration
 from devices.simulated.kinect import SimulatedKinect, Truth, TruthAhead
 from devices.simulated.person.movements import MOTIONS

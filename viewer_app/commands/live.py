@@ -15,8 +15,8 @@ from rich.markup import escape
 from devices.azure.kinect_settings import check_modes
 from devices.azure.tracking.body_tracker import check_smoothing
 from devices.blazepose.tracked_images import TrackedImages
-from devices.image_thinning import thinned_camera
-from devices.live.sensor_pair import TwoSensors
+from devices.capture.sensor_pair import TwoSensors
+from devices.depth.image_thinning import thinned_camera
 from devices.sensor import Sensor
 from devices.tracker_choice import tracker_name
 from fusion.calibration.calibration import Calibration, nominal_calibration

@@ -9,9 +9,9 @@ from contextlib import ExitStack
 from rich.console import Console
 
 from devices.azure.kinect_settings import KinectSettings
+from devices.capture.played_recording import PlayedRecording
+from devices.capture.sensor_thread import SensorThread
 from devices.files import has_images, not_of_libk4a, open_source
-from devices.live.played_recording import PlayedRecording
-from devices.live.sensor_thread import SensorThread
 from devices.network.publishing import FramePublisher, publish_until
 from devices.network.remote_sensor import PREFIX
 from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zenoh

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from rich.console import Console
 
-from devices import depth_witness
+from devices.depth import witness as depth_witness
 from fusion.fuser import Fuser
 from recordings.images.rvl import encode_depth
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.image_thinning import Depth, with_depth, without_images
-from devices.live.sensor_pair import TwoSensors
+from devices.capture.sensor_pair import TwoSensors
+from devices.depth.image_thinning import Depth, with_depth, without_images
 from devices.pairing import FramePair
 from fusion.calibration.calibrator import Calibrator
 from fusion.setup import FusionSetup
@@ -104,7 +104,7 @@ def run_live(
             if pair.a is not None:  # the pair's time continues when A's clock is reset
                 ahead_ns = pair.time_ns - pair.a.time_ns
             frame = replace(frame, truth=truth_at(pair.time_ns - ahead_ns))
-        events = tuple(event.message for event in sensors.events())
+        events = tuple(event.text for event in sensors.events())
         sink.write(frame)
         if recalibrated:
             sink.event(f"calibrated: {fusion.setup.calibration.how}")
@@ -120,7 +120,7 @@ def run_live(
         if not goes_on:
             break
     for late in sensors.events():  # what happened after the last pair
-        sink.event(late.message, "WARN")
+        sink.event(late.text, "WARN")
     sink.finish()
     return fusion.setup, list(kept)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from devices.live.sensor_pair import TwoSensors
+from devices.capture.sensor_pair import TwoSensors
 from devices.sensor import LinkFigures
 from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame, SessionArrays

@@ -13,7 +13,7 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.live.host_clock import HostClock
+from devices.capture.host_clock import HostClock
 from fusion.body import Body
 from fusion.fused_frame import FusedFrame
 from viewer_app.errors import UsageError

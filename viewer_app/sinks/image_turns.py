@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from devices.image_thinning import has_images, without_images
+from devices.depth.image_thinning import has_images, without_images
 from recordings.session_arrays import RecordedFrame
 
 _EARLY = 0.9  # share of the interval: a frame that arrives slightly early still counts

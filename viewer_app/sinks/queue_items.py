@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from devices.image_thinning import has_images, without_images
+from devices.depth.image_thinning import has_images, without_images
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
 from recordings.events import Phase

@@ -10,8 +10,8 @@ import numpy as np
 import psutil
 import pytest
 
-from devices.live.sensor_state import SensorState
-from devices.live.sensor_thread import SensorThread
+from devices.capture.sensor_state import SensorState
+from devices.capture.sensor_thread import SensorThread
 from devices.network.messages import FrameMessage, encode_frame
 from devices.network.publishing import FramePublisher, publish_until
 from devices.network.remote_sensor import CLOCK, FRAMES, SENSOR, RemoteSensor
@@ -134,7 +134,7 @@ def test_a_program_that_is_started_anew_is_taken_back(address: str) -> None:
             frames_through(published, thread, 5)
         assert thread.returns == 1
         assert far.link.restarts == 1
-        said = [event.message for event in thread.events()]
+        said = [event.text for event in thread.events()]
         assert any("zenoh:lab/a is silent for 1.5 s" in line or "started anew" in line for line in said)
         assert "zenoh:lab/a is back." in said
 
@@ -202,7 +202,7 @@ def test_publishing_ends_with_its_sensor_and_keeps_the_order(address: str) -> No
         with SensorThread(sensor, keep=8) as thread:
             sensor.put(*(frame_at(k, people=True) for k in range(5)), None)
             assert eventually(lambda: thread.state is SensorState.ENDED)
-            publish_until(thread, published, threading.Event(), lambda event: told.append(event.message))
+            publish_until(thread, published, threading.Event(), lambda event: told.append(event.text))
         assert published.published == 5
         frames = far.frames()
         assert [next(frames).time_ns for _ in range(5)] == [0, 1, 2, 3, 4]

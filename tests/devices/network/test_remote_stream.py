@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from devices.live.stream_pairing import LivePairing
+from devices.capture.stream_pairing import LivePairing
 from devices.network import remote_clock
 from devices.network.messages import ClockMessage, FrameMessage, SensorMessage, encode_clock, encode_frame
 from devices.network.remote_clock import RemoteClock

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from devices.live.sensor_pair import TwoSensors
+from devices.capture.sensor_pair import TwoSensors
 from devices.orbbec import sdk_access
 from devices.orbbec.sdk_access import connected_orbbecs
 from devices.orbbec.sensor import OrbbecSensor
@@ -152,7 +152,7 @@ def test_a_lost_sensor_is_taken_back(orbbecs: OrbbecBus) -> None:
         eventually(alone_now)
         lost.plugged, lost.clock_us = True, 0  # its clock starts anew
         eventually(paired_now)
-        told = " ".join(event.message for event in two.events())
+        told = " ".join(event.text for event in two.events())
     assert f"Orbbec {B} was unplugged" in told
     assert f"{B} is back" in told
     assert orbbecs.open_serials == []

@@ -10,8 +10,8 @@ import time
 import numpy as np
 import pytest
 
-from devices.live.frame_decimation import FrameDecimation
-from devices.live.sensor_thread import SensorThread
+from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.sensor_thread import SensorThread
 from devices.orbbec.installing import how_to_install
 from devices.orbbec.sdk_access import ConnectedOrbbec, connected_orbbecs, load_sdk
 from devices.orbbec.sensor import OrbbecSensor

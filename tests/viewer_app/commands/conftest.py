@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from devices.azure import pyk4a_access
-from devices.azure.usb import UsbKinect
+from devices.capture.usb import UsbKinect
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser

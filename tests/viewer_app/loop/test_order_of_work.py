@@ -15,7 +15,7 @@ from uuid import uuid4
 import pytest
 import rerun as rr
 
-from devices import depth_witness
+from devices.depth import witness as depth_witness
 from devices.pairing import FramePair
 from devices.simulated.kinect import simulated_pair
 from fusion.body import KINECT_V1
@@ -179,7 +179,7 @@ def compiled() -> dict[str, int]:
     return {
         f"{module.__name__}.{name}": len(kernel.overloads)
         for module in modules
-        if module.__name__.startswith(("fusion", "devices.depth_witness", "devices.rvl"))
+        if module.__name__.startswith(("fusion", "devices.depth.witness", "devices.depth.rvl"))
         for name, kernel in vars(module).items()
         if hasattr(kernel, "overloads")
     }

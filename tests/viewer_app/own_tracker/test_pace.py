@@ -15,8 +15,8 @@ from devices.blazepose.networks.files import DETECTOR, LANDMARKS
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
-from devices.live.frame_decimation import FrameDecimation
-from devices.live.sensor_pair import TwoSensors
+from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.sensor_pair import TwoSensors
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import SimulatedKinect, simulated_pair
 from devices.simulated.real_time import PacedSensor
@@ -95,7 +95,7 @@ def test_without_a_lighter_network_only_frames_are_left_out(networks: BlazePoseS
 def test_changes_and_advice_reach_the_reader_of_the_sensors(networks: BlazePoseSettings) -> None:
     pace, told = TrackingPace(30.0, networks), []
     a, b, _ = simulated_pair(motion="still", seconds=0.1)
-    with TwoSensors(a, b, decimation=pace, tell=lambda event: told.append(event.message)) as sensors:
+    with TwoSensors(a, b, decimation=pace, tell=lambda event: told.append(event.text)) as sensors:
         work(pace, 60, 50)
         sensors.poll(0.0)
     assert any("lite" in text for text in told)

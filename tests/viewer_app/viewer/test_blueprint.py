@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
-from devices.live.sensor_pair import StreamFigures
+from devices.capture.sensor_pair import StreamFigures
 from fusion.body import BODIES, KINECT_V2, Body
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from devices.point_cloud import depth_to_points, ray_table
+from devices.depth.point_cloud import depth_to_points, ray_table
 from recordings import Session, layout
 from recordings.reading.rrd_file import RrdFile
 from tests.helpers.live_frames import frames, known_fuser, session

@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console
 
 from devices.azure import pyk4a_access
-from devices.live.sensor_thread import SensorThread
-from devices.live.stream_pairing import LivePairing
+from devices.capture.sensor_thread import SensorThread
+from devices.capture.stream_pairing import LivePairing
 from tests.helpers.command_line import duplex
 from tests.helpers.live_program import live
 from tests.helpers.standin_library import Standin

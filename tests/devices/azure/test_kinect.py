@@ -22,9 +22,9 @@ from devices.azure.firmware import loaded_libk4a
 from devices.azure.kinect import KinectSensor
 from devices.azure.kinect_settings import KinectSettings
 from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects
-from devices.azure.sensor_roles import NeedsChoiceError, choose_two, sync_master
 from devices.azure.tracking.body_tracker import TrackerSettings
-from devices.live.sensor_thread import SensorThread
+from devices.capture.sensor_roles import NeedsChoiceError, choose_two, sync_master
+from devices.capture.sensor_thread import SensorThread
 from devices.sensor import AbsentError, ColorCamera, ColorImage, DeviceError, Interruptible
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.live.stream_pairing import LivePairing
+from devices.capture.stream_pairing import LivePairing
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from tests.helpers.two_clocks import INTERVAL_NS, SECOND_NS, Shot, run, shots, true_skews

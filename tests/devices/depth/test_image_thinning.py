@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from devices.image_thinning import (
+from devices.depth.image_thinning import (
     Depth,
     has_images,
     thinned,
@@ -15,7 +15,7 @@ from devices.image_thinning import (
     with_depth,
     without_images,
 )
-from devices.point_cloud import depth_to_points, ray_table
+from devices.depth.point_cloud import depth_to_points, ray_table
 from fusion.body import AZURE_KINECT
 from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics

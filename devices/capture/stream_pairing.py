@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from statistics import median_low
 from typing import Literal
 
-from devices.live.host_clock import Arrival, HostClock
+from devices.capture.host_clock import Arrival, HostClock
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.skeleton import SkeletonPair

@@ -6,10 +6,10 @@ from itertools import pairwise
 
 import pytest
 
-from devices.live.frame_decimation import FrameDecimation
-from devices.live.sensor_pair import TwoSensors
-from devices.live.sensor_state import SensorEvent
-from devices.live.stream_pairing import LivePairing
+from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.sensor_pair import TwoSensors
+from devices.capture.stream_pairing import LivePairing
+from devices.events import Event
 from tests.helpers.scripted_sensor import ScriptedSensor
 from tests.helpers.slow_trackers import run_slow_trackers
 from tests.helpers.standin_pyk4a import Bus
@@ -116,7 +116,7 @@ def test_pairing_is_as_patient_as_the_frames_are_few() -> None:
 
 
 def test_sensors_are_given_as_long_as_a_tracker_of_seconds_takes() -> None:
-    decimation, told = FrameDecimation(30), list[SensorEvent]()
+    decimation, told = FrameDecimation(30), list[Event]()
     sensors = TwoSensors(ScriptedSensor("a"), ScriptedSensor("b"), decimation=decimation, tell=told.append)
     sensors.poll(0.0)
     assert (sensors.step, sensors.a._stall_s) == (1, 2.0)
@@ -125,6 +125,4 @@ def test_sensors_are_given_as_long_as_a_tracker_of_seconds_takes() -> None:
     sensors.poll(0.0)
     assert sensors.step == decimation.step > 60
     assert sensors.a._stall_s == sensors.b._stall_s == pytest.approx(4e-9 * decimation.interval_ns)
-    assert [event.message.split(":")[0] for event in told] == [
-        "The body tracker of a takes 2300 ms per frame"
-    ]
+    assert [event.text.split(":")[0] for event in told] == ["The body tracker of a takes 2300 ms per frame"]

@@ -1,8 +1,7 @@
-"""State and events of a sensor on its own thread."""
+"""State of a sensor on its own thread."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 
 
@@ -18,18 +17,3 @@ class SensorState(Enum):
     """Failed; it is reopened until it works again."""
     ENDED = "ended"
     """The source has reached its end."""
-
-
-@dataclass(frozen=True)
-class SensorEvent:
-    """An event to report to the user.
-
-    Attributes:
-        sensor: The sensor's name.
-        message: What happened, and the way out.
-        at_s: When, on the thread's clock.
-    """
-
-    sensor: str
-    message: str
-    at_s: float

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from devices.blazepose.blazepose import BlazePose
-from devices.depth_camera import DepthCamera
-from devices.live.sensor_thread import SensorThread
+from devices.blazepose.depth_camera import DepthCamera
+from devices.capture.sensor_thread import SensorThread
 from devices.sensor import DeviceError
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
@@ -98,7 +98,7 @@ def test_a_camera_that_fails_is_opened_again() -> None:
 
     with SensorThread(DepthCamera("left", images, LENS), retry_s=0.01) as thread:
         assert eventually(lambda: thread.received == 2)
-        told = " ".join(event.message for event in thread.events())
+        told = " ".join(event.text for event in thread.events())
     assert "left failed: the cable is out." in told
     assert "left is back" in told
 

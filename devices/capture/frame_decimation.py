@@ -12,7 +12,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from statistics import median
 
-from devices.live.host_clock import Arrival, HostClock
+from devices.capture.host_clock import Arrival, HostClock
 
 _FIRST_RESULTS = 2  # not counted: a tracker loads and compiles its network then
 _ENOUGH_TO_SLOW = 5

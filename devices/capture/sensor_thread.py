@@ -12,10 +12,11 @@ from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import replace
 
-from devices.depth_witness import with_witness
-from devices.live import sensor_messages as messages
-from devices.live.retries import Retries
-from devices.live.sensor_state import SensorEvent, SensorState
+from devices.capture import sensor_messages as messages
+from devices.capture.retries import Retries
+from devices.capture.sensor_state import SensorState
+from devices.depth.witness import with_witness
+from devices.events import Event
 from devices.sensor import DeviceError, Interruptible, Sensor, SensorFrame
 
 _EVENTS_KEPT = 100
@@ -65,7 +66,7 @@ class SensorThread:
         self._clock, self._wait = clock, wait
         self._lock = threading.Lock()
         self._frames: deque[tuple[int, SensorFrame]] = deque()  # and when each came
-        self._events: deque[SensorEvent] = deque(maxlen=_EVENTS_KEPT)
+        self._events: deque[Event] = deque(maxlen=_EVENTS_KEPT)
         self._state = SensorState.CLOSED
         self._received = self._dropped = self._returns = self._missed_before = 0
         self._last_s = 0.0
@@ -208,7 +209,7 @@ class SensorThread:
             self._raise_fault()
         return frames
 
-    def events(self) -> list[SensorEvent]:
+    def events(self) -> list[Event]:
         """What happened since the last call: lost, back, stalled, running again."""
         stalled = self.state is SensorState.STALLED
         if stalled and not self._stall_told:
@@ -311,7 +312,7 @@ class SensorThread:
             self._tell(f"{message} Going on without it; it is taken back when it returns.")
         self.arrival.set()
 
-    def _tell(self, message: str) -> None:
-        event = SensorEvent(self.sensor.name, message, self._clock())
+    def _tell(self, text: str) -> None:
+        event = Event(text, "WARN", time_ns=round(self._clock() * 1e9))
         with self._lock:
             self._events.append(event)

@@ -21,13 +21,13 @@ from devices.azure import pyk4a_access
 from devices.azure.kinect import KinectSensor
 from devices.azure.kinect_settings import KinectSettings
 from devices.azure.pyk4a_access import connected_kinects
-from devices.azure.sensor_roles import choose_two
 from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
-from devices.azure.usb import usb_kinects
-from devices.live.sensor_pair import TwoSensors
-from devices.live.sensor_state import SensorState
-from devices.live.sensor_thread import SensorThread
-from devices.live.stream_pairing import LivePairing
+from devices.capture.sensor_pair import TwoSensors
+from devices.capture.sensor_roles import choose_two
+from devices.capture.sensor_state import SensorState
+from devices.capture.sensor_thread import SensorThread
+from devices.capture.stream_pairing import LivePairing
+from devices.capture.usb import usb_kinects
 from devices.pairing import FramePair
 from devices.sensor import DeviceError, NamesItsWait
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
@@ -254,7 +254,7 @@ def test_fusion_goes_on_with_the_sensor_that_is_left_and_takes_the_other_back() 
 
         bench.until(paired_again)
         assert two.figures.offset_ns == -200_000_000
-        told = " ".join(event.message for event in two.events())
+        told = " ".join(event.text for event in two.events())
     assert "unplugged" in told
     assert "Going on without it" in told
     assert "000456 is back" in told
@@ -319,7 +319,7 @@ def test_tracker_hangs_at_close_and_the_other_sensor_gives_no_more_frames() -> N
     told: list[str] = []
     release, closed = threading.Event(), threading.Event()
     a, b = ScriptedSensor("a"), ScriptedSensor("b")
-    two = TwoSensors(a, b, tell=lambda event: told.append(event.message))
+    two = TwoSensors(a, b, tell=lambda event: told.append(event.text))
     a.close_hook = lambda: release.wait(PATIENCE_S) and None
     with two:
         b.close_hook = closed.set
@@ -332,7 +332,7 @@ def test_tracker_hangs_at_close_and_the_other_sensor_gives_no_more_frames() -> N
         assert closed.wait(PATIENCE_S), "B is closed before A's end is waited for"
     assert two.b.dropped == 0
     assert told == ["a does not close; it is left behind. Unplug it before using it again."]
-    assert [event.message for event in two.events()] == told
+    assert [event.text for event in two.events()] == told
     release.set()
     assert all_threads_end()
 
@@ -456,7 +456,7 @@ def test_a_sensor_that_still_loads_is_not_called_hung(waits_for: str, message: s
     thread = SensorThread(sensor)
     with pytest.raises(DeviceError, match="did not open in"):
         thread.open(0.01)
-    (told,) = (event.message for event in thread.events())
+    (told,) = (event.text for event in thread.events())
     assert message in told
     assert ("Unplug" in told) == (waits_for == "")
     release.set()

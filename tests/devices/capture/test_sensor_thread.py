@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from devices.live.sensor_state import SensorState
-from devices.live.sensor_thread import SensorThread
+from devices.capture.sensor_state import SensorState
+from devices.capture.sensor_thread import SensorThread
 from devices.sensor import DeviceError
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 
@@ -140,7 +140,7 @@ def test_a_lost_sensor_is_reopened_until_it_is_back(sensor: ScriptedSensor) -> N
         assert pauses == [1.5, 3.0, 6.0, 10.0], "each opening that is refused leaks in pyk4a"
         assert thread.returns == 1
         assert thread.state is SensorState.RUNNING
-        told = [event.message for event in thread.events()]
+        told = [event.text for event in thread.events()]
     # Lost, tried again in vain (told once, not three times), back.
     assert ["unplugged" in told[0], "No Kinect" in told[1], "back" in told[2]] == [True] * 3
     assert len(told) == 3
@@ -170,10 +170,10 @@ def test_a_slow_first_frame_is_allowed_and_reported_once(sensor: ScriptedSensor)
     ) as thread:
         for opening in range(2):
             now[0] += 1.9
-            assert all("is back" in event.message for event in thread.events())
+            assert all("is back" in event.text for event in thread.events())
             now[0] += 57.9
             assert thread.state is SensorState.RUNNING
-            assert [event.message for event in thread.events()] == [
+            assert [event.text for event in thread.events()] == [
                 "000123: waiting for the body tracker's first result."
             ]
             assert thread.events() == []
@@ -183,7 +183,7 @@ def test_a_slow_first_frame_is_allowed_and_reported_once(sensor: ScriptedSensor)
                 thread.events()
         now[0] += 0.3
         assert thread.state is SensorState.STALLED
-        assert ["stalls: no frame for 60 s" in event.message for event in thread.events()] == [True]
+        assert ["stalls: no frame for 60 s" in event.text for event in thread.events()] == [True]
 
 
 def test_a_sensor_whose_tracker_takes_seconds_is_not_called_stalled(sensor: ScriptedSensor) -> None:
@@ -195,7 +195,7 @@ def test_a_sensor_whose_tracker_takes_seconds_is_not_called_stalled(sensor: Scri
         now[0] = 109.9
         assert thread.state is SensorState.RUNNING
         now[0] = 110.1
-        assert ["stalls: no frame for 10 s" in event.message for event in thread.events()] == [True]
+        assert ["stalls: no frame for 10 s" in event.text for event in thread.events()] == [True]
         thread.set_interval(1 / 30)
         sensor.put(frame_at(1))
         _after(sensor)
@@ -213,12 +213,12 @@ def test_a_silent_sensor_is_stalled_and_then_not(sensor: ScriptedSensor) -> None
         now[0] = 102.1
         assert thread.state is SensorState.STALLED
         assert thread.gone
-        assert ["stalls" in event.message for event in thread.events()] == [True]
+        assert ["stalls" in event.text for event in thread.events()] == [True]
         assert thread.events() == []
         sensor.put(frame_at(1))
         _after(sensor)
         assert thread.state is SensorState.RUNNING
-        assert ["again" in event.message for event in thread.events()] == [True]
+        assert ["again" in event.text for event in thread.events()] == [True]
 
 
 def test_a_source_that_ends_is_ended_not_lost(sensor: ScriptedSensor) -> None:
@@ -255,7 +255,7 @@ def test_closing_a_driver_that_hangs_leaves_it_behind(sensor: ScriptedSensor) ->
     thread = SensorThread(sensor).open()
     sensor.put(lambda: release.wait(PATIENCE_S))
     assert not thread.close(within_s=0.01)
-    assert any("left behind" in event.message for event in thread.events())
+    assert any("left behind" in event.text for event in thread.events())
     with pytest.raises(DeviceError, match="left behind"):
         thread.open()
     release.set()

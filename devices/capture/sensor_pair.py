@@ -7,11 +7,12 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from devices.live import sensor_messages as messages
-from devices.live.frame_decimation import FrameDecimation
-from devices.live.sensor_state import SensorEvent, SensorState
-from devices.live.sensor_thread import SensorThread
-from devices.live.stream_pairing import LivePairing, PairingFigures, Side
+from devices.capture import sensor_messages as messages
+from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.sensor_state import SensorState
+from devices.capture.sensor_thread import SensorThread
+from devices.capture.stream_pairing import LivePairing, PairingFigures, Side
+from devices.events import Event
 from devices.pairing import FramePair
 from devices.sensor import LinkFigures, Sensor, SensorFrame
 
@@ -39,7 +40,8 @@ class TwoSensors:
     """K_A and K_B, each on its own thread, paired.
 
     Use it as a context manager, from one thread. Frames are those that
-    :class:`~devices.live.stream_pairing.LivePairing` gives; a sensor that fails is gone until it comes back.
+    :class:`~devices.capture.stream_pairing.LivePairing` gives. A sensor that fails is gone until it comes
+    back.
 
     Attributes:
         a, b: The sensors' threads, for their counts of frames and drops.
@@ -56,7 +58,7 @@ class TwoSensors:
         stall_s: float = 2.0,
         retry_s: float = 1.0,
         open_s: float = 120.0,
-        tell: Callable[[SensorEvent], None] = lambda _: None,
+        tell: Callable[[Event], None] = lambda _: None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         """Prepares; opens nothing.
@@ -91,7 +93,7 @@ class TwoSensors:
         self._clock, self._open_s, self._tell = clock, open_s, tell
         self._stopped = False
         self._returns: dict[Side, int] = {"a": 0, "b": 0}
-        self._events: list[SensorEvent] = []
+        self._events: list[Event] = []
 
     @property
     def figures(self) -> PairingFigures:
@@ -193,9 +195,9 @@ class TwoSensors:
                 self._pairing.set_gone(side, True)
         return pairs + self._pairing.poll(now_ns)
 
-    def events(self) -> list[SensorEvent]:
+    def events(self) -> list[Event]:
         """What happened since the last call, oldest first."""
-        events, self._events = sorted(self._events, key=lambda event: event.at_s), []
+        events, self._events = sorted(self._events, key=lambda event: event.time_ns), []
         return events
 
     def _follow_decimation(self) -> None:
@@ -203,7 +205,7 @@ class TwoSensors:
         if decimation is None:
             return
         for news in decimation.take_news():
-            self._say("", news)
+            self._say(news)
         if decimation.step == self._step:
             return
         self._step = decimation.step
@@ -217,10 +219,10 @@ class TwoSensors:
             if self._step > 1
             else f"The body trackers keep up again: {full:.3g} frames per second."
         )
-        self._say(decimation.slowest, message)
+        self._say(message)
 
-    def _say(self, sensor: str, message: str) -> None:
-        event = SensorEvent(sensor, message, self._clock())
+    def _say(self, text: str) -> None:
+        event = Event(text, "WARN", time_ns=_ns(self._clock()))
         self._events.append(event)
         self._tell(event)
 
@@ -230,8 +232,9 @@ class TwoSensors:
 
     def _take_events(self, thread: SensorThread) -> None:
         events = thread.events()
-        name = thread.sensor.name
-        events += [SensorEvent(name, told, self._clock()) for told in messages.told_by(thread.sensor)]
+        events += [
+            Event(text, "WARN", time_ns=_ns(self._clock())) for text in messages.told_by(thread.sensor)
+        ]
         self._events += events
         for event in events:
             self._tell(event)

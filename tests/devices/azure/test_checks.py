@@ -13,9 +13,9 @@ from devices.azure import installing, pyk4a_access
 from devices.azure.checks import Check, device_checks
 from devices.azure.installing import how_to_install
 from devices.azure.tracking.body_tracker import TrackerSettings
-from devices.azure.usb import usb_kinects
 from devices.blazepose.checks import networks_check
 from devices.blazepose.settings import BlazePoseSettings
+from devices.capture.usb import usb_kinects
 from devices.orbbec.checks import sdk_check, sensor_check
 from devices.tracker_choice import choose_tracker
 from tests.helpers.orbbec.standin import Orbbec, OrbbecBus

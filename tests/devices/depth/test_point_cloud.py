@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from devices.azure.recording.mkv import MkvRecording
-from devices.point_cloud import depth_to_points, ray_table
+from devices.depth.point_cloud import depth_to_points, ray_table
 from devices.sensor import DeviceError
 from fusion.intrinsics import Intrinsics
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from devices.depth_witness import depth_witness, with_witness
+from devices.depth.witness import depth_witness, with_witness
 from devices.sensor import SensorFrame
 from devices.simulated.imaging.rendering import halved
 from devices.simulated.kinect import PERSON, simulated_pair

@@ -1,0 +1,36 @@
+"""Events: what happens to the sensors, the calibration or the person while a session runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+Level = Literal["INFO", "WARN", "ERROR"]
+"""Severity of an event."""
+Phase = Literal["moment", "start", "end"]
+"""Phase of an event: a single event, or the start or end of a spell."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """One event, from its producer to the session file.
+
+    Attributes:
+        text: What happened, and the way out if there is one.
+        level: Severity.
+        topic: The subject of a spell, the same for its start and end; empty for a single event.
+        phase: Whether a spell starts or ends here.
+        frame: The frame of the event; the first frame for an earlier event.
+        time_ns: Time since the first pair. Before a session has placed the event: the producer's clock.
+    """
+
+    text: str
+    level: Level = "INFO"
+    topic: str = ""
+    phase: Phase = "moment"
+    frame: int = 0
+    time_ns: int = 0
+
+    def placed(self, frame: int, time_ns: int) -> Event:
+        """The event at a frame of a session."""
+        return replace(self, frame=frame, time_ns=time_ns)
