@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.compiling.parallel_compilation import tree_solver_compiled_meanwhile
+from fusion.compiling.parallel_compilation import compiled_meanwhile
 from fusion.errors import FusionError
 from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.fused_frame import FusedFrame as FusedFrame
-from fusion.methods.paper_fusion import PaperFusion
+from fusion.paper.paper_fusion import PaperFusion
 from fusion.registration import robust_fit
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
@@ -23,7 +23,7 @@ class Fuser:
     """Fuses two skeletons to one, pair by pair.
 
     The steps of a frame are those of ``docs/method.md``, compiled in :mod:`fusion.estimator.estimator` and
-    :mod:`fusion.methods.paper`.
+    :mod:`fusion.paper.method`.
 
     Args:
         setup: Calibration, settings and cameras.
@@ -53,7 +53,9 @@ class Fuser:
         if self.setup.settings.method == "published":
             meanwhile()
         else:
-            with tree_solver_compiled_meanwhile(self._fusion.kernel, self.setup.settings.method == "duplex"):
+            matrices = self.setup.settings.method == "duplex"
+            solver = f"from fusion.solvers import tree_solver; tree_solver.compile_tree_solver({matrices})"
+            with compiled_meanwhile(self._fusion.kernel, solver):
                 meanwhile()
                 other._fusion.compile(self._nobody.positions, self._nobody.states)
         other.update(SkeletonPair(None, None, 0))

@@ -10,12 +10,14 @@ import numpy as np
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
-from fusion.estimator.constants import DEFAULT_SMOOTHING
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
-from fusion.paper_constants import PAPER_H
 
 Method = Literal["duplex", "paper", "published"]
 Hindsight = Literal["none", "labels", "whole"]
+PAPER_H = 0.786
+"""h of sec. 3: weight of a tracked joint relative to an inferred one."""
+DEFAULT_SMOOTHING = 0.5
+"""The smoothing at which :class:`fusion.estimator.constants.Constants` were fitted."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class FuserSettings:
         weights: ``paper`` (eqs. (10), (11)) or ``equal``. Not of ``duplex``.
         smoothing: Smoothness of S*, from 0 (each frame on its own) to 1. Of ``duplex`` only.
         hindsight: Use of later frames in a recording. ``none``: as live. ``labels``: for exchanged sides
-            (:func:`fusion.recording.plan_recording`). ``whole``: for everything, by a fixed-interval
+            (:func:`fusion.plan.plan_recording`). ``whole``: for everything, by a fixed-interval
             smoother. Of ``duplex`` only.
     """
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from fusion.paper_constants import PAPER_H
-from fusion.setup import FuserSettings
+from fusion.setup import PAPER_H, FuserSettings
 from viewer_app.errors import UsageError
 
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from fusion.body import Body
-from fusion.calibration.bone_statistics import robust_bone_lengths
+from fusion.calibration.bone_lengths import robust_bone_lengths
 from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
-from fusion.calibration.gradual import GradualCalibration
+from fusion.calibration.movement import GradualCalibration
 from fusion.calibration.start_up_pose import StartUpPose
 from fusion.errors import CalibrationError
 from fusion.registration.robust_fit import registration_of

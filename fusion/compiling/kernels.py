@@ -5,20 +5,25 @@ that Python calls get a Python wrapper. Kernels do not assign whole arrays: numb
 message for mismatched shapes, which takes longer than a kernel.
 
 Importing a module with kernels touches no file and no environment variable: the cache folder is
-looked for, and stale kernels are deleted, when the first kernel is compiled.
+looked for, and stale kernels are deleted, when the first kernel is compiled. numba keeps a compiled kernel
+until the kernel's own file changes. A kernel also contains the code of the kernels that it calls and the
+values of imported constants; numba does not notice a change of *their* files.
 """
 
 from __future__ import annotations
 
+import atexit
+import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numba
-
-from fusion.compiling.kernel_cache import drop_stale_kernels, ensure_cache_folder
 
 _Kernel = Callable[..., Any]
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
@@ -78,3 +83,39 @@ def _prepare_disk(package: str) -> None:
     file = getattr(sys.modules.get(package), "__file__", None)
     if file is not None:
         drop_stale_kernels(Path(file).parent)
+
+
+def drop_stale_kernels(package: Path) -> None:
+    """Deletes the compiled kernels of a package and its subpackages that are older than its newest source.
+
+    Only an edit in place can leave a stale kernel, and it updates a source's time. A read-only folder cannot
+    be edited, so it contains no stale kernels.
+
+    Args:
+        package: The folder of the sources.
+    """
+    with suppress(OSError):
+        newest = max(source.stat().st_mtime_ns for source in package.rglob("*.py"))
+        for index in package.rglob("__pycache__/*.nbi"):
+            if index.stat().st_mtime_ns <= newest:
+                index.unlink(missing_ok=True)  # without its index a kernel is compiled again
+
+
+def ensure_cache_folder() -> None:
+    """Gives numba a temporary cache folder if it finds none.
+
+    In a read-only installation without a writable home directory, ``njit(cache=True)`` would fail. Child
+    processes use the same folder.
+    """
+    from numba import config, njit
+
+    try:
+        njit(cache=True)(_probe)  # compiles nothing, but looks for a folder
+    except RuntimeError:
+        folder = tempfile.mkdtemp(prefix="duplex-kernels-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = folder  # type: ignore[attr-defined]
+
+
+def _probe() -> None:
+    """A function for which numba looks for a cache folder."""

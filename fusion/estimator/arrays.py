@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.estimator.constants import (
-    DEFAULT_SMOOTHING,
     Constants,
     acceleration_shares,
     by_joint,
     calmness,
     joint_errors,
 )
-from fusion.solvers.tree_workspace import TreeWorkspace, new_tree_workspace
+from fusion.setup import DEFAULT_SMOOTHING
+from fusion.solvers.tree_start import TreeWorkspace, new_tree_workspace
 from fusion.witness import WitnessModel, new_witness_model
 
 Array = NDArray[np.float64]

@@ -185,10 +185,6 @@ class Constants(NamedTuple):
         return Constants(scale_sd=0.01, spread=1.3, acceleration=2.0)
 
 
-DEFAULT_SMOOTHING = 0.5
-"""The smoothing at which :class:`Constants` were fitted."""
-
-
 def joint_errors(body: Body) -> JointErrors:
     """The errors of the body's own tracker."""
     return AZURE_ERRORS if body is AZURE_KINECT else BLAZEPOSE_ERRORS if body is BLAZEPOSE else KINECT_ERRORS

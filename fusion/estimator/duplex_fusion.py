@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from fusion.estimator.arrays import Output, new_model, new_output, new_solve, new_state, new_views
 from fusion.estimator.constants import Constants
 from fusion.estimator.estimator import estimate_pairs
-from fusion.estimator.measuring.views import relabel
 from fusion.estimator.smoother import new_trace, smooth_pairs
+from fusion.estimator.views import relabel
 from fusion.facing.model import new_facing_model, new_facing_state
 from fusion.fused_frame import FusedFrame
 from fusion.setup import FusionSetup

@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.estimator.bones import aim, follow_bones, hold_bones
-from fusion.estimator.limits import respect_hinges
-from fusion.estimator.measuring.lengths import weigh_lengths
-from fusion.estimator.measuring.measurement import cast_rays, find_covers, set_covariances
-from fusion.estimator.measuring.offsets import fade_offsets, learn_offsets, learn_usual_offsets
-from fusion.estimator.measuring.robust import be_surprised, judge, remember_doubt
-from fusion.estimator.measuring.surface import ask_images, measure_surface
-from fusion.estimator.measuring.views import relabel, rescale, take_views
-from fusion.estimator.motion import predict
+from fusion.estimator.bones import aim, follow_bones, hold_bones, respect_hinges
+from fusion.estimator.covariance import cast_rays, find_covers, set_covariances
+from fusion.estimator.evidence import ask_images, measure_surface, weigh_lengths
+from fusion.estimator.kalman import begin_joints, predict, share_error, take_in
+from fusion.estimator.offsets import fade_offsets, learn_offsets, learn_usual_offsets
+from fusion.estimator.outliers import be_surprised, judge, remember_doubt
 from fusion.estimator.smoother import trace_prediction, trace_result
 from fusion.estimator.uncertainty import spread
-from fusion.estimator.update import begin_joints, share_error, take_in
+from fusion.estimator.views import relabel, rescale, take_views
 
 FORGET_NS = 1_000_000_000
 """After this time without a person the filter starts again."""

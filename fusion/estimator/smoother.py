@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.estimator.three import inverse
 from fusion.estimator.uncertainty import spread
+from fusion.solvers.small_matrices import inverse
 from fusion.solvers.tree_solver import solve_tree
 
 Array = NDArray[np.float64]

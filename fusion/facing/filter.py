@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.facing.continuity import exchange_odds
-from fusion.facing.cues import follow_motion, measure_view
+from fusion.facing.evidence import exchange_odds, follow_motion, learn_up, measure_view
 from fusion.facing.limbs import follow_limb
 from fusion.facing.model import ARMS, LEGS, TRUNK, WHOLE
-from fusion.facing.upright import learn_up
 from fusion.facing.whole_body import correct, make_headings, make_turning, predict, start, weigh_evidence
 
 FORGET_SECONDS = 1.0
@@ -30,7 +28,7 @@ def update_facing(model, state, dt, a, states_a, b_in_a, states_b, sensor_b, up,
         states_a, states_b: (J,) uint8 tracking states.
         sensor_b: (3,) position of K_B in K_A's frame: t of the registration.
         up: (3,) unit vector against gravity in K_A's frame; NaN where it is unknown: then it is learned from
-            the person (see :mod:`fusion.facing.upright`).
+            the person (see :mod:`fusion.facing.evidence`).
         stale_a, stale_b: Whether the view repeats its last skeleton, which is then no evidence.
     """
     if dt > FORGET_SECONDS:

@@ -9,10 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import Body
 from fusion.compiling.kernels import kernel
-from fusion.facing.cues import measure_view
+from fusion.facing.evidence import measure_view, upright_direction
 from fusion.facing.filter import FORGET_SECONDS, decide, label_limbs, remember, update_facing
 from fusion.facing.model import FacingModel, new_facing_model, new_facing_state
-from fusion.facing.upright import upright_direction
 from fusion.facing.whole_body import make_headings, make_turning, retrodict
 
 Floats = NDArray[np.float64]

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from fusion.errors import CalibrationError
+from fusion.registration.keyframes import Evidence
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
 LARGEST_RESIDUAL = 0.300
 """Metres: a fit whose median residual is larger cannot be right."""
-
 _FEWEST_JOINTS = 5
 _THINNEST = 0.02  # second to first singular value of the joints' spread: below, they lie on a line
 
@@ -141,3 +141,25 @@ def _rotation_sd(points: NDArray[np.float64], mean_square: float, joints: int) -
     information = (np.sum(r * r) * np.eye(3) - r.T @ r) * (joints / len(points))
     least = float(np.linalg.eigvalsh(information)[0])
     return float(np.sqrt(mean_square / 3.0 / least)) if least > 0.0 else np.inf
+
+
+def label_free_fit(body: Body, evidence: Evidence) -> RigidTransform | None:
+    """A robust fit of R and t to the midline and to midpoints of left and right; None if undetermined.
+
+    These points are the same whether or not a view is mirrored. They determine R only if the person walks
+    about.
+    """
+    own = np.array([j for j in range(len(body)) if j <= body.mirror[j]])
+    other = body.mirror[own]
+    usable = np.minimum(evidence.weights[:, own], evidence.weights[:, other]) > 0.5
+    p = (0.5 * (evidence.a[:, own] + evidence.a[:, other]))[usable]
+    q = (0.5 * (evidence.b[:, own] + evidence.b[:, other]))[usable]
+    try:
+        found = fit_rigid(p, q)
+        for _ in range(10):
+            apart = np.linalg.norm(p - found.apply(q), axis=1)
+            near = apart <= 2.0 * max(float(np.median(apart)), 1e-4)
+            found = fit_rigid(p[near], q[near])
+    except CalibrationError:
+        return None
+    return found

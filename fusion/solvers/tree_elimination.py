@@ -8,7 +8,7 @@ where g_i = 2 W_i (x_i - m_i) is the gradient, T_i (3, 2) an orthonormal basis n
 multiplier of the bone's length constraint, whose curvature it carries. That is Newton's step on the KKT
 system of eq. (1), with constraints that hold already.
 
-All quantities are in a :class:`fusion.solvers.tree_workspace.TreeWorkspace`.
+All quantities are in a :class:`fusion.solvers.tree_start.TreeWorkspace`.
 """
 
 from __future__ import annotations

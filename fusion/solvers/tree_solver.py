@@ -24,9 +24,17 @@ from fusion.solvers.tree_elimination import (
     substitute,
     update_multipliers,
 )
-from fusion.solvers.tree_start import BENT, BENT_AWAY, FROM_START, FROM_TARGETS, aim_at, load, place
+from fusion.solvers.tree_start import (
+    BENT,
+    BENT_AWAY,
+    FROM_START,
+    FROM_TARGETS,
+    aim_at,
+    load,
+    new_tree_workspace,
+    place,
+)
 from fusion.solvers.tree_steps import copy, leave_saddle, stretch
-from fusion.solvers.tree_workspace import new_tree_workspace
 
 MAX_SYSTEMS = 150
 """Limit of linear systems from one start, about 0.5 ms."""
@@ -190,7 +198,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         weights: (J,) w ≥ 0 or (J, 3, 3) symmetric positive semidefinite W; 0 where there is no data.
         lengths: (J,) l, metres, by the joint at the bone's far end; the root's is ignored.
         start: (J, 3) joints to start from; NaN where there is none.
-        work: A :class:`fusion.solvers.tree_workspace.TreeWorkspace` of J joints; overwritten.
+        work: A :class:`fusion.solvers.tree_start.TreeWorkspace` of J joints; overwritten.
         positions: (J, 3) out: the solution.
 
     Returns:
@@ -290,3 +298,10 @@ class TreeSolver:
                 raise FusionError(f"Weights must be finite, and 0 without data; the largest is {W.max()}.")
             raise FusionError(f"Every bone needs a length > 0 m; got {bones.min()}.")
         return Solution(positions, iterations, objective, converged, systems)
+
+
+def compile_tree_solver(matrices: bool = False) -> None:
+    """Compiles the solver by solving a problem with 3×3 or with scalar weights."""
+    solver = TreeSolver([-1, 0], [0, 1], [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    weights = np.tile(np.eye(3), (2, 1, 1)) if matrices else np.ones(2)
+    solver.solve(np.zeros((2, 3)), weights, np.ones(2))

@@ -1,7 +1,7 @@
 """The floor under the person, found from the ankles of S*.
 
 Skeletons contain no floor. A standing person's trunk and legs give the vertical
-(:mod:`fusion.facing.upright`), and the lower ankle the height.
+(:mod:`fusion.facing.evidence`), and the lower ankle the height.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.facing.upright import upright_direction
+from fusion.facing.evidence import upright_direction
 from fusion.rigid import RigidTransform
 
 ANKLE = 0.08
@@ -74,7 +74,7 @@ class FloorFinder:
 def find_floor(body: Body, fused: NDArray[np.float64]) -> RigidTransform:
     """K_A ← floor, from S* over some seconds.
 
-    The vertical is :func:`fusion.facing.upright.upright_direction`, and the height the median of the lower
+    The vertical is :func:`fusion.facing.evidence.upright_direction`, and the height the median of the lower
     ankle's, less that of an ankle above the floor.
 
     Args:

@@ -14,7 +14,7 @@ from devices.sensor import Sensor
 from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration
 from fusion.calibration.calibrator import Calibrator
-from fusion.calibration.learner import CalibrationChange, CalibrationLearner, LearnerSettings
+from fusion.calibration.online import CalibrationChange, CalibrationLearner, LearnerSettings
 from fusion.facing.model import WHOLE
 from fusion.fuser import Fuser
 from fusion.registration.refinement import RefinementSettings

@@ -19,7 +19,7 @@ from devices.tracker_choice import WantedTracker, choose_tracker
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
-from fusion.recording import RecordingPlan, plan_recording
+from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings, FusionSetup, Hindsight
 from recordings.events import Event
 from recordings.fusing.exchanged_sides import exchange_events

@@ -9,7 +9,7 @@ import pytest
 
 from fusion.body import BODIES, KINECT_V1
 from fusion.fuser import Fuser
-from fusion.methods.reliability import reliability_weights
+from fusion.paper.reliability import reliability_weights
 from fusion.setup import FusionSetup
 from fusion.solvers.published import PaperSolver
 from fusion.solvers.tree_solver import TreeSolver

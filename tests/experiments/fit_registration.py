@@ -21,10 +21,10 @@ from devices.pairing import pair_recordings
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
-from fusion.calibration.learner import CalibrationLearner, LearnerSettings
-from fusion.calibration.recording_learner import learn_from_recording
+from fusion.calibration.offline import learn_from_recording
+from fusion.calibration.online import CalibrationLearner, LearnerSettings
 from fusion.errors import CalibrationError
-from fusion.recording import start_up_calibration
+from fusion.plan import start_up_calibration
 from fusion.registration.clock_offset import clock_offset_of
 from fusion.registration.knocked import KnockSettings
 from fusion.registration.refinement import RefinementSettings

@@ -20,7 +20,7 @@ from fusion.calibration.calibration import calibrate
 from fusion.compiling.kernels import kernel
 from fusion.errors import FusionError
 from fusion.fuser import FusedFrame, Fuser
-from fusion.methods import paper
+from fusion.paper import method as paper_method
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
@@ -245,8 +245,8 @@ def test_a_frame_allocates_nothing() -> None:
     ("method", "name"), [("paper", "fuse_frames"), ("published", "fuse_frames_as_published")]
 )
 def test_no_frame_after_warming_up_compiles(method: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    fresh: Any = kernel(getattr(paper, name).py_func)  # as in a new process
-    monkeypatch.setattr(paper, name, fresh)
+    fresh: Any = kernel(getattr(paper_method, name).py_func)  # as in a new process
+    monkeypatch.setattr(paper_method, name, fresh)
     pairs = [pair_of(KINECT_V1, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V1, 8))]
     pairs += [
         SkeletonPair(None, None, 8 * FRAME_NS),

@@ -13,8 +13,8 @@ from devices.simulated.kinect import simulated_pair
 from devices.simulated.rig import Rig
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.calibration.calibration import Calibration
-from fusion.calibration.learner import CalibrationChange, CalibrationLearner
-from fusion.calibration.recording_learner import learn_from_recording
+from fusion.calibration.offline import learn_from_recording
+from fusion.calibration.online import CalibrationChange, CalibrationLearner
 from fusion.registration.joint_noise import limbs
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair

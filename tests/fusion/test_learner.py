@@ -10,15 +10,14 @@ from numba.core import event
 from scipy.spatial.transform import Rotation
 
 from fusion.body import KINECT_V2
-from fusion.calibration.bone_lengths import bone_lengths_of
-from fusion.calibration.bone_statistics import robust_bone_lengths
+from fusion.calibration.bone_lengths import bone_lengths_of, robust_bone_lengths
 from fusion.calibration.calibration import Calibration
-from fusion.calibration.learner import (
+from fusion.calibration.offline import learn_from_recording
+from fusion.calibration.online import (
     CalibrationChange,
     CalibrationLearner,
     LearnerSettings,
 )
-from fusion.calibration.recording_learner import learn_from_recording
 from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
 from fusion.registration import refinement, robust_fit

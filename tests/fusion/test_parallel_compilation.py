@@ -11,7 +11,8 @@ from unittest.mock import Mock
 import pytest
 
 from fusion.compiling import parallel_compilation as first_run
-from fusion.compiling.parallel_compilation import tree_solver_compiled_meanwhile
+from fusion.compiling.parallel_compilation import compiled_meanwhile
+from fusion.solvers.tree_solver import compile_tree_solver, solve_tree
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
 COLD = """
@@ -19,7 +20,7 @@ from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
-from fusion.methods.paper import prepare
+from fusion.paper.method import prepare
 from fusion.solvers.tree_solver import solve_tree
 Fuser(FusionSetup(nominal_calibration(AZURE_KINECT), FuserSettings(method="paper"))).warm_up()
 print(*(sum(counts.values()) for counts in (solve_tree.stats.cache_hits, solve_tree.stats.cache_misses)))
@@ -39,21 +40,21 @@ def test_another_process_compiles_the_solver_on_a_first_run(tmp_path: Path) -> N
 def test_the_program_continues_if_no_process_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(first_run, "_is_on_disk", lambda _: False)
     monkeypatch.setattr(sys, "executable", "/nonexistent")
-    with tree_solver_compiled_meanwhile():
+    with compiled_meanwhile(solve_tree, "pass"):
         pass
 
 
-def test_only_what_this_interpreter_compiled_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(first_run, "solve_tree", Mock(__name__="solve_tree", stats=Mock(cache_path=tmp_path)))
+def test_only_what_this_interpreter_compiled_counts(tmp_path: Path) -> None:
+    solver = Mock(__name__="solve_tree", stats=Mock(cache_path=tmp_path))
     (tmp_path / "tree_solver.solve_tree-163.py27.nbi").touch()
     (tmp_path / f"tree_solver.solve_tree-163.{PYTHON}x.nbi").touch()
-    assert not first_run._is_on_disk()
+    assert not first_run._is_on_disk(solver)
     (tmp_path / f"tree_solver.solve_tree-163.{PYTHON}.nbi").touch()
-    assert first_run._is_on_disk()
+    assert first_run._is_on_disk(solver)
 
 
 def test_a_later_run_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    first_run.compile_tree_solver()
+    compile_tree_solver()
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process"))
-    with tree_solver_compiled_meanwhile():
+    with compiled_meanwhile(solve_tree, "pass"):
         pass

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fusion.body import BODIES, KINECT_V2
-from fusion.methods.reliability import reliability_weights
-from fusion.paper_constants import PAPER_H
+from fusion.paper.reliability import reliability_weights
+from fusion.setup import PAPER_H
 
 
 def by_the_paper(pixels_a, pixels_b, states_a, states_b, linked, h):

@@ -15,7 +15,7 @@ from devices.pairing import pair_recordings
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
-from fusion.recording import plan_recording
+from fusion.plan import plan_recording
 from fusion.setup import FuserSettings, Hindsight, Method
 from recordings.fusing.recorded import fuse_segments, setups_of
 from viewer_app.batch.machine_lock import one_process

@@ -16,7 +16,7 @@ from multiprocessing import connection, get_context, parent_process
 from multiprocessing.connection import Connection
 from typing import Any
 
-from fusion.compiling.kernel_cache import ensure_cache_folder
+from fusion.compiling.kernels import ensure_cache_folder
 from viewer_app.batch.jobs import Job, Outcome
 
 _END_WITHIN = 5.0  # seconds

@@ -22,7 +22,7 @@ from fusion.evaluation import baselines
 from fusion.evaluation.fixed_registration import fit_recording
 from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
-from fusion.recording import plan_recording
+from fusion.plan import plan_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton

@@ -19,7 +19,7 @@ from fusion.body import Body
 from fusion.errors import FusionError
 from fusion.evaluation.faults import FAULTS, Fault, share_of_fault, with_fault
 from fusion.evaluation.without_truth import FusedPair, figures_without_truth, judge_registration
-from fusion.recording import plan_recording
+from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 from recordings.fusing.recorded import fuse_segments, setups_of

@@ -17,7 +17,7 @@ from fusion.calibration.calibration import Calibration, calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
-from fusion.methods import paper
+from fusion.paper import method as paper
 from fusion.setup import FuserSettings, FusionSetup, Method
 from fusion.skeleton import Skeleton, SkeletonPair
 from fusion.solvers.tree_solver import TreeSolver, solve_tree
@@ -110,7 +110,7 @@ def time_update(
 
 
 def time_stages(pairs: Sequence[SkeletonPair], calibration: Calibration) -> dict[str, float]:
-    """Microseconds that each stage of :mod:`fusion.methods.paper` adds per pair.
+    """Microseconds that each stage of :mod:`fusion.paper.method` adds per pair.
 
     The fastest of several rounds counts, because it is disturbed least by other processes.
     """
@@ -143,7 +143,7 @@ def time_stages(pairs: Sequence[SkeletonPair], calibration: Calibration) -> dict
 
 @kernel
 def _some_stages(stages, model, memory, result, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
-    """The first few stages of :func:`fusion.methods.paper.fuse_frames` over all pairs."""
+    """The first few stages of :func:`fusion.paper.method.fuse_frames` over all pairs."""
     weights_a, weights_b = result.weights_a[0], result.weights_b[0]
     positions = result.positions[0]
     for k in range(len(a)):

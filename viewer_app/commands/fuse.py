@@ -20,7 +20,7 @@ from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.errors import CalibrationError
 from fusion.fuser import Fuser
-from fusion.recording import plan_recording
+from fusion.plan import plan_recording
 from fusion.setup import FuserSettings, FusionSetup, Hindsight
 from fusion.skeleton import SkeletonPair
 from recordings import layout

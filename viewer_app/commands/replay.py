@@ -14,7 +14,7 @@ from rich.progress import track
 from fusion.facing.exchange import with_doubt
 from fusion.facing.model import DOUBT_STEPS
 from fusion.fuser import Fuser
-from fusion.recording import plan_recording
+from fusion.plan import plan_recording
 from fusion.setup import FusionSetup
 from recordings.events import Event
 from recordings.fusing.exchanged_sides import exchange_events

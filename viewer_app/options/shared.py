@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from fusion.paper_constants import PAPER_H
+from fusion.setup import PAPER_H
 
 
 @dataclass(frozen=True)

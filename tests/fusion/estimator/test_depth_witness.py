@@ -13,8 +13,9 @@ from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
+from fusion.estimator import outliers
 from fusion.estimator.arrays import Model, Views, new_model, new_state, new_views
-from fusion.estimator.measuring import robust, surface
+from fusion.estimator.evidence import ask_images, measure_surface
 from fusion.facing.model import ARMS, WHOLE, new_facing_model
 from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
@@ -78,7 +79,7 @@ def asked(code: int, witness: NDArray[np.float32]) -> tuple[Model, Views, Skelet
     views.states[:] = TrackingState.TRACKED
     views.codes[0] = code
     nothing = np.full((J, 4), np.nan, dtype=np.float32)
-    interpreted(surface.ask_images)(
+    interpreted(ask_images)(
         model, new_facing_model(BODY), views, pair.a.positions, pair.a.states, witness,
         pair.b.positions, pair.b.states, nothing,
     )  # fmt: skip
@@ -132,7 +133,7 @@ def test_evidence_multiplies_the_odds_of_an_outlier() -> None:
     model, views, _ = asked(0, confirming())
     state = new_state(J)
     views.evidence[:] = 0.0
-    prior = interpreted(robust.prior_outlier)
+    prior = interpreted(outliers.prior_outlier)
     before = prior(model, state, views, 0, LEFT)
     for said in (-2.0, 1.5):
         views.evidence[0, LEFT] = said
@@ -149,7 +150,7 @@ def test_the_surface_is_joined_with_the_tracker_by_information() -> None:
         views.slow[0, i] = root @ root.T + 1e-5 * np.eye(3)
     views.fast[:] = 1e-5
     z, C = views.positions[0].copy(), views.slow[0].copy()
-    interpreted(surface.measure_surface)(model, views, np.zeros((3, 3)))
+    interpreted(measure_surface)(model, views, np.zeros((3, 3)))
     measured = 0
     for i in range(J):
         if np.isnan(views.places[0, i, 0]):

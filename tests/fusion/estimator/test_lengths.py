@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from fusion.body import KINECT_V2
+from fusion.estimator import outliers
 from fusion.estimator.arrays import Model, Views, new_model, new_state, new_views
 from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.estimator.estimator import elapsed
-from fusion.estimator.measuring import robust
-from fusion.estimator.measuring.lengths import weigh_lengths
+from fusion.estimator.evidence import weigh_lengths
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton
@@ -131,16 +131,16 @@ def test_doubt_about_most_joints_of_a_view_is_doubt_about_the_others() -> None:
     seen.states[0] = 2
     seen.trust[0, : J - 5] = 0.0
     seen.trust[0, J - 5 :] = 1.0
-    prior = interpreted(robust.prior_outlier)
+    prior = interpreted(outliers.prior_outlier)
     before = prior(model, state, seen, 0, J - 1)
-    interpreted(robust.remember_doubt)(model, state, seen)
+    interpreted(outliers.remember_doubt)(model, state, seen)
     assert state.view_doubt[0] == pytest.approx((J - 5) / J)
     k = model.constants
     expected = k.outlier + (k.outlier_lasts - k.outlier) * (J - 5) / J
     assert before == pytest.approx(k.outlier)
     assert prior(model, state, seen, 0, J - 1) == pytest.approx(expected)
     seen.states[0] = 0
-    interpreted(robust.remember_doubt)(model, state, seen)
+    interpreted(outliers.remember_doubt)(model, state, seen)
     assert state.view_doubt[0] == pytest.approx(0.9 * (J - 5) / J), "it fades while the view sees no one"
 
 

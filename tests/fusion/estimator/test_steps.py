@@ -15,11 +15,10 @@ from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
 from fusion.body import AZURE_KINECT, KINECT_V2
-from fusion.estimator import motion, smoother, uncertainty, update
+from fusion.estimator import covariance, kalman, offsets, outliers, smoother, uncertainty, views
 from fusion.estimator.arrays import Model, Solve, State, Views, new_model, new_solve, new_state, new_views
+from fusion.estimator.bones import respect_hinges
 from fusion.estimator.constants import KINDS, Constants, kind_of
-from fusion.estimator.limits import respect_hinges
-from fusion.estimator.measuring import measurement, offsets, robust, views
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, standing
 
@@ -75,7 +74,7 @@ def innovations(scene: Scene) -> np.ndarray[Any, np.dtype[np.float64]]:
     return w.positions - s.offsets - s.positions - s.velocities * w.delays[:, None, None]
 
 
-def covariance(variances: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+def covariance_of(variances: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.array(((variances[0], variances[1]), (variances[1], variances[2])))
 
 
@@ -93,7 +92,7 @@ def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the
     model, before = scene.model, scene.state
     k = model.constants
     x, v, P = before.positions.copy(), before.velocities.copy(), before.variances.copy()
-    interpreted(motion.predict)(model, before, DT)
+    interpreted(kalman.predict)(model, before, DT)
     kept = math.exp(-DT / k.velocity_seconds)
     for i in BODY.order:
         parent = BODY.parents[i]
@@ -103,8 +102,8 @@ def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the
         F = np.array(((1.0, DT), (0.0, 1.0)))
         sd = model.acceleration[i] * (k.acceleration + k.acceleration_by_speed * np.linalg.norm(v[i]))
         g = np.array((0.5 * DT**2, DT))
-        expected = F @ relax @ covariance(P[i]) @ relax.T @ F.T + sd**2 * np.outer(g, g)
-        np.testing.assert_allclose(covariance(before.variances[i]), expected, rtol=ROUNDING)
+        expected = F @ relax @ covariance_of(P[i]) @ relax.T @ F.T + sd**2 * np.outer(g, g)
+        np.testing.assert_allclose(covariance_of(before.variances[i]), expected, rtol=ROUNDING)
         np.testing.assert_allclose(before.positions[i], x[i] + DT * v[i], rtol=ROUNDING)
 
 
@@ -113,9 +112,9 @@ def test_slow_errors_stretch_along_the_ray_and_grow_under_a_cover(scene: Scene) 
     trunk, wrist = BODY.joint("SpineMid"), BODY.joint("WristLeft")
     seen.states[:, (trunk, wrist)] = 2
     seen.positions[0, wrist] = 1.1 * seen.positions[0, trunk] + 0.02
-    interpreted(measurement.cast_rays)(model, seen)
-    interpreted(measurement.find_covers)(model, seen)
-    interpreted(measurement.set_covariances)(model, scene.state, seen)
+    interpreted(covariance.cast_rays)(model, seen)
+    interpreted(covariance.find_covers)(model, seen)
+    interpreted(covariance.set_covariances)(model, scene.state, seen)
     k = model.constants
     sensors = np.zeros(3), A_FROM_B.translation
     covered = 0
@@ -143,7 +142,7 @@ def test_trust_is_the_posterior_over_all_hypotheses(scene: Scene) -> None:
     seen.states[:] = np.where(seen.states == 0, 2, seen.states)
     seen.states[0, 3] = seen.states[1, 5] = 0
     e = innovations(scene)
-    interpreted(robust.judge)(model, state, seen)
+    interpreted(outliers.judge)(model, state, seen)
     k = model.constants
     uniform = k.outlier_side**-3
     assert (seen.trust[:, 6:] < 0.5).any()
@@ -190,22 +189,22 @@ def test_a_surprise_lets_both_views_through(scene: Scene) -> None:
     for v in range(2):
         seen.positions[v, i] = state.positions[i] + (0.3, 0.2, 0.0)
     before = state.variances[i].copy()
-    interpreted(robust.judge)(scene.model, state, seen)
-    interpreted(robust.be_surprised)(scene.model, state, seen, DT)
+    interpreted(outliers.judge)(scene.model, state, seen)
+    interpreted(outliers.be_surprised)(scene.model, state, seen, DT)
     assert seen.surprise[i] > 0.95
     assert (seen.trust[:, i] > 0.95).all()
     g = np.array((1.0, 0.5 / DT))
-    expected = covariance(before) + seen.surprise[i] * 0.13 / 3.0 * np.outer(g, g)
-    np.testing.assert_allclose(covariance(state.variances[i]), expected, rtol=ROUNDING)
+    expected = covariance_of(before) + seen.surprise[i] * 0.13 / 3.0 * np.outer(g, g)
+    np.testing.assert_allclose(covariance_of(state.variances[i]), expected, rtol=ROUNDING)
 
 
 def test_measurements_are_taken_in_as_information(scene: Scene) -> None:
     state, seen = scene.state, scene.views
     x, v, P = state.positions.copy(), state.velocities.copy(), state.variances.copy()
     seen.delays[:] = 0.0
-    interpreted(update.take_in)(scene.model, state, seen)
+    interpreted(kalman.take_in)(scene.model, state, seen)
     for i in range(J):
-        information = np.linalg.inv(covariance(P[i]))
+        information = np.linalg.inv(covariance_of(P[i]))
         b = information @ np.stack((x[i], v[i]))
         for s in range(2):
             if seen.trust[s, i] > 0.0:
@@ -215,7 +214,7 @@ def test_measurements_are_taken_in_as_information(scene: Scene) -> None:
         expected = np.linalg.solve(information, b)
         np.testing.assert_allclose(state.positions[i], expected[0], rtol=1e-8)
         np.testing.assert_allclose(state.velocities[i], expected[1], rtol=1e-6, atol=1e-8)
-        np.testing.assert_allclose(covariance(state.variances[i]), np.linalg.inv(information), rtol=1e-6)
+        np.testing.assert_allclose(covariance_of(state.variances[i]), np.linalg.inv(information), rtol=1e-6)
 
 
 def test_the_difference_of_the_views_is_shared_by_covariance(scene: Scene) -> None:
@@ -272,7 +271,7 @@ def test_the_usual_offsets_are_means_over_the_time_of_agreement(scene: Scene) ->
 def test_a_joint_begins_at_the_mean_by_information(scene: Scene) -> None:
     state, seen = scene.state, scene.views
     state.known[:] = False
-    interpreted(update.begin_joints)(scene.model, state, seen, np.zeros((3, 3)), np.zeros((3, 3)))
+    interpreted(kalman.begin_joints)(scene.model, state, seen, np.zeros((3, 3)), np.zeros((3, 3)))
     for i in range(J):
         here = [v for v in range(2) if seen.states[v, i] > 0]
         assert state.known[i] == bool(here)
@@ -347,7 +346,7 @@ def test_a_step_back_is_that_of_rauch_tung_and_striebel(scene: Scene) -> None:
     C = P @ F.T @ np.linalg.inv(predicted)
     np.testing.assert_allclose(trace.filtered[0, i].reshape(2, 3), x + C @ (after - ahead), rtol=1e-9)
     np.testing.assert_allclose(
-        covariance(trace.filtered_variances[0, i]), P + C @ (later - predicted) @ C.T, rtol=1e-8
+        covariance_of(trace.filtered_variances[0, i]), P + C @ (later - predicted) @ C.T, rtol=1e-8
     )
 
 

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from devices.files import RecordingChoice, read_two
 from fusion.body import KINECT_V2
 from fusion.calibration.calibrator import Calibrator
-from fusion.calibration.learner import CalibrationLearner
-from fusion.calibration.recording_learner import learn_from_recording
+from fusion.calibration.offline import learn_from_recording
+from fusion.calibration.online import CalibrationLearner
 from fusion.registration.keyframes import Evidence, evidence_of
 from fusion.registration.knock_evidence import KnockFit, fit_knock
 from fusion.registration.knocked import KnockSettings

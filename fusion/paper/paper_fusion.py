@@ -9,7 +9,7 @@ from numba import typeof
 from numpy.typing import NDArray
 
 from fusion.fused_frame import FusedFrame
-from fusion.methods import paper
+from fusion.paper import method
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.solvers.tree_solver import solve_tree
@@ -26,27 +26,27 @@ class PaperFusion:
     """The kernel that takes longest to compile."""
 
     def __init__(self, setup: FusionSetup) -> None:
-        self._memory = paper.new_memory(len(setup.body), setup.calibration.a_from_b.translation)
+        self._memory = method.new_memory(len(setup.body), setup.calibration.a_from_b.translation)
         self.recalibrate(setup)
 
     def recalibrate(self, setup: FusionSetup) -> None:
         """Continues with another calibration."""
         self._setup = setup
-        self._model = paper.new_model(
+        self._model = method.new_model(
             setup.body,
             setup.calibration.bone_lengths,
             setup.calibration.a_from_b.rotation,
             setup.intrinsics,
             setup.settings.h,
-            paper.EQUAL if setup.settings.weights == "equal" else paper.TRUST,
+            method.EQUAL if setup.settings.weights == "equal" else method.TRUST,
         )
         self._memory.translation[:] = setup.calibration.a_from_b.translation
 
     def compile(self, positions: NDArray[np.float32], states: NDArray[np.uint8]) -> None:
         """Compiles everything but the solver."""
-        result = paper.new_result(1, len(states))
+        result = method.new_result(1, len(states))
         given = self._model, self._memory, result, 0, 0, positions, states, positions, states
-        paper.prepare.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
+        method.prepare.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
 
     def run(
         self,
@@ -58,13 +58,13 @@ class PaperFusion:
     ) -> list[FusedFrame]:
         """Fuses the next pairs. The paper uses neither skew, nor exchanged sides, nor images."""
         del skew_ns, codes, witnesses
-        result = paper.new_result(len(time_ns), views[1].shape[1])
+        result = method.new_result(len(time_ns), views[1].shape[1])
         published = self._setup.settings.method == "published"
-        fuse = paper.fuse_frames_as_published if published else paper.fuse_frames
+        fuse = method.fuse_frames_as_published if published else method.fuse_frames
         fuse(self._model, self._memory, result, time_ns, *views)
         return [self._fused(result, k, int(time)) for k, time in enumerate(time_ns)]
 
-    def _fused(self, result: paper.Result, k: int, time_ns: int) -> FusedFrame:
+    def _fused(self, result: method.Result, k: int, time_ns: int) -> FusedFrame:
         iterations, stale_a, stale_b = result.counts[k].tolist()
         return FusedFrame(
             positions=result.positions[k],

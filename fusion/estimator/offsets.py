@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel
-from fusion.estimator.three import inverse
+from fusion.solvers.small_matrices import inverse
 
 
 @inner_kernel

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
-from fusion.calibration.learner import CalibrationChange
-from fusion.calibration.recording_learner import LearnedCalibration, learn_from_recording
+from fusion.calibration.offline import LearnedCalibration, learn_from_recording
+from fusion.calibration.online import CalibrationChange
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.facing.exchange import with_doubt

@@ -8,7 +8,7 @@ from fusion.compiling.kernels import inner_kernel
 from fusion.facing.exchange import exchange
 from fusion.facing.filter import update_facing
 from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS
-from fusion.methods.repetition import repeats
+from fusion.repetition import repeats
 
 
 @inner_kernel

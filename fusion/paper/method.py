@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.intrinsics import Intrinsics
-from fusion.methods.reliability import weigh_views
-from fusion.methods.repetition import repeats
+from fusion.paper.reliability import weigh_views
+from fusion.repetition import repeats
 from fusion.solvers.published import solve_published
 from fusion.solvers.tree_solver import solve_tree
+from fusion.solvers.tree_start import TreeWorkspace, new_tree_workspace
 from fusion.solvers.tree_steps import copy
-from fusion.solvers.tree_workspace import TreeWorkspace, new_tree_workspace
 
 TRUST, EQUAL = 0, 1  # which weights
 FORGET_NS = 1_000_000_000

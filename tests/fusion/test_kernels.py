@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from fusion.compiling.kernel_cache import drop_stale_kernels
+from fusion.compiling.kernels import drop_stale_kernels
 
 CALLED = """
 from numba import njit
@@ -27,7 +27,7 @@ print(ask())
 """
 INIT = """
 from pathlib import Path
-from fusion.compiling.kernel_cache import drop_stale_kernels
+from fusion.compiling.kernels import drop_stale_kernels
 drop_stale_kernels(Path(__file__).parent)
 """
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from fusion.body import Body
-from fusion.calibration.bone_statistics import robust_bone_lengths
+from fusion.calibration.bone_lengths import robust_bone_lengths
 from fusion.calibration.calibration import Calibration
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, ClockOffsetEstimator

@@ -1,25 +1,38 @@
 """Evidence of one view on the direction that its person faces.
 
-Three kinds of evidence, all horizontal vectors in K_A's frame:
+All evidence is horizontal vectors in K_A's frame:
 
 * **axes**: l × u of shoulders and hips, with l from the right joint to the left one and u the upward
   direction. They depend on the labels: exchanged, they point backwards.
 * **cues**: the knee's offset from the line hip–ankle, the elbow's from the line shoulder–wrist (reversed),
   the head's from the neck. These positions are the same however the tracker labels them, so cues do not
   depend on the labels of the whole body.
-* **spans**: right joint to left joint of six pairs, for continuity and for limbs.
+* **spans** d: right joint to left joint of six pairs. Labels that are exchanged between two frames reverse
+  every d, so that Σ d · d_before turns from positive to negative (:func:`exchange_odds`).
+
+The upward direction is learned from the person, because a tilted sensor's −y axis is not up and skeletons
+do not contain gravity. While a person stands, trunk and legs are in line and point up. The mean of both over
+such frames is within a few degrees of the vertical.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel
 from fusion.facing.model import ANKLE, ELBOW, HIP, KNEE, SHOULDER, WRIST
 
 _TRACKED = 2  # fusion.skeleton.TrackingState.TRACKED
 _OUTLIER_STEP = 0.2  # m between two frames: a larger step is an outlier and is limited to this
 _SPEED_SECONDS = 0.3
+_LEAST, _MOST = math.log(0.3), math.log(3000.0)
+IN_LINE = math.cos(math.radians(20.0))
+"""The person counts as standing if the cosine between trunk and legs is above this."""
+_LEARNING_FRAMES = 300.0  # 10 s: the mean forgets older frames, because a sensor may be moved
 
 
 @inner_kernel
@@ -139,3 +152,76 @@ def _trunk(model, positions, c):  # type: ignore[no-untyped-def]
         for side in range(2):
             total += positions[model.pairs[pair, side], c]
     return 0.25 * total
+
+
+@inner_kernel
+def exchange_odds(model, state, view):  # type: ignore[no-untyped-def]
+    """Factor on the odds that the whole body's labels were exchanged since the previous frame."""
+    total = 0.0
+    for pair in (SHOULDER, HIP, ELBOW, KNEE):
+        dot = 0.0
+        for c in range(3):
+            dot += state.spans[view, pair, c] * state.last_spans[view, pair, c]
+        if math.isfinite(dot):
+            total += dot
+    return math.exp(max(_LEAST, min(_MOST, -model.scalars.continuity * total)))
+
+
+@inner_kernel
+def learn_up(model, state, positions):  # type: ignore[no-untyped-def]
+    """Updates ``state.up`` with one view in which the person stands."""
+    trunk_trunk = legs_legs = trunk_legs = 0.0
+    for c in range(3):
+        trunk, legs = _trunk_and_legs(model.pairs, positions, c)
+        trunk_trunk += trunk * trunk
+        legs_legs += legs * legs
+        trunk_legs += trunk * legs
+    length = math.sqrt(trunk_trunk * legs_legs)
+    if not (length > 0.05 and trunk_legs > IN_LINE * length):  # also false where a joint is missing
+        return
+    state.up_frames[0] = min(state.up_frames[0] + 1.0, _LEARNING_FRAMES)
+    share, squared = 1.0 / state.up_frames[0], 0.0
+    for c in range(3):
+        trunk, legs = _trunk_and_legs(model.pairs, positions, c)
+        seen = trunk / math.sqrt(trunk_trunk) + legs / math.sqrt(legs_legs)
+        state.up[c] += share * (0.5 * seen - state.up[c])
+        squared += state.up[c] ** 2
+    for c in range(3):
+        state.up[c] /= math.sqrt(squared)
+
+
+@inner_kernel
+def _trunk_and_legs(pairs, positions, c):  # type: ignore[no-untyped-def]
+    shoulders = positions[pairs[SHOULDER, 0], c] + positions[pairs[SHOULDER, 1], c]
+    hips = positions[pairs[HIP, 0], c] + positions[pairs[HIP, 1], c]
+    ankles = positions[pairs[ANKLE, 0], c] + positions[pairs[ANKLE, 1], c]
+    return 0.5 * (shoulders - hips), 0.5 * (hips - ankles)
+
+
+def upright_direction(body: Body, *views: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) unit vector against gravity: the median direction of trunk and legs while the person stands.
+
+    Args:
+        body: The joints.
+        views: (T, J, 3) positions in one frame; NaN where not tracked.
+
+    Returns:
+        −y of that frame where the person never stands.
+    """
+    found = []
+    for view in views:
+        middle = [
+            0.5 * (view[:, body.joint(f"{name}Left")] + view[:, body.joint(f"{name}Right")])
+            for name in ("Shoulder", "Hip", "Ankle")
+        ]
+        trunk, legs = middle[0] - middle[1], middle[1] - middle[2]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            trunk = trunk / np.linalg.norm(trunk, axis=1, keepdims=True)
+            legs = legs / np.linalg.norm(legs, axis=1, keepdims=True)
+        stands = np.sum(trunk * legs, axis=1) > IN_LINE  # False where NaN
+        found.append(trunk[stands] + legs[stands])
+    every = np.concatenate(found)
+    if len(every) == 0:
+        return np.array((0.0, -1.0, 0.0))
+    up = np.median(every, axis=0)
+    return np.asarray(up / np.linalg.norm(up))

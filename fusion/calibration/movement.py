@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from fusion.body import Body
 from fusion.errors import CalibrationError
 from fusion.registration.keyframes import Evidence, KeyframeSet, match_sides
-from fusion.registration.label_free import label_free_fit
+from fusion.registration.rigid_fit import label_free_fit
 from fusion.registration.robust_fit import RobustFit, RobustFitSettings, disagreement, fit_robust
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair

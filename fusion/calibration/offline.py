@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from fusion.body import Body
-from fusion.calibration.bone_statistics import robust_bone_lengths
+from fusion.calibration.bone_lengths import robust_bone_lengths
 from fusion.calibration.calibration import (
     Calibration,
     calibrate,
     nominal_calibration,
 )
-from fusion.calibration.learner import (
+from fusion.calibration.online import (
     CalibrationChange,
     CalibrationLearner,
     LearnerSettings,
@@ -23,8 +23,8 @@ from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
 from fusion.registration.knock_evidence import fit_knock
-from fusion.registration.label_free import label_free_fit
 from fusion.registration.refinement import held_out_gain
+from fusion.registration.rigid_fit import label_free_fit
 from fusion.registration.robust_fit import RobustFit, disagreement, fit_robust, registration_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.paper_constants import PAPER_H
+from fusion.setup import PAPER_H
 
 _TRACKED = 2  # fusion.skeleton.TrackingState.TRACKED
 
