@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from viewer_app.batch.finding import Pair
-from viewer_app.options.batch import BatchOptions
-from viewer_app.options.sensing import FuseOptions
+from viewer_app.options.sensing import BatchOptions, FuseOptions
 
 RECORD = "record.json"
 _ELSEWHERE = {"source", "out", "processes", "scheduler", "pages", "force"}

@@ -7,7 +7,7 @@ from rich.markup import escape
 
 from devices.blazepose.networks.fetching import LICENCE, NOTICE
 from devices.blazepose.networks.files import cache_folder
-from viewer_app.options.tracker import TrackerFetchOptions
+from viewer_app.options.sensing import TrackerFetchOptions
 from viewer_app.tracker_networks import fetch_with_bar
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import Positional
+from viewer_app.options.shared import ARGUMENT
 
 _BENCH_MOTIONS = ("walk", "arms", "badminton", "basketball", "squat", "sit", "boxing", "still")
 
@@ -57,7 +57,7 @@ class BenchRealOptions:
     """Judge S* on recordings of real sensors without ground truth: calm, jumps, facing, registration,
     faults."""
 
-    paths: Positional[tuple[Path, ...]]
+    paths: Annotated[tuple[Path, ...], ARGUMENT]
     """Folders, each with a.csv and b.csv, or two recordings."""
     no_faults: bool = False
     """Leave out the artificial faults, which take most of the time."""

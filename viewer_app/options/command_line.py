@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import inspect
-import io
 from collections.abc import Callable
-from contextlib import redirect_stderr
-from typing import Annotated, Any
+from typing import Any
+
+from cyclopts import (
+    App,
+    Argument,
+    CoercionError,
+    CycloptsError,
+    Group,
+    MissingArgumentError,
+    Parameter,
+    Token,
+    UnusedCliTokensError,
+)
 
 from viewer_app.errors import UsageError
-from viewer_app.options.batch import BatchOptions
 from viewer_app.options.bench import (
     BenchAccuracyOptions,
     BenchOutputsOptions,
@@ -17,11 +26,13 @@ from viewer_app.options.bench import (
     BenchSpeedOptions,
 )
 from viewer_app.options.sensing import (
+    BatchOptions,
     DemoOptions,
     DoctorOptions,
     FuseOptions,
     LiveOptions,
     PublishOptions,
+    TrackerFetchOptions,
 )
 from viewer_app.options.sessions import (
     CompareOptions,
@@ -31,8 +42,6 @@ from viewer_app.options.sessions import (
     ReviewOptions,
     TrimOptions,
 )
-from viewer_app.options.tracker import TrackerFetchOptions
-from viewer_app.options.usage import mistake
 
 COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "demo": (DemoOptions, "viewer_app.commands.demo"),
@@ -59,6 +68,8 @@ _GROUPS = {
     "bench": "Measure the method on this machine.",
     "tracker": "The program's own body tracker, BlazePose.",
 }
+_LONGEST = 200  # characters of a message; longer ones, with a long value, lose their middle
+_NUMBERS = {int: "a whole number", float: "a number"}
 
 
 def parsed(arguments: list[str]) -> Any:
@@ -67,49 +78,67 @@ def parsed(arguments: list[str]) -> Any:
     Raises:
         UsageError: The command line is not accepted.
     """
-    import tyro
+    given = " ".join(arguments)
+    if given in ("", *_GROUPS):
+        commands = [name.removeprefix(f"{given} ") for name in COMMANDS if name.startswith(given)]
+        program = f"duplex {given}".rstrip()
+        raise UsageError(f"name a command: {', '.join(commands)} ({program} --help)")
+    try:
+        options = _program()(arguments, print_error=False, exit_on_error=False, result_action="return_value")
+    except CycloptsError as error:
+        error.verbose = False
+        reason = " ".join(_reason(error).split())
+        if len(reason) > _LONGEST:
+            reason = f"{reason[: _LONGEST // 2]} … {reason[-_LONGEST // 2 :]}"
+        raise UsageError(f"{reason} ({' '.join(['duplex', *(error.command_chain or ())])} --help)") from None
+    if options is None:  # the help was asked for
+        raise SystemExit(0)
+    return options
 
-    with redirect_stderr(io.StringIO()):  # a box of several lines, which is not shown
-        try:
-            return tyro.cli(
-                _command_line(overview=not arguments or arguments[0].startswith("-")),
-                args=arguments,
-                prog="duplex",
-                description="One skeleton from two Kinects. --version prints the program's version.",
-                config=(
-                    tyro.conf.OmitSubcommandPrefixes,
-                    tyro.conf.FlagCreatePairsOff,
-                    tyro.conf.DisallowNone,
-                ),
+
+def _reason(error: CycloptsError) -> str:
+    """What is wrong with a command line, in the parser's words but for the most frequent mistakes."""
+    match error:
+        case MissingArgumentError(keyword=str() as name):
+            return f"{name} needs a value"
+        case MissingArgumentError(argument=Argument() as missing):
+            is_option = not missing.field_info.is_positional
+            return (
+                f"missing option {missing.name}"
+                if is_option
+                else f"missing argument {missing.name[2:].upper()}"
             )
-        except SystemExit as end:
-            if not end.code:
-                raise
-    raise UsageError(mistake(arguments, {name: kind for name, (kind, _) in COMMANDS.items()}))
+        case UnusedCliTokensError(unused_tokens=[token, *_]):
+            return f"one argument too many: {token!r}"
+        case CoercionError(token=Token(keyword=str() as name, value=value), target_type=kind):
+            if kind in _NUMBERS:
+                return f"{name} must be {_NUMBERS[kind]}; got {value!r}"
+    return str(error)
 
 
-def _command_line(overview: bool) -> Any:
-    """The command table as a union of subcommands; a group is a nested union.
-
-    Args:
-        overview: Whether a command is described by the first paragraph of its help only.
-    """
-    import tyro
-
-    nothing = Annotated[None, tyro.conf.Suppress]  # cannot be selected; a union needs two members
-    commands: Any = nothing
-    groups: dict[str, Any] = dict.fromkeys(_GROUPS, nothing)
-    for name, (options, _) in COMMANDS.items():
+def _program() -> App:
+    """The command table as a parser: a command is the class of its options."""
+    program = App(
+        "duplex",
+        help="One skeleton from two Kinects. --version prints the program's version.",
+        help_format="markdown",
+        version_flags=(),
+        usage="",
+        default_parameter=Parameter(
+            negative=(), allow_repeating=True, consume_multiple=True, show_default=_worth_showing
+        ),
+        group_parameters=Group("Options", sort_key=0),
+    )
+    apps = {"": program}
+    for place, (name, (options, _)) in enumerate(COMMANDS.items()):
         group, _, command = name.rpartition(" ")
-        text = inspect.getdoc(options) or ""
-        description = " ".join(text.partition("\n\n")[0].split()) if overview else None
-        subcommand = Annotated[
-            Any, tyro.conf.subcommand(command, constructor=options, description=description)
-        ]
-        if group:
-            groups[group] |= subcommand
-        else:
-            commands |= subcommand
-    for name, union in groups.items():
-        commands |= Annotated[Any, tyro.conf.subcommand(name, constructor=union, description=_GROUPS[name])]
-    return commands
+        if group not in apps:
+            apps[group] = App(group, help=_GROUPS[group], sort_key=place)
+            program.command(apps[group])
+        apps[group].command(options, name=command, help=inspect.getdoc(options), sort_key=place)
+    return program
+
+
+def _worth_showing(default: object) -> str | None:
+    """A default as the help shows it; None where it says nothing, as that of a switch."""
+    return None if default is None or default is False or default == () else str(default)

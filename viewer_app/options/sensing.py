@@ -1,4 +1,4 @@
-"""Options of the commands that fuse what sensors report: demo, fuse, live, doctor."""
+"""Options of the commands that fuse what sensors report, or prepare it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import Positional, arg
-
 from viewer_app.options.shared import (
+    ARGUMENT,
+    OUTPUTS,
+    SENSORS,
+    TRACKER,
+    VIEWER,
+    WHOLE,
+    FusionOptions,
     LiveOutputOptions,
     MethodOptions,
     OutputOptions,
@@ -22,7 +27,7 @@ from viewer_app.options.shared import (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FuseOptions(
     RecordingOptions, TrackerOptions, MethodOptions, ViewerOptions, SummaryOptions, OutputOptions
 ):
@@ -33,21 +38,21 @@ class FuseOptions(
     Orbbec's SDK v2.
     """
 
-    a: Annotated[Positional[Path], arg(metavar="A")] = field(kw_only=True)
+    a: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """Recording of the principal sensor K_A; S* is in its frame."""
-    b: Annotated[Positional[Path], arg(metavar="B")] = field(kw_only=True)
+    b: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """Recording of the secondary sensor K_B."""
-    person_a: str | None = None
+    person_a: Annotated[str | None, SENSORS] = None
     """Id of the person in A; the one seen longest if not given."""
-    person_b: str | None = None
+    person_b: Annotated[str | None, SENSORS] = None
     """Id of the person in B; the one seen longest if not given."""
-    skeletons_a: Path | None = None
+    skeletons_a: Annotated[Path | None, SENSORS] = None
     """For an .mkv: a file of saved skeletons of A, instead of the body tracker."""
-    skeletons_b: Path | None = None
+    skeletons_b: Annotated[Path | None, SENSORS] = None
     """For an .mkv: a file of saved skeletons of B, instead of the body tracker."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions):
     """Run the whole program without a sensor: two simulated Kinects watch one person.
 
@@ -59,35 +64,35 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions):
     """A movement of the library (duplex demo --motion list names them), or a BVH file."""
     seconds: float = 30.0
     """How long."""
-    seed: int = 0
+    seed: Annotated[int, SENSORS, WHOLE] = 0
     """Seed of the simulated sensors' errors; the same seed gives the same skeletons."""
-    angle: float = 90.0
+    angle: Annotated[float, SENSORS] = 90.0
     """Degrees between the two sensors."""
-    bad_setup: bool = False
+    bad_setup: Annotated[bool, SENSORS] = False
     """Place the sensors badly, and see what the program advises."""
-    body: Literal["kinect_v1", "kinect_v2", "azure_kinect", "blazepose"] = "azure_kinect"
+    body: Annotated[Literal["kinect_v1", "kinect_v2", "azure_kinect", "blazepose"], SENSORS] = "azure_kinect"
     """Whose body tracker is simulated."""
-    tracker: Literal["simulated", "blazepose"] = "simulated"
+    tracker: Annotated[Literal["simulated", "blazepose"], TRACKER] = "simulated"
     """simulated: a tracker with the errors of --body. blazepose: the program's own tracker runs on simulated
     infrared and depth images."""
-    tracker_model: Path | None = None
+    tracker_model: Annotated[Path | None, TRACKER] = None
     """Folder of blazepose's networks; if not given, the user's cache folder, into which they are fetched
     once."""
-    tracker_network: Literal["full", "lite"] = "full"
+    tracker_network: Annotated[Literal["full", "lite"], TRACKER] = "full"
     """Network of blazepose; lite is faster and less accurate. full gives way to lite where it is
     too slow, if the network lite was fetched (duplex tracker fetch --network lite)."""
-    depth: Literal["none", "half", "full"] = "half"
+    depth: Annotated[Literal["none", "half", "full"], SENSORS] = "half"
     """Depth images: none, half the sensor's resolution, or full. If the machine is too slow, as most are for
     full, images are dropped, skeletons never."""
-    save: Path | None = None
+    save: Annotated[Path | None, OUTPUTS] = None
     """Keep the session as an .rrd file; without a display demo.rrd if not given."""
-    report: Path | None = None
+    report: Annotated[Path | None, OUTPUTS] = None
     """Write the figures of the session to this .json file."""
-    force: bool = False
+    force: Annotated[bool, OUTPUTS] = False
     """Overwrite files that exist."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LiveOptions(
     LiveOutputOptions,
     TrackerOptions,
@@ -102,23 +107,23 @@ class LiveOptions(
     Ctrl-C ends the command and saves everything. duplex doctor shows what this machine lacks.
     """
 
-    layout: Literal["setup", "inspect", "report"] = "setup"
+    layout: Annotated[Literal["setup", "inspect", "report"], VIEWER] = "setup"
     """Which of the viewer's tabs is open at first."""
     seconds: float | None = None
     """End after this many seconds; if not given, end with Ctrl-C."""
-    depth: Literal["none", "half", "full"] = "half"
+    depth: Annotated[Literal["none", "half", "full"], SENSORS] = "half"
     """Depth images shown and saved: none, every second pixel in both directions, or all."""
-    depth_mode: Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"] = "NFOV_UNBINNED"
+    depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
     """Narrow and far, or wide and near."""
-    fps: Literal[5, 15, 30] = 30
+    fps: Annotated[Literal[5, 15, 30], SENSORS] = 30
     """Frames per second."""
-    color: Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"] = "off"
+    color: Annotated[Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"], SENSORS] = "off"
     """Colour images, and at which resolution."""
-    tracker_smoothing: float = 0.0
+    tracker_smoothing: Annotated[float, TRACKER] = 0.0
     """Temporal smoothing of the body tracker, 0 to 1; fusion needs 0."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DoctorOptions(TrackerOptions, SensorOptions):
     """Check live capture on this machine, and show how to fix what does not work.
 
@@ -126,7 +131,7 @@ class DoctorOptions(TrackerOptions, SensorOptions):
     """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PublishOptions(ZenohOptions, TrackerOptions):
     """Run one sensor and its body tracker on this PC, and publish its skeletons for duplex live on another.
 
@@ -134,25 +139,66 @@ class PublishOptions(ZenohOptions, TrackerOptions):
     Nothing is encrypted: use it in a network that you trust.
     """
 
-    publish: str = field(kw_only=True)
+    publish: Annotated[str, OUTPUTS]
     """The key to publish under, such as lab/a."""
-    kinect: str | None = None
+    kinect: Annotated[str | None, SENSORS] = None
     """Serial number of the sensor; the only one connected if not given."""
-    recording: Path | None = None
+    recording: Annotated[Path | None, SENSORS] = None
     """Play a recording in real time instead of a sensor: .csv, .json, .skeleton or .mkv."""
-    simulate: Literal["a", "b"] | None = None
+    simulate: Annotated[Literal["a", "b"] | None, SENSORS] = None
     """Simulate sensor a or b instead; two programs see the same person, by the clocks of their PCs."""
-    motion: str = "walk"
+    motion: Annotated[str, SENSORS] = "walk"
     """With --simulate: a movement of the library (duplex demo --motion list), or a BVH file."""
-    body: Literal["kinect_v1", "kinect_v2", "azure_kinect"] = "azure_kinect"
+    body: Annotated[Literal["kinect_v1", "kinect_v2", "azure_kinect"], SENSORS] = "azure_kinect"
     """With --simulate: whose body tracker."""
-    depth: bool = False
+    depth: Annotated[bool, OUTPUTS] = False
     """Publish the depth images, too, without loss: about 5 MB per second."""
-    depth_mode: Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"] = "NFOV_UNBINNED"
+    depth_mode: Annotated[Literal["NFOV_UNBINNED", "WFOV_2X2BINNED"], SENSORS] = "NFOV_UNBINNED"
     """Narrow and far, or wide and near."""
-    fps: Literal[5, 15, 30] = 30
+    fps: Annotated[Literal[5, 15, 30], SENSORS] = 30
     """Frames per second."""
     seconds: float | None = None
     """End after this many seconds; if not given, end with Ctrl-C."""
     quiet: bool = False
     """Print only warnings."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
+    """Fuse many pairs of recordings, in parallel; a second call goes on where the first one stopped.
+
+    In FOLDER and its subfolders, a pair is a.EXT and b.EXT, or NAME_a.EXT and NAME_b.EXT, where EXT is csv,
+    json, skeleton or mkv. Saved skeletons beside an .mkv of the same name are used instead of the body
+    tracker. Or a manifest: a .csv with the columns name,a,b[,skeletons_a,skeletons_b,person_a,person_b].
+
+    The exit code is 1 if a pair could not be fused.
+    """
+
+    source: Annotated[Path, ARGUMENT] = field(kw_only=False)
+    """A folder of recordings, or a manifest (.csv) with paths relative to its own folder."""
+    out: Annotated[Path, OUTPUTS]
+    """Folder for the sessions, one subfolder each, and the summary (summary.html, summary.parquet)."""
+    processes: Annotated[int, WHOLE] = 0
+    """How many recordings are fused at the same time on this machine; 0: one per processor."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler, tcp://HOST:PORT, whose workers fuse. They must see the same paths as this
+    machine."""
+    pages: Annotated[bool, OUTPUTS] = False
+    """Write a page per session, as duplex review --html does; takes longer than fusion."""
+    force: Annotated[bool, OUTPUTS] = False
+    """Fuse again, and overwrite, sessions that were fused from other recordings, with other options or by
+    another version."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackerFetchOptions:
+    """Fetch the networks of the body tracker BlazePose once, from the Python package that carries them.
+
+    The other commands do this by themselves when they need them. The networks are Google's, Apache-2.0.
+    """
+
+    network: Literal["full", "lite"] = "full"
+    """full: the default. lite: faster and less accurate; it is fetched with npm."""
+    tracker_model: Path | None = None
+    """Folder to put the files into, such as one to copy to a machine without a package index; the user's
+    cache folder if not given."""

@@ -21,7 +21,7 @@ from viewer_app.batch.finding import Pair
 from viewer_app.batch.jobs import Job, Outcome
 from viewer_app.batch.processes import run_in_processes
 from viewer_app.batch.worker import fuse_job
-from viewer_app.options.batch import BatchOptions
+from viewer_app.options.sensing import BatchOptions
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -13,7 +13,7 @@ from viewer_app.batch.finding import Pair, find_pairs
 from viewer_app.batch.jobs import Job, Outcome, checksum
 from viewer_app.batch.manifest import read_manifest
 from viewer_app.errors import UsageError
-from viewer_app.options.batch import BatchOptions
+from viewer_app.options.sensing import BatchOptions
 
 
 def touch(root: Path, *names: str) -> None:

@@ -12,7 +12,7 @@ from viewer_app.batch.finding import Pair
 from viewer_app.batch.jobs import Job
 from viewer_app.batch.machine_lock import one_process
 from viewer_app.batch.summary import RANKED, Row, State, worst_first, write_page, write_parquet
-from viewer_app.options.batch import BatchOptions
+from viewer_app.options.sensing import BatchOptions
 
 COUNTS = {f"{what}_{side}": 0 for what in ("dropped", "alone", "stale") for side in "ab"}
 

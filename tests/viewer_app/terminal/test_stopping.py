@@ -26,7 +26,7 @@ script()
 """
 
 
-@pytest.mark.parametrize("name", ["viewer_app.options.command_line", "tyro", "numpy", "rerun"])
+@pytest.mark.parametrize("name", ["viewer_app.options.command_line", "cyclopts", "numpy", "rerun"])
 def test_ctrl_c_during_the_imports(name: str) -> None:
     ended = subprocess.run(
         [sys.executable, "-c", PRESSED_DURING_IMPORT.format(name=name)],
