@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 # Further options of pytest: make test OPTIONS="-k solver --durations=10"
 OPTIONS ?=
+# A process for each core; contiguous halves of the suite share their modules' fixtures, and idle processes take over.
+PARALLEL := -n logical --dist worksteal
 # All matrices are small: more BLAS threads only wait on each other.
 export OPENBLAS_NUM_THREADS := 1
 BIN := $(VENV)/bin
@@ -14,11 +16,11 @@ demo: $(READY)
 	$(BIN)/duplex demo
 
 test: $(READY)
-	$(BIN)/python -m pytest -q $(OPTIONS)
+	$(BIN)/python -m pytest -q $(PARALLEL) $(OPTIONS)
 
 # Numba's kernels run compiled, which coverage.py cannot see; pyproject.toml leaves them out and says why.
 coverage: $(READY)
-	$(BIN)/python -m pytest -q --cov --cov-report= tests/fusion tests/recordings $(OPTIONS)
+	$(BIN)/python -m pytest -q $(PARALLEL) --cov --cov-report= tests/fusion tests/recordings $(OPTIONS)
 	$(BIN)/coverage report
 
 check: $(READY)

@@ -14,6 +14,6 @@ def test_the_version_and_its_date_are_the_same_everywhere() -> None:
     assert re.findall(r"^version: (.*)$", citation, re.MULTILINE) == [version]
     released = re.findall(r'^date-released: "(.*)"$', citation, re.MULTILINE)
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    newest = re.search(r"^## (\S+)(?: \((.*)\))?$", changes, re.MULTILINE)
+    newest = re.search(r"^## (\d\S*) \((.*)\)$", changes, re.MULTILINE)
     assert newest is not None
     assert newest.groups() == (version, *released)
