@@ -28,7 +28,7 @@ from fusion.setup import FusionSetup
 from recordings.fusing.live import LiveFusion
 from tests.helpers.network import free_address
 from tests.helpers.programs import running
-from viewer_app.loop.live_loop import low_latency
+from viewer_app.running.loop import low_latency
 
 MEDIAN_MS, P99_MS = 5.0, 15.0
 """Most that the network may add to the direct path."""

@@ -35,7 +35,7 @@ from recordings.images.rvl import encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.recorder import Recorder
 from tests.helpers.sensor_process import sensor_processes
-from viewer_app.loop.live_loop import Status, run_live
+from viewer_app.running.loop import Status, run_live
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.sink import FanOut, Sink
 from viewer_app.viewer.blueprint import session_blueprint

@@ -19,7 +19,7 @@ from fusion.plan import plan_recording
 from fusion.setup import FuserSettings, Hindsight, Method
 from recordings.fusing.recorded import fuse_segments, setups_of
 from viewer_app.batch.machine_lock import one_process
-from viewer_app.loop.fusing import warm_up
+from viewer_app.running.loop import warm_up
 
 _SECONDS = 3.0
 """Duration of the recording that is fused: its start-up pose, which a calibration needs."""

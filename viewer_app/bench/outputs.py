@@ -25,7 +25,6 @@ from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
-from viewer_app.loop.live_loop import run_live
 from viewer_app.options.bench import BenchOutputsOptions
 from viewer_app.options.shared import LiveOutputOptions
 from viewer_app.output_files import check_writable, whole_file
@@ -36,6 +35,7 @@ from viewer_app.outputs.output import LiveOutput, OutputCounts, TimedFrame
 from viewer_app.outputs.skeleton_json import SkeletonJson
 from viewer_app.outputs.vmc import VmcEncoder, VmcOutput
 from viewer_app.outputs.vrchat import VRChatEncoder
+from viewer_app.running.loop import run_live
 from viewer_app.sinks.sink import FanOut, Sink
 
 _ROUNDS = 2000

@@ -28,15 +28,14 @@ from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
-from viewer_app.loop.fusing import warm_up
-from viewer_app.loop.interruption import CtrlC
-from viewer_app.loop.live_loop import run_live
-from viewer_app.loop.live_summary import check_saved, print_saved, print_session, save_report, session_report
-from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.options.sensing import DemoOptions
 from viewer_app.output_files import check_outputs, free_name, warn_of_little_room
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
 from viewer_app.report.summary import Line, print_lines, say_more
+from viewer_app.running.interruption import CtrlC
+from viewer_app.running.loop import run_live, warm_up
+from viewer_app.running.status import LiveDisplay
+from viewer_app.running.summary import check_saved, print_saved, print_session, save_report, session_report
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.display import has_display

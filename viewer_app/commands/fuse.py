@@ -31,12 +31,12 @@ from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.session_writer import write_session
 from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
-from viewer_app.loop.fusing import warm_up
 from viewer_app.method_options import check_paper_options
 from viewer_app.options.sensing import FuseOptions
 from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import FusionResult, report, report_to_json
 from viewer_app.report.summary import print_summary, say_more, say_saved
+from viewer_app.running.loop import warm_up
 from viewer_app.sinks.shown_images import ShownImages
 from viewer_app.sinks.viewer_sink import viewer_sink
 from viewer_app.tracker_selection import announce_tracker, tracker_of

@@ -27,17 +27,16 @@ from recordings.calibration_file import calibration_to_json, read_calibration
 from viewer_app.coach.setup_coach import WARM_UP, Coach
 from viewer_app.errors import UsageError
 from viewer_app.live_sensors import kinect_settings, one_of_live, two_kinects
-from viewer_app.loop.fusing import warm_up
-from viewer_app.loop.interruption import CtrlC
-from viewer_app.loop.live_loop import Status, run_live
-from viewer_app.loop.live_summary import check_saved, print_saved, print_session, save_report, session_report
-from viewer_app.loop.status_line import LiveDisplay
 from viewer_app.method_options import check_paper_options
 from viewer_app.network_sensors import names_remote, sensors_by_network
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
 from viewer_app.report.summary import say_more
+from viewer_app.running.interruption import CtrlC
+from viewer_app.running.loop import Status, run_live, warm_up
+from viewer_app.running.status import LiveDisplay
+from viewer_app.running.summary import check_saved, print_saved, print_session, save_report, session_report
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.viewer_choice import Viewing, announce, viewing_of

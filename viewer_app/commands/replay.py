@@ -26,8 +26,6 @@ from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.session_writer import write_session
 from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
-from viewer_app.loop.fusing import warm_up
-from viewer_app.loop.pacing import played
 from viewer_app.method_options import check_paper_options
 from viewer_app.options.sessions import ReplayOptions
 from viewer_app.output_files import check_outputs, whole_file
@@ -35,6 +33,7 @@ from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_output
 from viewer_app.report.figures import FusionResult, report, report_to_json
 from viewer_app.report.session_notes import print_damage, print_damaged_images
 from viewer_app.report.summary import print_summary, say_more, say_saved
+from viewer_app.running.loop import played, warm_up
 from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.blueprint import inspect_blueprint
 from viewer_app.viewer.display import has_display

@@ -20,7 +20,7 @@ from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.live_frames import frames
 from tests.helpers.network import free_port
 from tests.helpers.two_views import FRAME_NS, calibration_of
-from viewer_app.loop.pacing import played
+from viewer_app.running.loop import played
 from viewer_app.sinks.sink import Sink
 
 

@@ -15,8 +15,8 @@ from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 from recordings.session_arrays import RecordedFrame
 from tests.helpers.two_views import FRAME_NS, pair_of, standing
-from viewer_app.loop.live_loop import run_live
-from viewer_app.loop.live_summary import latency_figures
+from viewer_app.running.loop import run_live
+from viewer_app.running.summary import latency_figures
 from viewer_app.sinks.sink import NullSink
 
 ARRIVED = ((100, 140), (300, 290), (None, 500), (None, None))

@@ -30,7 +30,7 @@ from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames, session
 from tests.helpers.waiting import eventually
-from viewer_app.loop.live_loop import run_live
+from viewer_app.running.loop import run_live
 from viewer_app.sinks import live_session
 from viewer_app.sinks.queue_items import Frame
 from viewer_app.sinks.sink import FanOut, Sink

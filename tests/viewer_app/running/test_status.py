@@ -17,7 +17,7 @@ from fusion.setup import FusionSetup
 from tests.helpers.live_frames import BODY, frames
 from tests.helpers.two_views import A_FROM_B
 from viewer_app.coach.advice import Advice
-from viewer_app.loop.status_line import LiveDisplay
+from viewer_app.running.status import LiveDisplay
 
 WARNING = Advice("A's view", "Sensor A sees no one: 0 of 25 joints", "WARN", sensors="A", label="no one")
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from devices.sensor import LinkFigures
-from viewer_app.loop.live_summary import _stream_trouble
+from viewer_app.running.summary import _stream_trouble
 
 WELL = LinkFigures(received=900, round_trip_ns=2_000_000, clock_bound_ns=1_000_000)
 

@@ -17,7 +17,7 @@ from recordings.appearance.coach_page import CoachPage
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import Coach, Situation
-from viewer_app.loop.live_loop import Status
+from viewer_app.running.loop import Status
 from viewer_app.sinks.live_session import LiveSession
 
 _EVERY = 0.5  # seconds between two status lines; a person cannot read them faster
@@ -27,7 +27,7 @@ _RATE_OVER = 2.0  # seconds over which the frame rate is averaged
 
 
 class LiveDisplay:
-    """Callback for each :class:`~viewer_app.loop.live_loop.Status`; always returns True.
+    """Callback for each :class:`~viewer_app.running.loop.Status`; always returns True.
 
     Args:
         console: The output. It respects NO_COLOR.

@@ -12,7 +12,7 @@ import pytest
 
 from tests.helpers.session_text import rows_of
 from tests.helpers.telling_demo import telling_demo, wait_for_frames
-from viewer_app.loop.interruption import CtrlC
+from viewer_app.running.interruption import CtrlC
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs POSIX signals")
 

@@ -32,7 +32,7 @@ from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing
 from viewer_app.cli import main
 from viewer_app.commands import demo
-from viewer_app.loop.live_loop import low_latency, run_live
+from viewer_app.running.loop import low_latency, run_live
 from viewer_app.sinks.sink import NullSink
 
 NOMINAL = FusionSetup(nominal_calibration(KINECT_V1))

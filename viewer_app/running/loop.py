@@ -1,24 +1,30 @@
-"""The loop for sensors that run: pair, calibrate when there is something to calibrate on, fuse, record."""
+"""The loops at the pace of sensors or of a recording, and the compilation before them."""
 
 from __future__ import annotations
 
 import gc
 import sys
+import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 
 from devices.capture.sensor_pair import TwoSensors
+from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import Depth, with_depth, without_images
 from devices.pairing import FramePair
 from fusion.calibration.calibrator import Calibrator
+from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
+from recordings.events import Event
 from recordings.fusing.live import LiveFusion
+from recordings.images.rvl import encode_depth
 from recordings.session_arrays import RecordedFrame
 from viewer_app.sinks.sink import Sink
 
@@ -37,6 +43,25 @@ class Status:
     calibrator: Calibrator
     sensors: TwoSensors
     events: tuple[str, ...]
+
+
+def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = lambda: None) -> None:
+    """Compiles the kernels before the first frame; prints a notice if this takes more than a second.
+
+    Args:
+        fuser: The fuser whose kernels are compiled.
+        console: Receives the notice.
+        meanwhile: A callable that compiles further kernels.
+    """
+    notice = threading.Timer(1.0, console.print, ["Compiling the kernels; only the first run does this …"])
+    notice.daemon = True
+    notice.start()
+    try:
+        fuser.warm_up(meanwhile)
+        depth_witness.warm_up()
+        encode_depth(np.zeros((1, 1), dtype=np.uint16))
+    finally:
+        notice.cancel()
 
 
 @contextmanager
@@ -123,6 +148,44 @@ def run_live(
         sink.event(late.text, "WARN")
     sink.finish()
     return fusion.setup, list(kept)
+
+
+def played(
+    frames: Iterable[RecordedFrame],
+    sink: Sink,
+    setups: Mapping[int, FusionSetup],
+    events: Sequence[Event],
+    clock: Callable[[], float] = time.monotonic,
+    wait: Callable[[float], object] = time.sleep,
+) -> Iterator[RecordedFrame]:
+    """Gives each frame to the sink when it is due, then yields it. A frame that comes late is not skipped.
+
+    Args:
+        frames: In time order.
+        sink: Receives frames, recalibrations and events.
+        setups: By the number of the first frame that they apply to.
+        events: In the order of their frames.
+        clock: Returns seconds.
+        wait: Waits so many seconds.
+    """
+    begin = first_ns = None
+    at = 0
+    for number, frame in enumerate(frames):
+        time_ns = frame.pair.time_ns
+        if begin is None or first_ns is None:
+            begin, first_ns = clock(), time_ns
+        left = begin + (time_ns - first_ns) * 1e-9 - clock()
+        if left > 0.0:
+            wait(left)
+        if number and number in setups:
+            sink.recalibrated(setups[number])
+        sink.write(frame)
+        while at < len(events) and events[at].frame <= number:
+            event = events[at]
+            sink.event(event.text, event.level, event.topic, event.phase)
+            at += 1
+        yield frame
+    sink.finish()
 
 
 def _latency_ns(pair: FramePair, now_ns: int) -> int | None:

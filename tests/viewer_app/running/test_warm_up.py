@@ -15,7 +15,7 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from viewer_app import cli
 from viewer_app.commands import demo
-from viewer_app.loop import fusing
+from viewer_app.running import loop
 
 
 @pytest.mark.parametrize("long", [True, False])
@@ -39,10 +39,10 @@ def test_compiling_that_takes_its_time_is_announced(long: bool, monkeypatch: pyt
         if long:
             timers[0].fire()
 
-    monkeypatch.setattr(fusing.threading, "Timer", Timer)
+    monkeypatch.setattr(loop.threading, "Timer", Timer)
     monkeypatch.setattr(Fuser, "warm_up", compile_all)
     out = io.StringIO()
-    fusing.warm_up(Fuser(FusionSetup(nominal_calibration(KINECT_V1))), Console(file=out, width=120))
+    loop.warm_up(Fuser(FusionSetup(nominal_calibration(KINECT_V1))), Console(file=out, width=120))
     assert ("Compiling" in out.getvalue()) == long
     assert timers[0].seconds == 1.0
     assert not timers[0].running
