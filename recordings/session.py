@@ -13,8 +13,6 @@ True
 
 All values are in SI units and in K_A's frame, except the data of a sensor, which is in the sensor's own
 frame.
-
-A little over 300 lines: the public face of a session.
 """
 
 from __future__ import annotations
@@ -28,57 +26,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.pairing import FramePair, Pairing
-from devices.sensor import ColorImage
-from fusion.body import Body
+from devices.sensor import SensorFrame
 from fusion.calibration.calibration import Calibration
-from fusion.intrinsics import Intrinsics
-from fusion.setup import FuserSettings, FusionSetup
+from fusion.setup import FusionSetup
+from fusion.skeleton import Skeleton
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.events import Event, Spell, spells_of
-from recordings.images.session_images import NO_IMAGES, Images, SessionImages
-from recordings.reading.session_pairs import recorded_pairs
+from recordings.file.session_reader import read_session
+from recordings.file.session_writer import write_session
+from recordings.images import NO_IMAGES, SessionImages
 from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.session_data import SessionData
 from recordings.session_series import QualitySeries, SkeletonSeries
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.properties import as_lists, session_properties
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Session:
+class Session(SessionData):
     """A recorded capture: the sensor data, the fused skeletons and the settings of the fusion.
 
-    Attributes:
-        path: The file; None for a session in memory.
-        rows: All per-frame figures as arrays.
-        settings: The settings of the fusion.
-        calibrations: (first frame, calibration) pairs; the first starts at frame 0. A new fuser starts at
-            each.
-        intrinsics_a, intrinsics_b: Intrinsics of the depth cameras.
-        sources: Names of the sensors, K_A first.
-        about: All properties as written, by group and name.
-        events: Events in the order of writing.
-        fused_checksums: (T,) checksums of S* in float64; the file stores float32.
-        joint_digests: (T, J) one digest byte for each joint of S* in float64.
-        frames_lost: Number of frames that were written but cannot be read.
-        damage: Description of the damage of the file; None if it is whole.
-        images: Source of the images.
+    All attributes are those of :class:`recordings.session_data.SessionData`.
     """
-
-    path: Path | None
-    rows: SessionArrays
-    settings: FuserSettings
-    calibrations: tuple[tuple[int, Calibration], ...]
-    intrinsics_a: Intrinsics
-    intrinsics_b: Intrinsics
-    sources: tuple[str, str]
-    about: dict[str, dict[str, list[Any]]]
-    events: tuple[Event, ...]
-    fused_checksums: NDArray[np.uint32]
-    joint_digests: NDArray[np.uint8]
-    frames_lost: int
-    damage: str | None
-    images: SessionImages = NO_IMAGES
 
     @staticmethod
     def of(
@@ -139,8 +109,6 @@ class Session:
         Raises:
             OSError: The file could not be written completely.
         """
-        from recordings.writing.session_writer import write_session
-
         write_session(self, Path(path), blueprint=blueprint)
 
     @staticmethod
@@ -154,27 +122,12 @@ class Session:
             RecordingError: The file is missing, is not a session, has another layout version, or is damaged
                 before its first frame.
         """
-        from recordings.reading.session_reader import read_session
-
-        return read_session(Path(path))
-
-    def __len__(self) -> int:
-        """The number of frames T."""
-        return len(self.rows)
+        return Session(**vars(read_session(Path(path))))
 
     def __repr__(self) -> str:
         """A one-line summary without the arrays."""
         seconds = (self.time_ns[-1] - self.time_ns[0]) * 1e-9
         return f"<Session {self.name}: {len(self)} frames, {seconds:.1f} s, {self.body.name}>"
-
-    def __str__(self) -> str:
-        """The file of the session, for messages."""
-        return "the session in memory" if self.path is None else str(self.path)
-
-    @property
-    def name(self) -> str:
-        """The file's name."""
-        return "session" if self.path is None else self.path.name
 
     @property
     def time_ns(self) -> NDArray[np.int64]:
@@ -227,19 +180,9 @@ class Session:
         )
 
     @property
-    def body(self) -> Body:
-        """The body that defines the joints."""
-        return self.rows.body
-
-    @property
     def calibration(self) -> Calibration:
         """R, t, the bone lengths and the agreement of the views; the last calibration of the session."""
         return self.calibrations[-1][1]
-
-    @property
-    def first_frame(self) -> int:
-        """The number of the first frame in the original capture; greater than 0 after a trim."""
-        return int(self.about["session"].get("first_frame", [0])[0])
 
     @property
     def frame_rate(self) -> float:
@@ -252,11 +195,6 @@ class Session:
     def spells(self) -> list[Spell]:
         """Conditions that lasted, each from its start event to its end event."""
         return spells_of(self.events)
-
-    @property
-    def tracker(self) -> str:
-        """The body tracker that found the people, such as "blazepose full"; empty where not recorded."""
-        return str(self.about["session"].get("tracker", [""])[0])
 
     @property
     def whereabouts(self) -> NDArray[np.float64]:
@@ -273,41 +211,38 @@ class Session:
         seen_a, seen_b = (int((clock != layout.NO_FRAME).sum()) for clock in clocks)
         return Pairing(list(self.pairs()), seen_a, seen_b, 0, 0)
 
-    def setups(self, settings: FuserSettings | None = None) -> Iterator[tuple[FusionSetup, slice]]:
-        """The setup and the frames of each calibration; a new fuser starts at each.
-
-        Args:
-            settings: Settings to use; None: the session's own.
-        """
-        firsts = [number for number, _ in self.calibrations]
-        for (first, calibration), end in zip(self.calibrations, [*firsts[1:], len(self)], strict=True):
-            cameras = self.intrinsics_a, self.intrinsics_b
-            yield FusionSetup(calibration, settings or self.settings, *cameras), slice(first, end)
-
     def pairs(self, depth: bool = False) -> Iterator[FramePair]:
         """The pairs as given by the sensors, so that a session can serve as a source.
 
         Args:
             depth: Whether to include the session's depth images.
         """
-        images = {side: self.depth(side) if depth else () for side in layout.SIDES}
-        return recorded_pairs(self.rows, images)
+        images = {side: iter(self.depth(side) if depth else ()) for side in layout.SIDES}
+        ahead = {side: next(images[side], None) for side in layout.SIDES}
+        for t in range(len(self)):
+            seen: dict[str, NDArray[np.uint16] | None] = dict.fromkeys(layout.SIDES)
+            for side, image in ahead.items():
+                if image is not None and image[0] == t:
+                    seen[side], ahead[side] = image[1], next(images[side], None)
+            a, b = (_sensor_frame(self.rows, side, t, seen[side]) for side in layout.SIDES)
+            time_ns, skew_ns = int(self.rows.time_ns[t]), int(self.rows.skew_ns[t])
+            yield FramePair.of(a, b, _PERSON, _PERSON, time_ns, skew_ns)
 
-    def depth(self, side: str, first: int = 0, end: int | None = None) -> Images[NDArray[np.uint16]]:
-        """Depth images of a sensor, read on demand; damaged images are skipped and counted.
 
-        Args:
-            side: ``a`` or ``b``.
-            first, end: The frames from `first` to `end`, exclusive; None: to the last frame.
+_PERSON = "0"
+"""The id of the only person in the pairs of a session."""
 
-        Returns:
-            An iterable of frame number and (height, width) millimetres, 0 without a reading.
-        """
-        return self.images.depth(side, self._frames(first, end))
 
-    def color(self, side: str, first: int = 0, end: int | None = None) -> Images[ColorImage]:
-        """Colour images of a sensor; same arguments and iteration as :meth:`depth`."""
-        return self.images.color(side, self._frames(first, end))
-
-    def _frames(self, first: int, end: int | None) -> range:
-        return range(first, len(self) if end is None else min(end, len(self)))
+def _sensor_frame(
+    rows: SessionArrays, side: str, t: int, depth: NDArray[np.uint16] | None
+) -> SensorFrame | None:
+    """What a sensor gave for frame `t`."""
+    clock, states = int(getattr(rows, f"clock_{side}")[t]), getattr(rows, f"states_{side}")[t]
+    if clock == layout.NO_FRAME:
+        return None
+    if not states.any():
+        return SensorFrame(clock, {}, depth)
+    witness = getattr(rows, f"witness_{side}")
+    skeleton = Skeleton.of(rows.body, getattr(rows, f"positions_{side}")[t], states, clock)
+    skeleton = skeleton.with_witness(None if witness is None else witness[t])
+    return SensorFrame(clock, {_PERSON: skeleton}, depth)

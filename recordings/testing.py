@@ -22,10 +22,10 @@ from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from recordings.events import Event
-from recordings.images.session_images import PairImages
+from recordings.file.session_writer import write_session
+from recordings.images import PairImages
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
-from recordings.writing.session_writer import write_session
 
 FusedRun = Callable[..., Session]
 

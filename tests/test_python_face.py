@@ -51,7 +51,7 @@ assert "numba" not in sys.modules
 for package in (fusion, devices, recordings):
     for name in package.__all__:
         getattr(package, name)
-import fusion.paper.method, recordings.images.rvl, devices.simulated.imaging.rendering
+import fusion.paper.method, devices.depth.rvl, devices.simulated.imaging.rendering
 print(dict(os.environ) == before, deleted)
 """
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

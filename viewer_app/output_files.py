@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
-from recordings.writing.growing_file import partial_beside
+from recordings.file.growing_file import partial_beside
 from viewer_app.errors import UsageError
 
 SESSION = ".rrd"

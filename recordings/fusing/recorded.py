@@ -24,7 +24,7 @@ from fusion.setup import FuserSettings, FusionSetup, Hindsight
 from recordings.events import Event
 from recordings.fusing.exchanged_sides import exchange_events
 from recordings.fusing.lost_limbs import limb_events
-from recordings.images.session_images import RecordingImages
+from recordings.images import RecordingImages
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 

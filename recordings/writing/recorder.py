@@ -15,6 +15,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from devices.depth.rvl import MEDIA_TYPE, encode_depth
 from devices.sensor import ColorImage
 from fusion.setup import FusionSetup
 from recordings import layout
@@ -22,10 +23,6 @@ from recordings.appearance import entity_styles
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.joint_trust import StateLanes, TrustMatrix, matrix_frame
 from recordings.events import Phase
-from recordings.images.color_images import ColorLog
-from recordings.images.depth_points import prepare_points, thin_points
-from recordings.images.infrared_images import show_infrared
-from recordings.images.rvl import MEDIA_TYPE, encode_depth
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.arrow_columns import Times, depth_image, points
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
@@ -33,6 +30,7 @@ from recordings.writing.frame_streams import FrameStream, frame_streams
 from recordings.writing.placement_log import PlacementLog
 from recordings.writing.properties import session_properties
 from recordings.writing.quality_log import QualityLog, StreamFiguresLog
+from recordings.writing.shown_images import ColorLog, prepare_points, show_infrared, thin_points
 
 _MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
 """Interval between drawings of an incomplete page of the trust matrix: live, and in files."""

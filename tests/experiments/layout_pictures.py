@@ -31,9 +31,9 @@ from rerun.experimental import ViewerClient
 from devices.blazepose.networks.files import cache_folder, missing
 from fusion.setup import FusionSetup
 from recordings import Session, layout
-from recordings.images.session_images import NO_IMAGES
-from recordings.reading.rrd_file import RrdFile
-from recordings.writing.session_writer import write_session
+from recordings.file.rrd_file import RrdFile
+from recordings.file.session_writer import write_session
+from recordings.images import NO_IMAGES
 from tests.experiments.moving_picture import hardest_window
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK

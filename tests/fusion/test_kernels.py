@@ -73,13 +73,13 @@ def test_without_any_folder_to_write_kernels_are_kept_for_the_run(tmp_path: Path
     for name in ("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA", "USERPROFILE"):
         environment[name] = str(tmp_path / "home")
     code = (
-        "import recordings.images.rvl\n"
+        "import devices.depth.rvl\n"
         "import devices.simulated.imaging.rendering, devices.simulated.tracking.tracker\n"
         "import os, pathlib, numpy\n"
         "assert 'NUMBA_CACHE_DIR' not in os.environ\n"
-        "recordings.images.rvl.encode_depth(numpy.zeros((1, 1), dtype=numpy.uint16))\n"
+        "devices.depth.rvl.encode_depth(numpy.zeros((1, 1), dtype=numpy.uint16))\n"
         "folder = pathlib.Path(os.environ['NUMBA_CACHE_DIR'])\n"
-        "print(recordings.images.rvl.__file__, folder.is_dir(), folder)"
+        "print(devices.depth.rvl.__file__, folder.is_dir(), folder)"
     )
     run = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=environment

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from recordings.reading.rrd_file import RrdFile
+from recordings.file.rrd_file import RrdFile
 
 
 def rows_of(path: Path, entity: str) -> int:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from fusion.body import KINECT_V1
 from recordings.events import Event, spells_of
+from recordings.file.session_writer import write_session
 from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
-from recordings.writing.session_writer import write_session
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 

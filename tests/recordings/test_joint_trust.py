@@ -18,7 +18,7 @@ from fusion.setup import FusionSetup
 from fusion.skeleton import TrackingState
 from recordings import layout
 from recordings.appearance.joint_trust import StateLanes, TrustMatrix, trust_colors
-from recordings.reading.rrd_file import RrdFile
+from recordings.file.rrd_file import RrdFile
 from recordings.session_arrays import SessionArrays
 from recordings.writing.frame_streams import frame_streams
 from recordings.writing.recorder import Recorder

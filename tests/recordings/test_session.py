@@ -18,13 +18,13 @@ from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from recordings import layout
 from recordings.errors import RecordingError
-from recordings.reading.rrd_file import _decode_names
+from recordings.file.rrd_file import _decode_names
+from recordings.file.session_writer import write_session
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 from recordings.testing import FusedRun, assert_sessions_match, fused_run, record_fused
 from recordings.writing.checksums import event_checksum, frame_checksums, fused_checksums
 from recordings.writing.recorder import Recorder
-from recordings.writing.session_writer import write_session
 from tests.experiments import sessions as damaged_sessions
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of

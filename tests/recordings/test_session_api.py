@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import recordings.session
+from devices.depth.rvl import encode_depth
 from fusion.body import KINECT_V1
 from recordings import Session
-from recordings.images.rvl import encode_depth
 from recordings.testing import FusedRun, fused_run, record_fused
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from fusion.body import KINECT_V1
 from fusion.setup import FuserSettings
 from recordings.errors import RecordingError
+from recordings.file.session_writer import write_session
 from recordings.session import Session
 from recordings.session_comparison import Comparison, frame_noise_of
 from recordings.testing import FusedRun, fused_run
-from recordings.writing.session_writer import write_session
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 

@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from recordings import layout
+from recordings.file.session_writer import whole_recording
 from recordings.session import Session
 from recordings.session_comparison import DIFFERENCE, LARGEST, Comparison, record_comparison
-from recordings.writing.session_writer import whole_recording
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import CompareOptions
 from viewer_app.output_files import check_outputs

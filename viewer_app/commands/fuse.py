@@ -25,10 +25,10 @@ from fusion.setup import FuserSettings, FusionSetup, Hindsight
 from fusion.skeleton import SkeletonPair
 from recordings import layout
 from recordings.calibration_file import calibration_to_json, read_calibration
+from recordings.file.session_writer import write_session
 from recordings.fusing.recorded import fuse_one, fuse_segments, fused_session, setups_of
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame, SessionArrays
-from recordings.writing.session_writer import write_session
 from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
 from viewer_app.method_options import check_paper_options

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from recordings import layout
-from recordings.images.session_images import Images
+from recordings.images import Images
 from recordings.session import Session
 from viewer_app.options.sessions import InfoOptions
 from viewer_app.report.details import calibration_in_words

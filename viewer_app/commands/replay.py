@@ -17,13 +17,13 @@ from fusion.fuser import Fuser
 from fusion.plan import plan_recording
 from fusion.setup import FusionSetup
 from recordings.events import Event
+from recordings.file.session_writer import write_session
 from recordings.fusing.exchanged_sides import exchange_events
 from recordings.fusing.lost_limbs import limb_events
 from recordings.fusing.recorded import fuse_segments, setups_of
-from recordings.images.session_images import NO_IMAGES
+from recordings.images import NO_IMAGES
 from recordings.session import Session
 from recordings.writing.checksums import fused_checksums, joint_digests
-from recordings.writing.session_writer import write_session
 from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
 from viewer_app.method_options import check_paper_options

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from rich.console import Console
 
+from recordings.file.session_writer import write_session
 from recordings.session import Session
-from recordings.writing.session_writer import write_session
 from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import TrimOptions

@@ -18,13 +18,13 @@ from rich.console import Console
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
 from devices.depth.image_thinning import Depth, with_depth, without_images
+from devices.depth.rvl import encode_depth
 from devices.pairing import FramePair
 from fusion.calibration.calibrator import Calibrator
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings.events import Event
 from recordings.fusing.live import LiveFusion
-from recordings.images.rvl import encode_depth
 from recordings.session_arrays import RecordedFrame
 from viewer_app.sinks.sink import Sink
 

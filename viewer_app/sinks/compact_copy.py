@@ -11,9 +11,9 @@ from pathlib import Path
 
 import rerun as rr
 
-from recordings.writing.growing_file import partial_beside
+from recordings.file.growing_file import partial_beside
+from recordings.file.session_writer import check_whole
 from recordings.writing.recorder import Recorder
-from recordings.writing.session_writer import check_whole
 from viewer_app.sinks.queue_items import Frame, Item, Opening, write_items
 
 _BLOCK = 600

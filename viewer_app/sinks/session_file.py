@@ -14,8 +14,8 @@ import rerun as rr
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
 from recordings.events import Phase
+from recordings.file.growing_file import GrowingFile
 from recordings.session_arrays import RecordedFrame
-from recordings.writing.growing_file import GrowingFile
 from recordings.writing.recorder import Recorder
 from viewer_app.sinks.compact_copy import CompactCopy
 from viewer_app.sinks.queue_items import Frame, Item, Note, Opening, Page, Recalibration, write_items

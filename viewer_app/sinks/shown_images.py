@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.sensor import ColorImage
-from recordings.images.session_images import Images, MadeImages
+from recordings.images import Images, MadeImages
 from recordings.session import Session
 from viewer_app.sinks.viewer_sink import ViewerSink
 

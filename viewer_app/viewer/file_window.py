@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from recordings import layout
+from recordings.file.session_writer import write_session
 from recordings.session import Session
-from recordings.writing.session_writer import write_session
 from viewer_app.addresses import LOOPBACK
 from viewer_app.coach.scene import verdict_page
 from viewer_app.output_files import whole_file

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from recordings import layout
 from recordings.errors import RecordingError
-from recordings.images.depth_points import thin_points
-from recordings.reading.rrd_file import RrdFile
+from recordings.file.rrd_file import RrdFile
 from recordings.session import Session
+from recordings.writing.shown_images import thin_points
 from viewer_app.addresses import LOOPBACK
 
 _MOST = 1000

@@ -12,7 +12,7 @@ from rerun.experimental import ViewerClient
 from fusion.calibration.calibration import Calibration
 from fusion.rigid import RigidTransform
 from recordings import layout
-from recordings.reading.rrd_file import RrdFile
+from recordings.file.rrd_file import RrdFile
 from recordings.session import Session
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from fusion.calibration.calibration import Calibration
 from fusion.rigid import RigidTransform
 from recordings import layout
-from recordings.reading.rrd_file import RrdFile
+from recordings.file.rrd_file import RrdFile
 from recordings.writing.quality_log import jitter
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.live_frames import BODY

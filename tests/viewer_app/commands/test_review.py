@@ -9,9 +9,9 @@ import pytest
 
 from fusion.body import KINECT_V2
 from recordings.events import Event
+from recordings.file.session_writer import write_session
 from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
-from recordings.writing.session_writer import write_session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from devices.depth.rvl import encode_depth
 from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
 from recordings import layout
-from recordings.images.rvl import encode_depth
+from recordings.file.session_writer import write_session
 from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
-from recordings.writing.session_writer import write_session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.recalibrated import record_recalibrated

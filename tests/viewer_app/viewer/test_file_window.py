@@ -15,8 +15,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from recordings import Session, layout
-from recordings.reading.rrd_file import damage_of
-from recordings.writing.session_writer import whole_recording
+from recordings.file.rrd_file import damage_of
+from recordings.file.session_writer import whole_recording
 from tests.helpers.live_frames import frames, known_fuser, session
 from tests.helpers.machine import need_viewer
 from tests.helpers.waiting import eventually

@@ -8,7 +8,7 @@ import pytest
 
 from devices.depth.point_cloud import depth_to_points, ray_table
 from recordings import Session, layout
-from recordings.reading.rrd_file import RrdFile
+from recordings.file.rrd_file import RrdFile
 from tests.helpers.live_frames import frames, known_fuser, session
 from tests.helpers.machine import need_viewer
 from tests.helpers.waiting import eventually

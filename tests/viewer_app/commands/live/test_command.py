@@ -15,7 +15,7 @@ from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings
 from recordings.calibration_file import calibration_to_json
-from recordings.reading.rrd_file import read_columns
+from recordings.file.rrd_file import read_columns
 from recordings.session import Session
 from tests.helpers.command_line import duplex
 from tests.helpers.live_program import live

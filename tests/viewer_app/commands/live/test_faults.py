@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from devices.azure.tracking.body_tracker import BodyTracker
-from recordings.reading.rrd_file import read_columns
+from recordings.file.rrd_file import read_columns
 from tests.helpers.live_program import live
 from tests.helpers.session_text import events_of, rows_of
 from tests.helpers.standin_library import Standin

@@ -10,7 +10,7 @@ import pytest
 from recordings import Session, fuse
 from recordings.errors import RecordingError
 from recordings.events import Event
-from recordings.writing.session_writer import write_session
+from recordings.file.session_writer import write_session
 from tests.helpers.command_line import duplex
 from tests.helpers.written_recordings import write_recordings
 

@@ -1,4 +1,4 @@
-"""The images of a session, read on demand. Damaged images are skipped and counted."""
+"""The images in a session's file, read on demand. Damaged images are skipped and counted."""
 
 from __future__ import annotations
 
@@ -6,10 +6,18 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
+from devices.depth.rvl import decode_depth
+from devices.sensor import ColorCamera, ColorImage
+from fusion.intrinsics import Intrinsics
+from fusion.rigid import RigidTransform
 from recordings import layout
-from recordings.reading.rrd_file import RrdFile
+from recordings.file.rrd_file import RrdFile
+from recordings.images import Images
+from recordings.writing.checksums import image_checksum
 
 T = TypeVar("T")
 _WRONG = (LookupError, TypeError, ValueError, AttributeError, pa.ArrowException)
@@ -69,3 +77,45 @@ class ImageReader(Generic[T]):
                         next_frame = frame + self._frames.step
                         yield frame, raw
             self.damaged += file.unread(self._entity)
+
+
+class FileImages:
+    """The images in a session's file."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def depth(self, side: str, frames: range) -> Images[NDArray[np.uint16]]:
+        """Read from the file."""
+        return ImageReader(self._path, layout.depth(side), _checked_depth, decode_depth, frames)
+
+    def color(self, side: str, frames: range) -> Images[ColorImage]:
+        """Read from the file."""
+        return ImageReader(self._path, layout.color(side), _checked_color, _decoded_color, frames)
+
+
+def _checked_depth(batch: pa.RecordBatch, k: int, frame: int) -> tuple[bytes, bool]:
+    blob = _bytes(batch, "EncodedDepthImage:blob", k)
+    return blob, batch.column("crc32")[k].as_py() == [image_checksum(frame, blob)]
+
+
+def _checked_color(
+    batch: pa.RecordBatch, k: int, frame: int
+) -> tuple[tuple[bytes, NDArray[np.float64]], bool]:
+    jpeg = _bytes(batch, "EncodedImage:blob", k)
+    values = np.array(batch.column("camera")[k].as_py(), dtype=np.float64)
+    whole = batch.column("crc32")[k].as_py() == [image_checksum(frame, jpeg + values.tobytes())]
+    return (jpeg, values), whole
+
+
+def _decoded_color(raw: tuple[bytes, NDArray[np.float64]]) -> ColorImage:
+    jpeg, values = raw
+    width, height, fx, fy, cx, cy = values[:6].tolist()
+    intrinsics = Intrinsics(int(width), int(height), fx, fy, cx, cy, tuple(values[18:].tolist()))
+    color_from_depth = RigidTransform.of(values[6:15].reshape(3, 3), values[15:18])
+    return ColorImage(jpeg, ColorCamera(intrinsics, color_from_depth))
+
+
+def _bytes(batch: pa.RecordBatch, component: str, k: int) -> bytes:
+    blob: bytes = batch.column(component)[k].values[0].values.to_numpy().tobytes()
+    return blob

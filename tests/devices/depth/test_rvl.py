@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
 
-from recordings.errors import RecordingError
-from recordings.images.rvl import MEDIA_TYPE, decode_depth, encode_depth
+from devices.depth.rvl import MEDIA_TYPE, decode_depth, encode_depth
+from devices.sensor import DeviceError
 from tests.helpers.pictures import colors_of_view, headless_viewer
 from tests.helpers.waiting import eventually
 
@@ -45,12 +45,12 @@ def test_bytes_that_are_no_image_are_refused(junk: bytes, at: int, value: int) -
     for bad in (junk, bytes(blob), bytes(blob[: at // 4 * 4])):
         try:
             assert decode_depth(bad).dtype == np.uint16
-        except RecordingError as error:
+        except DeviceError as error:
             assert "depth image" in str(error)  # noqa: PT017
 
 
 def test_a_cut_image_is_refused() -> None:
-    with pytest.raises(RecordingError, match="damaged"):
+    with pytest.raises(DeviceError, match="damaged"):
         decode_depth(encode_depth(wall(24, 32))[:-8])
 
 

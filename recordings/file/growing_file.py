@@ -10,7 +10,7 @@ from zlib import crc32
 
 import rerun as rr
 
-from recordings.reading.rrd_file import END_OF_FILE, without_footer
+from recordings.file.rrd_file import END_OF_FILE, without_footer
 
 _READ_WITHIN = 10.0
 

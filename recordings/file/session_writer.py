@@ -1,6 +1,6 @@
 """Writes a complete session to a file: a fused, replayed or trimmed session, or one in a test.
 
-:mod:`recordings.writing.growing_file` writes a session that is still running. Frames are copied unchanged;
+:mod:`recordings.file.growing_file` writes a session that is still running. Frames are copied unchanged;
 nothing is fused again.
 """
 
@@ -14,14 +14,14 @@ from typing import Any
 from uuid import uuid4
 
 import rerun as rr
+import rerun_bindings
 
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.errors import RecordingError
-from recordings.reading.rrd_file import damage_of
-from recordings.session import Session
+from recordings.file.rrd_file import damage_of
+from recordings.session_data import SessionData
 from recordings.writing.recorder import Recorder
-from recordings.writing.stream_memory import free_dropped_streams, send_blueprint
 
 _BLOCK = 300
 """Frames per write: a file that is cut off loses at most ten seconds more than what is missing."""
@@ -29,7 +29,7 @@ _FLUSH_WITHIN = 60.0  # seconds
 
 
 def write_session(
-    session: Session,
+    session: SessionData,
     path: Path,
     *,
     blueprint: Any = None,
@@ -108,7 +108,7 @@ def whole_recording(
         OSError: The file cannot be created, or some logged data did not reach the file, usually because
             the disk is full.
     """
-    free_dropped_streams()  # of earlier files: this one is still referred to when it is complete
+    _free_dropped_streams()  # of earlier files: this one is still referred to when it is complete
     stream = rr.RecordingStream(application, recording_id=uuid4())
     try:
         stream.set_sinks(rr.FileSink(str(path)))
@@ -119,7 +119,7 @@ def whole_recording(
         if blueprint is not None:
             # The timeline of the blueprint must exist: what was logged comes first in the file.
             stream.flush(timeout_sec=_FLUSH_WITHIN)
-            send_blueprint(stream, blueprint)
+            _send_blueprint(stream, blueprint)
         stream.flush(timeout_sec=_FLUSH_WITHIN)
     finally:
         stream.disconnect()
@@ -140,10 +140,10 @@ def check_whole(path: Path) -> None:
         raise OSError(f"{damage}; the disk may be full")
 
 
-def _copy_images(session: Session, recorder: Recorder, first: int, end: int) -> int:
+def _copy_images(session: SessionData, recorder: Recorder, first: int, end: int) -> int:
     """Logs the images of frames `first` to `end` (exclusive); returns the number of damaged images."""
     damaged = 0
-    time_ns = (session.time_ns - session.time_ns[first]).tolist()
+    time_ns = (session.rows.time_ns - session.rows.time_ns[first]).tolist()
     for side in layout.SIDES:
         depth, color = session.depth(side, first, end), session.color(side, first, end)
         for frame, image in depth:
@@ -152,3 +152,35 @@ def _copy_images(session: Session, recorder: Recorder, first: int, end: int) -> 
             recorder.record_color(side, frame - first, time_ns[frame], picture)
         damaged += depth.damaged + color.damaged
     return damaged
+
+
+# Rerun keeps two threads and the buffers of each stream, together 1 to 4 MB, until it looks for streams to
+# which the program no longer refers. Only ``rr.init`` does that. ``RecordingStream.send_blueprint`` makes
+# another stream, which remains even then, because it is never disconnected. The functions below call the same
+# internal functions of Rerun as these two, which is safe while ``pyproject.toml`` pins Rerun's minor version.
+
+
+def _free_dropped_streams() -> None:
+    """Frees all disconnected streams to which the program no longer refers."""
+    rerun_bindings.flush_and_cleanup_orphaned_recordings()
+
+
+def _send_blueprint(stream: rr.RecordingStream, blueprint: Any) -> None:
+    """Sends a layout, as ``stream.send_blueprint`` does, but the stream that it makes can be freed.
+
+    The layout is made the active one; otherwise a viewer restores the layout that it remembers.
+
+    Args:
+        stream: Receives the layout.
+        blueprint: The layout of the viewer, anything that Rerun takes as such.
+    """
+    application = rr.get_application_id(stream)
+    assert application is not None
+    layout = rr.RecordingStream._from_native(
+        rerun_bindings.new_blueprint(application, make_default=False, make_thread_default=False)
+    )
+    layout.set_time("blueprint", sequence=0)
+    blueprint.to_blueprint()._log_to_stream(layout)
+    storage = layout.memory_recording().storage
+    rerun_bindings.send_blueprint(storage, make_active=True, make_default=True, recording=stream.to_native())
+    layout.disconnect()

@@ -1,9 +1,11 @@
-"""Sources of a session's images: its file, its frames in memory, two recordings, or none."""
+"""Sources of a session's images: frames in memory, two recordings, or none.
+
+Those of a file are in :mod:`recordings.file.stored_images`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -13,8 +15,6 @@ from devices.depth.image_thinning import Depth
 from devices.files import Progress, TwoRecordings, quietly
 from devices.pairing import FramePair
 from devices.sensor import ColorImage, SensorFrame
-from recordings.images.color_images import read_color
-from recordings.images.depth_images import read_depth
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
@@ -47,21 +47,6 @@ class SessionImages(Protocol):
     def color(self, side: str, frames: range) -> Images[ColorImage]:
         """Colour images, compressed as the cameras gave them."""
         ...
-
-
-class FileImages:
-    """The images in a session's file."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def depth(self, side: str, frames: range) -> Images[NDArray[np.uint16]]:
-        """Read from the file."""
-        return read_depth(self._path, side, frames)
-
-    def color(self, side: str, frames: range) -> Images[ColorImage]:
-        """Read from the file."""
-        return read_color(self._path, side, frames)
 
 
 class PairImages:

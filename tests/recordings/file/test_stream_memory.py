@@ -13,7 +13,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from recordings import layout
-from recordings.writing.session_writer import whole_recording
+from recordings.file.session_writer import whole_recording
 from tests.helpers.waiting import eventually
 
 LAYOUT = rrb.Blueprint(

@@ -28,11 +28,11 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.errors import RecordingError
-from recordings.reading.rrd_file import RrdFile
+from recordings.file import growing_file
+from recordings.file.rrd_file import RrdFile
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 from recordings.testing import assert_sessions_match, record_fused
-from recordings.writing import growing_file
 from recordings.writing.recorder import Recorder
 from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
@@ -43,7 +43,7 @@ from viewer_app.cli import main
 from viewer_app.sinks import compact_copy, session_file
 from viewer_app.sinks.session_file import SessionFile
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 _MADE: list[SessionFile] = []

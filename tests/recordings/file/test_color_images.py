@@ -17,8 +17,8 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from recordings import layout
+from recordings.file.stored_images import FileImages
 from recordings.fusing.recorded import fuse_one
-from recordings.images.color_images import read_color
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
@@ -56,13 +56,13 @@ def session(images: list[ColorImage], tmp_path: Path) -> Path:
 
 
 def test_images_come_back_with_lens_and_place(session: Path, images: list[ColorImage]) -> None:
-    read = list(read_color(session, "a", ALL))
+    read = list(FileImages(session).color("a", ALL))
     assert [(frame, image.jpeg) for frame, image in read] == [(k, i.jpeg) for k, i in enumerate(images)]
     for _, image in read:
         assert image.camera.intrinsics == _CAMERA.intrinsics
         np.testing.assert_array_equal(image.camera.color_from_depth.rotation, _TURN.rotation)
         np.testing.assert_array_equal(image.camera.color_from_depth.translation, _TURN.translation)
-    assert list(read_color(session, "b", ALL)) == []
+    assert list(FileImages(session).color("b", ALL)) == []
 
 
 def test_a_damaged_image_is_left_out_and_counted(session: Path, images: list[ColorImage]) -> None:
@@ -71,6 +71,6 @@ def test_a_damaged_image_is_left_out_and_counted(session: Path, images: list[Col
     assert offset > 0, "the image is not in the file as it is"
     data[offset + 50] ^= 1
     session.write_bytes(data)
-    reader = read_color(session, "a", ALL)
+    reader = FileImages(session).color("a", ALL)
     assert [frame for frame, _ in reader] == [0, 1, 3]
     assert reader.damaged == 1

@@ -1,0 +1,230 @@
+"""Reads a session from its file: checks its content, and takes the frames before the first damaged one."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import BODIES, Body
+from fusion.calibration.calibration import Calibration
+from fusion.errors import FusionError
+from fusion.intrinsics import Intrinsics
+from fusion.registration.rigid_fit import Registration
+from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings
+from recordings import layout
+from recordings.errors import RecordingError
+from recordings.events import Event, Phase
+from recordings.file.rrd_file import Columns, read_columns
+from recordings.file.stored_images import FileImages
+from recordings.frame_fields import FrameField
+from recordings.session_arrays import FRAME_FIELDS, SessionArrays
+from recordings.session_data import SessionData
+from recordings.writing.checksums import (
+    FRAME_CRC,
+    FUSED_CRC,
+    FusedChecks,
+    event_checksum,
+    frame_checksums,
+    properties_checksum,
+)
+
+_TIME = layout.QUALITY, layout.TIME
+_FRAME_CRC, _FUSED_CRC = (layout.QUALITY, FRAME_CRC), (layout.QUALITY, FUSED_CRC)
+_JOINT_DIGESTS = layout.QUALITY, layout.JOINT_DIGESTS
+
+
+def read_session(path: Path) -> SessionData:
+    """Reads a session; see :meth:`recordings.session.Session.open`."""
+    found = read_columns(path, lambda entity: entity != layout.BONES)
+    about = _checked_properties(path, found)
+    name = about["session"]["body"][0]
+    if name not in BODIES:
+        raise RecordingError(f"{path} has an unknown body {name!r}. Known: {', '.join(BODIES)}.")
+    calibrations = _calibrations_of(path, BODIES[name], found)
+    rows, checks, lost = _frames_of(BODIES[name], calibrations, found)
+    used = [number < max(len(rows), 1) for number, _ in calibrations]
+    calibrations = [c for c, use in zip(calibrations, used, strict=True) if use]
+    events = _events_of(found)
+    damage = found.damage
+    end = about.get("end", {}).get("frames")
+    if end is None:
+        damage = damage or "it was not ended"
+    elif int(end[0]) != len(rows) or lost:
+        lost = max(lost, int(end[0]) - len(rows))
+        damage = damage or f"frame {len(rows)} does not match its checksum or is missing"
+    if len(rows) == 0:
+        raise RecordingError(
+            f"{path} has no whole frame" + (f": {damage}." if damage else "; nothing was recorded.")
+        )
+    session, cameras = about["session"], about["intrinsics"]
+    return SessionData(
+        path=path,
+        rows=rows,
+        settings=_settings_of(about["settings"]),
+        calibrations=tuple(calibrations),
+        intrinsics_a=_camera_of(cameras["a"]),
+        intrinsics_b=_camera_of(cameras["b"]),
+        sources=(str(session["source_a"][0]), str(session["source_b"][0])),
+        about=about,
+        events=events,
+        fused_checksums=checks[0],
+        joint_digests=checks[1],
+        frames_lost=lost,
+        damage=damage,
+        images=FileImages(path),
+    )
+
+
+def _checked_properties(path: Path, found: Columns) -> dict[str, dict[str, list[Any]]]:
+    about = found.properties
+    session = about.get("session", {})
+    if "layout_version" not in session:
+        if found.damage is not None:
+            raise RecordingError(f"{path} is damaged before its first frame: {found.damage}.")
+        raise RecordingError(
+            f"{path} is a Rerun recording, but not a session of duplex-kinects: its properties are missing."
+        )
+    version, writer = session["layout_version"], session.get("written_by", ["another version"])
+    if version[0] not in layout.READABLE_VERSIONS:
+        raise RecordingError(
+            f"{path} has layout {version[0]}, written by {writer[0]}; this version reads layout "
+            f"{', '.join(map(str, layout.READABLE_VERSIONS))}. Open it with the version that wrote it."
+        )
+    written = {name: of for name, of in about.items() if name not in ("check", "end", "RecordingInfo")}
+    if about.get("check", {}).get("crc32") != [properties_checksum(written)]:
+        raise RecordingError(
+            f"{path}: the settings and calibration in it are damaged; they do not match their checksum."
+        )
+    return about
+
+
+def _calibrations_of(path: Path, body: Body, found: Columns) -> list[tuple[int, Calibration]]:
+    """Each calibration with its first frame, in order."""
+    at: dict[int, Calibration] = {}
+    for frame, of in found.logged.get(layout.CALIBRATION, []):
+        check = of.pop("calibration_crc32", None)
+        if check != [properties_checksum({"calibration": {"frame": frame, **of}})]:
+            raise RecordingError(f"{path}: a calibration in it is damaged; it does not match its checksum.")
+        a_from_b = RigidTransform.of(np.reshape(of["rotation"], (3, 3)), of["translation"])
+        lengths = np.array(of["bone_lengths"], dtype=np.float64)
+        registration = None
+        if of["pairs"][0] > 0:
+            registration = Registration(
+                a_from_b,
+                float(of["residual_median"][0]),
+                float(of["residual_rms"][0]),
+                np.array(of["joint_residuals"], dtype=np.float64),
+                float(of["rotation_sd"][0]),
+                int(of["pairs"][0]),
+                body,
+            )
+        at[frame] = Calibration(body, a_from_b, lengths, str(of["how"][0]), registration)
+    if 0 not in at:
+        raise RecordingError(
+            f"{path}: its calibration is missing" + (f"; {found.damage}." if found.damage else ".")
+        )
+    return sorted(at.items())
+
+
+def _settings_of(of: dict[str, list[Any]]) -> FuserSettings:
+    """The settings of a session. Version 0.1 had only the paper's method, with two solvers for the bones."""
+    if "solver" in of:
+        method = "published" if of["solver"][0] == "paper" else "paper"
+        of = {"method": [method], **{name: value for name, value in of.items() if name != "solver"}}
+    known = {f.name for f in fields(FuserSettings)}
+    strangers = sorted(set(of) - known)
+    if strangers:
+        raise RecordingError(f"The session was made with settings unknown here: {', '.join(strangers)}.")
+    try:
+        return FuserSettings(**{name: value[0] for name, value in of.items()})
+    except FusionError as error:
+        raise RecordingError(f"The session's settings are not valid: {error}") from None
+
+
+def _camera_of(values: list[float]) -> Intrinsics:
+    width, height, fx, fy, cx, cy, *distortion = values
+    return Intrinsics(int(width), int(height), fx, fy, cx, cy, tuple(distortion))
+
+
+def _events_of(found: Columns) -> tuple[Event, ...]:
+    events = []
+    for frame, time, row in found.texts:
+        names = "TextLog:text", "TextLog:level", "crc32", "topic", "phase"
+        text, level, check, topic, phase = ((row.get(name) or [None])[0] for name in names)
+        spell = () if phase in (None, "moment") else (str(topic), str(phase))
+        if (
+            frame is not None
+            and time is not None
+            and isinstance(text, str)
+            and check == event_checksum((frame, time), text, str(level), *spell)
+        ):
+            known: Phase = "start" if phase == "start" else "end" if phase == "end" else "moment"
+            events.append(Event(frame, time, text, str(level), str(topic or ""), known))
+        else:
+            found.damage = found.damage or "an event does not match its checksum"
+    return tuple(events)
+
+
+def _frames_of(
+    body: Body, calibrations: list[tuple[int, Calibration]], found: Columns
+) -> tuple[SessionArrays, FusedChecks, int]:
+    """The frames before the first missing or damaged one, the checks of their S*, and the number of lost
+    frames."""
+    groups = _groups(found)
+    stored: dict[tuple[str, str], tuple[int, type[np.generic]]] = {
+        key: (sum(spec.width(body) for _, spec in specs), specs[0][1].stored) for key, specs in groups.items()
+    }
+    stored |= {_TIME: (1, np.int64), _FRAME_CRC: (1, np.uint32), _FUSED_CRC: (1, np.uint32)}
+    stored[_JOINT_DIGESTS] = (len(body), np.uint8)
+    columns: dict[tuple[str, str], NDArray[Any]] = {}
+    counts = []
+    for key, (width, kind) in stored.items():
+        columns[key] = values = _consecutive(found, key, width, kind)
+        counts.append(len(values))
+    written, n = max(counts), min(counts)
+    figures: dict[str, Any] = {}
+    with np.errstate(invalid="ignore"):  # damaged numbers are detected below
+        for key, specs in groups.items():
+            column = 0
+            for name, spec in specs:
+                width = spec.width(body)
+                figures[name] = spec.from_file(body, columns[key][:n, column : column + width])
+                column += width
+        rows = SessionArrays(body, _targets(calibrations, n), np.arange(n), columns[_TIME][:n, 0], **figures)
+    if n:
+        fits = frame_checksums(rows) == columns[_FRAME_CRC][:n, 0]
+        n = int(np.argmin(np.append(fits, False)))
+    return rows[:n], (columns[_FUSED_CRC][:n, 0], columns[_JOINT_DIGESTS][:n]), written - n
+
+
+def _groups(found: Columns) -> dict[tuple[str, str], list[tuple[str, FrameField]]]:
+    """The figures by component, in storage order; without figures that the file lacks."""
+    groups: dict[tuple[str, str], list[tuple[str, FrameField]]] = {}
+    for name, spec in FRAME_FIELDS.items():
+        key = spec.entity, spec.component
+        if not spec.optional or key in found.values:
+            groups.setdefault(key, []).append((name, spec))
+    return groups
+
+
+def _consecutive(found: Columns, key: tuple[str, str], width: int, kind: type[np.generic]) -> NDArray[Any]:
+    """(N, width) values of frames 0 to N - 1, up to the first missing frame."""
+    frames, values = found.values.get(key, (np.empty(0, np.int64), np.empty((0, width), kind)))
+    if values.dtype != kind or values.size != len(frames) * width:
+        return np.empty((0, width), kind)
+    order = np.argsort(frames, kind="stable")
+    frames = frames[order]
+    count = int(np.argmin(np.concatenate([frames, [-1]]) == np.arange(len(frames) + 1)))
+    return values.reshape(len(frames), width)[order[:count]]
+
+
+def _targets(calibrations: list[tuple[int, Calibration]], frames: int) -> NDArray[np.float64]:
+    """(T, J) bone lengths used for the fusion of each frame."""
+    firsts = [first for first, _ in calibrations]
+    lengths = np.array([calibration.bone_lengths for _, calibration in calibrations])
+    return np.asarray(lengths[np.searchsorted(firsts, np.arange(frames), side="right") - 1])

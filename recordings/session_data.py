@@ -1,0 +1,115 @@
+"""The data of a session: frames, settings, calibrations, events and images, as in its file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from devices.sensor import ColorImage
+from fusion.body import Body
+from fusion.calibration.calibration import Calibration
+from fusion.intrinsics import Intrinsics
+from fusion.setup import FuserSettings, FusionSetup
+from recordings.events import Event
+from recordings.images import NO_IMAGES, Images, SessionImages
+from recordings.session_arrays import SessionArrays
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SessionData:
+    """What a file of a session holds, and what is written to one; see :class:`recordings.session.Session`.
+
+    Attributes:
+        path: The file; None for a session in memory.
+        rows: All per-frame figures as arrays.
+        settings: The settings of the fusion.
+        calibrations: (first frame, calibration) pairs; the first starts at frame 0. A new fuser starts at
+            each.
+        intrinsics_a, intrinsics_b: Intrinsics of the depth cameras.
+        sources: Names of the sensors, K_A first.
+        about: All properties as written, by group and name.
+        events: Events in the order of writing.
+        fused_checksums: (T,) checksums of S* in float64; the file stores float32.
+        joint_digests: (T, J) one digest byte for each joint of S* in float64.
+        frames_lost: Number of frames that were written but cannot be read.
+        damage: Description of the damage of the file; None if it is whole.
+        images: Source of the images.
+    """
+
+    path: Path | None
+    rows: SessionArrays
+    settings: FuserSettings
+    calibrations: tuple[tuple[int, Calibration], ...]
+    intrinsics_a: Intrinsics
+    intrinsics_b: Intrinsics
+    sources: tuple[str, str]
+    about: dict[str, dict[str, list[Any]]]
+    events: tuple[Event, ...]
+    fused_checksums: NDArray[np.uint32]
+    joint_digests: NDArray[np.uint8]
+    frames_lost: int
+    damage: str | None
+    images: SessionImages = NO_IMAGES
+
+    def __len__(self) -> int:
+        """The number of frames T."""
+        return len(self.rows)
+
+    def __str__(self) -> str:
+        """The file of the session, for messages."""
+        return "the session in memory" if self.path is None else str(self.path)
+
+    @property
+    def name(self) -> str:
+        """The file's name."""
+        return "session" if self.path is None else self.path.name
+
+    @property
+    def body(self) -> Body:
+        """The body that defines the joints."""
+        return self.rows.body
+
+    @property
+    def first_frame(self) -> int:
+        """The number of the first frame in the original capture; greater than 0 after a trim."""
+        return int(self.about["session"].get("first_frame", [0])[0])
+
+    @property
+    def tracker(self) -> str:
+        """The body tracker that found the people, such as "blazepose full"; empty where not recorded."""
+        return str(self.about["session"].get("tracker", [""])[0])
+
+    def setups(self, settings: FuserSettings | None = None) -> Iterator[tuple[FusionSetup, slice]]:
+        """The setup and the frames of each calibration; a new fuser starts at each.
+
+        Args:
+            settings: Settings to use; None: the session's own.
+        """
+        firsts = [number for number, _ in self.calibrations]
+        for (first, calibration), end in zip(self.calibrations, [*firsts[1:], len(self)], strict=True):
+            cameras = self.intrinsics_a, self.intrinsics_b
+            yield FusionSetup(calibration, settings or self.settings, *cameras), slice(first, end)
+
+    def depth(self, side: str, first: int = 0, end: int | None = None) -> Images[NDArray[np.uint16]]:
+        """Depth images of a sensor, read on demand; damaged images are skipped and counted.
+
+        Args:
+            side: ``a`` or ``b``.
+            first, end: The frames from `first` to `end`, exclusive; None: to the last frame.
+
+        Returns:
+            An iterable of frame number and (height, width) millimetres, 0 without a reading.
+        """
+        return self.images.depth(side, self._frames(first, end))
+
+    def color(self, side: str, first: int = 0, end: int | None = None) -> Images[ColorImage]:
+        """Colour images of a sensor; same arguments and iteration as :meth:`depth`."""
+        return self.images.color(side, self._frames(first, end))
+
+    def _frames(self, first: int, end: int | None) -> range:
+        return range(first, len(self) if end is None else min(end, len(self)))

@@ -1,0 +1,101 @@
+"""Images of the sensors in a stream: colour images, and for a viewer point clouds and infrared images."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from devices.blazepose.grey_image import compressed
+from devices.depth.point_cloud import depth_to_points, ray_table
+from devices.sensor import ColorCamera, ColorImage
+from fusion.intrinsics import Intrinsics
+from recordings import layout
+from recordings.appearance import entity_styles
+from recordings.writing.checksums import image_checksum
+
+_POINTS = 10_000
+"""Approximate maximum number of points shown; 120 kB."""
+_INFRARED_QUALITY = 80  # of the JPEG, per cent: 20 KB for an image of 320 × 288 pixels
+
+
+class ColorLog:
+    """Writes the colour images of both sensors to a stream. The caller sets the time of the stream."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._placed: set[str] = set()
+
+    def record(self, side: str, frame: int, color: ColorImage) -> None:
+        """Logs an image under the number of its frame."""
+        entity, camera = layout.color(side), color.camera
+        if side not in self._placed:
+            self._placed.add(side)
+            depth_from_color = camera.color_from_depth.inverse()
+            self._stream.log(
+                entity,
+                rr.Transform3D(translation=depth_from_color.translation, mat3x3=depth_from_color.rotation),
+                entity_styles.camera(camera.intrinsics, side),
+                static=True,
+            )
+        values = _camera_values(camera)
+        self._stream.log(
+            entity,
+            rr.EncodedImage(contents=color.jpeg, media_type="image/jpeg"),
+            rr.AnyValues(crc32=image_checksum(frame, color.jpeg + values.tobytes()), camera=values),
+        )
+
+
+def _camera_values(camera: ColorCamera) -> NDArray[np.float64]:
+    """Size, focal lengths, principal point; R row by row and t, colour ← depth; the lens's distortion."""
+    of, pose = camera.intrinsics, camera.color_from_depth
+    size = [of.width, of.height, of.fx, of.fy, of.cx, of.cy]
+    return np.array([*size, *pose.rotation.ravel(), *pose.translation, *of.distortion], dtype=np.float64)
+
+
+def show_infrared(stream: rr.RecordingStream, side: str, image: NDArray[np.uint16]) -> None:
+    """Logs an infrared image as the body tracker sees it, at the stream's current time.
+
+    Args:
+        stream: The stream of a viewer. Files hold no infrared: no step after the body tracker reads it.
+        side: ``a`` or ``b``.
+        image: (height, width) uint16, on the pixels of the depth image.
+    """
+    grey = np.rint(255.0 * compressed(image)).astype(np.uint8)
+    written, jpeg = cv2.imencode(".jpg", grey, (cv2.IMWRITE_JPEG_QUALITY, _INFRARED_QUALITY))
+    if written:
+        contents = jpeg.tobytes()
+        stream.log(layout.infrared(side), rr.EncodedImage(contents=contents, media_type="image/jpeg"))
+
+
+def thin_points(depth: NDArray[np.uint16], camera: Intrinsics) -> NDArray[np.float32]:
+    """The points of every n-th row and column of a depth image.
+
+    Args:
+        depth: (height, width) millimetres, 0 where there is no reading.
+        camera: Intrinsics of this image.
+
+    Returns:
+        (N, 3) metres in the sensor's frame.
+
+    Raises:
+        DeviceError: The sizes of the image and the camera differ.
+    """
+    step, rays = _thin_rays(camera)
+    return depth_to_points(depth[::step, ::step], rays)
+
+
+def prepare_points(*cameras: Intrinsics) -> None:
+    """Precomputes the rays that :func:`thin_points` needs, because this takes longer than a frame."""
+    for camera in cameras:
+        _thin_rays(camera)
+
+
+@lru_cache(maxsize=4)
+def _thin_rays(camera: Intrinsics) -> tuple[int, NDArray[np.float32]]:
+    step = max(1, round(math.sqrt(camera.width * camera.height / _POINTS)))
+    return step, ray_table(camera)[::step, ::step]
