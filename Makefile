@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS := 1
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test coverage check docs pictures package bench clean
+.PHONY: demo test coverage check docs pictures package clean
 
 demo: $(READY)
 	$(BIN)/duplex demo
@@ -44,9 +44,6 @@ pictures: $(READY)
 # An sdist and a wheel in dist/, checked and tried in a fresh environment.
 package: $(READY)
 	.ci/package dist
-
-bench: $(READY)
-	$(BIN)/python -m pytest -q tests/benchmarks --benchmark-only
 
 clean:
 	rm -rf $(VENV)

@@ -33,8 +33,8 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import FusionError
 from fusion.setup import FuserSettings
 from fusion.skeleton import TrackingState
-from viewer_app.bench.accuracy_methods import RecordedPair, as_recorded
-from viewer_app.options.bench import BenchAccuracyOptions
+from tests.benchmarks.accuracy import ANGLES, MOTIONS
+from tests.benchmarks.methods import RecordedPair, as_recorded
 
 Array = NDArray[np.float64]
 HIDDEN = 0.35
@@ -246,10 +246,9 @@ def row(name: str, figures: dict[str, float]) -> str:
 
 def main(arguments: Sequence[str]) -> None:
     """Runs the experiment."""
-    defaults = BenchAccuracyOptions()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--motions", nargs="+", default=list(defaults.motions))
-    parser.add_argument("--angles", nargs="+", type=float, default=list(defaults.angles))
+    parser.add_argument("--motions", nargs="+", default=MOTIONS)
+    parser.add_argument("--angles", nargs="+", type=float, default=ANGLES)
     parser.add_argument("--seed", type=int, default=5000)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--depth", choices=("half", "full"), default="full", help="size of the images")

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from fusion.body import BODIES, Body
-from fusion.solvers.dense import DenseSolver
 from fusion.solvers.solver import MAX_ITERATIONS, Solution
 from fusion.solvers.tree_solver import TreeSolver
-from viewer_app.bench.scipy_solver import slsqp_optimum
+from tests.helpers.dense_solver import DenseSolver
+from tests.helpers.slsqp import slsqp_optimum
 
 BONE_TOLERANCE = 1e-6  # m, the claim
 # m: force over the information it acts on, as if it were a joint's distance from its target. The solver's

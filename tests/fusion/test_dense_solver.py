@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fusion.body import BODIES, Body
-from fusion.solvers.dense import DenseSolver
 from tests.experiments.solver import bone_error, projected_gradient, slsqp
+from tests.helpers.dense_solver import DenseSolver
 from tests.helpers.solver_problems import SAME, ordinary_problem, solver_of
 
 

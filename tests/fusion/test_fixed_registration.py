@@ -7,8 +7,8 @@ import pytest
 
 from fusion.body import KINECT_V2
 from fusion.errors import CalibrationError
-from fusion.evaluation.baselines import oracle
 from fusion.evaluation.fixed_registration import fit_recording
+from tests.benchmarks.baselines import oracle
 from tests.helpers.two_views import A_FROM_B, moving
 
 

@@ -13,7 +13,7 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import FusedFrame, Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import SkeletonPair
-from viewer_app.bench.scipy_solver import slsqp_optimum
+from tests.helpers.slsqp import slsqp_optimum
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ Figures = dict[str, float | int | str | None]
 def session_figures(session: Session, result: FusionResult) -> Figures:
     """Computes the figures in SI units, by name; None where there is no such figure.
 
-    Contains pairing and drops, the last calibration, bone errors, and the figures of ``duplex bench real``
+    Contains pairing and drops, the last calibration, bone errors, and the figures without truth
     that need one fusion (:class:`fusion.evaluation.without_truth.FiguresWithoutTruth`).
     """
     rows, pairing, calibration = session.rows, result.pairing, result.calibration

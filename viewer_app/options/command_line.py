@@ -19,12 +19,6 @@ from cyclopts import (
 )
 
 from viewer_app.errors import UsageError
-from viewer_app.options.bench import (
-    BenchAccuracyOptions,
-    BenchOutputsOptions,
-    BenchRealOptions,
-    BenchSpeedOptions,
-)
 from viewer_app.options.sensing import (
     BatchOptions,
     DemoOptions,
@@ -57,15 +51,10 @@ COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "info": (InfoOptions, "viewer_app.commands.info"),
     "doctor": (DoctorOptions, "viewer_app.commands.doctor"),
     "tracker fetch": (TrackerFetchOptions, "viewer_app.commands.tracker"),
-    "bench accuracy": (BenchAccuracyOptions, "viewer_app.bench.accuracy"),
-    "bench real": (BenchRealOptions, "viewer_app.bench.real"),
-    "bench speed": (BenchSpeedOptions, "viewer_app.bench.speed"),
-    "bench outputs": (BenchOutputsOptions, "viewer_app.bench.outputs"),
 }
 """Options and module of each command, by ``command`` or ``group command``; the module has a ``run``."""
 
 _GROUPS = {
-    "bench": "Measure the method on this machine.",
     "tracker": "The program's own body tracker, BlazePose.",
 }
 _LONGEST = 200  # characters of a message; longer ones, with a long value, lose their middle

@@ -1,11 +1,11 @@
-"""The trials of ``duplex bench accuracy``: every method on the same simulated recordings."""
+"""Simulated recordings with known truth, and every method on each of them."""
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from multiprocessing import get_context
 from typing import Literal
 
@@ -20,8 +20,8 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import BODIES
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
-from fusion.evaluation.accuracy import accuracy
-from viewer_app.bench.accuracy_methods import ABLATIONS, METHODS, Method, RecordedPair
+from tests.benchmarks.methods import ABLATIONS, METHODS, Method, RecordedPair
+from tests.benchmarks.scores import accuracy
 
 TrackerShape = Literal["fitted", "heavy-tailed"]
 
@@ -47,14 +47,12 @@ class Simulation:
 
     Attributes:
         body: The name of the body that the trackers report.
-        seconds: Duration of each recording.
         errors: Factor for all tracker errors.
         tracker_errors: Error model: fitted to real recordings, or heavy-tailed, which no method is fitted to.
         depth: Size of the depth images, which S* uses as evidence.
     """
 
     body: str = "azure_kinect"
-    seconds: float = 20.0
     errors: float = 1.0
     tracker_errors: TrackerShape = "fitted"
     depth: Depth = "none"
@@ -77,35 +75,28 @@ class Outcome:
 
 
 def run_trials(
-    trials: Sequence[Trial], simulation: Simulation, names: Sequence[str], processes: int = 1
+    trials: Sequence[Trial], simulation: Simulation, seconds: float, names: Sequence[str], processes: int = 1
 ) -> Iterator[list[Outcome]]:
     """The named methods on each trial, in the trials' order.
 
     Args:
         trials: The trials to run.
         simulation: Their shared settings.
+        seconds: Duration of each recording.
         names: Names from METHODS and ABLATIONS.
         processes: Number of trials run in parallel. With more than one, ``fuse_us`` is measured under load.
 
     Raises:
-        DeviceError: There is no such movement, or it is too short to hold the start-up pose.
+        DeviceError: The recording is too short to hold more than the start-up pose.
         CalibrationError: The start-up pose of a trial cannot be calibrated on.
     """
-    count = len(trials)
-    if processes < 2 or count < 2:
-        for trial in trials:
-            yield run_trial(trial, simulation, names)
+    if processes < 2:
+        yield from (run_trial(trial, simulation, seconds, names) for trial in trials)
         return
     # Spawned, not forked: the threads of numba and OpenBLAS do not survive a fork.
-    pool = ProcessPoolExecutor(processes, get_context("spawn"), _leave_ctrl_c_to_the_parent)
-    try:
-        yield from pool.map(run_trial, trials, [simulation] * count, [tuple(names)] * count)
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _leave_ctrl_c_to_the_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+        run = partial(run_trial, simulation=simulation, seconds=seconds, names=tuple(names))
+        yield from pool.map(run, trials)
 
 
 def chosen_methods(names: Sequence[str]) -> list[Method]:
@@ -113,9 +104,9 @@ def chosen_methods(names: Sequence[str]) -> list[Method]:
     return [method for method in (*METHODS, *ABLATIONS) if method.name in names]
 
 
-def run_trial(trial: Trial, simulation: Simulation, names: Sequence[str]) -> list[Outcome]:
+def run_trial(trial: Trial, simulation: Simulation, seconds: float, names: Sequence[str]) -> list[Outcome]:
     """The named methods on one trial; see :func:`run_trials`."""
-    recording, first = record(trial, simulation)
+    recording, first = record(trial, simulation, seconds)
     states_a, states_b = recording.states
     outcomes = []
     for method in chosen_methods(names):
@@ -133,7 +124,7 @@ def run_trial(trial: Trial, simulation: Simulation, names: Sequence[str]) -> lis
     return outcomes
 
 
-def record(trial: Trial, simulation: Simulation) -> tuple[RecordedPair, int]:
+def record(trial: Trial, simulation: Simulation, seconds: float) -> tuple[RecordedPair, int]:
     """A simulated recording, and its first frame after the start-up pose, where the measurement starts.
 
     The start-up pose is excluded, because all methods perform best in it.
@@ -148,7 +139,7 @@ def record(trial: Trial, simulation: Simulation) -> tuple[RecordedPair, int]:
         seed=trial.seed,
         body=body,
         angle_deg=trial.angle,
-        seconds=simulation.seconds,
+        seconds=seconds,
         errors=simulation.errors_of_tracker(),
         depth=simulation.depth,
     )
@@ -160,7 +151,7 @@ def record(trial: Trial, simulation: Simulation) -> tuple[RecordedPair, int]:
     first = int(np.searchsorted(times * 1e-9, getattr(truth.scene.motion, "begins", 0.0)))
     if len(pairs) - first < 30:
         raise DeviceError(
-            f"{simulation.seconds:g} s of {trial.motion} leave less than a second after the start-up pose."
+            f"{seconds:g} s of {trial.motion} leave less than a second after the start-up pose."
         )
     joints = truth.positions_at(times)
     return RecordedPair(body, pairs, calibration, truth.rig.frame_seconds, joints), first

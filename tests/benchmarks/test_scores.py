@@ -3,8 +3,8 @@ import pytest
 from scipy.stats import chi
 
 from fusion.body import KINECT_V1
-from fusion.evaluation import baselines
-from fusion.evaluation.accuracy import accuracy
+from tests.benchmarks import baselines
+from tests.benchmarks.scores import accuracy
 from tests.helpers.two_views import FRAME_NS, moving
 
 DT = FRAME_NS * 1e-9

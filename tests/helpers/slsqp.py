@@ -1,4 +1,4 @@
-"""Eq. (1) by scipy's SLSQP: an oracle that shares no code with the solvers of :mod:`fusion.solvers`."""
+"""Eq. (1) by scipy's SLSQP: it shares no code with the solvers of :mod:`fusion.solvers`."""
 
 from __future__ import annotations
 

@@ -1,102 +1,33 @@
-"""``duplex bench real``: measures the quality of S* on recordings of real sensors without ground truth."""
+"""S* on recordings of two real sensors, without ground truth: ``python -m tests.benchmarks.real FOLDER…``.
+
+Each folder has the recordings ``a.csv`` and ``b.csv``. The figures are written to ``results/real.json``.
+"""
 
 from __future__ import annotations
 
-import json
+import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import track
 
 from devices.files import RecordingChoice, read_two
 from devices.pairing import FramePair
 from fusion.body import Body
-from fusion.errors import FusionError
-from fusion.evaluation.faults import FAULTS, Fault, share_of_fault, with_fault
 from fusion.evaluation.without_truth import FusedPair, figures_without_truth, judge_registration
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 from recordings.fusing.recorded import fuse_segments, setups_of
-from viewer_app.bench.real_tables import real_tables
-from viewer_app.errors import UsageError
-from viewer_app.options.bench import BenchRealOptions
-from viewer_app.output_files import check_writable, whole_file
+from tests.benchmarks import results
+from tests.benchmarks.faults import FAULTS, Fault, share_of_fault, with_fault
 
 FAULTY_FRAMES = 20
 FAULTY_PLACES = (0.4, 0.6, 0.8)
 """Start of each fault as a share of the recording's length; the start-up pose comes before them."""
-_FEWEST_PAIRS = 120
-"""Two halves of two seconds each."""
-
-
-def run(options: BenchRealOptions) -> None:
-    """Carries out the command.
-
-    Raises:
-        DeviceError, FusionError, UsageError: With a one-line message for the user.
-    """
-    console = Console()
-    if options.json is not None:
-        check_writable(options.json, options.force)
-    recordings = recordings_of(options.paths)
-    rows: dict[str, dict[str, float]] = {}
-    shown = track(
-        recordings.items(),
-        "measuring",
-        total=len(recordings),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
-    for name, (a, b) in shown:
-        read = read_two(RecordingChoice(a), RecordingChoice(b))
-        skeletons = [pair.skeletons for pair in read.pairing.pairs]
-        try:
-            rows[name] = measure(read.body, skeletons, faults=not options.no_faults)
-        except FusionError as error:
-            raise UsageError(f"{name}: {error}") from None
-    for table in real_tables(rows, FAULTS if not options.no_faults else ()):
-        console.print(table)
-    if options.json is not None:
-        document = {"pairs": {name: _plain(row) for name, row in rows.items()}, "mean": _plain(mean_of(rows))}
-        with whole_file(options.json) as partial:
-            partial.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-
-
-def recordings_of(paths: Sequence[Path]) -> dict[str, tuple[Path, Path]]:
-    """Returns the pairs of recordings at the given paths, by name.
-
-    Args:
-        paths: Folders that hold two recordings ``a`` and ``b`` of one format; or two recordings.
-
-    Raises:
-        UsageError: A path is neither, or the same pair is named twice.
-    """
-    if not paths:
-        raise UsageError("Name one or more folders with a.csv and b.csv, or two recordings.")
-    if len(paths) == 2 and all(path.is_file() for path in paths):
-        return {f"{paths[0].stem}, {paths[1].stem}": (paths[0], paths[1])}
-    found: dict[str, tuple[Path, Path]] = {}
-    for path in paths:
-        if not path.is_dir():
-            raise UsageError(f"No folder {path}. Name folders with a.csv and b.csv, or two recordings.")
-        endings = [".csv", ".json", ".skeleton", ".mkv"]
-        held = [end for end in endings if all((path / f"{side}{end}").is_file() for side in "ab")]
-        if not held:
-            raise UsageError(f"{path} has no two recordings a and b, such as a.csv and b.csv.")
-        name = path.resolve().name
-        if name in found:
-            name = str(path)
-        if name in found:
-            raise UsageError(f"{path} is named twice.")
-        found[name] = path / f"a{held[0]}", path / f"b{held[0]}"
-    return found
 
 
 def measure(body: Body, skeletons: Sequence[SkeletonPair], *, faults: bool) -> dict[str, float]:
@@ -105,10 +36,6 @@ def measure(body: Body, skeletons: Sequence[SkeletonPair], *, faults: bool) -> d
     Raises:
         FusionError: The recording is too short, or cannot be calibrated.
     """
-    if len(skeletons) < _FEWEST_PAIRS:
-        raise FusionError(
-            f"A recording needs {_FEWEST_PAIRS} pairs or more to be judged; got {len(skeletons)}."
-        )
     pair = fuse_pair(body, skeletons)
     figures = figures_without_truth(pair)
     half = len(skeletons) // 2
@@ -186,5 +113,22 @@ def mean_of(rows: dict[str, dict[str, float]]) -> dict[str, float]:
     return {name: float(np.mean(values)) if values else np.nan for name, values in known.items()}
 
 
-def _plain(row: dict[str, float]) -> dict[str, Any]:
-    return {name: value if np.isfinite(value) else None for name, value in row.items()}
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Judges each recording."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--no-faults", action="store_true", help="leave out the artificial faults")
+    options = parser.parse_args(arguments)
+    rows = {}
+    for folder in options.folders:
+        read = read_two(*(RecordingChoice(folder / f"{side}.csv") for side in "ab"))
+        skeletons = [pair.skeletons for pair in read.pairing.pairs]
+        row = rows[folder.name] = measure(read.body, skeletons, faults=not options.no_faults)
+        print(f"{folder.name}: roughness {row['roughness_ratio']:.2f} of the views'", file=sys.stderr)
+    # the folders may lie anywhere: the written command names them without their path
+    sys.argv[1:] = [Path(argument).name for argument in sys.argv[1:]]
+    results.write("real", {"pairs": rows, "mean": mean_of(rows)})
+
+
+if __name__ == "__main__":
+    main()

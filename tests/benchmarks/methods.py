@@ -1,4 +1,4 @@
-"""The methods that ``duplex bench accuracy`` compares: one row each, from the simplest to ours.
+"""The methods that the benchmark of accuracy compares: one row each, from the simplest to ours.
 
 To add a method, add a row to :data:`METHODS`. A switch of our method is a row of :data:`ABLATIONS`.
 """
@@ -18,7 +18,6 @@ from devices.pairing import FramePair
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.estimator.constants import Constants
-from fusion.evaluation import baselines
 from fusion.evaluation.fixed_registration import fit_recording
 from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
@@ -28,6 +27,7 @@ from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton
 from recordings.fusing.live import LiveFusion
 from recordings.fusing.recorded import fuse_segments, setups_of
+from tests.benchmarks import baselines
 
 Array = NDArray[np.float64]
 Kind = Literal["view", "baseline", "bound", "method", "ablation"]

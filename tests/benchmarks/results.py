@@ -1,0 +1,62 @@
+"""The figures that each benchmark leaves, as JSON beside this module.
+
+``python -m tests.benchmarks.page`` makes ``docs/benchmarks.md`` from them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import shlex
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).parent / "results"
+
+
+def write(name: str, figures: dict[str, Any]) -> None:
+    """Writes the figures of a benchmark, with the command and the machine they come from.
+
+    Args:
+        name: Name of the file without its ending.
+        figures: Numbers in SI units unless a name says otherwise; NaN becomes null.
+    """
+    module = sys.modules["__main__"].__spec__
+    document = {
+        "command": shlex.join(["python", "-m", module.name if module else name, *sys.argv[1:]]),
+        "version": version("duplex-kinects"),
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": {
+            "system": platform.system(),
+            "architecture": platform.machine(),
+            "processors": os.cpu_count(),
+            "load": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None,
+            "python": platform.python_version(),
+            **{package: version(package) for package in ("numpy", "numba", "rerun-sdk")},
+        },
+        "figures": _plain(figures),
+    }
+    text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
+    (FOLDER / f"{name}.json").write_text(text + "\n", encoding="utf-8")
+
+
+def read(name: str) -> dict[str, Any]:
+    """Returns the document that :func:`write` wrote."""
+    document: dict[str, Any] = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    return document
+
+
+def _plain(value: Any) -> Any:
+    """Dictionaries and lists with floats of six digits."""
+    if isinstance(value, dict):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if math.isfinite(value) else None
+    return value

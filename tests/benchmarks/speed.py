@@ -1,0 +1,148 @@
+"""Time per frame of the method, and of the commands around it: ``python -m tests.benchmarks.speed``.
+
+The figures are written to ``results/speed.json``. Times of the method are processor time of one thread, in
+which other processes do not count.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from devices.pairing import pair_recordings
+from devices.simulated.kinect import PERSON, simulated_pair
+from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
+from fusion.calibration.calibration import calibrate
+from fusion.calibration.start_up_pose import find_start_up_pose
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup, Method
+from fusion.skeleton import SkeletonPair
+from fusion.solvers.published import PaperSolver
+from fusion.solvers.solver import Solver
+from recordings.session import Session
+from tests.benchmarks import results
+from tests.helpers.skeleton_views import write_view
+from tests.helpers.solver_problems import ordinary_problem, solver_of
+
+FRAME_NS = 33_333_333
+FRAMES_PER_MINUTE = 1800
+SHORT, LONG = 600, 6600
+"""Pairs of two recordings whose difference separates the cost of a pair from the start-up."""
+
+
+def simulated_walk(body: Body, seconds: float = 20.0) -> list[SkeletonPair]:
+    """Returns the pairs of a walk in front of two simulated sensors."""
+    a, b, _ = simulated_pair(motion="walk", seed=0, body=body, angle_deg=90.0, seconds=seconds, depth="none")
+    pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
+    return [pair.skeletons for pair in pairs]
+
+
+def repeated(pairs: Sequence[SkeletonPair], count: int) -> list[SkeletonPair]:
+    """Repeats a recording forwards and backwards in turn, so that it has no jumps."""
+    there_and_back = [*pairs, *pairs[::-1]]
+    return [
+        replace(there_and_back[k % len(there_and_back)], time_ns=k * FRAME_NS) for k in range(count)
+    ]  # fmt: skip
+
+
+def time_update(pairs: Sequence[SkeletonPair], body: Body, method: Method) -> dict[str, float]:
+    """Times ``Fuser.update`` pair by pair, and ``fuse_sequence`` over many pairs."""
+    setup = FusionSetup(calibrate(body, *find_start_up_pose(body, pairs)), FuserSettings(method=method))
+    fuser = Fuser(setup)
+    fuser.warm_up()
+    took = []
+    for pair in pairs:
+        before = time.thread_time_ns()
+        fuser.update(pair)
+        took.append((time.thread_time_ns() - before) * 1e-3)
+    many = repeated(pairs, 6000)
+    before = time.thread_time_ns()
+    Fuser(setup).fuse_sequence(many)
+    per_second = len(many) / (time.thread_time_ns() - before) * 1e9
+    median, p99 = np.percentile(took, [50, 99])
+    return {"median_us": float(median), "p99_us": float(p99), "batch_per_s": per_second}
+
+
+def time_solver(solver: Solver, frames: int = 1000) -> dict[str, float]:
+    """Times eq. (1) from cold starts: 20 joints in random poses, with 10 mm of noise."""
+    took, bones = [], []
+    for seed in range(frames):
+        problem = ordinary_problem(seed, KINECT_V1, noise=0.01)
+        before = time.perf_counter_ns()
+        x = solver.solve(problem.targets, problem.weights, problem.lengths).positions
+        took.append((time.perf_counter_ns() - before) * 1e-3)
+        child = KINECT_V1.bone_joints
+        lengths = np.linalg.norm(x[child] - x[KINECT_V1.parent_indices[child]], axis=1)
+        bones.append(np.abs(lengths - problem.lengths[child]).max())
+    median, p99 = np.percentile(took[1:], [50, 99])
+    return {"median_us": float(median), "p99_us": float(p99), "bone_error_mm": 1e3 * float(max(bones))}
+
+
+def time_commands(body: Body, pairs: Sequence[SkeletonPair]) -> dict[str, float]:
+    """Times ``duplex fuse --save`` and ``duplex replay --verify`` on a short and on a long recording."""
+    # noise, so that repeated frames do not compress better than a real recording
+    rng = np.random.default_rng(0)
+    known = [pair for pair in pairs if pair.a is not None and pair.b is not None]
+    many = repeated(known, LONG)
+    fusing, replaying, sizes = [], [], []
+    with tempfile.TemporaryDirectory(prefix="duplex-benchmark-") as name:
+        folder = Path(name)
+        session = folder / "session.rrd"
+        for count in (10, SHORT, LONG):  # the first fills the caches
+            files = []
+            for side in "ab":
+                positions = np.array([getattr(pair, side).positions for pair in many[:count]], np.float64)
+                positions += rng.normal(0.0, 1e-3, positions.shape)
+                files.append(str(write_view(folder / f"{side}.csv", body, positions)))
+            fusing.append(
+                _seconds_of(["fuse", *files, "--save", str(session), "--no-viewer", "--force",
+                             "--calibrate", "seconds:3"])
+            )  # fmt: skip
+            replaying.append(_seconds_of(["replay", str(session), "--verify"]))
+            sizes.append(session.stat().st_size)
+        before = time.perf_counter()
+        Session.open(session)
+        opening = time.perf_counter() - before
+    pair_s = (fusing[2] - fusing[1]) / (LONG - SHORT)
+    return {
+        "fuse_pairs_per_s": 1.0 / pair_s,
+        "fuse_start_up_s": fusing[1] - SHORT * pair_s,
+        "replay_pairs_per_s": (LONG - SHORT) / (replaying[2] - replaying[1]),
+        "open_hour_s": opening / LONG * FRAMES_PER_MINUTE * 60,
+        "file_mb_per_minute": (sizes[2] - sizes[1]) / (LONG - SHORT) * FRAMES_PER_MINUTE * 1e-6,
+        "help_s": min(_seconds_of(["--help"]) for _ in range(5)),
+    }
+
+
+def _seconds_of(arguments: Sequence[str]) -> float:
+    before = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "viewer_app.cli", *arguments], check=True, capture_output=True)
+    return time.perf_counter() - before
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Times the method and the commands."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.parse_args(arguments)
+    figures: dict[str, Any] = {"update": {}, "solver": {}}
+    methods: tuple[Method, ...] = ("duplex", "paper")
+    for body in BODIES.values():
+        walk = simulated_walk(body)
+        figures["update"][body.name] = {method: time_update(walk, body, method) for method in methods}
+    figures["solver"]["exact"] = time_solver(solver_of(KINECT_V1))
+    figures["solver"]["published"] = time_solver(PaperSolver(KINECT_V1.parent_indices))
+    figures["commands"] = time_commands(KINECT_V2, simulated_walk(KINECT_V2))
+    results.write("speed", figures)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,142 @@
+"""The benchmarks count what they say, on made-up outcomes and on short recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from devices.simulated.tracking.harsher_errors import heavy_tailed, scaled
+from devices.simulated.tracking.tracker_errors import TrackerErrors
+from fusion.body import KINECT_V1, KINECT_V2
+from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings, FusionSetup
+from recordings.fusing.live import LiveFusion
+from tests.benchmarks import accuracy, speed
+from tests.benchmarks.methods import ABLATIONS, METHODS, OURS, WITHOUT_DEPTH
+from tests.benchmarks.real import mean_of
+from tests.benchmarks.trials import Outcome, Simulation, Trial, record, run_trials
+from tests.helpers.two_views import FRAME_NS, moving, pair_of
+
+NAMES = tuple(method.name for method in METHODS)
+
+
+def made_up(size: dict[str, float]) -> list[Outcome]:
+    """Two movements, two angles, three seeds; all figures of a method as large as ``size`` says, or 1."""
+    return [
+        Outcome(
+            Trial(motion, angle, seed),
+            method,
+            dict.fromkeys(("mpjpe", "lag"), size.get(method, 1.0) + 0.01 * seed),
+        )
+        for motion in ("basketball", "still")
+        for angle in (45.0, 135.0)
+        for seed in range(3)
+        for method in NAMES
+    ]
+
+
+def test_a_trial_counts_only_where_every_method_has_the_figure() -> None:
+    outcomes = made_up({})
+    for outcome in outcomes:
+        outcome.figures["lag"] = 1.0 if outcome.trial.motion == "still" else 5.0
+        if outcome.method == "B alone" and outcome.trial.motion == "basketball":
+            outcome.figures["lag"] = np.nan
+    methods = accuracy.summary(outcomes)["methods"]
+    assert {row["lag"] for row in methods.values()} == {1.0}
+
+
+def test_nearer_recordings_are_counted_one_by_one() -> None:
+    outcomes = made_up({})
+    for outcome in outcomes:
+        nearer = outcome.trial.motion == "still" and outcome.trial.seed > 0  # 4 of 12 recordings
+        kalman = 2.0 if nearer else 0.9
+        outcome.figures["mpjpe"] = {OURS: 1.0, "Kalman, refined": kalman}.get(outcome.method, 3.0)
+    assert accuracy.nearer(outcomes, "Kalman, refined") == pytest.approx(4 / 12)
+    assert accuracy.nearer(outcomes, "mean, refined") == 1.0
+
+
+def test_cases_where_a_baseline_is_nearer_on_average_are_reported() -> None:
+    outcomes = made_up(dict.fromkeys(NAMES, 2.0) | {OURS: 1.0, "oracle": 0.1, "duplex, smoothed": 0.5})
+    assert accuracy.lost(outcomes) == []
+    for outcome in outcomes:
+        if outcome.method == "mean, refined" and (outcome.trial.motion, outcome.trial.angle) == (
+            "still",
+            135,
+        ):
+            outcome.figures["mpjpe"] = 0.5
+    (case,) = accuracy.lost(outcomes)
+    assert (case["motion"], case["angle"], case["method"]) == ("still", 135.0, "mean, refined")
+    assert case["by"] == pytest.approx(0.51)
+
+
+def test_means_leave_out_what_a_recording_does_not_have() -> None:
+    rows = {"one": {"rough": 0.004, "jumps": 0.1}, "two": {"rough": np.nan, "jumps": 0.3}}
+    assert mean_of(rows) == {"rough": 0.004, "jumps": pytest.approx(0.2)}
+
+
+def test_names_are_unique() -> None:
+    names = [method.name for method in (*METHODS, *ABLATIONS)]
+    assert len(set(names)) == len(names)
+    assert OURS in names
+
+
+def test_two_processes_find_what_one_finds() -> None:
+    trials = [Trial("arms", 90.0, seed) for seed in (7, 8)]
+    one, two = (list(run_trials(trials, Simulation(), 6.0, ["mean, refined"], n)) for n in (1, 2))
+    assert [[o.trial for o in of] for of in two] == [[t] for t in trials]
+    for a, b in zip(one, two, strict=True):
+        for name in set(a[0].figures) - {"fuse_us"}:
+            np.testing.assert_equal(b[0].figures[name], a[0].figures[name])
+
+
+def test_harsher_trackers_are_harsher() -> None:
+    trial = [Trial("arms", 90.0, 3)]
+    ((plain,),), ((larger,),) = (
+        list(run_trials(trial, simulation, 6.0, ["mean, refined"]))
+        for simulation in (Simulation(), Simulation(errors=1.5))
+    )
+    # all errors times 1.5, and more joints hidden: the mean distance grows by about as much
+    assert 1.25 < larger.figures["mpjpe"] / plain.figures["mpjpe"] < 2.0
+    tails = heavy_tailed(TrackerErrors.of(KINECT_V2))
+    assert Simulation("kinect_v2", tracker_errors="heavy-tailed").errors_of_tracker() == tails
+    assert Simulation("kinect_v2", 2.0, "heavy-tailed").errors_of_tracker() == scaled(tails, 2.0)
+
+
+def test_depth_images_reach_our_method_and_not_its_ablation() -> None:
+    """Images change S*, and nothing else: the ablation on images is our method on no images."""
+    trial = [Trial("arms", 90.0, 3)]
+    names = ["mean, refined", OURS, WITHOUT_DEPTH]
+    (without,), (having,) = (
+        list(run_trials(trial, Simulation(depth=depth), 6.0, names)) for depth in ("none", "half")
+    )
+    blind = {o.method: o.figures["mpjpe"] for o in without}
+    seeing = {o.method: o.figures["mpjpe"] for o in having}
+    assert blind[OURS] == blind[WITHOUT_DEPTH]
+    assert seeing[OURS] != seeing[WITHOUT_DEPTH]
+
+
+def test_the_live_row_refines_a_wrong_registration() -> None:
+    """Without learning, S* keeps the error of the registration that it starts from."""
+    recording, _ = record(Trial("walk", 90.0, 3), Simulation(), 10.0)
+    tilt = RigidTransform(Rotation.from_euler("y", 4.0, degrees=True).as_matrix(), np.array([0.06, 0.0, 0.0]))
+    wrong = replace(recording.calibration, a_from_b=tilt @ recording.calibration.a_from_b)
+    (live,) = (method for method in METHODS if method.name == "duplex, live")
+    kept = LiveFusion(FusionSetup(wrong, FuserSettings()), calibrated=True)
+    unrefined = np.array([kept.fuse(pair).fused.positions for pair in recording.pairs])
+
+    def error(positions: NDArray[np.float64]) -> float:
+        return float(np.nanmean(np.linalg.norm((positions - recording.truth)[-60:], axis=-1)))
+
+    assert error(live.find(replace(recording, calibration=wrong)).joints) < 0.8 * error(unrefined)
+
+
+def test_a_repeated_recording_has_no_jumps_and_rising_times() -> None:
+    pairs = [pair_of(KINECT_V1, joints, t * FRAME_NS) for t, joints in enumerate(moving(KINECT_V1, 5))]
+    many = speed.repeated(pairs, 15)
+    assert [pair.a for pair in many] == [pair.a for pair in pairs + pairs[::-1] + pairs]
+    assert {b.time_ns - a.time_ns for a, b in pairwise(many)} == {speed.FRAME_NS}
