@@ -3,16 +3,14 @@
 What a failure is: bones off by more than a micrometre, a point that is not stationary, a NaN, more than 50
 iterations (steps to a better point; the linear systems on the way are counted beside them). With ``--slsqp
 N``, scipy's SLSQP solves N problems of at most 50 mm noise too, from the same start, and those where it ends
-clearly lower are counted; ``--dense N`` does the same with the dense Newton solver. With ``--matrices`` every
-joint has a 3×3 information matrix of condition up to a million instead of a weight. (Set
-OPENBLAS_NUM_THREADS=1: on small matrices threads wait on each other.)
+clearly lower are counted. With ``--matrices`` every joint has a 3×3 information matrix of condition up to a
+million instead of a weight. (Set OPENBLAS_NUM_THREADS=1: on small matrices threads wait on each other.)
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +20,6 @@ from scipy.stats import binomtest
 from fusion.body import BODIES, Body
 from fusion.solvers.solver import MAX_ITERATIONS, Solution
 from fusion.solvers.tree_solver import TreeSolver
-from tests.helpers.dense_solver import DenseSolver
 from tests.helpers.slsqp import slsqp_optimum
 
 BONE_TOLERANCE = 1e-6  # m, the claim
@@ -126,15 +123,9 @@ def failures(problem: Problem, solution: Solution) -> list[str]:
     return wrong
 
 
-def slsqp(
-    problem: Problem, start: NDArray[np.float64], information: NDArray[np.float64] | None = None
-) -> tuple[NDArray[np.float64], float, bool]:
-    """Eq. (1) by scipy, with all derivatives: (positions, objective, whether bones came right).
-
-    With (J, 3, 3) ``information`` W instead of the problem's weights.
-    """
-    W = problem.weights if information is None else information
-    found = slsqp_optimum(problem.body, problem.targets, W, problem.lengths, start)
+def slsqp(problem: Problem, start: NDArray[np.float64]) -> tuple[NDArray[np.float64], float, bool]:
+    """Eq. (1) by scipy, with all derivatives: (positions, objective, whether bones came right)."""
+    found = slsqp_optimum(problem.body, problem.targets, problem.weights, problem.lengths, start)
     return found.positions, found.objective, bone_error(problem, found.positions) < BONE_TOLERANCE
 
 
@@ -157,24 +148,13 @@ def run(count: int, first: int, matrices: bool = False) -> tuple[Counter[str], N
     return kinds, work, failed
 
 
-Oracle = Callable[[Problem, NDArray[np.float64]], tuple[NDArray[np.float64], float, bool]]
-"""From a problem and a starting point to positions, objective, and whether bones came right."""
-
-
-def dense(problem: Problem, start: NDArray[np.float64]) -> tuple[NDArray[np.float64], float, bool]:
-    """Eq. (1) by the dense reference solver, which has starts of its own besides the problem's."""
-    del start
-    found = DenseSolver(problem.body).solve(problem.targets, problem.weights, problem.lengths, problem.start)
-    return found.positions, found.objective, bone_error(problem, found.positions) < BONE_TOLERANCE
-
-
-def run_oracle(
-    oracle: Oracle, count: int, first: int, body: Body | None = None, matrices: bool = False
+def run_slsqp(
+    count: int, first: int, body: Body | None = None, matrices: bool = False
 ) -> tuple[int, int, int]:
-    """Compares with an oracle: (problems compared, where its optimum is lower, where it is higher).
+    """Compares with SLSQP: (problems compared, where its optimum is lower, where it is higher).
 
-    An oracle's bones may be off by up to the tolerance, which buys a lower objective. So its optimum is the
-    one that the exact solver reaches from the oracle's joints. Lower or higher: by over a millionth.
+    SLSQP's bones may be off by up to the tolerance, which buys a lower objective. So its optimum is the one
+    that the exact solver reaches from SLSQP's joints. Lower or higher: by over a millionth.
     """
     compared = lower = higher = 0
     seed = first
@@ -186,7 +166,7 @@ def run_oracle(
         solver = TreeSolver(problem.body.parent_indices, problem.body.order, problem.body.rest)
         solution = solver.solve(problem.targets, problem.weights, problem.lengths, problem.start)
         filled = np.where(np.isfinite(problem.targets), problem.targets, solution.positions)
-        positions, objective, feasible = oracle(problem, filled)
+        positions, objective, feasible = slsqp(problem, filled)
         compared += 1
         margin = 1e-6 * solution.objective + 1e-15
         if feasible and objective < solution.objective - margin:
@@ -208,9 +188,8 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=100_000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--slsqp", type=int, default=0)
-    parser.add_argument("--dense", type=int, default=0)
     parser.add_argument("--matrices", action="store_true", help="3×3 information instead of weights")
-    parser.add_argument("--body", choices=BODIES, help="of the problems that the oracles get too")
+    parser.add_argument("--body", choices=BODIES, help="of the problems that SLSQP gets too")
     options = parser.parse_args()
     kinds, work, failed = run(options.count, options.first, options.matrices)
     print(f"{options.count} problems, {len(failed)} failed: {dict(kinds)}; first seeds {failed[:10]}")
@@ -219,13 +198,11 @@ def main() -> None:
         over = (counts > MAX_ITERATIONS).sum()
         print(f"{name}: median {median:.0f}, p99 {p99:.0f}, max {most:.0f}; over {MAX_ITERATIONS} in {over}")
     body = BODIES[options.body] if options.body else None
-    for name, oracle, count in (("SLSQP", slsqp, options.slsqp), ("dense", dense, options.dense)):
-        if count == 0:
-            continue
-        compared, lower, higher = run_oracle(oracle, count, options.first, body, options.matrices)
+    if options.slsqp:
+        compared, lower, higher = run_slsqp(options.slsqp, options.first, body, options.matrices)
         low, high = interval(lower, compared)
         print(
-            f"{compared} problems of <= 50 mm noise: {name} lower in {lower} ({lower / compared:.2%}, 95 % "
+            f"{compared} problems of <= 50 mm noise: SLSQP lower in {lower} ({lower / compared:.2%}, 95 % "
             f"interval {low:.2%} to {high:.2%}), higher or infeasible in {higher}"
         )
 

@@ -21,7 +21,6 @@ from fusion.solvers.tree_start import bend
 from tests.experiments.solver import (
     Problem,
     bone_error,
-    dense,
     failures,
     projected_gradient,
     random_information,
@@ -77,9 +76,12 @@ def test_problems_that_once_ran_out_of_iterations_converge(seed, what):
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
-def test_optimum_is_that_of_slsqp(body):
+@pytest.mark.parametrize("matrices", [False, True])
+def test_optimum_is_that_of_slsqp(body, matrices):
     for seed in range(3):
         problem = ordinary_problem(seed, body)
+        if matrices:
+            problem = replace(problem, weights=moderate_information(seed, len(body)))
         solution = solve(problem)
         positions, objective, feasible = slsqp(problem, problem.targets)
         assert feasible
@@ -201,16 +203,15 @@ def moderate_information(seed: int, joints: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
-def test_optimum_with_information_matrices_is_that_of_slsqp_and_of_the_dense_solver(body):
-    for seed in range(3):
-        problem = ordinary_problem(seed, body)
-        problem = replace(problem, weights=moderate_information(seed, len(body)))
-        solution = solve(problem)
-        for oracle in (slsqp, dense):
-            positions, objective, feasible = oracle(problem, problem.targets)
-            assert feasible
-            assert np.abs(positions - solution.positions).max() < 1e-5  # the claim: 0.01 mm
-            assert solution.objective <= objective * (1 + 1e-9)
+@pytest.mark.parametrize("seed", range(8))
+def test_joints_without_depth_are_solved(body, seed):
+    """Every other joint lacks a direction, as of a camera that does not see depth: W of rank 2."""
+    axes = np.linalg.qr(np.random.default_rng(seed).normal(size=(len(body), 3, 3)))[0]
+    W = moderate_information(seed, len(body))
+    W[::2] = axes[::2] @ np.diag((1.0, 0.3, 0.0)) @ axes[::2].transpose(0, 2, 1)
+    before = ordinary_problem(seed, body, noise=0.0).targets
+    problem = replace(ordinary_problem(seed, body, noise=0.01), weights=W, start=before)
+    assert failures(problem, solve(problem)) == []
 
 
 @settings(max_examples=40, deadline=None)
