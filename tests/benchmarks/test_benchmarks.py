@@ -10,13 +10,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from devices.simulated.tracking.harsher_errors import heavy_tailed, scaled
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import KINECT_V1, KINECT_V2
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
 from recordings.fusing.live import LiveFusion
 from tests.benchmarks import accuracy, speed
+from tests.benchmarks.harsher_errors import heavy_tailed, scaled
 from tests.benchmarks.methods import ABLATIONS, METHODS, OURS, WITHOUT_DEPTH
 from tests.benchmarks.real import mean_of
 from tests.benchmarks.trials import Outcome, Simulation, Trial, record, run_trials

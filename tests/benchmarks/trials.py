@@ -20,6 +20,7 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import BODIES
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
+from tests.benchmarks.harsher_errors import heavy_tailed, scaled
 from tests.benchmarks.methods import ABLATIONS, METHODS, Method, RecordedPair
 from tests.benchmarks.scores import accuracy
 

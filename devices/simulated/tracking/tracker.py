@@ -1,8 +1,8 @@
 """Simulates the reports of a Kinect's body tracker, with the errors of ``tracker_errors``.
 
 The errors are applied in this order: a bias that depends on the view; a shift towards the skin; for a hidden
-joint, a guess or the position of the joint that covers it (sec. 3); an outlier or a heavy-tailed error of the
-limb; the scale of the whole skeleton; jitter; mirroring; a repeated frame; a lost person.
+joint, a guess or the position of the joint that covers it (sec. 3); an outlier; errors that a caller adds;
+the scale of the whole skeleton; jitter; mirroring; a repeated frame; a lost person.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.simulated.person.anatomy import Array
-from devices.simulated.tracking.heavy_tails import HeavyTails
 from devices.simulated.tracking.mirroring import MirroringTracker
 from devices.simulated.tracking.scripted_faults import ScriptedFaults
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
@@ -62,9 +61,9 @@ class Tracker:
         # Coefficients of 1, cos and sin of the view's azimuth: the bias changes smoothly with the view.
         spread = errors.view_bias * _BIAS.of(body)[:, None, None] / np.sqrt(2.0)
         self._bias = random.standard_normal((count, 3, 3)) * spread
-        # A separate generator, so that the other errors do not depend on heavy tails.
-        tails = errors.tail.of(body).any()
-        self._tails = HeavyTails(body, errors, frame_seconds, random.spawn(1)[0]) if tails else None
+        # A separate generator, so that the other errors do not depend on these.
+        added = errors.added
+        self._added = None if added is None else added(body, frame_seconds, random.spawn(1)[0])
         self._jitter = random.standard_normal((count, 3))
         self._guess = random.standard_normal((count, 3))
         self._scale = float(random.standard_normal())
@@ -106,8 +105,8 @@ class Tracker:
         guess[snapped] = reported[snapped] + e.snap * (joints[self._cover] - reported)[snapped]
         reported = reported + weight * (guess - reported)
         reported = self._hold_bones(reported, joints) + self._outliers(uniform[3:])
-        if self._tails is not None:
-            reported = reported + self._tails.next()
+        if self._added is not None:
+            reported = reported + next(self._added)
         root = reported[body.root]
         reported = root + (reported - root) * (1.0 + e.rescale * self._scale)
         shaking = (self._jitter_size + e.moving_jitter * self._speed(joints))[:, None]

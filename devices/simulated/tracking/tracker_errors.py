@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -51,13 +52,17 @@ _GROUP_OF = {
 }  # fmt: skip
 
 
+AddedErrors = Callable[[Body, float, np.random.Generator], Iterator[Array]]
+"""From the body, the frame interval in seconds and a generator: (J, 3) errors per frame, metres."""
+
+
 @dataclass(frozen=True)
 class TrackerErrors:
     """The errors of one body tracker. Lengths are metres, times seconds; zero turns an error off.
 
-    The defaults of :meth:`of` are fitted to real recordings, with the figures of
-    ``devices.simulated.realism.pair_statistics``. Those of BlazePose, of which there are no recordings, were
-    read off the tracker itself on simulated images (``python -m tests.experiments.own_tracker --joints``).
+    The defaults of :meth:`of` are fitted to real recordings (``tests/devices/simulated/test_realism.py``).
+    Those of BlazePose, of which there are no recordings, were read off the tracker itself on simulated images
+    (``python -m tests.experiments.own_tracker --joints``).
 
     Attributes:
         view_bias: Standard deviation per axis of a joint's bias, which is constant in time and depends on the
@@ -87,8 +92,7 @@ class TrackerErrors:
         stale: Share of frames that repeat the previous skeleton.
         lost: Share of frames in which the person is lost.
         lost_seconds: Duration of a loss.
-        tail: Median size of heavy-tailed errors per axis, by kind; see ``heavy_tails``.
-        tail_spread: Standard deviation of the logarithm of their size, by kind.
+        added: Further errors; None for none.
     """
 
     view_bias: float = 0.0
@@ -114,8 +118,7 @@ class TrackerErrors:
     stale: float = 0.0
     lost: float = 0.0
     lost_seconds: float = 0.5
-    tail: JointGroups = field(default_factory=JointGroups)
-    tail_spread: JointGroups = field(default_factory=JointGroups)
+    added: AddedErrors | None = None
 
     @staticmethod
     def none() -> TrackerErrors:

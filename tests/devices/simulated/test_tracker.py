@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from devices.simulated.kinect import PERSON, simulated_pair
-from devices.simulated.realism.pair_statistics import run_lengths
 from devices.simulated.tracking.tracker import Tracker
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import AZURE_KINECT, BLAZEPOSE, BODIES, KINECT_V2, Body
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.skeleton import Skeleton, TrackingState
+from tests.helpers.pair_statistics import run_lengths
 
 NONE = TrackerErrors.none()
 LENS = NOMINAL_INTRINSICS["azure_kinect"]
@@ -298,8 +298,12 @@ def test_the_real_defaults_have_every_error_turned_on() -> None:
     for body in BODIES.values():
         errors = TrackerErrors.of(body)
         for knob in TrackerErrors.knobs():
-            # durations, what mirroring replaces, and the tails of a tracker that nothing was fitted to
-            off = {"lost_seconds", "swap_seconds", "swapped", "tail", "tail_spread"}
+            off = {
+                "lost_seconds",
+                "swap_seconds",
+                "swapped",
+                "added",
+            }  # durations, and what mirroring replaces
             if body is BLAZEPOSE:  # it gives one skeleton per image, places all joints, and lost nobody
                 off |= {"not_tracked", "stale", "lost", "skin"}
             assert getattr(errors, knob) != getattr(NONE, knob) or knob in off, knob

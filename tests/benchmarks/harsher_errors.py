@@ -1,21 +1,23 @@
 """Tracker errors that the program was not fitted to: larger errors, and errors of another distribution.
 
-They test whether a method that was developed on the simulator generalizes. ``duplex bench accuracy`` uses
-them with ``--errors`` and ``--tracker-errors``.
+They test whether a method that was developed on the simulator generalizes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from devices.simulated.tracking.mirroring import Mirroring
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
+from fusion.body import Body
 
 SIZES = frozenset(
-    {"view_bias", "skin", "inferred_error", "outlier_size", "rescale", "jitter", "moving_jitter", "tail"}
+    {"view_bias", "skin", "inferred_error", "outlier_size", "rescale", "jitter", "moving_jitter"}
 )
 """Knobs for the size of an error; they are multiplied."""
 SHARES = frozenset(
@@ -32,7 +34,7 @@ Of ``mirroring`` it is ``back``.
 """
 SHAPES = frozenset({
     "seen_share", "inferred_jitter", "jitter_memory", "rescale_seconds", "swap_seconds", "lost_seconds",
-    "tail_spread",
+    "added",
 })  # fmt: skip
 """Knobs for the form of an error; they are unchanged."""
 LARGEST_SHARE = 0.95
@@ -51,6 +53,54 @@ def scaled(errors: TrackerErrors, factor: float) -> TrackerErrors:
         if knob.name in SIZES | SHARES
     }
     return replace(errors, **larger)
+
+
+_TAIL = JointGroups(
+    spine=0.012, head=0.012, girdle=0.012, elbow=0.012, wrist=0.015, hand=0.018, tip=0.018, thumb=0.018,
+    knee=0.006, ankle=0.006, foot=0.006, face=0.012,
+)  # fmt: skip
+"""Median size of heavy-tailed errors per axis, metres, by kind of joint."""
+_SPREAD = JointGroups(
+    spine=0.5, head=0.9, girdle=0.5, elbow=0.9, wrist=1.2, hand=1.4, tip=1.4, thumb=1.4, knee=0.5, ankle=0.5,
+    foot=0.5, face=0.9,
+)  # fmt: skip
+"""Standard deviation of the logarithm of their size. With 1.4, the 99th percentile is 30 times the median."""
+_ERROR_SECONDS = 0.3  # correlation time of an error's direction
+_SIZE_SECONDS = 1.0  # correlation time of its size: a hand passes in front of the trunk in about a second
+_LARGEST = 1.2  # metres
+_ARM = {"elbow", "wrist", "hand", "tip", "thumb"}
+_LEG = {"knee", "ankle", "foot"}
+
+
+def heavy_tails(
+    body: Body, frame_seconds: float, random: np.random.Generator
+) -> Iterator[NDArray[np.float64]]:
+    """Yields (J, 3) errors per frame, metres: a log-normal size times a direction, one of each per limb.
+
+    The error of a joint is ``_TAIL · exp(_SPREAD · h) · g``. Here h is a standard normal value and g a vector
+    of three such values, both first-order autoregressive. Both belong to the joint's limb (trunk, head, each
+    arm, each leg).
+    """
+    size, spread, limb = _TAIL.of(body), _SPREAD.of(body), limbs(body)
+    count = int(limb.max()) + 1
+    g, h = random.standard_normal((count, 3)), random.standard_normal(count)
+    keep_g, keep_h = (np.exp(-frame_seconds / seconds) for seconds in (_ERROR_SECONDS, _SIZE_SECONDS))
+    while True:
+        noise = random.standard_normal((count, 4))
+        g = keep_g * g + np.sqrt(1.0 - keep_g**2) * noise[:, :3]
+        h = keep_h * h + np.sqrt(1.0 - keep_h**2) * noise[:, 3]
+        length = size * np.exp(spread * h[limb])
+        yield np.clip(length[:, None] * g[limb], -_LARGEST, _LARGEST)
+
+
+def limbs(body: Body) -> NDArray[np.int64]:
+    """Returns (J,) the limb of each joint: 0 trunk, 1 head, 2 and 3 arms, 4 and 5 legs, left before right."""
+    found = []
+    for name in body.joints:
+        kind, right = JointGroups.group(name), "right" in name.lower()
+        limb = 2 if kind in _ARM else 4 if kind in _LEG else 1 if kind in ("head", "face") else 0
+        found.append(limb + (right and limb >= 2))
+    return np.array(found, dtype=np.int64)
 
 
 def heavy_tailed(errors: TrackerErrors) -> TrackerErrors:
@@ -75,14 +125,7 @@ def heavy_tailed(errors: TrackerErrors) -> TrackerErrors:
             spine=0.0003, head=0.0005, girdle=0.0003, elbow=0.0007, wrist=0.001, hand=0.0013, tip=0.0013,
             thumb=0.0013, knee=0.0003, ankle=0.0003, foot=0.0003, face=0.0005,
         ),
-        tail=JointGroups(
-            spine=0.012, head=0.012, girdle=0.012, elbow=0.012, wrist=0.015, hand=0.018, tip=0.018,
-            thumb=0.018, knee=0.006, ankle=0.006, foot=0.006, face=0.012,
-        ),
-        tail_spread=JointGroups(
-            spine=0.5, head=0.9, girdle=0.5, elbow=0.9, wrist=1.2, hand=1.4, tip=1.4,
-            thumb=1.4, knee=0.5, ankle=0.5, foot=0.5, face=0.9,
-        ),
+        added=heavy_tails,
     )  # fmt: skip
 
 

@@ -13,7 +13,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.sensor import DeviceError
 from devices.simulated.tracking.tracker_errors import JointGroups
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
@@ -71,16 +70,8 @@ def statistics(a: Sequence[Skeleton | None], b: Sequence[Skeleton | None]) -> Pa
 
     Args:
         a, b: Paired skeletons of the two views, of equal length; None where a sensor saw no person.
-
-    Raises:
-        DeviceError: The lengths differ, or fewer than 60 frames have both skeletons.
     """
-    both = [(p, q) for p, q in zip(a, b, strict=False) if p is not None and q is not None]
-    if len(a) != len(b) or len(both) < 2 * _WINDOW:
-        raise DeviceError(
-            f"Statistics need two paired recordings with at least {2 * _WINDOW} frames in common; got "
-            f"{len(a)} and {len(b)} frames, {len(both)} in common."
-        )
+    both = [(p, q) for p, q in zip(a, b, strict=True) if p is not None and q is not None]
     body = both[0][0].body
     views = [(_positions(pair), np.stack([s.states for s in pair])) for pair in zip(*both, strict=True)]
     (pa, _), (pb, _) = views

@@ -1,38 +1,73 @@
-"""Claims about the figures that real and simulated pairs are compared by."""
+"""The simulated trackers err as real ones do, by figures that need no ground truth."""
 
 from __future__ import annotations
 
 import csv
 import os
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from devices.sensor import DeviceError
 from devices.simulated.kinect import PERSON, simulated_pair
-from devices.simulated.realism.pair_statistics import run_lengths, statistics
-from devices.simulated.realism.reference_figures import (
-    COUNTERPARTS,
-    PUBLISHED,
-    REASONS,
-    TUNING_SEEDS,
-    Figure,
-    figures,
-    published_figures,
-    simulated_statistics,
-)
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
-from fusion.body import KINECT_V2
+from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.skeleton import Skeleton, TrackingState
+from tests.helpers.pair_statistics import PairStatistics, run_lengths, statistics
 
 SHARED = Path(os.environ.get("DUPLEX_SHARED", Path(__file__).parents[4] / "shared"))
-REAL = [name for name in COUNTERPARTS if name.startswith("kinect_v2")]
-_STATES = {"inferred", "not_tracked", "hands_unsure", "feet_unsure", "inferred_change", "inferred_change_p99"}
-UNTOLD = {"still": _STATES | {"swap_frames"}, "steps": _STATES | {"swap_frames"}, "walk": _STATES}
-"""By movement, what the real recordings do not tell: their source kept no tracking states."""
+TUNING_SEEDS = range(1000, 1020)
+"""The seeds to which the defaults of TrackerErrors were fitted. No accuracy is reported on these seeds."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """The movement and the set-up of a simulated recording that corresponds to a real one.
+
+    Attributes:
+        motion: Name of the movement.
+        body: Body that the trackers report.
+        angle_deg: Angle between the sensors, degrees.
+        seconds: Duration.
+        standing: Share of that time in which the person stands between the sensors and faces them. On seven
+            real walks the trunk is slower than 0.2 m/s in 30 to 48 % of the frames (mean 41 %).
+    """
+
+    motion: str
+    body: Body
+    angle_deg: float
+    seconds: float
+    standing: float = 0.0
+
+
+REAL = {
+    "kinect_v2_90deg_stationary": Setting("still", KINECT_V2, 90.0, 8.0),
+    "kinect_v2_90deg_steps": Setting("steps", KINECT_V2, 90.0, 24.0),
+    "kinect_v2_90deg_walk": Setting("walk", KINECT_V2, 90.0, 30.0, standing=0.4),
+}
+AZURE_SQUAT = Setting("squat", AZURE_KINECT, 45.0, 24.0)
+PUBLISHED_SQUATS = {
+    "view_median": (0.025, 0.025),
+    "view_rms": (0.048, 0.048),
+    "bone_deviation": (0.006, 0.027),
+    "bone_deviation_share": (0.025, 0.065),
+    "inferred": (0.025, 0.025),
+    "not_tracked": (0.05, 0.05),
+    "hands_unsure": (0.13, 0.77),
+    "feet_unsure": (0.15, 0.15),
+    "tracked_change": (0.008, 0.015),
+    "tracked_change_p99": (0.057, 0.204),
+    "inferred_change": (0.018, 0.049),
+    "inferred_change_p99": (0.155, 0.817),
+    "stale": (0.03, 0.10),
+}
+"""Ranges over 87 trials of squats before two Azure Kinects, 38 to 54 degrees apart; metres and shares."""
+UNTOLD = {"inferred", "not_tracked", "hands_unsure", "feet_unsure", "inferred_change", "inferred_change_p99"}
+"""What the real recordings do not tell: their source kept no tracking states."""
+LARGEST_IF_NONE = {"swapped": 0.01, "stale": 0.01}
+"""Largest simulated share where the real recording has none."""
 NONE = TrackerErrors.none()
 SYNCHRONOUS = Rig(skew_seconds=0.0)
 
@@ -105,15 +140,11 @@ def test_states_stale_frames_and_swaps_are_counted() -> None:
     assert np.isfinite(found.inferred_change)
 
 
-def test_lost_frames_are_left_out_and_too_few_refused() -> None:
+def test_lost_frames_are_left_out() -> None:
     a, b = views("still", NONE)
     full = statistics(a, b)
     holed = [None if 30 < k < 60 else s for k, s in enumerate(a)]
     assert statistics(holed, b).view_rms == pytest.approx(full.view_rms, abs=1e-6)
-    with pytest.raises(DeviceError, match="10 in common"):
-        statistics(a[:10], b[:10])
-    with pytest.raises(DeviceError, match="239"):
-        statistics(a, b[:-1])
 
 
 def test_runs_are_measured() -> None:
@@ -121,14 +152,41 @@ def test_runs_are_measured() -> None:
     assert run_lengths(np.zeros(4, dtype=bool)) == []
 
 
-def test_a_ratio_is_taken_to_the_nearer_end_of_the_real_range() -> None:
-    assert Figure("stale", 0.03, 0.10, 0.05).ratio == 1.0
-    assert Figure("stale", 0.03, 0.10, 0.20).ratio == pytest.approx(2.0)
-    assert Figure("stale", 0.03, 0.10, 0.015).ratio == pytest.approx(0.5)
-    assert not Figure("stale", 0.03, 0.10, 0.015).within(1.5)
-    assert Figure("stale", 0.05, 0.05, 0.04).within(1.5)
-    assert Figure("view_rms", 0.048, 0.048, 0.060).printed() == ("view rms (mm)", "48.0", "60.0", "1.25")
-    assert Figure("stale", 0.03, 0.10, 0.05).printed() == ("stale (%)", "3.0–10.0", "5.0", "1.00")
+def simulated_statistics(setting: Setting, seeds: range) -> dict[str, float]:
+    """The statistics of a simulated setting without its start-up pose, each the median over the seeds."""
+    found = []
+    for seed in seeds:
+        both: list[list[Skeleton | None]] = [[], []]
+        for motion, share in ((setting.motion, 1.0 - setting.standing), ("idle", setting.standing)):
+            if share > 0.0:
+                a, b, truth = simulated_pair(
+                    motion=motion, body=setting.body, angle_deg=setting.angle_deg,
+                    seconds=share * setting.seconds, seed=seed,
+                )  # fmt: skip
+                skip = int(np.ceil(getattr(truth.scene.motion, "begins", 0.0) / truth.rig.frame_seconds))
+                for view, sensor in zip(both, (a, b), strict=True):
+                    view += [frame.people.get(PERSON) for frame in sensor.frames()][skip:]
+        found.append(flat(statistics(*both)))
+    return {name: float(np.nanmedian([one.get(name, np.nan) for one in found])) for name in found[0]}
+
+
+def flat(found: PairStatistics) -> dict[str, float]:
+    values = asdict(found)
+    jitter = values.pop("jitter")
+    known = values | {f"jitter_{kind}": value for kind, value in jitter.items()}
+    return {name: value for name, value in known.items() if np.isfinite(value)}
+
+
+def far_off(simulated: dict[str, float], ranges: dict[str, tuple[float, float]]) -> list[str]:
+    """The figures that differ from the nearer end of the real range by more than a factor of two.
+
+    The aim is 1.5 over all tuning seeds; a few of them scatter about it.
+    """
+    return [
+        f"{name}: {simulated[name]:.4g}, not {low:.4g} to {high:.4g}"
+        for name, (low, high) in ranges.items()
+        if not (low / 2.0 <= simulated[name] <= (2.0 * high or LARGEST_IF_NONE[name]))
+    ]
 
 
 @pytest.mark.parametrize("recording", REAL)
@@ -136,59 +194,18 @@ def test_the_simulated_pair_errs_like_the_real_one(recording: str) -> None:
     folder = SHARED / "real" / recording
     if not folder.exists():
         pytest.skip(f"no real recording at {folder}: set DUPLEX_SHARED")
-    setting = COUNTERPARTS[recording]
-    real = statistics(read_csv(folder / "a.csv"), read_csv(folder / "b.csv"))
+    setting = REAL[recording]
+    real = flat(statistics(read_csv(folder / "a.csv"), read_csv(folder / "b.csv")))
     simulated = simulated_statistics(setting, TUNING_SEEDS[:4])
-    compared = figures(real, simulated, standing=setting.motion == "still")
-    assert {f.name for f in compared if not f.known} == UNTOLD[setting.motion]
-    assert all(f.reason for f in compared if not np.isfinite(f.ratio))
-    # The aim is 1.5 over all tuning seeds; four of them scatter about it.
-    far = [figure.printed() for figure in compared if figure.known and not figure.within(2.0)]
-    assert not far
+    # Jitter measures noise only while the person stands still.
+    compared = {
+        name: (value, value)
+        for name, value in real.items()
+        if name not in UNTOLD and (setting.motion == "still" or not name.startswith("jitter"))
+    }
+    assert len(compared) >= 8
+    assert not far_off(simulated, compared)
 
 
 def test_the_simulated_azure_pair_errs_like_the_published_ones() -> None:
-    name = "azure_squat"
-    compared = published_figures(name, simulated_statistics(COUNTERPARTS[name], TUNING_SEEDS[:3]))
-    assert len(compared) == len(PUBLISHED[name])
-    far = [figure.printed() for figure in compared if not figure.within(2.0)]
-    assert not far
-
-
-def test_figures_that_a_recording_lacks_are_reported_with_the_reason() -> None:
-    real = statistics(*views("still", replace(NONE, jitter=JointGroups(hand=0.003), stale=0.05)))
-    simulated = replace(real, swapped=0.02, swap_frames=5.0, inferred=0.1)
-    by_name = {figure.name: figure for figure in figures(real, simulated, standing=True)}
-    assert set(by_name) >= {
-        "view_rms",
-        "inferred",
-        "inferred_change",
-        "swapped",
-        "swap_frames",
-        "jitter_hand",
-    }
-    for name in ("inferred", "not_tracked", "hands_unsure", "feet_unsure", "inferred_change"):
-        assert by_name[name].reason == "the recording calls every joint tracked"
-        assert by_name[name].printed()[1] == by_name[name].printed()[3] == "–"
-        assert not by_name[name].known
-    assert by_name["swap_frames"].reason == "the recording has no such frames"
-    assert by_name["swapped"].reason == "the recording has none; simulated at most 1.0 %"
-    assert by_name["swapped"].printed() == ("swapped (%)", "0.0", "2.0", "–")
-    assert by_name["swapped"].known
-    assert not by_name["swapped"].within(1.5)
-    assert replace(by_name["swapped"], simulated=0.009).within(1.5)
-    assert by_name["stale"].within(1.5)
-    assert not by_name["stale"].reason
-    none = {f.name: f for f in figures(replace(real, swap_frames=3.0), real, standing=False)}
-    assert none["swap_frames"].reason == "the simulation has no such frames"
-    assert none["swap_frames"].printed() == ("swap frames (frames)", "3.0", "–", "–")
-
-
-def test_published_figures_name_existing_settings_and_statistics() -> None:
-    some = statistics(*views("still", NONE))
-    for name in PUBLISHED:
-        assert name in COUNTERPARTS
-        compared = {figure.name: figure for figure in published_figures(name, some)}
-        assert compared.keys() == PUBLISHED[name].keys()
-        for (setting, figure), reason in REASONS.items():
-            assert setting != name or compared[figure].reason == reason
+    assert not far_off(simulated_statistics(AZURE_SQUAT, TUNING_SEEDS[:3]), PUBLISHED_SQUATS)
