@@ -13,13 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from devices.depth.image_thinning import Depth
 from devices.depth.witness import with_witness
 from devices.sensor import DeviceError, SensorFrame
-from devices.simulated.imaging.infrared import InfraredModel, infrared_image
+from devices.simulated.imaging.body_surface import capsules, flesh_over, visibility
+from devices.simulated.imaging.infrared import InfraredModel, clothed_capsules, infrared_image, materials
 from devices.simulated.imaging.rendering import DepthErrors, depth_image, halved, surface
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import Array
-from devices.simulated.person.body_surface import capsules, flesh_over, visibility
 from devices.simulated.person.captured_motion import read_bvh
-from devices.simulated.person.clothed_surface import clothed_capsules, materials
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.scripted_faults import ScriptedFaults
@@ -146,7 +145,7 @@ class SimulatedKinect:
         depth: Whether frames have a depth image, and its size.
         depth_errors: Errors of the depth image.
         infrared: Whether frames with a depth image have an infrared image, too. Both then show the person
-            dressed (``clothed_surface``); the simulated tracker's errors stay the same.
+            dressed; the simulated tracker's errors stay the same.
         script: Faults of its body tracker at given times, besides those by chance.
 
         Attributes:

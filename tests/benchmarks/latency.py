@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from devices.capture.sensor_pair import TwoSensors
+from devices.real_time import paced_together
 from devices.simulated.kinect import simulated_pair
-from devices.simulated.real_time import paced_together
 from fusion.body import AZURE_KINECT, Body
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser

@@ -10,12 +10,12 @@ from multiprocessing import get_context
 from typing import Literal
 
 import numpy as np
+from devices.simulated.tracking.harsher_errors import heavy_tailed, scaled
 
 from devices.depth.image_thinning import Depth
 from devices.pairing import pair_recordings
 from devices.sensor import DeviceError
 from devices.simulated.kinect import PERSON, simulated_pair
-from devices.simulated.tracking.harsher_errors import heavy_tailed, scaled
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import BODIES
 from fusion.calibration.calibration import calibrate

@@ -19,9 +19,9 @@ from devices.capture.sensor_pair import TwoSensors
 from devices.capture.stream_pairing import PairingFigures
 from devices.network.remote_sensor import RemoteSensor
 from devices.network.zenoh_session import ZenohAddresses, zenoh_session
+from devices.real_time import paced_together
 from devices.sensor import LinkFigures
 from devices.simulated.kinect import simulated_pair
-from devices.simulated.real_time import paced_together
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup

@@ -24,9 +24,9 @@ from devices.blazepose.settings import BlazePoseSettings
 from devices.depth.witness import with_witness
 from devices.pairing import pair_recordings
 from devices.sensor import SensorFrame
+from devices.simulated.imaging.body_surface import capsules, flesh_over, visibility
 from devices.simulated.kinect import PERSON, SimulatedKinect, Truth, simulated_pair
 from devices.simulated.person import anatomy
-from devices.simulated.person.body_surface import capsules, flesh_over, visibility
 from fusion.body import AZURE_KINECT, BLAZEPOSE, Body
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose

@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.simulated.imaging.infrared import InfraredModel, infrared_image
+from devices.simulated.imaging.body_surface import flesh_over, visibility
+from devices.simulated.imaging.infrared import InfraredModel, clothed_capsules, infrared_image, materials
 from devices.simulated.imaging.rendering import DepthErrors, depth_image, surface
 from devices.simulated.kinect import simulated_pair
 from devices.simulated.person import anatomy
-from devices.simulated.person.body_surface import flesh_over, visibility
-from devices.simulated.person.clothed_surface import clothed_capsules, materials
 from devices.simulated.rig import Rig
 from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from devices.depth.image_thinning import Depth
+from devices.real_time import Beat, PacedSensor
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import simulated_pair
-from devices.simulated.real_time import Beat, PacedSensor
 from fusion.skeleton import Skeleton
 
 _SPAWN = multiprocessing.get_context("spawn")

@@ -16,10 +16,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from devices.capture.sensor_pair import TwoSensors
+from devices.real_time import paced_together
 from devices.simulated.demonstration import BAD_ANGLE_DEG, HardMoment, demonstration
 from devices.simulated.kinect import SimulatedKinect, Truth, TruthAhead
 from devices.simulated.person.movements import MOTIONS
-from devices.simulated.real_time import paced_together
 from devices.tracker_choice import tracker_name
 from fusion.body import BLAZEPOSE, BODIES
 from fusion.calibration.calibration import nominal_calibration

@@ -9,14 +9,13 @@ from contextlib import ExitStack
 from rich.console import Console
 
 from devices.azure.kinect_settings import KinectSettings
-from devices.capture.played_recording import PlayedRecording
 from devices.capture.sensor_thread import SensorThread
 from devices.files import has_images, not_of_libk4a, open_source
 from devices.network.publishing import FramePublisher, publish_until
 from devices.network.remote_sensor import PREFIX
 from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zenoh
+from devices.real_time import PacedSensor, sensor_by_wall_clock
 from devices.sensor import Sensor
-from devices.simulated.by_wall_clock import sensor_by_wall_clock
 from devices.simulated.demonstration import demonstrated
 from fusion.body import BODIES
 from viewer_app.errors import UsageError
@@ -126,7 +125,7 @@ def _sensor(options: PublishOptions, console: Console) -> Sensor:
         if has_images(options.recording):
             tracker = tracker.for_images_of(not_of_libk4a(options.recording))
             announce_tracker(tracker, console)
-        return PlayedRecording(open_source(options.recording, tracker=tracker))
+        return PacedSensor(open_source(options.recording, tracker=tracker))
     settings = KinectSettings(depth_mode=options.depth_mode, fps=options.fps)
     return one_sensor(options.kinect, "--kinect", tracker, settings, console)
 

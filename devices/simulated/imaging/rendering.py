@@ -1,4 +1,7 @@
-"""Renders depth images of a person, a floor and a wall, with the errors of a time-of-flight sensor."""
+"""Renders depth images of a person, a floor and a wall, with the errors of a time-of-flight sensor.
+
+All kernels that call each other are in this file: numba's cache does not detect a change in another one.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.simulated.imaging.rays import cast
 from devices.simulated.person.anatomy import Array
 from fusion.compiling.kernels import njit
 from fusion.intrinsics import Intrinsics
@@ -118,3 +120,119 @@ def _read_out(  # type: ignore[no-untyped-def]
                 continue
             spread = (noise + growth * here * here) / max(cosine[v, u], 0.25)
             image[v, u] = np.uint16(min(max(1000.0 * (here + spread * normal[v, u]) + 0.5, 0.0), 65535.0))
+
+
+@njit()
+def capsule_depth(dx, dy, dz, s):  # type: ignore[no-untyped-def]
+    """Returns the smallest t at which the ray t·d hits capsule s; infinity if it misses."""
+    bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
+    dd = dx * dx + dy * dy + dz * dz
+    bb = bx * bx + by * by + bz * bz
+    bd = bx * dx + by * dy + bz * dz
+    ba = -(bx * s[0] + by * s[1] + bz * s[2])
+    da = -(dx * s[0] + dy * s[1] + dz * s[2])
+    aa = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
+    a = bb * dd - bd * bd
+    y = -1.0 if ba + bd * (-da / dd) <= 0.0 else bb
+    if a > 1e-12:
+        b = bb * da - ba * bd
+        h = b * b - a * (bb * aa - ba * ba - s[6] * s[6] * bb)
+        if h < 0.0:
+            return np.inf
+        t = (-b - np.sqrt(h)) / a
+        y = ba + t * bd
+        if 0.0 < y < bb:
+            return t if t > 0.0 else np.inf
+    end = 0 if y <= 0.0 else 3
+    cx, cy, cz = s[end], s[end + 1], s[end + 2]
+    b = dx * cx + dy * cy + dz * cz
+    h = b * b - dd * (cx * cx + cy * cy + cz * cz - s[6] * s[6])
+    if h < 0.0:
+        return np.inf
+    t = (b - np.sqrt(h)) / dd
+    return t if t > 0.0 else np.inf
+
+
+@njit()
+def share_seen(joints, shapes, flesh):  # type: ignore[no-untyped-def]
+    """Returns (J,) the share of nine rays around each joint that hit no surface far before it; see flesh."""
+    rays = 9
+    seen = np.zeros(len(joints))
+    for j in range(len(joints)):
+        x, y, z = joints[j]
+        distance = np.sqrt(x * x + y * y + z * z)
+        if z <= 0.0:
+            continue
+        # Two directions perpendicular to the ray.
+        ux, uz = z / np.sqrt(x * x + z * z), -x / np.sqrt(x * x + z * z)
+        vx, vy, vz = y * uz / distance, (z * ux - x * uz) / distance, -y * ux / distance
+        before = 1.0 - (1.4 * flesh[j] + 0.03) / distance
+        for k in range(rays):
+            out = 0.0 if k == 0 else 0.7 * flesh[j] * (0.5 if k % 2 else 1.0)
+            angle = k * 2.0 * np.pi / (rays - 1)
+            p, q = out * np.cos(angle), out * np.sin(angle)
+            dx, dy, dz = x + p * ux + q * vx, y + q * vy, z + p * uz + q * vz
+            free = True
+            for c in range(len(shapes)):
+                if capsule_depth(dx, dy, dz, shapes[c]) < before:
+                    free = False
+                    break
+            if free:
+                seen[j] += 1.0
+    return seen / rays
+
+
+@njit()
+def _span(x, z, r, f, c, size):  # type: ignore[no-untyped-def]
+    """Returns the first and last pixel that a sphere can cover along one axis of the image."""
+    if z - r <= 0.05:
+        return 0, size - 1
+    low, high = x - r, x + r
+    first = f * low / (z - r if low < 0.0 else z + r) + c
+    last = f * high / (z - r if high > 0.0 else z + r) + c
+    return max(0, int(np.floor(first))), min(size - 1, int(np.ceil(last)))
+
+
+@njit(nogil=True)
+def cast(shapes, planes, fx, fy, cx, cy, z, label, cosine):  # type: ignore[no-untyped-def]
+    """Fills z, label and cosine with the first hit of each pixel's ray; see rendering.surface."""
+    height, width = z.shape
+    for k in range(len(shapes)):
+        s = shapes[k]
+        if max(s[2], s[5]) + s[6] <= 0.0:
+            continue
+        u0, u1 = _span(s[0], s[2], s[6], fx, cx, width)
+        u2, u3 = _span(s[3], s[5], s[6], fx, cx, width)
+        v0, v1 = _span(s[1], s[2], s[6], fy, cy, height)
+        v2, v3 = _span(s[4], s[5], s[6], fy, cy, height)
+        for v in range(min(v0, v2), max(v1, v3) + 1):
+            dy = (v - cy) / fy
+            for u in range(min(u0, u2), max(u1, u3) + 1):
+                t = capsule_depth((u - cx) / fx, dy, 1.0, s)
+                if t < z[v, u]:
+                    z[v, u] = t
+                    label[v, u] = k
+    for v in range(height):
+        dy = (v - cy) / fy
+        for u in range(width):
+            dx = (u - cx) / fx
+            norm = np.sqrt(dx * dx + dy * dy + 1.0)
+            if label[v, u] >= 0:
+                s = shapes[label[v, u]]
+                t = z[v, u]
+                px, py, pz = t * dx - s[0], t * dy - s[1], t - s[2]
+                bx, by, bz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
+                share = (px * bx + py * by + pz * bz) / max(bx * bx + by * by + bz * bz, 1e-12)
+                share = min(max(share, 0.0), 1.0)
+                nx, ny, nz = px - share * bx, py - share * by, pz - share * bz
+                cosine[v, u] = abs(nx * dx + ny * dy + nz) / (s[6] * norm)
+                continue
+            for p in range(len(planes)):
+                facing = planes[p, 0] * dx + planes[p, 1] * dy + planes[p, 2]
+                if facing == 0.0:
+                    continue
+                t = planes[p, 3] / facing
+                if 0.0 < t < z[v, u]:
+                    z[v, u] = t
+                    label[v, u] = -2 - p
+                    cosine[v, u] = abs(facing) / norm

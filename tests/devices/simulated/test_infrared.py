@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 
 from devices.sensor import DeviceError
-from devices.simulated.imaging.infrared import InfraredModel, Material, infrared_image
+from devices.simulated.imaging.body_surface import capsules
+from devices.simulated.imaging.infrared import (
+    InfraredModel,
+    Material,
+    clothed_capsules,
+    infrared_image,
+    materials,
+)
 from devices.simulated.imaging.rendering import FLOOR, NOTHING, WALL, surface
 from devices.simulated.kinect import simulated_pair
 from devices.simulated.person.anatomy import INDEX, LANDMARKS
-from devices.simulated.person.body_surface import capsules
-from devices.simulated.person.clothed_surface import clothed_capsules, materials
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from fusion.intrinsics import NOMINAL_INTRINSICS

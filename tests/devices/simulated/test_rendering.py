@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from devices.simulated.imaging.body_surface import capsules, flesh_over, visibility
 from devices.simulated.imaging.rendering import (
     FLOOR,
     NOTHING,
@@ -16,7 +17,6 @@ from devices.simulated.imaging.rendering import (
     surface,
 )
 from devices.simulated.person import anatomy
-from devices.simulated.person.body_surface import capsules, flesh_over, visibility
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from fusion.body import AZURE_KINECT

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.simulated.imaging.body_surface import capsules
 from devices.simulated.imaging.rendering import DepthErrors
 from devices.simulated.kinect import PERSON, SimulatedKinect, Truth, TruthAhead, simulated_pair
-from devices.simulated.person.body_surface import capsules
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker_errors import TrackerErrors

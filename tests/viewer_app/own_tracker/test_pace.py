@@ -17,9 +17,9 @@ from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_pair import TwoSensors
+from devices.real_time import PacedSensor
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import SimulatedKinect, simulated_pair
-from devices.simulated.real_time import PacedSensor
 from fusion.body import BLAZEPOSE
 from tests.helpers.machine import need_networks
 

@@ -16,9 +16,9 @@ import pytest
 from numpy.typing import NDArray
 
 from devices.pairing import FramePair
+from devices.real_time import PacedSensor, paced_together
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import simulated_pair
-from devices.simulated.real_time import PacedSensor, paced_together
 from devices.simulated.tracking.tracker import TrackerErrors
 from fusion.body import KINECT_V1, KINECT_V2
 from fusion.calibration.calibration import calibrate, nominal_calibration
@@ -146,7 +146,7 @@ def test_paced_sensors_begin_together() -> None:
 
 
 def test_a_paced_sensor_whose_fellow_never_comes_begins_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.simulated.real_time._TOGETHER", 0.3)
+    monkeypatch.setattr("devices.real_time._TOGETHER", 0.3)
     a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
     frames = list(paced_together(a, b)[0].frames())
     assert len(frames) == 6
@@ -154,7 +154,7 @@ def test_a_paced_sensor_whose_fellow_never_comes_begins_without_it(monkeypatch: 
 
 
 def test_a_paced_sensor_ends_while_it_waits_for_its_fellow(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.simulated.real_time._TOGETHER", 60.0)
+    monkeypatch.setattr("devices.real_time._TOGETHER", 60.0)
     a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
     waiting, _ = paced_together(a, b)
     threading.Timer(0.2, waiting.interrupt).start()

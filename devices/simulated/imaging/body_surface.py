@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.simulated.imaging.rays import capsule_depth, share_seen
+from devices.simulated.imaging.rendering import capsule_depth, share_seen
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import INDEX, REFERENCE_HEIGHT, Array
 from devices.simulated.person.movements import MOTIONS

@@ -1,4 +1,4 @@
-"""Plays a simulated sensor in real time; images that take too long are left out."""
+"""Plays simulated sensors and recordings in real time: each frame when its time has come."""
 
 from __future__ import annotations
 
@@ -7,10 +7,16 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from devices.capture.frame_decimation import FrameDecimation
-from devices.sensor import SensorFrame
-from devices.simulated.kinect import SimulatedKinect
-from fusion.body import Body
+from devices.sensor import Sensor, SensorFrame
+from devices.simulated.demonstration import good_rig
+from devices.simulated.kinect import Movement, Scene, SimulatedKinect
+from devices.simulated.person import anatomy
+from devices.simulated.person.anatomy import Array
+from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import Intrinsics
 
 _FRAME, _TOGETHER = 1.0 / 30.0, 1.0  # seconds
@@ -19,6 +25,7 @@ _MARGIN, _FORGETTING = 1.5, 0.95
 
 The expected duration is the longest recent one; it decays by 5 % per frame.
 """
+_PERIOD_S, _LEAD_S = 10.0, 1.0
 
 
 class Beat:
@@ -26,15 +33,18 @@ class Beat:
 
     Args:
         sensors: Number of sensors.
+        begins_s: When they start, seconds of the clock; None: as soon as all are there.
     """
 
-    def __init__(self, sensors: int = 1) -> None:
-        self._awaited = sensors
+    def __init__(self, sensors: int = 1, begins_s: float | None = None) -> None:
+        self._awaited, self._begins_s = sensors, begins_s
         self._came = threading.Condition()
         self._latest = 0.0
 
     def begin(self, clock: Callable[[], float], stopping: threading.Event) -> float:
         """Waits up to a second for the other sensors; returns the common start time, seconds of the clock."""
+        if self._begins_s is not None:
+            return self._begins_s
         with self._came:
             self._awaited -= 1
             self._latest = clock()
@@ -49,14 +59,14 @@ class Beat:
 
 
 class PacedSensor:
-    """Yields each frame of a simulated sensor at its capture time.
+    """Yields each frame of a simulated sensor or a recording at its capture time.
 
-    A real sensor makes its frames outside of this process. Simulating a frame therefore starts in the second
+    A real sensor makes its frames outside of this process. Making a frame therefore starts in the second
     half of the interval before it is due, so that it does not compete with the processing of the previous
-    frame. It starts earlier if simulating takes longer.
+    frame. It starts earlier if making takes longer. The first frame of a recording is due at once.
 
     Args:
-        sensor: The simulated sensor. It is told to hurry while it is slower than real time.
+        sensor: The sensor. A simulated one leaves out images while it is slower than real time.
         beat: Shared by sensors that start together; None: this sensor starts alone.
         decimation: Which moments a body tracker that works on the images wants; shared by the sensors. Frames
             of other moments and frames without an image are not given. None: every frame.
@@ -66,7 +76,7 @@ class PacedSensor:
 
     def __init__(
         self,
-        sensor: SimulatedKinect,
+        sensor: Sensor,
         beat: Beat | None = None,
         decimation: FrameDecimation | None = None,
         *,
@@ -75,12 +85,13 @@ class PacedSensor:
     ) -> None:
         self.name = sensor.name
         self._sensor = sensor
+        self._simulated = sensor if isinstance(sensor, SimulatedKinect) else None
         self._beat = beat or Beat()
         self._decimation = decimation
         self._clock, self._wait = clock, wait
         self._stopping = threading.Event()
         self.making_ns = 0
-        """How long simulating the last frame took."""
+        """How long making the last frame took."""
 
     @property
     def body(self) -> Body:
@@ -114,7 +125,8 @@ class PacedSensor:
 
     def frames(self) -> Iterator[SensorFrame]:
         """Yields the frames of the sensor, each when it is due."""
-        begun, longest = None, 0.0
+        begun, longest, simulated = None, 0.0, self._simulated
+        start_ns = 0 if simulated is None else simulated.clock_at_start_ns
         frames = self._sensor.frames()
         if self._decimation is not None:
             self._decimation.restart(self.name)
@@ -127,8 +139,10 @@ class PacedSensor:
             longest, self.making_ns = max(took, _FORGETTING * longest), round(took * 1e9)
             if begun is None:
                 begun = self._beat.begin(self._clock, self._stopping)
-            due = begun + (frame.time_ns - self._sensor.clock_at_start_ns) * 1e-9
-            self._sensor.hurried = due - self._clock() < -_FRAME
+                start_ns = frame.time_ns if simulated is None else start_ns
+            due = begun + (frame.time_ns - start_ns) * 1e-9
+            if simulated is not None:
+                simulated.hurried = due - self._clock() < -_FRAME
             if self._stops_before(due):
                 return
             frame = replace(frame, host_ns=round(self._clock() * 1e9))
@@ -142,7 +156,8 @@ class PacedSensor:
         if self._decimation is None or frame.host_ns is None:
             return True
         moment = self._decimation.moment(self.name, frame.time_ns, frame.host_ns)
-        self._sensor.imaging = self._decimation.keeps(moment + 1)
+        if self._simulated is not None:
+            self._simulated.imaging = self._decimation.keeps(moment + 1)
         return self._decimation.keeps(moment) and frame.depth is not None
 
     def _stops_before(self, moment: float) -> bool:
@@ -155,3 +170,35 @@ def paced_together(*sensors: SimulatedKinect, decimation: FrameDecimation | None
     """Returns sensors that start together and play in real time; see :class:`PacedSensor`."""
     beat = Beat(len(sensors))
     return [PacedSensor(sensor, beat, decimation) for sensor in sensors]
+
+
+class _ToAndFro:
+    """A movement that is played forward for 10 s, then backward, for ever, in step with the wall clock.
+
+    Backward, so that it has no jump, and begins and ends in the start-up pose.
+    """
+
+    def __init__(self, movement: Movement, begins_s: float) -> None:
+        self.name = movement.name
+        self._movement, self._begins_s = movement, begins_s
+
+    def landmarks(self, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
+        """(T, N, 3) all landmarks in the world, metres."""
+        seconds = np.mod(np.asarray(times, dtype=np.float64) + self._begins_s, 2.0 * _PERIOD_S)
+        return self._movement.landmarks(_PERIOD_S - np.abs(seconds - _PERIOD_S), height)
+
+
+def sensor_by_wall_clock(
+    which: int, movement: Movement, body: Body = AZURE_KINECT, *, angle_deg: float = 90.0
+) -> PacedSensor:
+    """A simulated sensor whose person moves by the wall clock: two programs see the same person.
+
+    Args:
+        which: 0 for sensor A, 1 for B.
+        movement: What the person does.
+        body: What the tracker reports.
+        angle_deg: Between the two sensors.
+    """
+    scene = Scene(_ToAndFro(movement, time.time() + _LEAD_S), body)
+    beat = Beat(begins_s=time.perf_counter() + _LEAD_S)
+    return PacedSensor(SimulatedKinect(scene, good_rig(body, angle_deg), which), beat)
