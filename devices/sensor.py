@@ -84,9 +84,7 @@ class LinkFigures:
 
     Attributes:
         received: Frames that arrived.
-        lost: Frames that never arrived, or too late.
-        reordered: Frames that came after a later one and were put in their place.
-        duplicates: Frames that came twice; the second was left out.
+        lost: Frames that never arrived.
         malformed: Messages left out because they were damaged or of another program.
         restarts: How often the other program was started anew.
         round_trip_ns: Shortest of the recent round trips; None before the first.
@@ -95,8 +93,6 @@ class LinkFigures:
 
     received: int = 0
     lost: int = 0
-    reordered: int = 0
-    duplicates: int = 0
     malformed: int = 0
     restarts: int = 0
     round_trip_ns: int | None = None

@@ -6,10 +6,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from typing import Any
 
-from devices.network.link_events import LinkEvents
 from devices.network.messages import MalformedError, SensorMessage, decode_sensor
 from devices.network.remote_stream import RemoteStream
 from devices.network.zenoh_session import (
@@ -30,6 +29,7 @@ FRAMES, SENSOR, CLOCK = "frames", "sensor", "clock"
 _INBOX = 64  # messages: two seconds of frames
 _ASK_NS = 500_000_000
 _SILENT_NS = 1_500_000_000
+_REPORT_NS = 10_000_000_000
 _FIRST_REPLIES, _REPLIES_S = 4, 1.0
 _AGAIN_S = 2.0  # a peer that lost its connection tries again after a second at the latest
 _POLL_NS = 50_000_000
@@ -68,9 +68,10 @@ class RemoteSensor:
         self._appear_s = appear_s
         self._described: SensorMessage | None = None
         self._stream = RemoteStream()
-        self._events = LinkEvents(self.name)
+        self._reports = _LossReports(self.name)
         self._told: deque[str] = deque(maxlen=20)
-        self._inbox: deque[tuple[str, bytes, int]] = deque()
+        # Beyond its length the oldest are dropped; the sequence numbers show what is missing.
+        self._inbox: deque[tuple[str, bytes, int]] = deque(maxlen=_INBOX)
         self._arrival, self._interrupted = threading.Event(), threading.Event()
         self._stack = ExitStack()
         self._session: Any = None
@@ -102,11 +103,7 @@ class RemoteSensor:
 
     def told(self) -> list[str]:
         """Reports about its messages since the last call."""
-        told = []
-        with suppress(IndexError):
-            while True:
-                told.append(self._told.popleft())
-        return told
+        return [self._told.popleft() for _ in range(len(self._told))]
 
     def __enter__(self) -> RemoteSensor:
         """Waits for the sensor's program and relates its clock to this machine's.
@@ -121,7 +118,10 @@ class RemoteSensor:
         try:
             self._session = self._stack.enter_context(zenoh_session(self._addresses))
             self._describe()
-            self._stack.enter_context(self._subscriber())
+            key = f"{self._key}/{FRAMES}"
+            self._stack.enter_context(
+                self._session.declare_subscriber(key, lambda sample: self._take(FRAMES, sample.payload))
+            )
             self._relate_clocks()
         except BaseException:
             self.__exit__()
@@ -149,25 +149,20 @@ class RemoteSensor:
         silent_ns = 0
         doubled_told = False
         while not self._interrupted.is_set():
-            due_ns = self._stream.due_ns
-            wait_s = _POLL_S if due_ns is None else min(_POLL_S, max(0.0, (due_ns - self._clock()) * 1e-9))
-            self._arrival.wait(wait_s)
-            self._arrival.clear()
-            for part, data, at_ns in self._arrived():
+            for part, data, arrived_ns in self._arrived(_POLL_S):
                 if part == CLOCK:
-                    if self._stream.clock_reply(data, at_ns):
-                        silent_ns = 0
-                    continue
-                before = self._stream.figures.received
-                yield from self._stream.receive(data, at_ns)
-                if self._stream.figures.received != before:
-                    silent_ns = 0
+                    heard = self._stream.clock_reply(data, arrived_ns)
+                else:
+                    frame = self._stream.receive(data, arrived_ns)
+                    heard = frame is not None
+                    if frame is not None:
+                        yield frame
+                silent_ns = 0 if heard else silent_ns
             now_ns = self._clock()
             # A pause of this thread or of the whole program is no silence of the other one.
             silent_ns += min(now_ns - before_ns, 2 * _POLL_NS)
             before_ns = now_ns
-            yield from self._stream.poll(now_ns)
-            if self._stream.restarted:
+            if self._stream.restarted(now_ns):
                 raise AbsentError(f"{self.name} was started anew.")
             if silent_ns > _SILENT_NS:
                 raise AbsentError(
@@ -184,35 +179,24 @@ class RemoteSensor:
                 asked_ns = now_ns
                 self._stream.strange = False
                 self._ask_clock()
-            self._told += self._events.observe(self._stream.figures, now_ns)
+            self._told += self._reports.observe(self._stream.figures, now_ns)
 
     def _known(self) -> SensorMessage:
         if self._described is None:
             raise DeviceError(f"{self.name} is not open.")
         return self._described
 
-    def _arrived(self) -> list[tuple[str, bytes, int]]:
-        arrived = []
-        with suppress(IndexError):
-            while True:
-                arrived.append(self._inbox.popleft())
-        return arrived
+    def _arrived(self, wait_s: float) -> list[tuple[str, bytes, int]]:
+        """Waits for messages and returns those that have come: kind, content, and time of arrival."""
+        self._arrival.wait(wait_s)
+        self._arrival.clear()
+        return [self._inbox.popleft() for _ in range(len(self._inbox))]
 
     def _take(self, part: str, payload: Any) -> None:
         """Takes a message on a thread of Zenoh: does little, never blocks, bounded memory."""
-        at_ns = self._clock()
-        if len(self._inbox) >= _INBOX:  # the sequence numbers show what is missing
-            with suppress(IndexError):
-                self._inbox.popleft()
         data = payload.to_bytes() if len(payload) <= LARGEST_MESSAGE else b""  # counted as malformed
-        self._inbox.append((part, data, at_ns))
+        self._inbox.append((part, data, self._clock()))
         self._arrival.set()
-
-    def _subscriber(self) -> Any:
-        def take(sample: Any) -> None:
-            self._take(FRAMES, sample.payload)
-
-        return self._session.declare_subscriber(f"{self._key}/{FRAMES}", take)
 
     def _describe(self) -> None:
         """Waits for the description; after the first opening only as long as a peer needs to connect."""
@@ -248,24 +232,17 @@ class RemoteSensor:
         return ", ".join((*self._addresses.listen, *self._addresses.connect))
 
     def _relate_clocks(self) -> None:
+        """Asks for the clock until a few replies have come; leaves out frames that arrive meanwhile."""
         until_s = time.monotonic() + _REPLIES_S
         while self._stream.replies < _FIRST_REPLIES and time.monotonic() < until_s:
-            if self._interrupted.is_set():
-                return
+            replies, next_s = self._stream.replies, time.monotonic() + _POLL_S
             self._ask_clock()
-            self._await_reply(time.monotonic() + _POLL_S)
-
-    def _await_reply(self, until_s: float) -> None:
-        """Waits for a clock reply; frames that arrive meanwhile do not end the wait."""
-        before = self._stream.replies
-        while self._stream.replies == before and not self._interrupted.is_set():
-            self._arrival.wait(max(0.0, until_s - time.monotonic()))
-            self._arrival.clear()
-            for part, data, at_ns in self._arrived():
-                if part == CLOCK:
-                    self._stream.clock_reply(data, at_ns)
-            if time.monotonic() >= until_s:
-                return
+            while self._stream.replies == replies and (left_s := next_s - time.monotonic()) > 0.0:
+                for part, data, arrived_ns in self._arrived(left_s):
+                    if part == CLOCK:
+                        self._stream.clock_reply(data, arrived_ns)
+                if self._interrupted.is_set():
+                    return
 
     def _ask_clock(self) -> None:
         def take(reply: Any) -> None:
@@ -283,3 +260,39 @@ class RemoteSensor:
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
         )
+
+
+class _LossReports:
+    """Sentences about losses and damaged messages of a sensor, at most every ten seconds."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._since_ns: int | None = None
+        self._told = LinkFigures()
+        self._sound = True
+
+    def observe(self, figures: LinkFigures, now_ns: int) -> list[str]:
+        """The sentences to report now."""
+        if self._since_ns is None:
+            self._since_ns, self._told = now_ns, figures
+            return []
+        if now_ns - self._since_ns < _REPORT_NS:
+            return []
+        before, self._told, self._since_ns = self._told, figures, now_ns
+        lost, came = figures.lost - before.lost, figures.received - before.received
+        malformed = figures.malformed - before.malformed
+        said = []
+        if lost:
+            said.append(
+                f"{self._name}: frames lost or late on their way in the last 10 s: {lost} of {lost + came}. "
+                f"Check the network between the two PCs; a cable is better than Wi-Fi."
+            )
+        elif not self._sound and came:
+            said.append(f"{self._name}: all frames of the last 10 s arrived.")
+        if malformed:
+            said.append(
+                f"{self._name}: {malformed} damaged or unknown messages were left out. Do both PCs run the "
+                f"same version of duplex?"
+            )
+        self._sound = lost == 0
+        return said

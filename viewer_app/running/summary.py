@@ -63,13 +63,7 @@ def _counts_in_words(counts: dict[str, int]) -> str:
 
 
 def _link_in_words(link: LinkFigures) -> str:
-    counts = {
-        "lost": link.lost,
-        "out of order": link.reordered,
-        "repeated": link.duplicates,
-        "damaged messages": link.malformed,
-        "restarts": link.restarts,
-    }
+    counts = {"lost": link.lost, "damaged messages": link.malformed, "restarts": link.restarts}
     said = _counts_in_words(counts)
     said = f"frames arrived: {link.received}, {said or 'none lost'}"
     if link.round_trip_ns is None or link.clock_bound_ns is None:
