@@ -10,7 +10,6 @@ from multiprocessing import get_context
 from typing import Literal
 
 import numpy as np
-from devices.simulated.tracking.harsher_errors import heavy_tailed, scaled
 
 from devices.depth.image_thinning import Depth
 from devices.pairing import pair_recordings
