@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects
+from devices.azure.pyk4a_access import connected_kinects
+from devices.capture.connected import ConnectedSensor
 from devices.orbbec.sdk_access import connected_orbbecs
 from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice
 
 
-def connected_sensors(tracker: TrackerChoice) -> list[ConnectedKinect]:
+def connected_sensors(tracker: TrackerChoice) -> list[ConnectedSensor]:
     """Connected Azure Kinects and Orbbec sensors.
 
     A Femto Bolt or Mega may be listed twice, by Orbbec's SDK v2 and by its K4A wrapper. It is taken from the
@@ -23,21 +24,10 @@ def connected_sensors(tracker: TrackerChoice) -> list[ConnectedKinect]:
         DeviceError: No vendor's software is installed.
     """
     faults: list[DeviceError] = []
-    orbbecs: list[ConnectedKinect] = []
-    kinects: list[ConnectedKinect] = []
+    orbbecs: list[ConnectedSensor] = []
+    kinects: list[ConnectedSensor] = []
     try:
-        orbbecs = [
-            ConnectedKinect(
-                index,
-                found.serial,
-                False,
-                False,
-                sdk="orbbec",
-                model=found.model,
-                connection=found.connection,
-            )
-            for index, found in enumerate(connected_orbbecs())
-        ]
+        orbbecs = connected_orbbecs()
     except DeviceError as fault:
         faults.append(fault)
     try:

@@ -6,6 +6,7 @@ import filecmp
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -315,7 +316,7 @@ class _NeedsTracker(TrackedRecording):
         super().__init__(recording, tracker, _libk4a_beside(tracker.library))
         self._option = option
 
-    def __enter__(self) -> TrackedRecording:
+    def __enter__(self) -> Self:
         with self.recording:
             pass  # report problems of the file itself first
         try:

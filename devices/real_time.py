@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from devices.capture.frame_decimation import FrameDecimation
-from devices.sensor import Sensor, SensorFrame
+from devices.sensor import Sensor, SensorFrame, SensorWrapper
 from devices.simulated.demonstration import good_rig
 from devices.simulated.kinect import Movement, Scene, SimulatedKinect
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import Array
 from fusion.body import AZURE_KINECT, Body
-from fusion.intrinsics import Intrinsics
 
 _FRAME, _TOGETHER = 1.0 / 30.0, 1.0  # seconds
 _MARGIN, _FORGETTING = 1.5, 0.95
@@ -58,7 +57,7 @@ class Beat:
             self._came.notify_all()
 
 
-class PacedSensor:
+class PacedSensor(SensorWrapper):
     """Yields each frame of a simulated sensor or a recording at its capture time.
 
     A real sensor makes its frames outside of this process. Making a frame therefore starts in the second
@@ -83,7 +82,7 @@ class PacedSensor:
         clock: Callable[[], float] = time.perf_counter,
         wait: Callable[[threading.Event, float], bool] = threading.Event.wait,
     ) -> None:
-        self.name = sensor.name
+        super().__init__(sensor)
         self._sensor = sensor
         self._simulated = sensor if isinstance(sensor, SimulatedKinect) else None
         self._beat = beat or Beat()
@@ -93,30 +92,10 @@ class PacedSensor:
         self.making_ns = 0
         """How long making the last frame took."""
 
-    @property
-    def body(self) -> Body:
-        """Body of the sensor."""
-        return self._sensor.body
-
-    @property
-    def intrinsics(self) -> Intrinsics | None:
-        """Intrinsics of the depth camera."""
-        return self._sensor.intrinsics
-
-    @property
-    def warnings(self) -> Sequence[str]:
-        """Warnings of the sensor."""
-        return self._sensor.warnings
-
     def __enter__(self) -> PacedSensor:
         """Opens the sensor."""
         self._stopping.clear()
-        self._sensor.__enter__()
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        """Closes the sensor."""
-        self._sensor.__exit__(*exc_info)
+        return super().__enter__()
 
     def interrupt(self) -> None:
         """Ends ``frames`` immediately."""

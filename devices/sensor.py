@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,8 +66,7 @@ class SensorFrame:
         color: The colour image; None without one.
         ir: (height, width) uint16 active infrared, of the depth camera; None without one.
         host_ns: Arrival time of the images on this machine, on ``time.perf_counter_ns``, before body
-            tracking. It
-        relates the clocks of two sensors. None for a recording.
+            tracking. It relates the clocks of two sensors. None for a recording.
     """
 
     time_ns: int
@@ -99,41 +98,39 @@ class LinkFigures:
     clock_bound_ns: int | None = None
 
 
-class Sensor(Protocol):
-    """One source of frames. Building one opens nothing; use it as a context manager."""
+class Sensor:
+    """One source of frames: derive your own from it. Building one opens nothing; use it as a context manager.
 
-    @property
-    def name(self) -> str:
-        """Name for messages: a serial number or a file name."""
-        ...
+    Attributes:
+        name: Name for messages: a serial number or a file name.
+        body: The body that its tracker reports; available once the sensor is open.
+        intrinsics: Intrinsics of its depth camera; None if unknown.
+        warnings: Problems so far that did not stop the frames, one line each: cut off, damaged, not closed
+            cleanly.
+        missed: Number of captured frames that never arrived, since the program started.
+        waits_for: What opening, the first frame or closing waits for if that may take minutes, such as "its
+            body tracker, which loads its network"; else empty.
+        link: How the messages of a sensor on another machine arrive; None for one of this machine.
+    """
 
-    @property
-    def body(self) -> Body:
-        """The body that its tracker reports; available once the sensor is open."""
-        ...
+    name: str
+    body: Body
+    intrinsics: Intrinsics | None = None
+    warnings: Sequence[str] = ()
+    missed: int = 0
+    waits_for: str = ""
+    link: LinkFigures | None = None
 
-    @property
-    def intrinsics(self) -> Intrinsics | None:
-        """Intrinsics of its depth camera; None if unknown."""
-        ...
-
-    @property
-    def warnings(self) -> Sequence[str]:
-        """Problems so far that did not stop the frames, one line each: cut off, damaged, not closed
-        cleanly."""
-        ...
-
-    def __enter__(self) -> Sensor:
+    def __enter__(self) -> Self:
         """Opens the source.
 
         Raises:
             DeviceError: It cannot be opened.
         """
-        ...
+        return self
 
     def __exit__(self, *exc_info: object) -> None:
         """Closes the source on every path. Closing twice has no effect."""
-        ...
 
     def frames(self) -> Iterator[SensorFrame]:
         """The frames in capture order, ending when the source ends.
@@ -141,47 +138,56 @@ class Sensor(Protocol):
         Raises:
             DeviceError: The source failed; frames before the failure were given.
         """
-        ...
-
-
-@runtime_checkable
-class CountsMissed(Protocol):
-    """A sensor that counts its frames that never arrived."""
-
-    @property
-    def missed(self) -> int:
-        """Number of captured frames that never arrived, since the program started."""
-        ...
-
-
-@runtime_checkable
-class Interruptible(Protocol):
-    """A sensor that may block between frames and can be interrupted."""
+        raise NotImplementedError
 
     def interrupt(self) -> None:
-        """Makes ``frames`` end within a second. Called from another thread; opening resets it."""
-        ...
+        """Makes ``frames`` end within a second if it blocks between frames; opening resets it.
+
+        Called from another thread.
+        """
+
+    def take_link_news(self) -> list[str]:
+        """What happened to the messages since the last call, one line each. Called from another thread."""
+        return []
 
 
-@runtime_checkable
-class NamesItsWait(Protocol):
-    """A sensor whose opening, first frame or closing may take minutes, and that reports the reason."""
-
-    @property
-    def waits_for(self) -> str:
-        """What it is waiting for, such as "its body tracker, which loads its network"; else empty."""
-        ...
+def _of_source(attribute: str) -> Any:
+    """A property that is the wrapped sensor's."""
+    default = getattr(Sensor, attribute, None)
+    return property(lambda wrapper: getattr(wrapper.source, attribute, default))
 
 
-@runtime_checkable
-class ArrivesByNetwork(Protocol):
-    """A sensor on another machine."""
+class SensorWrapper(Sensor):
+    """A sensor that passes on another one's frames, changed or at other times.
 
-    @property
-    def link(self) -> LinkFigures:
-        """How its messages arrive."""
-        ...
+    Args:
+        source: The other sensor; its name, body, camera, warnings and counts are this one's. It may be of a
+            class that is not derived from ``Sensor`` and lacks the attributes that have a default there.
+    """
 
-    def told(self) -> list[str]:
-        """What happened to its messages since the last call, one line each. Called from another thread."""
-        ...
+    def __init__(self, source: Sensor) -> None:
+        self.source = source
+
+    name = _of_source("name")
+    body = _of_source("body")
+    intrinsics = _of_source("intrinsics")
+    warnings = _of_source("warnings")
+    missed = _of_source("missed")
+    waits_for = _of_source("waits_for")
+
+    def __enter__(self) -> Self:
+        """Opens the source."""
+        self.source.__enter__()
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        """Closes the source."""
+        self.source.__exit__(*exc_info)
+
+    def frames(self) -> Iterator[SensorFrame]:
+        """The source's frames."""
+        return self.source.frames()
+
+    def interrupt(self) -> None:
+        """Interrupts the source, if it can be."""
+        getattr(self.source, "interrupt", lambda: None)()

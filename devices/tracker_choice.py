@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
+from devices.azure.checks import why_not_k4abt
 from devices.azure.kinect import KinectSensor
-from devices.azure.tracking.availability import why_not_k4abt
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages

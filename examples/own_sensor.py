@@ -2,13 +2,13 @@
 
 import time
 
-from devices import SensorFrame, simulated_pair
+from devices import Sensor, SensorFrame, simulated_pair
 from fusion import KINECT_V2, Skeleton
 from recordings import fuse_live
 
 
-class OwnSensor:
-    body, intrinsics, warnings = KINECT_V2, None, ()
+class OwnSensor(Sensor):
+    body = KINECT_V2
 
     def __init__(self, name, camera):
         self.name, self.camera = name, camera

@@ -15,7 +15,7 @@ import pytest
 import devices
 import fusion
 import recordings
-from devices import SensorFrame
+from devices import Sensor, SensorFrame
 from fusion import KINECT_V2, Fuser, FusionSetup, Skeleton, SkeletonPair, calibrate
 from recordings import RecordingError, Session, fuse, fuse_live
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, pair_of
@@ -97,19 +97,13 @@ def test_own_arrays_are_fused_frame_by_frame() -> None:
     np.testing.assert_allclose(fused, a, atol=1e-4)  # noiseless: what A sees
 
 
-class Made:
+class Made(Sensor):
     """A sensor of one's own."""
 
-    body, intrinsics, warnings = KINECT_V2, None, ()
+    body = KINECT_V2
 
     def __init__(self, name: str, views: list[Skeleton]) -> None:
         self.name, self.views = name, views
-
-    def __enter__(self) -> Made:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
 
     def frames(self) -> Iterator[SensorFrame]:
         for skeleton in self.views:

@@ -5,22 +5,27 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
 
 from rich.console import Console
 
 from devices.azure.kinect import KinectSensor
-from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings
-from devices.azure.pyk4a_access import ConnectedKinect
+from devices.azure.settings import KinectSettings
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.tracked_images import TrackedImages
+from devices.capture.connected import (
+    ConnectedSensor,
+    NeedsChoiceError,
+    cable_notes,
+    choose_one,
+    choose_two,
+    sync_master,
+)
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_pair import TwoSensors
-from devices.capture.sensor_roles import NeedsChoiceError, cable_notes, choose_one, choose_two, sync_master
+from devices.capture.settings import LASER_GAP_US
 from devices.capture.stream_pairing import LivePairing, Side
 from devices.connected_sensors import connected_sensors
 from devices.orbbec.sensor import OrbbecSensor
-from devices.orbbec.settings import OrbbecSettings
 from devices.sensor import Sensor
 from devices.tracker_choice import TrackerChoice
 from viewer_app.network_sensors import teller
@@ -116,7 +121,7 @@ def one_sensor(
     return _ours(kinect, settings, TrackingPace(settings.fps, tracker.blazepose))
 
 
-def _choose(connected: Sequence[ConnectedKinect], options: LiveOptions, console: Console) -> tuple[str, str]:
+def _choose(connected: Sequence[ConnectedSensor], options: LiveOptions, console: Console) -> tuple[str, str]:
     try:
         return choose_two(connected, options.kinect_a, options.kinect_b, options.principal)
     except NeedsChoiceError as choice:
@@ -143,7 +148,7 @@ def _ask(choice: NeedsChoiceError, console: Console) -> str:
 
 
 def _microsofts(
-    kinect: ConnectedKinect,
+    kinect: ConnectedSensor,
     options: LiveOptions,
     master: str | None,
     tracker: TrackerChoice,
@@ -156,32 +161,15 @@ def _microsofts(
     )
 
 
-def _ours(kinect: ConnectedKinect, settings: KinectSettings, pace: TrackingPace) -> Sensor:
+def _ours(kinect: ConnectedSensor, settings: KinectSettings, pace: TrackingPace) -> Sensor:
     """A sensor with the program's own tracker."""
     serial = str(kinect.serial)
     images: Sensor
     if kinect.sdk == "orbbec":
-        images = OrbbecSensor(serial, _orbbec_settings(settings), pace)
+        images = OrbbecSensor(serial, settings, pace)
     else:
         images = KinectSensor(serial, replace(settings, infrared=True), track=False, decimation=pace)
     return TrackedImages(images, pace.settings, pace=pace)
-
-
-def _orbbec_settings(settings: KinectSettings) -> OrbbecSettings:
-    return OrbbecSettings(
-        depth_mode=settings.depth_mode,
-        fps=settings.fps,
-        color=settings.color,
-        sync=_ORBBEC_SYNC[settings.sync],
-        start_s=settings.start_s,
-    )
-
-
-_ORBBEC_SYNC: dict[str, Literal["standalone", "primary", "secondary"]] = {
-    "standalone": "standalone",
-    "master": "primary",
-    "subordinate": "secondary",
-}
 
 
 def kinect_settings(options: LiveOptions, serial: str, master: str | None) -> KinectSettings:

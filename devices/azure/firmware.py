@@ -6,7 +6,7 @@ import ctypes
 import sys
 from typing import Any
 
-from devices.azure.capsules import device_handle
+from devices.azure.pyk4a_internals import device_handle
 from devices.azure.tracking.native_library import loaded_file
 from devices.sensor import DeviceError
 

@@ -5,17 +5,14 @@ Orbbec's Femto Bolt and Mega work the same way with Orbbec's K4A wrapper instead
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from devices.azure.calibration import COLOR_MODES, CameraMode, depth_mode
-from devices.azure.capsules import capsule_pointer, capture_pointer
-from devices.azure.capture_stream import CaptureStream
-from devices.azure.kinect_settings import KinectSettings, sdk_configuration
 from devices.azure.pyk4a_access import (
     close_kinect,
     is_connected,
@@ -23,25 +20,65 @@ from devices.azure.pyk4a_access import (
     open_kinect,
     why_not_open,
 )
+from devices.azure.pyk4a_internals import capsule_pointer, capture_pointer, image_of
+from devices.azure.settings import KinectSettings, sdk_configuration
 from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
 from devices.azure.tracking.tracker_queue import TrackerQueue
 from devices.capture.frame_decimation import FrameDecimation
-from devices.sensor import ColorCamera, DeviceError, SensorFrame
-from fusion.body import AZURE_KINECT, Body
+from devices.capture.live_sensor import CaptureStream, LiveSensor, Moment, arrival_ns
+from devices.sensor import ColorCamera, ColorImage, DeviceError, SensorFrame
+from fusion.body import AZURE_KINECT
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 
 
-class KinectSensor:
+@dataclass(frozen=True, eq=False)
+class _Captured(Moment):
+    """A capture of the SDK."""
+
+    capture: Any
+
+
+class _KinectStream(CaptureStream[_Captured]):
+    """The captures of a running ``pyk4a.PyK4A``."""
+
+    cable_advice = (
+        "A subordinate gives frames only while its master runs: check the master and the sync cable."
+    )
+    settings: KinectSettings
+
+    def __init__(self, device: Any, sdk: Any, sensor: KinectSensor) -> None:
+        super().__init__(f"Kinect {sensor.name}", sensor.settings, sensor)
+        self._device, self._sdk = device, sdk
+
+    def poll(self, timeout_ms: int) -> _Captured | None:
+        """The next capture of the SDK's queue."""
+        try:
+            capture = self._device.get_capture(timeout=timeout_ms)
+        except self._sdk.K4ATimeoutException:
+            raise TimeoutError from None
+        except self._sdk.K4AException as fault:
+            raise self.lost(fault) from fault
+        if image_of(capture, "depth") is None or image_of(capture, "ir") is None:
+            return None
+        # Orbbec's wrapper gives the epoch's time.
+        host_ns = arrival_ns(int(capture.depth_system_timestamp_nsec), self.sensor.clock())
+        return _Captured(1000 * int(capture.depth_timestamp_usec), host_ns, capture)
+
+    def is_connected(self) -> bool:
+        """Whether the sensor is still connected."""
+        return is_connected(self._sdk, self.sensor.name)
+
+    def comes_late(self, moment: _Captured) -> bool:
+        """Whether capture sync held a depth image back for a colour image that never came."""
+        return self.settings.camera_color is not None and image_of(moment.capture, "color") is None
+
+
+class KinectSensor(LiveSensor):
     """One Azure Kinect with its body tracker: a :class:`~devices.sensor.Sensor`.
 
     Attributes:
-        name: Its serial number.
         body: The body of the body tracker.
-        intrinsics: Intrinsics of the depth camera in the chosen mode; None before opening.
-        warnings: Problems that did not stop the sensor.
-        missed: Captured frames that were dropped because this program or its tracker was too slow. Moments
-            skipped on purpose by the decimation are not counted.
         waits_for: What the sensor is waiting for, if that may take minutes; else empty.
     """
 
@@ -64,20 +101,12 @@ class KinectSensor:
             decimation: Which moments go to the tracker; share it between two sensors. None: its own.
             clock: Nanoseconds, of ``host_ns`` and of the tracker's times; tests inject their own.
         """
-        self.name = serial
-        self.body: Body = AZURE_KINECT
-        self.intrinsics: Intrinsics | None = None
-        self.warnings: list[str] = []
-        self.missed = 0
         self.settings = settings or KinectSettings()
+        super().__init__(serial, self.settings, decimation, clock)
+        self.body = AZURE_KINECT
         self.waits_for = ""
-        self._decimation = decimation or FrameDecimation(self.settings.fps)
-        self._clock = clock
-        self._color: ColorCamera | None = None
         self._tracker = BodyTracker(tracker) if track else None
         self._device: Any = None
-        self._sdk: Any = None
-        self._interrupted = threading.Event()
 
     def __enter__(self) -> KinectSensor:
         """Opens the sensor, starts its cameras, then its body tracker.
@@ -124,10 +153,6 @@ class KinectSensor:
             if fault:
                 self.warnings.append(f"Kinect {self.name} did not close cleanly ({fault}).")
 
-    def interrupt(self) -> None:
-        """Makes ``frames`` end after its current wait; for closing from another thread."""
-        self._interrupted.set()
-
     def frames(self) -> Iterator[SensorFrame]:
         """Frames as they arrive, until interrupted.
 
@@ -136,34 +161,37 @@ class KinectSensor:
         """
         if self._device is None:
             raise DeviceError(f"Kinect {self.name} is not open: use it in a with statement.")
-        self._decimation.restart(self.name)
-        captures = CaptureStream(
-            *(self._device, self._sdk, self.name, self.settings, self._color, self._decimation, self._clock)
-        )
+        self.decimation.restart(self.name)
+        stream = _KinectStream(self._device, self._sdk, self)
         if self._tracker is None:
             while not self._interrupted.is_set():
-                if (taken := self._take(captures, wait=True)) is not None:
-                    yield taken[0]
+                if (taken := self._take(stream)) is not None:
+                    yield self._frame(taken)
             return
         # Waiting at most three quarters of a frame for the tracker leaves time to fetch the next capture.
-        queue = TrackerQueue(self._tracker, 0.75 / self.settings.fps, self._took, self._clock)
+        queue = TrackerQueue(self._tracker, 0.75 / self.settings.fps, self._took, self.clock)
         self.waits_for = "its body tracker's first result"
         while not self._interrupted.is_set():
-            if not queue.full and (taken := self._take(captures, wait=queue.empty)) is not None:
-                frame, capture = taken
-                queue.put(frame, capture_pointer(capture))
+            if not queue.full and (taken := self._take(stream, wait=queue.empty)) is not None:
+                queue.put(self._frame(taken), capture_pointer(taken.capture))
             for frame in queue.done():
                 self.waits_for = ""
                 yield frame
 
-    def _take(self, captures: CaptureStream, wait: bool) -> tuple[SensorFrame, Any] | None:
-        before = captures.missed
-        taken = captures.take(wait)
-        self.missed += captures.missed - before
-        return taken
+    def _frame(self, taken: _Captured) -> SensorFrame:
+        """The capture's images, copied so that the SDK has its memory back."""
+        capture = taken.capture
+        jpeg = None if self._color is None else image_of(capture, "color")
+        return SensorFrame(
+            time_ns=taken.time_ns,
+            depth=np.array(capture.depth, dtype=np.uint16),
+            ir=np.array(capture.ir, dtype=np.uint16) if self.settings.infrared else None,
+            color=None if jpeg is None or self._color is None else ColorImage.of(jpeg.tobytes(), self._color),
+            host_ns=taken.host_ns,
+        )
 
     def _took(self, time_ns: int) -> None:
-        self._decimation.tracked(self.name, time_ns)
+        self.decimation.tracked(self.name, time_ns)
 
     def _check_jack(self) -> None:
         """Checks that the sync cable is connected, and that a device that opens lazily is not busy."""

@@ -6,71 +6,58 @@ The SDK's errors have no description, so this file determines why a device does 
 from __future__ import annotations
 
 import os
+import sys
 import threading
-from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from types import ModuleType
-from typing import Any, Literal
+from typing import Any
 
-from devices.azure.firmware import firmware_version
-from devices.azure.installing import how_to_install
-from devices.azure.pyk4a_leaks import put_back_none
-from devices.capture.usb import UDEV_ADVICE, UsbKinect, usb_kinects
+from devices.azure.firmware import firmware_advice, firmware_version
+from devices.azure.pyk4a_internals import put_back_none
+from devices.capture import usb
+from devices.capture.connected import ConnectedSensor
+from devices.capture.usb import usb_kinects
 from devices.sensor import AbsentError, DeviceError
+
+_EXTRA = "pip install '.[kinect]' (after make: .venv/bin/pip install -e '.[kinect]')"
+_NEEDS = {
+    "linux": (
+        "a C++ compiler (Debian, Ubuntu: build-essential), Python's headers (python3-dev) and the headers of "
+        "the Azure Kinect Sensor SDK 1.4 (libk4a1.4-dev; for Orbbec their K4A wrapper, its folders named by "
+        "CPATH, LIBRARY_PATH and LD_LIBRARY_PATH)"
+    ),
+    "win32": (
+        "Microsoft's C++ Build Tools and the Azure Kinect Sensor SDK 1.4.1 where its installer puts it (for "
+        "Orbbec: build against it, then put the DLLs of their K4A wrapper in its place)"
+    ),
+}
 
 _opening = threading.Lock()
 _open_here: set[str] = set()  # serial numbers that this process holds open
 _seen_on_bus: set[str] = set()  # serial numbers that the system's list of USB devices has shown, too
 
 
-@dataclass(frozen=True)
-class ConnectedKinect:
-    """A Kinect that the SDK sees.
-
-    Attributes:
-        index: Its place in the SDK's list, which changes when sensors come and go.
-        serial: Its serial number; None if it cannot be opened.
-        sync_in, sync_out: Whether a cable is in the jack; None if it cannot be opened. Orbbec's wrapper
-            always says no.
-        fault: Why it cannot be opened; empty if it can.
-        firmware: Version of its colour camera's firmware, which names the release; None if unknown.
-        sdk: Whose software gives its images: libk4a's, or Orbbec's SDK v2.
-        model, connection: What Orbbec's SDK v2 calls it, and how it is connected; empty with libk4a.
-    """
-
-    index: int
-    serial: str | None
-    sync_in: bool | None = None
-    sync_out: bool | None = None
-    fault: str = ""
-    firmware: tuple[int, int, int] | None = None
-    sdk: Literal["k4a", "orbbec"] = "k4a"
-    model: str = ""
-    connection: str = ""
-
-    @property
-    def is_orbbec(self) -> bool:
-        """Whether it is of Orbbec. With libk4a, serial numbers tell: Orbbec's hold letters, Microsoft's do
-        not."""
-        return self.sdk == "orbbec" or (self.serial is not None and not self.serial.isdigit())
-
-
-def connected_kinects() -> list[ConnectedKinect]:
+def connected_kinects() -> list[ConnectedSensor]:
     """All connected Kinects. Each is opened briefly; one in use by another program has a fault.
 
     Raises:
         DeviceError: pyk4a or the SDK is not installed.
     """
     sdk = load_sdk()
-    found: list[ConnectedKinect] = []
+    found: list[ConnectedSensor] = []
     for index in range(sdk.connected_device_count()):
         device = sdk.PyK4A(device_id=index, thread_safe=False)
         try:
             _open(device, sdk)
             sync_in, sync_out = device.sync_jack_status
             serial, firmware = device.serial, firmware_version(device)
-            found.append(ConnectedKinect(index, serial, sync_in, sync_out, firmware=firmware))
+            description = "" if firmware is None else f"firmware {'.'.join(map(str, firmware))}"
+            advice = firmware_advice(serial, firmware)
+            found.append(
+                ConnectedSensor(index, serial, sync_in, sync_out, description=description, advice=advice)
+            )
         except sdk.K4AException as fault:
-            found.append(ConnectedKinect(index, None, fault=why_not_open(fault)))
+            found.append(ConnectedSensor(index, None, fault=why_not_open(fault)))
         finally:
             let_go(device, sdk)
     return found
@@ -91,6 +78,31 @@ def load_sdk() -> ModuleType:
             f"Live sensors need pyk4a, which cannot be imported ({fault}). {how_to_install()}"
         ) from fault
     return pyk4a  # type: ignore[no-any-return]
+
+
+def how_to_install(platform: str = sys.platform) -> str:
+    """Returns the instructions for installing a pyk4a that works with this program.
+
+    pyk4a is built from source: the wheels of pyk4a-bundle need numpy < 2, and rerun-sdk needs numpy ≥ 2.
+
+    Args:
+        platform: A platform name as in ``sys.platform``.
+    """
+    needs = _NEEDS.get(platform)
+    if needs is None:
+        return "The Azure Kinect Sensor SDK runs on Windows and Linux only: record there, and fuse here."
+    remove = ""
+    if _has_bundle():
+        remove = "Remove pyk4a-bundle, whose wheels need numpy < 2 (pip uninstall pyk4a-bundle). "
+    return f"{remove}pyk4a is built from source, with {needs}. Then, from this program's folder: {_EXTRA}."
+
+
+def _has_bundle() -> bool:
+    try:
+        version("pyk4a-bundle")
+    except PackageNotFoundError:
+        return False
+    return True
 
 
 def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
@@ -181,22 +193,9 @@ def _not_found(serial: str, others: list[str], faults: list[str]) -> str:
     return f"No Kinect with serial {serial}, and no other. Plug it in: USB 3 and its own power supply."
 
 
-def why_not_open(fault: Exception, bus: list[UsbKinect] | None = None, programs: str = "k4aviewer") -> str:
-    """Why a connected device does not open; the SDKs give no reason.
-
-    Args:
-        fault: The SDK's exception.
-        bus: The sensors on USB; None: looked up.
-        programs: Programs that may keep the device busy.
-    """
-    said = f" ({fault})" if str(fault) else ""
-    forbidden = [device for device in (usb_kinects() if bus is None else bus) if not device.allowed]
-    if forbidden:
-        return f"no permission for {forbidden[0].node}{said}. {UDEV_ADVICE}"
-    return (
-        f"it is busy or starting up{said}. Close other programs that use it ({programs}), wait 5 s, "
-        "try again."
-    )
+def why_not_open(fault: Exception) -> str:
+    """Why a connected Kinect does not open; see :func:`devices.capture.usb.why_not_open`."""
+    return usb.why_not_open(fault, usb_kinects(), "k4aviewer")
 
 
 def let_go(device: Any, sdk: Any) -> str:

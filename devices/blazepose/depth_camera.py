@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
-from devices.sensor import DeviceError, SensorFrame
-from fusion.body import BLAZEPOSE, Body
+from devices.sensor import DeviceError, Sensor, SensorFrame
+from fusion.body import BLAZEPOSE
 from fusion.intrinsics import Intrinsics
 
 DepthImages = Callable[[], Iterable[tuple[NDArray[Any], NDArray[Any], int]]]
@@ -58,7 +58,7 @@ class DepthCamera(TrackedImages):
         super().__init__(source, settings, registered=lambda _: source.rgb, took=took)
 
 
-class _Images:
+class _Images(Sensor):
     """The images of a generator as a sensor without people.
 
     Attributes:
@@ -67,9 +67,8 @@ class _Images:
 
     def __init__(self, name: str, images: DepthImages, intrinsics: Intrinsics) -> None:
         self.name = name
-        self.body: Body = BLAZEPOSE
-        self.intrinsics: Intrinsics | None = intrinsics
-        self.warnings: list[str] = []
+        self.body = BLAZEPOSE
+        self.intrinsics = intrinsics
         self.rgb: NDArray[np.uint8] | None = None
         self._images, self._lens = images, intrinsics
         self._interrupted = False
@@ -77,9 +76,6 @@ class _Images:
     def __enter__(self) -> _Images:
         self._interrupted = False
         return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        """Has nothing to close: the generator does, when it ends or is let go."""
 
     def interrupt(self) -> None:
         """Makes ``frames`` end after the image that it waits for."""

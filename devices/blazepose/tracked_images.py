@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.settings import BlazePoseSettings
-from devices.sensor import DeviceError, Interruptible, Sensor, SensorFrame
-from fusion.body import BLAZEPOSE, Body
-from fusion.intrinsics import Intrinsics
+from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
+from fusion.body import BLAZEPOSE
 from fusion.skeleton import Skeleton
 
 if TYPE_CHECKING:
     from devices.blazepose.blazepose import BlazePose
 
 
-class TrackedImages:
+class TrackedImages(SensorWrapper):
     """The frames of another sensor with the person that :class:`BlazePose` finds: a Sensor.
 
     A frame needs depth and infrared of the same pixels, or depth and a colour image registered to it. Other
@@ -30,8 +29,9 @@ class TrackedImages:
     Attributes:
         source: The sensor with the images.
         tracker: The tracker.
-        body: ``blazepose``.
     """
+
+    body = BLAZEPOSE
 
     def __init__(
         self,
@@ -58,41 +58,10 @@ class TrackedImages:
         # OpenCV changes the environment when it is imported; importing this package must not.
         from devices.blazepose.blazepose import BlazePose
 
-        self.source = source
+        super().__init__(source)
         self.tracker: BlazePose = BlazePose(settings)
-        self.body: Body = BLAZEPOSE
         self._registered = registered or registered_color
         self._took, self._pace, self._clock = took, pace, clock
-
-    @property
-    def name(self) -> str:
-        """The source's name."""
-        return self.source.name
-
-    @property
-    def intrinsics(self) -> Intrinsics | None:
-        """Intrinsics of the source's depth camera."""
-        return self.source.intrinsics
-
-    @property
-    def warnings(self) -> Sequence[str]:
-        """The source's warnings."""
-        return self.source.warnings
-
-    @property
-    def missed(self) -> int:
-        """Number of frames that the source missed."""
-        return int(getattr(self.source, "missed", 0))
-
-    @property
-    def waits_for(self) -> str:
-        """What the source is waiting for."""
-        return str(getattr(self.source, "waits_for", ""))
-
-    def interrupt(self) -> None:
-        """Interrupts the source, where it can be."""
-        if isinstance(self.source, Interruptible):
-            self.source.interrupt()
 
     def __enter__(self) -> TrackedImages:
         """Loads the networks, then opens the source.

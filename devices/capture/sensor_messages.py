@@ -1,46 +1,8 @@
-"""Queries the state of a sensor on its own thread, and builds the messages for a sensor in trouble."""
+"""Messages for a sensor in trouble."""
 
 from __future__ import annotations
 
-from typing import TypeGuard
-
-from devices.sensor import (
-    ArrivesByNetwork,
-    CountsMissed,
-    DeviceError,
-    LinkFigures,
-    NamesItsWait,
-    Sensor,
-)
-
-
-def _counts_missed(sensor: Sensor) -> TypeGuard[CountsMissed]:
-    # asked several times per frame, and ``isinstance`` with a protocol takes 30 µs
-    return hasattr(sensor, "missed")
-
-
-def _arrives_by_network(sensor: Sensor) -> TypeGuard[ArrivesByNetwork]:
-    return hasattr(sensor, "link") and hasattr(sensor, "told")
-
-
-def wait_of(sensor: Sensor) -> str:
-    """What a sensor is waiting for, if it reports this; else empty."""
-    return sensor.waits_for if isinstance(sensor, NamesItsWait) else ""
-
-
-def told_by(sensor: Sensor) -> list[str]:
-    """What happened to a sensor's messages on their way, if it hangs on another PC."""
-    return sensor.told() if _arrives_by_network(sensor) else []
-
-
-def link_of(sensor: Sensor) -> LinkFigures | None:
-    """How a sensor's messages arrive; None for a sensor of this machine."""
-    return sensor.link if _arrives_by_network(sensor) else None
-
-
-def missed_by(sensor: Sensor) -> int:
-    """Number of captured frames that never arrived, if the sensor counts them; else 0."""
-    return sensor.missed if _counts_missed(sensor) else 0
+from devices.sensor import DeviceError
 
 
 def not_opened(sensor: str, within_s: float, waits_for: str) -> DeviceError:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from devices.capture import sensor_messages as messages
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_state import SensorState
 from devices.capture.sensor_thread import SensorThread
@@ -103,7 +102,7 @@ class TwoSensors:
     @property
     def links(self) -> tuple[LinkFigures | None, LinkFigures | None]:
         """How the messages of A and of B arrive; None for a sensor of this machine."""
-        return messages.link_of(self.a.sensor), messages.link_of(self.b.sensor)
+        return self.a.sensor.link, self.b.sensor.link
 
     @property
     def step(self) -> int:
@@ -232,9 +231,7 @@ class TwoSensors:
 
     def _take_events(self, thread: SensorThread) -> None:
         events = thread.events()
-        events += [
-            Event(text, "WARN", time_ns=_ns(self._clock())) for text in messages.told_by(thread.sensor)
-        ]
+        events += [Event(text, "WARN", time_ns=_ns(self._clock())) for text in thread.sensor.take_link_news()]
         self._events += events
         for event in events:
             self._tell(event)

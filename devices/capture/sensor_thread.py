@@ -17,7 +17,7 @@ from devices.capture.retries import Retries
 from devices.capture.sensor_state import SensorState
 from devices.depth.witness import with_witness
 from devices.events import Event
-from devices.sensor import DeviceError, Interruptible, Sensor, SensorFrame
+from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
 
 _EVENTS_KEPT = 100
 
@@ -58,7 +58,7 @@ class SensorThread:
             clock: Seconds, for stalls and ``host_ns``; tests inject their own.
             wait: Waits for an event at most so many seconds; how retries pass time.
         """
-        self.sensor = sensor
+        self.sensor = sensor if isinstance(sensor, Sensor) else SensorWrapper(sensor)
         self.arrival = arrival or threading.Event()
         self._keep, self._retries = keep, Retries(retry_s)
         self._least_stall_s = self._stall_s = stall_s
@@ -84,7 +84,7 @@ class SensorThread:
     @property
     def dropped(self) -> int:
         """Number of dropped frames: the reader was too slow for the thread, or the thread for the sensor."""
-        return self._dropped + messages.missed_by(self.sensor) - self._missed_before
+        return self._dropped + self.sensor.missed - self._missed_before
 
     @property
     def returns(self) -> int:
@@ -119,7 +119,7 @@ class SensorThread:
         """
         self.close()
         if self._left_behind is not None and self._left_behind.is_alive():
-            raise DeviceError(messages.not_closed(self.sensor.name, messages.wait_of(self.sensor)))
+            raise DeviceError(messages.not_closed(self.sensor.name, self.sensor.waits_for))
         self._stopping, self._settled = threading.Event(), threading.Event()
         self._fault, self._state = None, SensorState.OPENING
         # A daemon thread: a driver that hangs must not keep the program from ending.
@@ -137,7 +137,7 @@ class SensorThread:
             raise
         if not opened:
             self.close(0.0)
-            raise messages.not_opened(self.sensor.name, within_s, messages.wait_of(self.sensor))
+            raise messages.not_opened(self.sensor.name, within_s, self.sensor.waits_for)
         self._raise_fault()
         return self
 
@@ -147,7 +147,7 @@ class SensorThread:
             if self._dropped:
                 self._frames.clear()
             self._received, self._dropped = len(self._frames), 0
-            self._missed_before = messages.missed_by(self.sensor)
+            self._missed_before = self.sensor.missed
 
     def set_interval(self, interval_s: float) -> None:
         """Changes the time between two frames; a sensor stalls after four of them at the earliest."""
@@ -156,7 +156,7 @@ class SensorThread:
     def end(self) -> None:
         """Asks the thread to end, without waiting. Later frames are neither kept nor counted."""
         self._stopping.set()
-        if self._thread is not None and isinstance(self.sensor, Interruptible):
+        if self._thread is not None:
             self.sensor.interrupt()
 
     def close(self, within_s: float = 3.0) -> bool:
@@ -181,7 +181,7 @@ class SensorThread:
                 self._state = SensorState.CLOSED
         if thread.is_alive():
             self._left_behind = thread
-            self._tell(messages.not_closed(self.sensor.name, messages.wait_of(self.sensor)))
+            self._tell(messages.not_closed(self.sensor.name, self.sensor.waits_for))
             return False
         return True
 

@@ -7,14 +7,20 @@ information.
 from __future__ import annotations
 
 import os
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from devices.check import Check
 
 # The depth camera of each: Azure Kinect DK; Orbbec Femto Mega, Femto Bolt, Gemini 2, 2 L and the Gemini 330
 # series (ids as in OrbbecSDK's device lists and udev rules; none was seen on a bus of ours). A Femto Mega I
 # has no USB.
 _ORBBECS = ("0669", "066b", "0670", "0673", "0800", "0801", "0803", "0804", "0805", "0807")
 _DEPTH_CAMERAS = {("045e", "097c"), *(("2bc5", product) for product in _ORBBECS)}
+
+_USB3_MEGABITS = 5000
 
 UDEV_ADVICE = (
     "Copy 99-k4a.rules of the Azure Kinect Sensor SDK (scripts/), for an Orbbec 99-obsensor-libusb.rules "
@@ -61,6 +67,56 @@ def usb_kinects(root: Path = Path("/")) -> list[UsbKinect]:
             )
         )
     return found
+
+
+def why_not_open(fault: Exception, bus: Sequence[UsbKinect], programs: str) -> str:
+    """Why a connected device does not open; the SDKs give no reason.
+
+    Args:
+        fault: The SDK's exception.
+        bus: The sensors on USB.
+        programs: Programs that may keep the device busy.
+    """
+    said = f" ({fault})" if str(fault) else ""
+    forbidden = [device for device in bus if not device.allowed]
+    if forbidden:
+        return f"no permission for {forbidden[0].node}{said}. {UDEV_ADVICE}"
+    return (
+        f"it is busy or starting up{said}. Close other programs that use it ({programs}), wait 5 s, "
+        "try again."
+    )
+
+
+def permission_check(root: Path) -> Check:
+    """Whether this user may open the sensors on the bus."""
+    name = "USB permission"
+    if not sys.platform.startswith("linux"):
+        return Check(name, True, f"not restricted on {sys.platform}")
+    there = usb_kinects(root)
+    forbidden = [device for device in there if not device.allowed]
+    if forbidden:
+        return Check(name, False, f"this user may not open {forbidden[0].node}", UDEV_ADVICE)
+    if there:
+        return Check(name, True, f"{len(there)} Kinect(s) on the bus may be opened")
+    rules = [
+        rule
+        for folder in ("etc", "lib", "usr/lib")
+        for of in ("k4a", "obsensor")
+        for rule in (root / folder / "udev/rules.d").glob(f"*{of}*.rules")
+    ]
+    if rules or os.geteuid() == 0:
+        return Check(name, True, f"udev rule {rules[0].name}" if rules else "running as root")
+    return Check(name, False, "no udev rule for the Kinect", UDEV_ADVICE)
+
+
+def speed_check(root: Path) -> Check:
+    """Whether all sensors on the bus run at USB 3."""
+    there = usb_kinects(root)
+    slow = [device for device in there if 0 < device.megabits < _USB3_MEGABITS]
+    if slow:
+        detail = f"{slow[0].serial or slow[0].node} runs at {slow[0].megabits} Mbit/s"
+        return Check("USB speed", False, detail, "Plug it into a USB 3 port, with its own cable.")
+    return Check("USB speed", True, f"{len(there)} Kinect(s) at USB 3" if there else "no Kinect on the bus")
 
 
 def _read(path: Path) -> str:

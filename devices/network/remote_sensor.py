@@ -18,7 +18,7 @@ from devices.network.zenoh_session import (
     load_zenoh,
     zenoh_session,
 )
-from devices.sensor import AbsentError, DeviceError, LinkFigures, SensorFrame
+from devices.sensor import AbsentError, DeviceError, LinkFigures, Sensor, SensorFrame
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
 
@@ -36,7 +36,7 @@ _POLL_NS = 50_000_000
 _POLL_S, _ANSWER_S = _POLL_NS * 1e-9, 0.5
 
 
-class RemoteSensor:
+class RemoteSensor(Sensor):
     """Gives the frames that arrive under a key; their ``host_ns`` is on this machine's clock.
 
     A program that is killed or started anew raises ``AbsentError``, so that the thread that runs this sensor
@@ -77,12 +77,12 @@ class RemoteSensor:
         self._session: Any = None
 
     @property
-    def body(self) -> Body:
+    def body(self) -> Body:  # type: ignore[override]
         """The body that its tracker reports; known once it has described itself."""
         return self._known().body
 
     @property
-    def intrinsics(self) -> Intrinsics | None:
+    def intrinsics(self) -> Intrinsics | None:  # type: ignore[override]
         """Intrinsics of its depth camera; known once it has described itself."""
         return self._known().intrinsics
 
@@ -92,16 +92,16 @@ class RemoteSensor:
         return self._known().interval_ns
 
     @property
-    def missed(self) -> int:
+    def missed(self) -> int:  # type: ignore[override]
         """Frames that never arrived, arrived too late, or that this program was too slow for."""
         return self._stream.figures.lost
 
     @property
-    def link(self) -> LinkFigures:
+    def link(self) -> LinkFigures:  # type: ignore[override]
         """How its messages arrive."""
         return self._stream.figures
 
-    def told(self) -> list[str]:
+    def take_link_news(self) -> list[str]:
         """Reports about its messages since the last call."""
         return [self._told.popleft() for _ in range(len(self._told))]
 

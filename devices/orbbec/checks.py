@@ -6,6 +6,7 @@ import re
 import sys
 from importlib.metadata import PackageNotFoundError, version
 
+from devices.capture.connected import ConnectedSensor
 from devices.check import Check, failed
 from devices.orbbec.sdk_access import faults_of, load_sdk, open_orbbec
 from devices.sensor import DeviceError
@@ -34,15 +35,10 @@ def sdk_check(platform: str = sys.platform) -> Check:
     return Check(SDK_NAME, True, found)
 
 
-def sensor_check(serial: str, model: str, connection: str) -> Check:
-    """A connected sensor: opened briefly, for its firmware.
-
-    Args:
-        serial: Its serial number.
-        model: The SDK's name for it.
-        connection: Its connection as the SDK reports it.
-    """
-    name = f"Orbbec {serial}"
+def sensor_check(sensor: ConnectedSensor) -> Check:
+    """A sensor that Orbbec's SDK lists: opened briefly, for its firmware."""
+    serial = str(sensor.serial)
+    name, (model, _, connection) = f"Orbbec {serial}", sensor.description.rpartition(", ")
     try:
         sdk = load_sdk()
         try:
@@ -51,7 +47,7 @@ def sensor_check(serial: str, model: str, connection: str) -> Check:
             raise DeviceError(f"{model} hides its firmware ({fault}). Unplug it, plug it in.") from fault
     except DeviceError as fault:
         return failed(name, fault, needed=False)
-    detail = f"{model}, {connection}, firmware {firmware}, sync jacks not known"
+    detail = f"{sensor.description}, firmware {firmware}, sync jacks not known"
     if connection.startswith("USB2"):
         return Check(name, False, detail, "Plug it into a USB 3 port, with its own cable.", needed=False)
     advice = firmware_advice(model, firmware)

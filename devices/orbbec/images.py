@@ -8,27 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.capture.live_sensor import Moment, arrival_ns
 from devices.sensor import ColorCamera, ColorImage
-
-_SAME_CLOCK_NS = 5_000_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
-    """Depth and infrared of one exposure, and its times.
+class OrbbecMoment(Moment):
+    """Depth and infrared of one exposure.
 
     Attributes:
         depth, infrared: The SDK's frames.
         color: The newest frame of the colour camera at that moment; None without one.
-        time_ns: Capture time on the sensor's clock.
-        host_ns: When the depth image reached this machine, on ``time.perf_counter_ns``.
     """
 
     depth: Any
     infrared: Any
     color: Any
-    time_ns: int
-    host_ns: int
 
 
 class MomentJoiner:
@@ -53,7 +48,7 @@ class MomentJoiner:
         self._color: Any = None
         self.timeless = False
 
-    def add(self, frames: Any, now_ns: int) -> Moment | None:
+    def add(self, frames: Any, now_ns: int) -> OrbbecMoment | None:
         """Takes a ``FrameSet``; returns the moment that is now complete, if one is.
 
         Args:
@@ -73,9 +68,8 @@ class MomentJoiner:
         color = self._color
         if color is not None and abs(self._time_ns(color) - time_ns) > self._period_ns // 2:
             color = None
-        host_ns = 1000 * int(depth.get_system_timestamp_us())
-        known = 0 <= now_ns - host_ns < _SAME_CLOCK_NS  # else the SDK's clock is another
-        return Moment(depth, infrared, color, time_ns, host_ns if known else now_ns)
+        host_ns = arrival_ns(1000 * int(depth.get_system_timestamp_us()), now_ns)
+        return OrbbecMoment(time_ns, host_ns, depth, infrared, color)
 
     def _time_ns(self, frame: Any) -> int:
         """The device's time; the host's where the driver passes none on."""

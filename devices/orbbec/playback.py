@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from devices.orbbec.images import MomentJoiner, depth_image, infrared_image
-from devices.orbbec.lens import intrinsics_of
 from devices.orbbec.sdk_access import context_of, faults_of, load_sdk
-from devices.sensor import DeviceError, SensorFrame
+from devices.orbbec.streams import intrinsics_of
+from devices.sensor import DeviceError, Sensor, SensorFrame
 from fusion.body import BLAZEPOSE, Body
 from fusion.intrinsics import Intrinsics
 
@@ -20,7 +20,7 @@ _WAIT_MS = 200
 _SILENT_S = 10.0  # of a recording that neither gives frames nor says that it has ended
 
 
-class OrbbecRecording:
+class OrbbecRecording(Sensor):
     """A recording's depth and infrared images: a :class:`~devices.sensor.Sensor` without people.
 
     The SDK plays at the pace of the recording and drops what is not taken in time; frames that are missing

@@ -7,33 +7,23 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from types import ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from devices.azure.pyk4a_access import why_not_open
-from devices.capture.usb import UDEV_ADVICE, usb_kinects
-from devices.orbbec.installing import how_to_install
+from devices.capture.connected import ConnectedSensor
+from devices.capture.settings import CaptureSettings
+from devices.capture.usb import UDEV_ADVICE, usb_kinects, why_not_open
 from devices.sensor import AbsentError, DeviceError
 
+COMMAND = "pip install --no-deps pyorbbecsdk2"
 _opening = threading.Lock()
 _contexts: WeakKeyDictionary[ModuleType, Any] = WeakKeyDictionary()
 
 
-@dataclass(frozen=True)
-class ConnectedOrbbec:
-    """An Orbbec sensor that the SDK lists. Listing opens no sensor, so it cannot show that one is busy.
-
-    Attributes:
-        serial: Its serial number.
-        model: The maker's name for it, such as "Orbbec Femto Bolt".
-        connection: How it is connected, such as "USB3.2" or "Ethernet".
-    """
-
-    serial: str
-    model: str
-    connection: str
+_ROLES = {"standalone": "standalone device", "master": "primary", "subordinate": "secondary"}
+"""Orbbec's words for the places on a sync cable."""
 
 
 def load_sdk() -> ModuleType:
@@ -56,6 +46,30 @@ def load_sdk() -> ModuleType:
     return pyorbbecsdk  # type: ignore[no-any-return]
 
 
+def how_to_install(python: tuple[int, int] = sys.version_info[:2]) -> str:
+    """Returns the instructions for installing a pyorbbecsdk2 that works with this program.
+
+    Its declared requirements (numpy < 2 on Python 3.11, av 12 or 13, open3d) are those of its examples and
+    clash with this program's. The bindings themselves need numpy only.
+
+    Args:
+        python: Major and minor version of the interpreter.
+    """
+    remove = ""
+    if _installed("pyorbbecsdk"):
+        remove = "Remove pyorbbecsdk, the bindings of SDK v1, first (pip uninstall pyorbbecsdk). "
+    newest = "" if python <= (3, 13) else " There are wheels for Python 3.11 to 3.13 only."
+    return f"{remove}{COMMAND} (without --no-deps it would replace numpy and av).{newest}"
+
+
+def _installed(package: str) -> bool:
+    try:
+        version(package)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
 def context_of(sdk: Any) -> Any:
     """The process's one ``Context``. Each one searches the buses with threads of its own."""
     with _opening:
@@ -70,8 +84,8 @@ def context_of(sdk: Any) -> Any:
         return context
 
 
-def connected_orbbecs() -> list[ConnectedOrbbec]:
-    """All connected Orbbec sensors; opens none.
+def connected_orbbecs() -> list[ConnectedSensor]:
+    """All connected Orbbec sensors. Listing opens none, so it cannot show that one is busy.
 
     Raises:
         DeviceError: pyorbbecsdk2 is not installed, or it cannot search for sensors.
@@ -79,14 +93,17 @@ def connected_orbbecs() -> list[ConnectedOrbbec]:
     sdk = load_sdk()
     try:
         devices = context_of(sdk).query_devices()
-        return [
-            ConnectedOrbbec(
-                devices.get_device_serial_number_by_index(index),
-                devices.get_device_name_by_index(index),
-                devices.get_device_connection_type_by_index(index),
+        found = []
+        for index in range(devices.get_count()):
+            model = devices.get_device_name_by_index(index)  # such as "Orbbec Femto Bolt"
+            connection = devices.get_device_connection_type_by_index(index)  # "USB3.2" or "Ethernet"
+            serial = devices.get_device_serial_number_by_index(index)
+            found.append(
+                ConnectedSensor(
+                    *(index, serial, False, False), sdk="orbbec", description=f"{model}, {connection}"
+                )
             )
-            for index in range(devices.get_count())
-        ]
+        return found
     except faults_of(sdk) as fault:
         raise DeviceError(f"Orbbec's SDK cannot search for sensors ({fault}). {UDEV_ADVICE}") from fault
 
@@ -101,7 +118,7 @@ def open_orbbec(sdk: Any, serial: str) -> Any:
         AbsentError: It is not connected.
         DeviceError: It cannot be opened.
     """
-    there = [orbbec.serial for orbbec in connected_orbbecs()]
+    there = [str(orbbec.serial) for orbbec in connected_orbbecs()]
     if serial not in there:
         listed = f"Connected: {', '.join(sorted(there))}." if there else "No other is connected."
         raise AbsentError(
@@ -123,6 +140,56 @@ def is_connected(sdk: Any, serial: str) -> bool:
         )
     except faults_of(sdk):  # the list changed while it was read
         return False
+
+
+def set_sync_role(sdk: Any, device: Any, serial: str, settings: CaptureSettings) -> str:
+    """Gives an opened sensor its place on the sync cable.
+
+    Sensors keep their place when they lose power, so standalone is set explicitly: a sensor that was left a
+    secondary would wait for a primary for ever. Femto Bolt and Mega have the mode SECONDARY, Gemini 2
+    SECONDARY_SYNCED (Orbbec, Multi-Device-Synchronization-Example); the sensor is asked which it has.
+
+    Returns:
+        A warning; empty if there is none.
+
+    Raises:
+        DeviceError: The sensor cannot take that place.
+    """
+    modes = sdk.OBMultiDeviceSyncMode
+    choices = {
+        "standalone": (modes.STANDALONE, modes.FREE_RUN),
+        "master": (modes.PRIMARY,),
+        "subordinate": (modes.SECONDARY_SYNCED, modes.SECONDARY),
+    }[settings.sync]
+    try:
+        supported = device.get_supported_multi_device_sync_mode_bitmap()
+        mode = next((mode for mode in choices if supported & int(mode)), None)
+        if mode is None:
+            if settings.sync == "standalone":
+                return ""
+            raise DeviceError(
+                f"Orbbec {serial} cannot be a sync cable's {_ROLES[settings.sync]}. Leave --sync-master out."
+            )
+        wanted = device.get_multi_device_sync_config()
+        wanted.mode = mode
+        wanted.trigger_out_enable = settings.sync == "master"
+        delay_us = settings.delay_us if settings.sync == "subordinate" else 0
+        wanted.depth_delay_us = wanted.color_delay_us = delay_us
+        device.set_multi_device_sync_config(wanted)
+        kept_us = device.get_multi_device_sync_config().depth_delay_us
+    except faults_of(sdk) as fault:
+        if settings.sync == "standalone":
+            return ""  # a sensor without a sync port
+        raise DeviceError(
+            f"Orbbec {serial} does not take its place on the sync cable ({fault}). Check the sync hub, its "
+            f"power and the cables, or leave --sync-master out."
+        ) from fault
+    if kept_us != delay_us:  # reported of a Femto Bolt with firmware 1.1.2: OrbbecSDK_v2 issue 38
+        return (
+            f"Orbbec {serial} captures {kept_us} µs after the pulse instead of {delay_us} µs: the lasers of "
+            f"both sensors may disturb each other. Update its firmware."
+        )
+    return ""
 
 
 def faults_of(sdk: Any) -> tuple[type[Exception], ...]:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 from devices.capture.frame_decimation import FrameDecimation
-from devices.orbbec.frame_stream import OrbbecStream
-from devices.orbbec.lens import color_camera, intrinsics_of
-from devices.orbbec.sdk_access import faults_of, is_connected, load_sdk, open_orbbec
-from devices.orbbec.settings import OrbbecSettings, set_sync_role
-from devices.orbbec.streams import Streams, check_modes, choose_streams
-from devices.sensor import ColorCamera, DeviceError, SensorFrame
-from fusion.body import BLAZEPOSE, Body
-from fusion.intrinsics import Intrinsics
+from devices.capture.live_sensor import CaptureStream, LiveSensor
+from devices.capture.settings import CaptureSettings
+from devices.orbbec.images import MomentJoiner, OrbbecMoment, color_image, depth_image, infrared_image
+from devices.orbbec.sdk_access import faults_of, is_connected, load_sdk, open_orbbec, set_sync_role
+from devices.orbbec.streams import Streams, check_modes, choose_streams, color_camera, intrinsics_of
+from devices.sensor import DeviceError, SensorFrame
+from fusion.body import BLAZEPOSE
 
 _TIMELESS = (
     "{name} gives no times of its own clock, so frames are timed when they arrive. On Windows, run "
@@ -23,7 +21,35 @@ _TIMELESS = (
 )
 
 
-class OrbbecSensor:
+class _OrbbecStream(CaptureStream[OrbbecMoment]):
+    """The moments of a running ``pyorbbecsdk.Pipeline``."""
+
+    cable_advice = (
+        "A secondary gives frames only while its primary runs: check the primary, the sync hub and the "
+        "cables."
+    )
+
+    def __init__(self, pipeline: Any, sdk: Any, sensor: OrbbecSensor) -> None:
+        super().__init__(f"Orbbec {sensor.name}", sensor.settings, sensor)
+        self._pipeline, self._sdk = pipeline, sdk
+        self.joiner = MomentJoiner(round(1e9 / sensor.settings.fps))
+
+    def poll(self, timeout_ms: int) -> OrbbecMoment | None:
+        """The moment that the next set of frames completes, if it does."""
+        try:
+            frames = self._pipeline.wait_for_frames(timeout_ms)
+        except faults_of(self._sdk) as fault:
+            raise self.lost(fault) from fault
+        if frames is None:
+            raise TimeoutError
+        return self.joiner.add(frames, self.sensor.clock())
+
+    def is_connected(self) -> bool:
+        """Whether the SDK still lists the sensor; frames of one that is unplugged stop without an error."""
+        return is_connected(self._sdk, self.sensor.name)
+
+
+class OrbbecSensor(LiveSensor):
     """One Orbbec sensor: a :class:`~devices.sensor.Sensor` whose frames have depth and infrared, no people.
 
     :class:`~devices.blazepose.tracked_images.TrackedImages` finds the people. Times are those of the sensor's
@@ -31,19 +57,16 @@ class OrbbecSensor:
     followed where frames are paired. The SDK's global time stamps are not used: they are refitted every
     second, and each fit moves all later times.
 
+    A sensor without the sizes of Femto Bolt and Mega runs in that nearest to 640 pixels wide.
+
     Attributes:
-        name: Its serial number.
         body: The body of the tracker that takes its images.
-        intrinsics: Intrinsics of the depth camera in the chosen mode; None before opening.
-        warnings: Problems that did not stop the sensor.
-        missed: Captured frames that were dropped because this program or its tracker was too slow. Moments
-            skipped on purpose by the decimation are not counted.
     """
 
     def __init__(
         self,
         serial: str,
-        settings: OrbbecSettings | None = None,
+        settings: CaptureSettings | None = None,
         decimation: FrameDecimation | None = None,
         clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
@@ -55,18 +78,10 @@ class OrbbecSensor:
             decimation: Which moments are given; share it between two sensors. None: its own.
             clock: Nanoseconds, of ``host_ns``; tests inject their own.
         """
-        self.name = serial
-        self.body: Body = BLAZEPOSE
-        self.intrinsics: Intrinsics | None = None
-        self.warnings: list[str] = []
-        self.missed = 0
-        self.settings = settings or OrbbecSettings()
-        self._decimation = decimation or FrameDecimation(self.settings.fps)
-        self._clock = clock
-        self._color: ColorCamera | None = None
+        self.settings = settings or CaptureSettings()
+        super().__init__(serial, self.settings, decimation, clock)
+        self.body = BLAZEPOSE
         self._pipeline: Any = None
-        self._sdk: Any = None
-        self._interrupted = threading.Event()
 
     def __enter__(self) -> OrbbecSensor:
         """Opens the sensor, gives it its place on the sync cable, starts its cameras.
@@ -113,10 +128,6 @@ class OrbbecSensor:
             if is_connected(self._sdk, self.name):
                 self._warn(f"Orbbec {self.name} did not close cleanly ({fault}).")
 
-    def interrupt(self) -> None:
-        """Makes ``frames`` end after its current wait; for closing from another thread."""
-        self._interrupted.set()
-
     def frames(self) -> Iterator[SensorFrame]:
         """Frames as they arrive, until interrupted.
 
@@ -125,18 +136,21 @@ class OrbbecSensor:
         """
         if self._pipeline is None:
             raise DeviceError(f"Orbbec {self.name} is not open: use it in a with statement.")
-        self._decimation.restart(self.name)
-        stream = OrbbecStream(
-            *(self._pipeline, self._sdk, self.name, self.settings, self._color, self._decimation, self._clock)
-        )
+        self.decimation.restart(self.name)
+        stream = _OrbbecStream(self._pipeline, self._sdk, self)
         while not self._interrupted.is_set():
-            before = stream.missed
-            frame = stream.take()
-            self.missed += stream.missed - before
-            if frame is not None:
-                if stream.timeless:
-                    self._warn(_TIMELESS.format(name=f"Orbbec {self.name}"))
-                yield frame
+            moment = self._take(stream)
+            if moment is None:
+                continue
+            if stream.joiner.timeless:
+                self._warn(_TIMELESS.format(name=f"Orbbec {self.name}"))
+            yield SensorFrame(
+                time_ns=moment.time_ns,
+                depth=depth_image(moment.depth),
+                ir=infrared_image(moment.infrared),
+                color=color_image(moment.color, self._color),
+                host_ns=moment.host_ns,
+            )
 
     def _read_calibration(self, streams: Streams) -> None:
         self.intrinsics, warning = intrinsics_of(self._sdk, streams.depth, self.name)
@@ -145,10 +159,6 @@ class OrbbecSensor:
         if streams.color is not None:
             self._color, warning = color_camera(self._sdk, streams.color, streams.depth, self.name)
             self._warn(warning)
-
-    def _warn(self, warning: str) -> None:
-        if warning and warning not in self.warnings:
-            self.warnings.append(warning)
 
 
 _START_ADVICE = (

@@ -1,13 +1,18 @@
-"""Chooses a sensor's streams: depth, the infrared image of the same pixels, and colour."""
+"""A sensor's streams (depth, infrared of the same pixels, colour) and the lenses of their cameras."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from devices.capture.settings import CaptureSettings
 from devices.orbbec.sdk_access import faults_of
-from devices.orbbec.settings import OrbbecSettings
-from devices.sensor import DeviceError
+from devices.sensor import ColorCamera, DeviceError
+from fusion.errors import FusionError
+from fusion.intrinsics import Intrinsics
+from fusion.rigid import RigidTransform
 
 DEPTH_SIZES = {"NFOV_UNBINNED": (640, 576), "WFOV_2X2BINNED": (512, 512)}
 COLOR_SIZES = {
@@ -18,6 +23,8 @@ COLOR_SIZES = {
 }
 _USUAL_WIDTH = 640
 _INFRARED_FORMATS = ("Y16", "Y8")
+_BROWN_CONRADY = ("BROWN_CONRADY", "BROWN_CONRADY_K6")
+"""The models that are OpenCV's: its coefficients, from the ideal to the distorted image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +59,7 @@ class Streams:
         return configuration
 
 
-def check_modes(settings: OrbbecSettings) -> None:
+def check_modes(settings: CaptureSettings) -> None:
     """Checks without a sensor whether one could run in these modes.
 
     Raises:
@@ -64,7 +71,7 @@ def check_modes(settings: OrbbecSettings) -> None:
         raise DeviceError(f"Orbbec's sensors have no colour {settings.color}: {', '.join(COLOR_SIZES)}.")
 
 
-def choose_streams(sdk: Any, pipeline: Any, serial: str, settings: OrbbecSettings) -> Streams:
+def choose_streams(sdk: Any, pipeline: Any, serial: str, settings: CaptureSettings) -> Streams:
     """Chooses the streams of an opened sensor.
 
     Raises:
@@ -107,6 +114,61 @@ def choose_streams(sdk: Any, pipeline: Any, serial: str, settings: OrbbecSetting
                 f"It has {', '.join(dict.fromkeys(has))}."
             )
     return Streams(depth, infrared_of[_size(depth)], color)
+
+
+def intrinsics_of(sdk: Any, profile: Any, serial: str) -> tuple[Intrinsics, str]:
+    """The lens of a stream, and a warning; empty if there is none.
+
+    A model other than OpenCV's is left out with a warning: the lens then counts as ideal. Coefficients that
+    are all zero are no distortion under any model.
+
+    Raises:
+        DeviceError: The sensor has no calibration of this stream.
+    """
+    try:
+        lens, distortion = profile.get_intrinsic(), profile.get_distortion()
+    except faults_of(sdk) as fault:
+        raise DeviceError(
+            f"Orbbec {serial} gives no calibration ({fault}). Calibrate or reset it with OrbbecViewer."
+        ) from fault
+    if not (lens.fx > 0.0 and lens.fy > 0.0):
+        raise DeviceError(f"Orbbec {serial} has a focal length of {lens.fx:g} px. Reset it in OrbbecViewer.")
+    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    coefficients = tuple(float(getattr(distortion, name)) for name in names)
+    warning = ""
+    model = distortion.model.name
+    if not any(coefficients):
+        coefficients = ()
+    elif model not in _BROWN_CONRADY:
+        coefficients = ()
+        warning = f"Orbbec {serial}: lens distortion of the model {model} is not known and is left out."
+    pinhole = Intrinsics(
+        profile.get_width(),
+        profile.get_height(),
+        float(lens.fx),
+        float(lens.fy),
+        float(lens.cx),
+        float(lens.cy),
+        coefficients,
+    )
+    return pinhole, warning
+
+
+def color_camera(sdk: Any, color: Any, depth: Any, serial: str) -> tuple[ColorCamera, str]:
+    """The colour camera of a stream and its place beside the depth camera; and a warning.
+
+    Raises:
+        DeviceError: The sensor has no calibration of it.
+    """
+    intrinsics, warning = intrinsics_of(sdk, color, serial)
+    try:
+        pose = depth.get_extrinsic_to(color)
+        translation = np.asarray(pose.transform, dtype=np.float64) * 1e-3  # the SDK's are millimetres
+        return ColorCamera(intrinsics, RigidTransform.of(pose.rot, translation)), warning
+    except faults_of(sdk) + (FusionError,) as fault:
+        raise DeviceError(
+            f"Orbbec {serial} does not know its colour camera's place ({fault}). Run without --color."
+        ) from fault
 
 
 def _profiles(sdk: Any, pipeline: Any, sensor: Any, formats: tuple[Any, ...], fps: int) -> list[Any]:

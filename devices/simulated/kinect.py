@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from devices.depth.image_thinning import Depth
 from devices.depth.witness import with_witness
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.simulated.imaging.body_surface import capsules, flesh_over, visibility
 from devices.simulated.imaging.infrared import InfraredModel, clothed_capsules, infrared_image, materials
 from devices.simulated.imaging.rendering import DepthErrors, depth_image, halved, surface
@@ -134,7 +134,7 @@ class TruthAhead:
         return self._known[time_ns]
 
 
-class SimulatedKinect:
+class SimulatedKinect(Sensor):
     """One of the two sensors of a rig. It generates frames as fast as they are requested.
 
     Args:
@@ -176,7 +176,6 @@ class SimulatedKinect:
         full = NOMINAL_INTRINSICS[scene.body.name]
         self.intrinsics: Intrinsics | None = halved(full) if depth == "half" else full
         self._lens = self.intrinsics
-        self.warnings: Sequence[str] = ()
         self._scene, self._rig, self._which = scene, rig, which
         self._errors, self._script = TrackerErrors.of(scene.body) if errors is None else errors, script
         self._depth, self._depth_errors = depth, depth_errors or DepthErrors()
@@ -191,13 +190,6 @@ class SimulatedKinect:
     def clock_at_start_ns(self) -> int:
         """Time of its clock at the start of the scene, ns."""
         return self._rig.clock(self._which, 0.0)
-
-    def __enter__(self) -> SimulatedKinect:
-        """Does nothing."""
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        """Does nothing."""
 
     def frames(self) -> Iterator[SensorFrame]:
         """The frames in capture order; each call starts again with the same frames."""

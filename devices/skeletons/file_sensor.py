@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.skeletons.conventions import Unit, frozen, upside_down
 from devices.skeletons.csv_file import read_csv
 from devices.skeletons.ntu import read_ntu
@@ -23,7 +23,7 @@ READERS: MappingProxyType[str, Reader] = MappingProxyType(
 """The reader for each file extension. It raises DeviceError if the file is invalid."""
 
 
-class SkeletonRecording:
+class SkeletonRecording(Sensor):
     """A file of recorded skeletons; it is read completely when it is opened.
 
     Args:
@@ -41,7 +41,7 @@ class SkeletonRecording:
         self._frames: Sequence[SensorFrame] = ()
 
     @property
-    def body(self) -> Body:
+    def body(self) -> Body:  # type: ignore[override]
         """The body to which the joints of the file belong; known after opening."""
         if self._body is None:
             raise DeviceError(f"{self.name} is not open.")

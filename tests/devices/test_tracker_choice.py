@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from devices.azure import checks
 from devices.azure.kinect import KinectSensor
-from devices.azure.tracking import availability
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
@@ -27,11 +27,11 @@ OURS, MICROSOFTS = TrackerChoice("blazepose", "a test"), TrackerChoice("k4abt", 
 @pytest.fixture
 def installed(standin: Standin, monkeypatch: pytest.MonkeyPatch) -> Standin:
     """libk4abt where the system finds it."""
-    load = availability.load_library
+    load = checks.load_library
     monkeypatch.setattr(
-        availability, "load_library", lambda name, path, advice: load(name, path or standin.path, advice)
+        checks, "load_library", lambda name, path, advice: load(name, path or standin.path, advice)
     )
-    monkeypatch.setattr(availability.shutil, "which", lambda _: None)
+    monkeypatch.setattr(checks.shutil, "which", lambda _: None)
     return standin
 
 
@@ -51,7 +51,7 @@ def test_auto_is_blazepose_without_libk4abt(monkeypatch: pytest.MonkeyPatch, tmp
     def missing(*_: object) -> None:
         raise DeviceError("The library k4abt cannot be loaded. Install it.")
 
-    monkeypatch.setattr(availability, "load_library", missing)
+    monkeypatch.setattr(checks, "load_library", missing)
     furnish(tmp_path)
     choice = choose_tracker(root=tmp_path, blazepose=BlazePoseSettings(network="lite"))
     assert (choice.full_name, choice.reason) == ("blazepose lite", "libk4abt is not installed")
@@ -86,7 +86,7 @@ def test_sensors_of_both_vendors_are_listed(bus: Bus, orbbecs: OrbbecBus) -> Non
     bus.devices, orbbecs.devices = [Device("000123")], [Orbbec(A)]
     listed = connected_sensors(OURS)
     assert [(one.index, one.serial, one.sdk) for one in listed] == [(0, "000123", "k4a"), (1, A, "orbbec")]
-    assert listed[1].model == "Orbbec Femto Bolt"
+    assert listed[1].description == "Orbbec Femto Bolt, USB3.2"
     assert listed[1].is_orbbec
 
 

@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from devices.sensor import DeviceError, SensorFrame
+from devices.sensor import DeviceError, Sensor, SensorFrame
 from fusion.body import AZURE_KINECT, Body
-from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
 
 PATIENCE_S = 10.0  # time limit for waiting on a thread; never reached when the test passes
@@ -21,12 +20,10 @@ def frame_at(time_ns: int, host_ns: int | None = None, people: bool = False) -> 
     return SensorFrame(time_ns, person, host_ns=host_ns)
 
 
-class ScriptedSensor:
+class ScriptedSensor(Sensor):
     """Gives what is put: a frame, an error to raise, a function to call, or None for the end."""
 
     body: Body = AZURE_KINECT
-    intrinsics: Intrinsics | None = None
-    warnings = ()
 
     def __init__(self, name: str = "000123", open_faults: list[Exception] | None = None) -> None:
         self.name = name

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from devices.depth.image_thinning import Depth
 from devices.real_time import Beat, PacedSensor
-from devices.sensor import SensorFrame
+from devices.sensor import Sensor, SensorFrame
 from devices.simulated.kinect import simulated_pair
 from fusion.skeleton import Skeleton
 
@@ -24,7 +24,7 @@ _SPAWN = multiprocessing.get_context("spawn")
 _POLL = 0.2  # seconds
 
 
-class SensorProcess:
+class SensorProcess(Sensor):
     """A simulated sensor that walks in front of a process of its own.
 
     Args:
@@ -32,8 +32,6 @@ class SensorProcess:
         depth: Size of the depth images.
         start: Where the processes of all sensors wait for each other.
     """
-
-    warnings: Sequence[str] = ()
 
     def __init__(self, which: int, depth: Depth, start: Any) -> None:
         like = simulated_pair(motion="walk", depth=depth)[which]

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from devices.azure.kinect import KinectSensor
-from devices.azure.kinect_settings import LASER_GAP_US, KinectSettings
+from devices.azure.settings import KinectSettings
 from devices.azure.tracking.body_tracker import TrackedBodies
 from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.settings import LASER_GAP_US
 from devices.capture.stream_pairing import LivePairing
 from devices.pairing import FramePair
 from tests.helpers.standin_camera import DEPTH_LATENCY_NS, Device, VirtualTime

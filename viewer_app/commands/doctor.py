@@ -13,8 +13,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from devices.azure.checks import device_checks
 from devices.check import Check
+from devices.live_checks import device_checks
 from viewer_app.options.sensing import DoctorOptions
 from viewer_app.tracker_selection import tracker_of
 from viewer_app.viewer.display import why_no_window, why_no_x

@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from devices.azure.kinect_settings import check_modes
+from devices.azure.settings import check_modes
 from devices.azure.tracking.body_tracker import check_smoothing
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.sensor_pair import TwoSensors

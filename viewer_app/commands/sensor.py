@@ -8,7 +8,7 @@ from contextlib import ExitStack
 
 from rich.console import Console
 
-from devices.azure.kinect_settings import KinectSettings
+from devices.azure.settings import KinectSettings
 from devices.capture.sensor_thread import SensorThread
 from devices.files import has_images, not_of_libk4a, open_source
 from devices.network.publishing import FramePublisher, publish_until

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from devices.azure.calibration import COLOR_MODES, AzureCalibration, depth_mode, read_calibration
 from devices.azure.recording.capture_groups import Capture, Captures
-from devices.sensor import ColorImage, DeviceError, SensorFrame
+from devices.sensor import ColorImage, DeviceError, Sensor, SensorFrame
 from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import Intrinsics
 
@@ -71,7 +71,7 @@ class MkvInfo:
     calibration_json: bytes
 
 
-class MkvRecording:
+class MkvRecording(Sensor):
     """A recording of an Azure Kinect: a :class:`~devices.sensor.Sensor` whose frames have no people.
 
     Attributes:

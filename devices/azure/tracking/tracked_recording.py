@@ -7,23 +7,20 @@ from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Self
 
 from devices.azure.recording.mkv import MkvRecording
 from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
 from devices.azure.tracking.recorded_captures import CaptureMaker
 from devices.azure.tracking.tracker_queue import TrackerQueue
-from devices.sensor import DeviceError, Sensor, SensorFrame
+from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
 from fusion.body import Body
-from fusion.intrinsics import Intrinsics
 
 
-class TrackedRecording:
+class TrackedRecording(SensorWrapper):
     """A recording tracked by libk4abt: a :class:`~devices.sensor.Sensor`.
 
     Every frame is tracked, at the tracker's speed. A frame without infrared has no people.
-
-    Attributes:
-        name, body, intrinsics, warnings: The recording's.
     """
 
     def __init__(
@@ -36,17 +33,14 @@ class TrackedRecording:
             settings: Settings of the tracker.
             libk4a: File of the Sensor SDK's library; found by the system if None.
         """
+        super().__init__(recording)
         self.recording = recording
-        self.name: str = recording.name
-        self.body: Body = recording.body
-        self.intrinsics: Intrinsics | None = None
-        self.warnings: list[str] = []
         self._tracker = BodyTracker(settings)
         self._libk4a = libk4a
         self._maker: CaptureMaker | None = None
         self._calibration: ctypes.Array[ctypes.c_char] | None = None
 
-    def __enter__(self) -> TrackedRecording:
+    def __enter__(self) -> Self:
         """Opens the recording, then the tracker.
 
         Raises:
@@ -62,7 +56,6 @@ class TrackedRecording:
         except BaseException:
             self.__exit__()
             raise
-        self.intrinsics, self.warnings = self.recording.intrinsics, self.recording.warnings
         return self
 
     def __exit__(self, *exc_info: object) -> None:
@@ -91,27 +84,22 @@ class TrackedRecording:
         yield from queue.flush()
 
 
-class RecordingWithSkeletons:
-    """A recording whose images are joined with saved skeletons by capture time: a Sensor.
-
-    Attributes:
-        name, intrinsics: The recording's.
-    """
+class RecordingWithSkeletons(SensorWrapper):
+    """A recording whose images are joined with saved skeletons by capture time."""
 
     def __init__(self, recording: MkvRecording, skeletons: Sensor) -> None:
         """Stores the two sources without opening them; the times of both must be on the sensor's clock."""
+        super().__init__(recording)
         self.recording, self.skeletons = recording, skeletons
-        self.name: str = recording.name
-        self.intrinsics: Intrinsics | None = None
         self._unmatched: tuple[str, ...] = ()
 
     @property
-    def body(self) -> Body:
+    def body(self) -> Body:  # type: ignore[override]
         """The body of the saved skeletons; known after opening."""
         return self.skeletons.body
 
     @property
-    def warnings(self) -> list[str]:
+    def warnings(self) -> list[str]:  # type: ignore[override]
         """Of the recording and of the skeletons, and the number of frames without a saved skeleton."""
         return [*self.recording.warnings, *self.skeletons.warnings, *self._unmatched]
 
@@ -127,7 +115,7 @@ class RecordingWithSkeletons:
         except BaseException:
             self.__exit__()
             raise
-        self.intrinsics, self._unmatched = self.recording.intrinsics, ()
+        self._unmatched = ()
         return self
 
     def __exit__(self, *exc_info: object) -> None:

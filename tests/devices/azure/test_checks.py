@@ -9,14 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from devices.azure import installing, pyk4a_access
-from devices.azure.checks import Check, device_checks
-from devices.azure.installing import how_to_install
+from devices.azure import pyk4a_access
+from devices.azure.pyk4a_access import how_to_install
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.blazepose.checks import networks_check
 from devices.blazepose.settings import BlazePoseSettings
 from devices.capture.usb import usb_kinects
+from devices.check import Check
+from devices.live_checks import device_checks
 from devices.orbbec.checks import sdk_check, sensor_check
+from devices.orbbec.sdk_access import connected_orbbecs
 from devices.tracker_choice import choose_tracker
 from tests.helpers.orbbec.standin import Orbbec, OrbbecBus
 from tests.helpers.standin_library import Standin
@@ -237,7 +239,7 @@ def test_requirements_for_building_pyk4a_are_named_by_platform(platform: str, wo
 
 
 def test_a_bundle_that_cannot_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(installing, "version", lambda _: "1.5.0")
+    monkeypatch.setattr(pyk4a_access, "version", lambda _: "1.5.0")
     assert "pip uninstall pyk4a-bundle" in how_to_install("linux")
 
 
@@ -276,7 +278,7 @@ def test_problems_of_an_orbbec_sensor_are_reported(orbbecs: OrbbecBus) -> None:
         Orbbec("CL8H7410123", connection="USB2.1"),
         Orbbec("CL8H7410456"),
     ]
-    busy, slow = (sensor_check(one.serial, one.model, one.connection) for one in orbbecs.devices[:2])
+    busy, slow = (sensor_check(one) for one in connected_orbbecs()[:2])
     assert not busy.ok
     assert "it is busy or starting up" in busy.detail + busy.advice
     assert "USB 3 port" in slow.advice

@@ -17,15 +17,15 @@ import numpy as np
 import pytest
 
 from devices.azure import firmware
-from devices.azure.capsules import capsule_pointer
 from devices.azure.firmware import loaded_libk4a
 from devices.azure.kinect import KinectSensor
-from devices.azure.kinect_settings import KinectSettings
-from devices.azure.pyk4a_access import ConnectedKinect, connected_kinects
+from devices.azure.pyk4a_access import connected_kinects
+from devices.azure.pyk4a_internals import capsule_pointer
+from devices.azure.settings import KinectSettings
 from devices.azure.tracking.body_tracker import TrackerSettings
-from devices.capture.sensor_roles import NeedsChoiceError, choose_two, sync_master
+from devices.capture.connected import ConnectedSensor, NeedsChoiceError, choose_two, sync_master
 from devices.capture.sensor_thread import SensorThread
-from devices.sensor import AbsentError, ColorCamera, ColorImage, DeviceError, Interruptible
+from devices.sensor import AbsentError, ColorCamera, ColorImage, DeviceError
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 from tests.helpers.standin_camera import VirtualTime
@@ -217,7 +217,6 @@ def test_a_handle_of_another_pyk4a_is_refused(two: Bus) -> None:
 def test_interrupting_ends_the_wait_of_a_silent_sensor(two: Bus) -> None:
     two.devices[1].silent = True
     sensor = _sensor(stall_s=1e9)
-    assert isinstance(sensor, Interruptible)
     with sensor:
         threading.Timer(0.05, sensor.interrupt).start()
         assert list(sensor.frames()) == []
@@ -255,15 +254,15 @@ def test_the_second_sensor_of_this_program_is_not_called_busy() -> None:
 def test_connected_sensors_are_listed_with_their_jacks(two: Bus) -> None:
     two.devices.append(Device("000789", busy=True))
     a, b, c = connected_kinects()
-    assert a == ConnectedKinect(0, "000456", True, False)
-    assert b == ConnectedKinect(1, "000123", False, True)
+    assert a == ConnectedSensor(0, "000456", True, False)
+    assert b == ConnectedSensor(1, "000123", False, True)
     assert c.serial is None
     assert "busy" in c.fault
     assert two.open_serials == []
 
 
-A, B = ConnectedKinect(0, "000123", False, False), ConnectedKinect(1, "000456", False, False)
-C = ConnectedKinect(2, "000789", False, False)
+A, B = ConnectedSensor(0, "000123", False, False), ConnectedSensor(1, "000456", False, False)
+C = ConnectedSensor(2, "000789", False, False)
 
 
 def test_two_sensors_and_no_name_asks_which_is_which() -> None:
@@ -297,14 +296,14 @@ def test_one_name_leaves_the_other_to_what_is_connected(
     ],
 )
 def test_a_choice_that_cannot_be_made_is_explained(
-    connected: list[ConnectedKinect], names: dict[str, str], message: str
+    connected: list[ConnectedSensor], names: dict[str, str], message: str
 ) -> None:
     with pytest.raises(DeviceError, match=message):
         choose_two(connected, **names)
 
 
-def _jacks(serial: str, sync_in: bool, sync_out: bool) -> ConnectedKinect:
-    return ConnectedKinect(0, serial, sync_in, sync_out)
+def _jacks(serial: str, sync_in: bool, sync_out: bool) -> ConnectedSensor:
+    return ConnectedSensor(0, serial, sync_in, sync_out)
 
 
 def test_the_master_is_where_the_cable_leads_out() -> None:
@@ -340,7 +339,7 @@ def test_the_firmwares_version_is_read_from_libk4a(
     bus.devices = [Device("000123")]
     (kinect,) = connected_kinects()
     version[:] = (1, 6, 110)  # the library stays loaded for later tests
-    assert kinect.firmware == (1, 6, 102)
+    assert kinect.description == "firmware 1.6.102"
 
 
 def test_a_master_runs_its_colour_camera_unasked(two: Bus) -> None:

@@ -69,16 +69,11 @@ def test_a_missing_sdk_closes_the_recording_again(path: Path, tmp_path: Path) ->
         next(source.recording.frames())
 
 
-class _Saved:
-    name, body, intrinsics, warnings = "saved.csv", KINECT_V2, None, ()
+class _Saved(Sensor):
+    name, body = "saved.csv", KINECT_V2
 
     def __init__(self, times: list[int]) -> None:
         self.times = times
-
-    def __enter__(self) -> Sensor:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None: ...
 
     def frames(self) -> Iterator[SensorFrame]:
         for index, time_ns in enumerate(self.times):

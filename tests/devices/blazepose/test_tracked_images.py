@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Self
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from tests.helpers.machine import need_networks
 from tests.helpers.rendered_people import CAMERA, FRAME_NS, images_of, landmarks_at
 
 
-class Images:
+class Images(Sensor):
     """A sensor that gives prepared frames."""
 
     name, body, warnings = "prepared", BLAZEPOSE, ("a warning",)
@@ -31,7 +32,7 @@ class Images:
         self.opened = False
         self.interrupted = False
 
-    def __enter__(self) -> Sensor:
+    def __enter__(self) -> Self:
         self.opened = True
         return self
 

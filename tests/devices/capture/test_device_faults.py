@@ -19,17 +19,17 @@ import pytest
 
 from devices.azure import pyk4a_access
 from devices.azure.kinect import KinectSensor
-from devices.azure.kinect_settings import KinectSettings
 from devices.azure.pyk4a_access import connected_kinects
+from devices.azure.settings import KinectSettings
 from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
+from devices.capture.connected import choose_two
 from devices.capture.sensor_pair import TwoSensors
-from devices.capture.sensor_roles import choose_two
 from devices.capture.sensor_state import SensorState
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
 from devices.capture.usb import usb_kinects
 from devices.pairing import FramePair
-from devices.sensor import DeviceError, NamesItsWait
+from devices.sensor import DeviceError
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 from tests.helpers.standin_camera import VirtualTime
 from tests.helpers.standin_library import Standin
@@ -474,7 +474,6 @@ def test_a_kinect_says_what_it_waits_for(bus: Bus, standin: Standin, monkeypatch
         open_tracker(tracker, calibration)
 
     monkeypatch.setattr(BodyTracker, "open", loading)
-    assert isinstance(sensor, NamesItsWait)
     with sensor:
         heard.append(sensor.waits_for)
         frames = sensor.frames()

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from devices.capture.sensor_pair import TwoSensors
+from devices.capture.settings import CaptureSettings
 from devices.orbbec import sdk_access
 from devices.orbbec.sdk_access import connected_orbbecs
 from devices.orbbec.sensor import OrbbecSensor
-from devices.orbbec.settings import OrbbecSettings
 from devices.sensor import AbsentError, DeviceError
 from tests.helpers.orbbec.standin import Orbbec, OrbbecBus
 from tests.helpers.orbbec.standin_values import OBError
@@ -28,7 +28,7 @@ def one(orbbecs: OrbbecBus) -> Orbbec:
 
 
 def _sensor(serial: str = A, **settings: object) -> OrbbecSensor:
-    return OrbbecSensor(serial, OrbbecSettings(**settings))  # type: ignore[arg-type]
+    return OrbbecSensor(serial, CaptureSettings(**settings))  # type: ignore[arg-type]
 
 
 def test_no_device(orbbecs: OrbbecBus) -> None:
@@ -114,10 +114,10 @@ def test_stream_stalls(one: Orbbec, fault: str) -> None:
 
 def test_stream_of_a_secondary_stalls_without_its_primary(orbbecs: OrbbecBus) -> None:
     orbbecs.devices = [Orbbec(A), Orbbec(B)]
-    with _sensor(A, sync="secondary", start_s=30.0, stall_s=5.0) as secondary:
+    with _sensor(A, sync="subordinate", start_s=30.0, stall_s=5.0) as secondary:
         with pytest.raises(DeviceError, match=r"no depth for 30 s.*check the primary, the sync hub"):
             next(secondary.frames())
-        with _sensor(B, sync="primary"):
+        with _sensor(B, sync="master"):
             frames = secondary.frames()
             next(frames)
         with pytest.raises(DeviceError, match="no depth for 5 s"):

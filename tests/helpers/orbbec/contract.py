@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from devices.orbbec.images import MomentJoiner, color_image, depth_image, infrared_image
-from devices.orbbec.lens import color_camera, intrinsics_of
+from devices.orbbec.streams import color_camera, intrinsics_of
 
 ENUMS = {
     "OBSensorType": ("IR_SENSOR", "COLOR_SENSOR", "DEPTH_SENSOR", "LEFT_IR_SENSOR"),

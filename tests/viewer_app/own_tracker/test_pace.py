@@ -18,7 +18,7 @@ from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_pair import TwoSensors
 from devices.real_time import PacedSensor
-from devices.sensor import SensorFrame
+from devices.sensor import Sensor, SensorFrame
 from devices.simulated.kinect import SimulatedKinect, simulated_pair
 from fusion.body import BLAZEPOSE
 from tests.helpers.machine import need_networks
@@ -135,20 +135,14 @@ def test_a_paced_sensor_makes_and_gives_the_images_of_the_kept_moments_only(
     assert source.images_left_out == 0, "they were not wanted"
 
 
-class Source:
+class Source(Sensor):
     """A sensor with images, whose making takes a third of the time."""
 
-    name, body, warnings, making_ns = "s", BLAZEPOSE, (), 10 * MS
+    name, body, making_ns = "s", BLAZEPOSE, 10 * MS
 
     def __init__(self, frames: list[SensorFrame]) -> None:
         self._frames = frames
         self.intrinsics = simulated(0.1).intrinsics
-
-    def __enter__(self) -> Source:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        pass
 
     def frames(self) -> Iterator[SensorFrame]:
         yield from self._frames

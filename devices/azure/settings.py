@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from devices.azure.calibration import COLOR_MODES, depth_mode
+from devices.capture.settings import CaptureSettings
 from devices.sensor import DeviceError
 
-LASER_GAP_US = 160
-"""How much later than the master a subordinate captures, so that their lasers do not blind each other."""
 SYNC_COLOR = "720P"
 """The colour mode of sensors on a sync cable when nobody asked for colour: the cheapest.
 
@@ -20,33 +19,19 @@ colour camera's latency; and firmware before 1.6.110 cannot restart a subordinat
 
 
 @dataclass(frozen=True)
-class KinectSettings:
+class KinectSettings(CaptureSettings):
     """How a Kinect runs.
 
+    Depth modes other than NFOV_UNBINNED and WFOV_2X2BINNED need a sensor without a body tracker. On a sync
+    cable the colour camera runs without ``color``, too, and its images are dropped.
+
     Attributes:
-        depth_mode: NFOV_UNBINNED or WFOV_2X2BINNED, which the body tracker takes; others without a tracker.
-        fps: 5, 15 or 30.
-        color: Colour resolution, ``720P`` to ``3072P``; None for no colour images. On a sync cable the
-            colour camera runs all the same, and its images are dropped.
         infrared: Whether frames carry the infrared image. The body tracker gets it anyway.
-        sync: Its place on the sync cable.
         trust_jacks: Whether to ask the sync jacks if a cable is there. Orbbec's wrapper always says no.
-        delay_us: How much later than the master a subordinate captures.
-        timeout_ms: How long one wait for a frame may take.
-        stall_s: After how long without depth the stream counts as stalled.
-        start_s: The same for a subordinate's first frame, which waits until its master runs.
     """
 
-    depth_mode: str = "NFOV_UNBINNED"
-    fps: Literal[5, 15, 30] = 30
-    color: str | None = None
     infrared: bool = False
-    sync: Literal["standalone", "master", "subordinate"] = "standalone"
     trust_jacks: bool = True
-    delay_us: int = LASER_GAP_US
-    timeout_ms: int = 1000
-    stall_s: float = 5.0
-    start_s: float = 120.0
 
     @property
     def camera_color(self) -> str | None:

@@ -1,12 +1,43 @@
-"""Chooses which connected Kinect is A, which is B, and which is the master on the sync cable."""
+"""The connected sensors: which is A, which is B, and which is the master on the sync cable."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
 
-from devices.azure.firmware import firmware_advice
-from devices.azure.pyk4a_access import ConnectedKinect
 from devices.sensor import DeviceError
+
+
+@dataclass(frozen=True)
+class ConnectedSensor:
+    """A sensor that a vendor's software sees.
+
+    Attributes:
+        index: Its place in the list, which changes when sensors come and go.
+        serial: Its serial number; None if it cannot be opened.
+        sync_in, sync_out: Whether a cable is in the jack; None if it cannot be opened. Orbbec's software
+            always says no.
+        fault: Why it cannot be opened; empty if it can.
+        sdk: Whose software gives its images: libk4a's, or Orbbec's SDK v2.
+        description: Its model, connection or firmware, as far as the software tells.
+        advice: What to do about its firmware; empty if nothing.
+    """
+
+    index: int
+    serial: str | None
+    sync_in: bool | None = None
+    sync_out: bool | None = None
+    fault: str = ""
+    sdk: Literal["k4a", "orbbec"] = "k4a"
+    description: str = ""
+    advice: str = ""
+
+    @property
+    def is_orbbec(self) -> bool:
+        """Whether it is of Orbbec. With libk4a, serial numbers tell: Orbbec's hold letters, Microsoft's do
+        not."""
+        return self.sdk == "orbbec" or (self.serial is not None and not self.serial.isdigit())
 
 
 class NeedsChoiceError(DeviceError):
@@ -24,7 +55,7 @@ class NeedsChoiceError(DeviceError):
         self.serials = serials
 
 
-def choose_one(connected: Sequence[ConnectedKinect], serial: str | None, option: str) -> str:
+def choose_one(connected: Sequence[ConnectedSensor], serial: str | None, option: str) -> str:
     """The serial number of one sensor.
 
     Args:
@@ -51,7 +82,7 @@ def choose_one(connected: Sequence[ConnectedKinect], serial: str | None, option:
 
 
 def choose_two(
-    connected: Sequence[ConnectedKinect],
+    connected: Sequence[ConnectedSensor],
     a: str | None = None,
     b: str | None = None,
     principal: str | None = None,
@@ -103,7 +134,7 @@ def choose_two(
     return (named, other) if a is not None else (other, named)
 
 
-def sync_master(a: ConnectedKinect, b: ConnectedKinect, named: str | None = None) -> str | None:
+def sync_master(a: ConnectedSensor, b: ConnectedSensor, named: str | None = None) -> str | None:
     """The serial number of the sensor that leads on the sync cable; None when there is no cable.
 
     The cable leads from the master's sync out to the subordinate's sync in. Start the subordinate first.
@@ -141,7 +172,7 @@ def sync_master(a: ConnectedKinect, b: ConnectedKinect, named: str | None = None
     )
 
 
-def _jacks(*kinects: ConnectedKinect) -> str:
+def _jacks(*kinects: ConnectedSensor) -> str:
     return "; ".join(
         f"{kinect.serial}: in {'connected' if kinect.sync_in else 'empty'}, "
         f"out {'connected' if kinect.sync_out else 'empty'}"
@@ -149,7 +180,7 @@ def _jacks(*kinects: ConnectedKinect) -> str:
     )
 
 
-def cable_unknown(a: ConnectedKinect, b: ConnectedKinect) -> str:
+def cable_unknown(a: ConnectedSensor, b: ConnectedSensor) -> str:
     """Advice if no cable was detected but one may exist: Orbbec's software cannot detect cables."""
     orbbec = [str(kinect.serial) for kinect in (a, b) if kinect.is_orbbec]
     if not orbbec:
@@ -161,12 +192,11 @@ def cable_unknown(a: ConnectedKinect, b: ConnectedKinect) -> str:
     )
 
 
-def cable_notes(a: ConnectedKinect, b: ConnectedKinect, master: str | None) -> list[str]:
+def cable_notes(a: ConnectedSensor, b: ConnectedSensor, master: str | None) -> list[str]:
     """Notes for the user about the sync cable and the firmware it needs."""
     if master is None:
         return [cable_unknown(a, b) or _NO_CABLE]
-    libk4a = [kinect for kinect in (a, b) if kinect.sdk == "k4a"]
-    return [note for kinect in libk4a if (note := firmware_advice(str(kinect.serial), kinect.firmware))]
+    return [sensor.advice for sensor in (a, b) if sensor.advice]
 
 
 _NO_CABLE = (

@@ -1,4 +1,10 @@
-"""Access to the libk4a handles inside pyk4a's objects, for functions that pyk4a does not offer."""
+"""The libk4a handles inside pyk4a's objects, and the work around a reference-counting error of pyk4a 1.5.0.
+
+pyk4a returns ``None`` without taking a reference first: for an image that is missing from a capture, and
+when a sensor cannot be opened. On Python 3.11, each such call lowers the reference count of ``None`` by
+one. The process aborts when the count reaches zero: after half an hour with ``--color`` and a failed colour
+camera. From Python 3.12 on, ``None`` is immortal and the error has no effect.
+"""
 
 from __future__ import annotations
 
@@ -31,3 +37,18 @@ def device_handle(device: Any) -> int:
     """The ``k4a_device_t`` in an opened ``pyk4a.PyK4A``: its capsule holds the address of the handle."""
     address = capsule_pointer(device._device_handle, b"pyk4a device handle")
     return ctypes.c_void_p.from_address(address).value or 0
+
+
+def put_back_none() -> None:
+    """Adds the reference to ``None`` that pyk4a should have taken."""
+    increase = ctypes.pythonapi.Py_IncRef
+    increase.restype, increase.argtypes = None, [ctypes.py_object]
+    increase(None)
+
+
+def image_of(capture: Any, name: str) -> Any:
+    """Returns the image ``depth``, ``ir`` or ``color`` of a capture; None if it is missing."""
+    image = getattr(capture, name)
+    if image is None:
+        put_back_none()
+    return image

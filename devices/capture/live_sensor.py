@@ -1,0 +1,197 @@
+"""What the live sensors of all vendors share: the newest wanted moment from the queue of an SDK."""
+
+from __future__ import annotations
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.settings import CaptureSettings
+from devices.sensor import ColorCamera, DeviceError, Sensor
+from fusion.intrinsics import Intrinsics
+
+_SAME_CLOCK_NS = 5_000_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """A capture with depth.
+
+    Attributes:
+        time_ns: Capture time on the sensor's clock.
+        host_ns: When the depth image reached this machine, on ``time.perf_counter_ns``.
+    """
+
+    time_ns: int
+    host_ns: int
+
+
+M = TypeVar("M", bound=Moment)
+
+
+class CaptureStream(ABC, Generic[M]):
+    """Takes captures from an SDK's queue and keeps the newest of the wanted moments.
+
+    The queue of an SDK holds seven to ten captures. If the tracker is slower than the camera, the oldest one
+    is a quarter of a second old.
+
+    Attributes:
+        missed: Wanted moments that were dropped: the SDK's queue was full, or a newer moment was available
+            when the tracker was ready.
+    """
+
+    cable_advice = ""
+    """What to check if a subordinate gets no pulses."""
+
+    def __init__(self, label: str, settings: CaptureSettings, sensor: LiveSensor) -> None:
+        """Prepares; takes no capture yet.
+
+        Args:
+            label: The sensor's name in messages, such as "Kinect 000123".
+            settings: Settings of the sensor.
+            sensor: The sensor, for its serial number, decimation and clock.
+        """
+        self.label, self.settings, self.sensor = label, settings, sensor
+        self._silent_s = 0.0
+        self._patience_s = settings.start_s if settings.sync == "subordinate" else settings.stall_s
+        self._last_ns: int | None = None
+        self._delayed: list[M] = []
+        self.missed = 0
+
+    @abstractmethod
+    def poll(self, timeout_ms: int) -> M | None:
+        """The next capture of the queue; None for one without depth or infrared.
+
+        Raises:
+            TimeoutError: The queue was empty for ``timeout_ms``.
+            DeviceError: The SDK reports a failure; see :meth:`lost`.
+        """
+
+    @abstractmethod
+    def is_connected(self) -> bool:
+        """Whether the sensor is still connected."""
+
+    def comes_late(self, moment: M) -> bool:
+        """Whether the SDK held a moment back, so that it arrives together with the next one."""
+        del moment
+        return False
+
+    def take(self, wait: bool = True) -> M | None:
+        """The newest wanted moment; None if there is none yet.
+
+        Args:
+            wait: Whether to wait for a capture if the queue is empty, ``timeout_ms`` at most.
+
+        Raises:
+            DeviceError: Unplugged, or stalled.
+        """
+        if self._delayed:
+            return self._delayed.pop(0)
+        newest: M | None = None
+        timeout_ms = self.settings.timeout_ms if wait else 0
+        while True:
+            try:
+                moment = self.poll(timeout_ms)
+            except TimeoutError:
+                self._stay_silent(timeout_ms / 1000)
+                break
+            timeout_ms = 0  # take what is in the queue, without waiting again
+            if moment is None:
+                self._stay_silent(1 / self.settings.fps)
+            elif self._is_wanted(moment):
+                if newest is not None and not self._delayed and self.comes_late(newest):
+                    self._delayed.append(newest)
+                else:
+                    self.missed += newest is not None
+                newest = moment
+        if newest is not None and self._delayed:
+            self._delayed.append(newest)
+            newest = self._delayed.pop(0)
+        return newest
+
+    def lost(self, fault: Exception) -> DeviceError:
+        """The error for a failure that the SDK reports."""
+        if not self.is_connected():
+            return self._unplugged()
+        said = f" ({fault})" if str(fault) else ""
+        return DeviceError(f"{self.label} stopped giving frames{said}. Unplug it and plug it in again.")
+
+    def _is_wanted(self, moment: M) -> bool:
+        self._silent_s, self._patience_s = 0.0, self.settings.stall_s
+        number = self.sensor.decimation.moment(self.sensor.name, moment.time_ns, moment.host_ns)
+        if self._last_ns is not None:  # after a clock reset the gap is unknown
+            gap = max(0, round((moment.time_ns - self._last_ns) * self.settings.fps / 1e9) - 1)
+            self.missed += self.sensor.decimation.kept_before(number, gap)
+        self._last_ns = moment.time_ns
+        return self.sensor.decimation.keeps(number)
+
+    def _stay_silent(self, seconds: float) -> None:
+        self._silent_s += seconds
+        if self._silent_s < self._patience_s:
+            return
+        if not self.is_connected():  # some SDKs report unplugging only through time-outs
+            raise self._unplugged()
+        cause = (
+            self.cable_advice
+            if self.settings.sync == "subordinate"
+            else "Check its USB 3 port and power supply; two sensors need two USB controllers."
+        )
+        raise DeviceError(f"{self.label} stalls: no depth for {self._silent_s:.0f} s. {cause}")
+
+    def _unplugged(self) -> DeviceError:
+        return DeviceError(f"{self.label} was unplugged or lost its power. Plug it in again.")
+
+
+class LiveSensor(Sensor):
+    """A sensor of this machine.
+
+    Attributes:
+        name: Its serial number.
+        decimation: Which moments are given.
+        clock: Nanoseconds, of ``host_ns``.
+        intrinsics: Intrinsics of the depth camera in the chosen mode; None before opening.
+        warnings: Problems that did not stop the sensor.
+        missed: Captured frames that were dropped because this program or its tracker was too slow. Moments
+            skipped on purpose by the decimation are not counted.
+    """
+
+    def __init__(
+        self,
+        serial: str,
+        settings: CaptureSettings,
+        decimation: FrameDecimation | None,
+        clock: Callable[[], int] = time.perf_counter_ns,
+    ) -> None:
+        self.name = serial
+        self.intrinsics: Intrinsics | None = None
+        self.warnings: list[str] = []
+        self.missed = 0
+        self.decimation = decimation or FrameDecimation(settings.fps)
+        self.clock = clock
+        self._color: ColorCamera | None = None
+        self._sdk: Any = None
+        self._interrupted = threading.Event()
+
+    def interrupt(self) -> None:
+        """Makes ``frames`` end after its current wait; for closing from another thread."""
+        self._interrupted.set()
+
+    def _warn(self, warning: str) -> None:
+        if warning and warning not in self.warnings:
+            self.warnings.append(warning)
+
+    def _take(self, stream: CaptureStream[M], wait: bool = True) -> M | None:
+        """The newest moment of a stream; counts what it missed."""
+        before = stream.missed
+        moment = stream.take(wait)
+        self.missed += stream.missed - before
+        return moment
+
+
+def arrival_ns(host_ns: int, now_ns: int) -> int:
+    """An SDK's arrival time if its clock is ``time.perf_counter_ns``, as on Linux and Windows; else now."""
+    return host_ns if 0 <= now_ns - host_ns < _SAME_CLOCK_NS else now_ns
