@@ -109,6 +109,16 @@ def whole_file(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Writes a text file that is either complete or absent.
+
+    Raises:
+        UsageError: As :func:`whole_file`.
+    """
+    with whole_file(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
 def free_name(path: Path) -> Path:
     """The path, or if it exists, the first free one of ``name-2``, ``name-3`` …"""
     names = (path.with_stem(f"{path.stem}-{k}") for k in count(2))

@@ -14,6 +14,11 @@ from fusion.registration.rigid_fit import Registration, register
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
+PROVISIONAL = ("none yet", "provisional")
+"""How the descriptions of calibrations begin that precede the start-up pose."""
+FEWEST_PAIRS = 15
+"""Half a second: a calibration on fewer pairs is not trusted."""
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.calibration.calibration import FEWEST_PAIRS
 from fusion.errors import CalibrationError
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 
 _SHORTEST_NS = 1_000_000_000
 _SHORTEST_PARTLY_NS = 2_000_000_000
 _LONGEST_NS = 3_000_000_000
-_FEWEST_PAIRS = 15
 _FEWEST_SHARED = 4  # main joints that both sensors track, of a pose that each sees in part
 _STILL = 0.040  # metres RMS about the window's mean; real still poses tremble by 1–20 mm a joint
 _ARM_ANGLE = np.radians(25.0)  # shoulder → wrist against the trunk's axis
@@ -84,7 +84,7 @@ class StartUpPose:
 
     def _finish(self, but_last: int = 0) -> list[SkeletonPair] | None:
         pose = list(self._held)[: len(self._held) - but_last]
-        long_enough = len(pose) >= _FEWEST_PAIRS and pose[-1].time_ns - pose[0].time_ns >= self._shortest_ns
+        long_enough = len(pose) >= FEWEST_PAIRS and pose[-1].time_ns - pose[0].time_ns >= self._shortest_ns
         if long_enough or not but_last:
             self._held.clear()
         else:
@@ -147,7 +147,7 @@ def _worth_watching(body: Body, pairs: Sequence[SkeletonPair]) -> Iterator[Skele
         holds[[k for k, _, _ in seen]] = both & (apart[0] | apart[1])
     edges = np.flatnonzero(np.diff(np.concatenate(([False], holds)).astype(np.int8)))
     for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if end - first >= _FEWEST_PAIRS:
+        if end - first >= FEWEST_PAIRS:
             yield from pairs[first:end]
             yield None
 
@@ -196,7 +196,7 @@ def _calmest(body: Body, pairs: Sequence[SkeletonPair], seconds: float = 2.0) ->
     ends = np.searchsorted(time, time + int(seconds * 1e9))
     count = ends - np.arange(len(ends))
     spans = time[ends - 1] - time >= 0.75 * seconds * 1e9
-    starts = np.flatnonzero(spans & (count >= _FEWEST_PAIRS))
+    starts = np.flatnonzero(spans & (count >= FEWEST_PAIRS))
     if len(starts) == 0:  # too short or too sparse for a choice
         return [pairs[k] for k, _, _ in seen]
     missing = 1.0 - _window_sums(share, starts, ends[starts]) / (ends - np.arange(len(ends)))[starts]

@@ -19,7 +19,7 @@ from viewer_app.batch.jobs import RECORD, Job, Outcome, Record
 from viewer_app.batch.kernels import compile_once, nobody
 from viewer_app.commands.fuse import fuse_files
 from viewer_app.errors import UsageError
-from viewer_app.report.figures import report
+from viewer_app.report.figures import truth_free_figures
 
 _MISTAKES = (DeviceError, FusionError, RecordingError, UsageError)
 _ONE_AT_A_TIME = threading.Lock()
@@ -61,17 +61,18 @@ def _fuse(job: Job, say: Callable[[str], object]) -> Record:
         options = job.fuse_options(partial)
         compile_once(options.method, options.smooth, say)
         with Path(os.devnull).open("w", encoding="utf-8") as nothing:
-            session, result = fuse_files(options, Console(file=nothing))
+            session, figures = fuse_files(options, Console(file=nothing))
+        figures["without_truth"] = truth_free_figures(session)
         if job.options.pages:
             from viewer_app.report.review_page import review_page  # imports matplotlib
 
-            page = review_page(replace(session, path=job.session), report(result))
+            page = review_page(replace(session, path=job.session), figures)
             (partial / job.page.name).write_text(page, encoding="utf-8")
         record: Record = {
             "identity": identity,
             "sources": list(session.sources),
             "warnings": [event.text for event in session.events if event.level == "WARN"],
-            "figures": session_figures(session, result),
+            "figures": session_figures(session, figures),
         }
         text = json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False)
         (partial / RECORD).write_text(text + "\n", encoding="utf-8")

@@ -16,9 +16,8 @@ from recordings.session_comparison import DIFFERENCE, LARGEST, Comparison, recor
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import CompareOptions
 from viewer_app.output_files import check_outputs
-from viewer_app.report.numbers_in_words import in_mm
-from viewer_app.report.session_notes import print_damage
-from viewer_app.report.summary import Line, print_lines
+from viewer_app.report.terminal import print_damage, print_lines
+from viewer_app.report.words import Line, in_mm
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
 

@@ -31,11 +31,13 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions
 from viewer_app.output_files import check_outputs, free_name, warn_of_little_room
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
-from viewer_app.report.summary import Line, print_lines, say_more
+from viewer_app.report.figures import save_report
+from viewer_app.report.terminal import print_lines, say_more
+from viewer_app.report.words import Line
 from viewer_app.running.interruption import CtrlC
 from viewer_app.running.loop import run_live, warm_up
 from viewer_app.running.status import LiveDisplay
-from viewer_app.running.summary import check_saved, print_saved, print_session, save_report, session_report
+from viewer_app.running.summary import check_saved, print_saved, print_session, session_report
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.display import has_display
@@ -136,7 +138,8 @@ def run(options: DemoOptions) -> None:
                 again = threading.Event()
                 ctrl_c.calls(again.set)
                 stay_for_visitors(viewing, console, again)
-        print_session(console, setup, frames, sensors, outputs, options.verbose)
+        figures = session_report(setup, frames, sensors, outputs)
+        print_session(console, figures, outputs, options.verbose)
         left_out = a.images_left_out + b.images_left_out
         if left_out:
             wanted = a.images_wanted + b.images_wanted
@@ -146,8 +149,7 @@ def run(options: DemoOptions) -> None:
             )
         if frames:
             _print_truth(console, setup, frames, truth, options.verbose)
-        if options.report is not None:
-            save_report(options.report, session_report(setup, frames, sensors, outputs))
+        save_report(options.report, figures)
         print_saved(console, session.file)
         if not options.verbose:
             say_more(console)

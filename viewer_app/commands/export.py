@@ -8,7 +8,7 @@ from recordings.export import writer_for
 from recordings.session import Session
 from viewer_app.options.sessions import ExportOptions
 from viewer_app.output_files import check_outputs, whole_file
-from viewer_app.report.session_notes import print_damage
+from viewer_app.report.terminal import print_damage
 
 
 def run(options: ExportOptions) -> None:

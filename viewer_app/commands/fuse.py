@@ -33,9 +33,9 @@ from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
 from viewer_app.method_options import check_paper_options
 from viewer_app.options.sensing import FuseOptions
-from viewer_app.output_files import check_outputs, whole_file
-from viewer_app.report.figures import FusionResult, report, report_to_json
-from viewer_app.report.summary import print_summary, say_more, say_saved
+from viewer_app.output_files import check_outputs, whole_file, write_text
+from viewer_app.report.figures import Figures, report, save_report
+from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.loop import warm_up
 from viewer_app.sinks.shown_images import ShownImages
 from viewer_app.sinks.viewer_sink import viewer_sink
@@ -53,8 +53,8 @@ def run(options: FuseOptions) -> None:
     fuse_files(options, Console())
 
 
-def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, FusionResult]:
-    """Carries out the command and returns the session and the data of its report.
+def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures]:
+    """Carries out the command and returns the session and its report.
 
     Args:
         options: The options of the command.
@@ -124,10 +124,10 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, FusionR
             with whole_file(options.save) as partial:
                 write_session(session, partial, blueprint=blueprint, page=page)
         viewer.finish()
-        result = FusionResult(read.pairing, setup.calibration, settings, session.rows, _exact(frames, setup))
-        _summarise(console, options, session, result)
+        figures = report(session, read.pairing, _exact(frames, setup))
+        _summarise(console, options, session, figures)
         stay_for_visitors(viewing, console)
-        return session, result
+        return session, figures
 
 
 def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:
@@ -159,12 +159,12 @@ def _exact(frames: list[RecordedFrame], setup: FusionSetup) -> SessionArrays | N
     return SessionArrays.stack(setup.body, setup.calibration.bone_lengths, again)
 
 
-def _summarise(console: Console, options: FuseOptions, session: Session, result: FusionResult) -> None:
-    figures = report(result)
-    _write(options.report, report_to_json(figures))
-    _write(options.save_calibration, calibration_to_json(result.calibration))
+def _summarise(console: Console, options: FuseOptions, session: Session, figures: Figures) -> None:
+    save_report(options.report, figures)
+    if options.save_calibration is not None:
+        write_text(options.save_calibration, calibration_to_json(session.calibration))
     told = [event for event in session.events if event.frame > 0]  # the recordings' own are printed already
-    print_summary(console, result, figures, told, options.verbose)
+    print_summary(console, figures, told, options.verbose)
     if options.save is not None:
         say_saved(console, options.save)
     if not options.verbose:
@@ -199,9 +199,3 @@ def _whereabouts(pairs: Sequence[SkeletonPair]) -> NDArray[np.float64]:
     if not seen:
         raise CalibrationError("The principal sensor A never sees the person in a pair.")
     return np.asarray(np.nanmedian(np.concatenate(seen).astype(np.float64), axis=0))
-
-
-def _write(path: Path | None, text: str) -> None:
-    if path is not None:
-        with whole_file(path) as partial:
-            partial.write_text(text, encoding="utf-8")

@@ -12,9 +12,10 @@ from recordings import layout
 from recordings.images import Images
 from recordings.session import Session
 from viewer_app.options.sessions import InfoOptions
-from viewer_app.report.details import calibration_in_words
-from viewer_app.report.event_list import list_events
-from viewer_app.report.session_notes import print_events
+from viewer_app.report.events import list_events
+from viewer_app.report.figures import calibration_figures
+from viewer_app.report.terminal import print_events
+from viewer_app.report.words import calibration_in_words
 
 
 def run(options: InfoOptions) -> None:
@@ -43,7 +44,7 @@ def run(options: InfoOptions) -> None:
     row("frames", f"{len(session)} in {seconds:.2f} s, {rate:.1f} per second")
     row("without S*", int(rows.predicted.all(axis=1).sum()))
     row("settings", ", ".join(f"{k} {v[0]}" for k, v in session.about["settings"].items()))
-    for k, line in enumerate(calibration_in_words(session.calibration)):
+    for k, line in enumerate(calibration_in_words(calibration_figures(session.calibration))):
         row("" if k else "calibration", line)
     images: dict[str, dict[str, Images[Any]]] = {
         "depth": {side: session.depth(side) for side in layout.SIDES},

@@ -30,13 +30,14 @@ from viewer_app.live_sensors import kinect_settings, one_of_live, two_kinects
 from viewer_app.method_options import check_paper_options
 from viewer_app.network_sensors import names_remote, sensors_by_network
 from viewer_app.options.sensing import LiveOptions
-from viewer_app.output_files import check_outputs, warn_of_little_room, whole_file
+from viewer_app.output_files import check_outputs, warn_of_little_room, write_text
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
-from viewer_app.report.summary import say_more
+from viewer_app.report.figures import save_report
+from viewer_app.report.terminal import say_more
 from viewer_app.running.interruption import CtrlC
 from viewer_app.running.loop import Status, run_live, warm_up
 from viewer_app.running.status import LiveDisplay
-from viewer_app.running.summary import check_saved, print_saved, print_session, save_report, session_report
+from viewer_app.running.summary import check_saved, print_saved, print_session, session_report
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.viewer_choice import Viewing, announce, viewing_of
@@ -143,9 +144,9 @@ def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
                 )
         for warning in (*a.warnings, *b.warnings):
             console.print(warning, style="yellow", highlight=False, markup=False)
-        print_session(console, setup, frames, sensors, outputs, options.verbose)
-        if options.report is not None:
-            save_report(options.report, session_report(setup, frames, sensors, outputs))
+        figures = session_report(setup, frames, sensors, outputs)
+        print_session(console, figures, outputs, options.verbose)
+        save_report(options.report, figures)
         print_saved(console, session.file)
         if not options.verbose:
             say_more(console)
@@ -211,5 +212,4 @@ def _save_calibration(path: Path, calibration: Calibration | None) -> None:
             f"{path} was not written: no calibration was found. Stand where both sensors see all of you, "
             f"turned half-way between them, arms and legs apart, and hold still for a second."
         )
-    with whole_file(path) as partial:
-        partial.write_text(calibration_to_json(calibration), encoding="utf-8")
+    write_text(path, calibration_to_json(calibration))

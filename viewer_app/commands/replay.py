@@ -28,11 +28,16 @@ from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
 from viewer_app.method_options import check_paper_options
 from viewer_app.options.sessions import ReplayOptions
-from viewer_app.output_files import check_outputs, whole_file
+from viewer_app.output_files import check_outputs
 from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_outputs, print_outputs
-from viewer_app.report.figures import FusionResult, report, report_to_json
-from viewer_app.report.session_notes import print_damage, print_damaged_images
-from viewer_app.report.summary import print_summary, say_more, say_saved
+from viewer_app.report.figures import report, save_report
+from viewer_app.report.terminal import (
+    print_damage,
+    print_damaged_images,
+    print_summary,
+    say_more,
+    say_saved,
+)
 from viewer_app.running.loop import played, warm_up
 from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.blueprint import inspect_blueprint
@@ -120,22 +125,18 @@ def run(options: ReplayOptions) -> None:
             blueprint = inspect_blueprint(session.body, session.whereabouts, has_depth(replayed))
             *_, (setup, _) = replayed.setups()
             damaged = write_session(replayed, path, blueprint=blueprint, page=verdict_page(setup))
-    rows = replayed.rows
-    result = FusionResult(session.pairing, session.calibration, settings, rows)
-    figures = report(result)
+    figures = report(replayed)
     if outputs:
         figures["outputs"] = [output.figures() for output in outputs]
-    if options.report is not None:
-        with whole_file(options.report) as partial:
-            partial.write_text(report_to_json(figures), encoding="utf-8")
-    print_summary(console, result, figures, replayed.events, options.verbose)
+    save_report(options.report, figures)
+    print_summary(console, figures, replayed.events, options.verbose)
     print_outputs(console, outputs)
     if options.save is not None:
         say_saved(console, options.save)
         print_damaged_images(console, damaged)
     if not options.verbose:
         say_more(console)
-    if options.verify and not verify(console, session, rows.fused):
+    if options.verify and not verify(console, session, replayed.rows.fused):
         sys.exit(1)
 
 

@@ -9,11 +9,10 @@ from rich.console import Console
 from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReviewOptions
-from viewer_app.output_files import check_outputs, whole_file
-from viewer_app.report.event_list import ListedEvent, list_events, opening_event, seconds_of, settled_frame
-from viewer_app.report.figures import FusionResult, report
-from viewer_app.report.session_notes import print_damage, print_events
-from viewer_app.report.summary import print_summary, say_more
+from viewer_app.output_files import check_outputs, write_text
+from viewer_app.report.events import ListedEvent, list_events, opening_event, seconds_of, settled_frame
+from viewer_app.report.figures import report, truth_free_figures
+from viewer_app.report.terminal import print_damage, print_events, print_summary, say_more
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import in_this_layout, show
 
@@ -30,14 +29,14 @@ def run(options: ReviewOptions) -> None:
     events = list_events(session.events)
     at_ns, where = opening_time(options, session, events)
     print_damage(console, session)
-    result = FusionResult(session.pairing, session.calibration, session.settings, session.rows)
-    figures = report(result)
+    figures = report(session)
+    if options.verbose or options.html is not None:
+        figures["without_truth"] = truth_free_figures(session)
     if options.html is not None:
         from viewer_app.report.review_page import review_page
 
-        with whole_file(options.html) as partial:
-            partial.write_text(review_page(session, figures), encoding="utf-8")
-    print_summary(console, result, figures, verbose=options.verbose)
+        write_text(options.html, review_page(session, figures))
+    print_summary(console, figures, verbose=options.verbose)
     if events or session.damage is None:
         print_events(console, events, all_of_them=options.verbose)
     else:

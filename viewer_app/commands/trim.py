@@ -11,7 +11,7 @@ from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import TrimOptions
 from viewer_app.output_files import check_outputs, whole_file
-from viewer_app.report.session_notes import print_damage, print_damaged_images
+from viewer_app.report.terminal import print_damage, print_damaged_images
 from viewer_app.viewer.blueprint import inspect_blueprint
 from viewer_app.viewer.stored_clouds import has_depth
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,50 +14,47 @@ from numpy.typing import NDArray
 
 from devices.pairing import Pairing
 from fusion.calibration.calibration import Calibration
+from fusion.errors import FusionError
+from fusion.evaluation.fixed_registration import fit_recording
+from fusion.evaluation.without_truth import (
+    FiguresWithoutTruth,
+    FusedPair,
+    figures_without_truth,
+    judge_registration,
+)
+from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
 from fusion.solvers.solver import MAX_ITERATIONS
+from recordings.session import Session
 from recordings.session_arrays import SessionArrays
+from viewer_app.output_files import write_text
 
 Figures = dict[str, Any]
 
 
-@dataclass(frozen=True, eq=False)
-class FusionResult:
-    """The data of a report.
+def report(session: Session, pairing: Pairing | None = None, exact: SessionArrays | None = None) -> Figures:
+    """The figures of a fused pair of recordings, as ``--report`` writes them; None where there is no figure.
 
-    Attributes:
-        pairing: Counts of paired and dropped frames.
-        calibration: The calibration used.
-        settings: The settings used.
-        rows: The fused frames.
-        exact: The same frames solved with exact bones, if the published scheme was used; else None.
+    Args:
+        session: The session.
+        pairing: Counts of paired and dropped frames; those of the session if not given.
+        exact: The same frames solved with exact bones, if the published scheme was used.
     """
-
-    pairing: Pairing
-    calibration: Calibration
-    settings: FuserSettings
-    rows: SessionArrays
-    exact: SessionArrays | None = None
-
-
-def report(result: FusionResult) -> Figures:
-    """The report as plain data; figures that do not exist are None."""
-    pairing = result.pairing
+    pairing = pairing or session.pairing
     figures: Figures = {
         "frames": {"a": pairing.frames_a, "b": pairing.frames_b},
         "paired": len(pairing.pairs) - pairing.alone_a - pairing.alone_b,
         "alone": {"a": pairing.alone_a, "b": pairing.alone_b},
         "dropped": {"a": pairing.dropped_a, "b": pairing.dropped_b},
-        **fusion_figures(result.calibration, result.settings, result.rows),
+        **fusion_figures(session.calibration, session.settings, session.rows),
     }
-    if result.exact is not None:
-        figures["compared_with_exact"] = _comparison(result.rows, result.exact)
+    if exact is not None:
+        figures["compared_with_exact"] = _comparison(session.rows, exact)
     return figures
 
 
 def fusion_figures(calibration: Calibration, settings: FuserSettings, rows: SessionArrays) -> Figures:
     """The figures of fused frames from any source."""
-    registration = calibration.registration
     return {
         "stale": {"a": int(rows.stale_a.sum()), "b": int(rows.stale_b.sum())},
         "without_person": {
@@ -63,26 +62,49 @@ def fusion_figures(calibration: Calibration, settings: FuserSettings, rows: Sess
             "b": int((rows.states_b == 0).all(axis=1).sum()),
             "both": int(rows.predicted.all(axis=1).sum()),
         },
-        "settings": {
-            "method": settings.method,
-            "h": settings.h,
-            "weights": settings.weights,
-            "smoothing": settings.smoothing,
-        },
-        "calibration": {
-            "how": calibration.how,
-            "residual_mm": None
-            if registration is None
-            else {"median": registration.residual_median * 1e3, "rms": registration.residual_rms * 1e3},
-            "axes_angle_deg": math.degrees(calibration.axes_angle),
-            "rotation_sd_deg": None if registration is None else math.degrees(registration.rotation_sd),
-            "frames": None if registration is None else registration.frames,
-            "worst_joints_mm": {}
-            if registration is None
-            else {name: distance * 1e3 for name, distance in registration.worst_joints()},
-        },
+        "settings": {name: getattr(settings, name) for name in ("method", "h", "weights", "smoothing")},
+        "calibration": calibration_figures(calibration),
         **method_figures(rows),
     }
+
+
+def calibration_figures(calibration: Calibration) -> Figures:
+    """What a calibration was measured on, and how well the two views agree under it."""
+    fit = calibration.registration
+    return {
+        "how": calibration.how,
+        "residual_mm": None
+        if fit is None
+        else {"median": fit.residual_median * 1e3, "rms": fit.residual_rms * 1e3},
+        "axes_angle_deg": math.degrees(calibration.axes_angle),
+        "rotation_sd_deg": None if fit is None else math.degrees(fit.rotation_sd),
+        "frames": None if fit is None else fit.frames,
+        "worst_joints_mm": {}
+        if fit is None
+        else {name: distance * 1e3 for name, distance in fit.worst_joints()},
+    }
+
+
+def truth_free_figures(session: Session) -> dict[str, float | None]:
+    """The figures of :class:`FiguresWithoutTruth` by name, in SI; None where there is no such figure.
+
+    ``roughness_ratio`` and the difference between robust fits of both halves of the session are added:
+    ``halves_rotation_off`` in radians, ``halves_position_off`` in metres at the person.
+    """
+    rows = session.rows
+    fits = tuple(RigidTransform(R, t) for R, t in zip(rows.rotation, rows.translation, strict=True))
+    a, b = rows.positions_a.astype(np.float64), rows.positions_b.astype(np.float64)
+    half = len(session) // 2
+    names = [field.name for field in fields(FiguresWithoutTruth) if field.name != "frames"]
+    values: dict[str, float] = {}
+    with suppress(FusionError):  # too short, or the views share hardly any joint
+        found = figures_without_truth(FusedPair(session.body, rows.time_ns, a, b, rows.fused, fits))
+        values = {name: float(getattr(found, name)) for name in [*names, "roughness_ratio"]}
+        halves = judge_registration(fit_recording(a[:half], b[:half]), a[half:], b[half:])
+        values["halves_rotation_off"] = halves.rotation_off
+        values["halves_position_off"] = halves.position_off
+    names += ["roughness_ratio", "halves_rotation_off", "halves_position_off"]
+    return {name: _of(np.mean, np.array([values.get(name, np.nan)])) for name in names}
 
 
 def method_figures(rows: SessionArrays) -> Figures:
@@ -129,9 +151,11 @@ def _repaired(rows: SessionArrays) -> Figures:
     return {"exchanged": exchanged, "unseen_joints": _of(np.mean, rows.predicted[seen])}
 
 
-def report_to_json(figures: Figures) -> str:
-    """The report as standard JSON."""
-    return json.dumps(figures, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+def save_report(path: Path | None, figures: Figures) -> None:
+    """Writes a report as standard JSON, if there is a path; an unfinished file is never left behind."""
+    if path is not None:
+        text = json.dumps(figures, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+        write_text(path, text)
 
 
 def _comparison(rows: SessionArrays, exact: SessionArrays) -> Figures:

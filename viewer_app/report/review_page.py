@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,17 +17,9 @@ from markupsafe import Markup
 from recordings import layout
 from recordings.session import Session
 from recordings.session_comparison import frame_noise_of
-from viewer_app.report.details import calibration_in_words
-from viewer_app.report.event_list import (
-    ListedEvent,
-    event_in_words,
-    list_events,
-    seconds_of,
-    shortest_list,
-)
-from viewer_app.report.numbers_in_words import in_mm, in_percent
-from viewer_app.report.summary import Line, fusion_lines, shortfalls
+from viewer_app.report.events import ListedEvent, event_in_words, list_events, seconds_of, shortest_list
 from viewer_app.report.svg_plots import bar_plot, line_plot, skeleton_color, trust_map
+from viewer_app.report.words import BONE_HEAD, bone_rows, detail_lines, lead_lines
 
 _MOST_EVENTS = 12
 """Listed at first; the others open below."""
@@ -44,9 +35,8 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
     environment = Environment(
         loader=PackageLoader("viewer_app.report"), autoescape=True, undefined=StrictUndefined
     )
-    environment.filters["millimetres"] = in_mm
     source_a, source_b = _without_folders(session.sources)
-    tiles, lines = _lead(session, figures)
+    lead = list(lead_lines(figures))
     events = list_events(session.events)
     shortest = shortest_list(events, _MOST_EVENTS)
     time_ns = session.rows.time_ns
@@ -61,58 +51,19 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
         source_a=source_a,
         source_b=source_b,
         colors={key: skeleton_color(key) for key in ("a", "b", "fused")},
-        tiles=tiles,
-        lines=lines,
-        calibration=_calibration(session),
+        tiles=[line for line in lead if line.figure],
+        lines=[line for line in lead if not line.figure],
+        details=detail_lines(figures),
         bone_plots=_bone_plots(session),
-        bones=_bone_rows(figures),
+        bone_head=BONE_HEAD,
+        bones=list(bone_rows(figures)),
         jitter_plot=_jitter_plot(session),
         trust_plot=_trust_plot(session),
-        disagreement=figures["disagreement_mm"],
         disagreement_plot=_disagreement_plot(session),
-        fuse_ms=figures["fuse_ms"],
-        frame_rate=session.frame_rate,
         timing_plots=_timing_plots(session),
         events=_event_rows(shortest),
         all_events=_event_rows(events) if len(shortest) < len(events) else [],
     )
-
-
-@dataclass(frozen=True)
-class _Tile:
-    """A figure that leads the page, with the terminal's line about it."""
-
-    label: str
-    figure: str
-    text: str
-    warning: bool
-
-
-def _lead(session: Session, figures: dict[str, Any]) -> tuple[list[_Tile], list[Line]]:
-    """What leads the terminal's summary: its figures, and what else there is to say."""
-    registration = session.calibration.registration
-    apart = figures["disagreement_mm"]["median"]
-    if registration is not None:
-        apart = registration.residual_median * 1e3
-    rate = figures["frames_per_second"]
-    leading = {
-        "Views agree": in_mm(apart),
-        "Repaired": in_percent(figures["repaired"]["unseen_joints"]),
-        "S*": "–" if rate is None else f"{rate:.1f} / s",
-        "Bones": in_mm(figures["bone_error_mm"]["fused"]["max"]),
-    }
-    said = [*fusion_lines(session.calibration, figures), *shortfalls(figures)]
-    tiles = [
-        _Tile(each.label, leading[each.label], each.text, each.warning)
-        for each in said
-        if each.label in leading
-    ]
-    return tiles, [each for each in said if each.label not in leading]
-
-
-def _calibration(session: Session) -> list[str]:
-    how, *verdict = calibration_in_words(session.calibration)
-    return [f"Calibrated on: {how}", *verdict]
 
 
 def _bone_plots(session: Session) -> Markup:
@@ -133,17 +84,6 @@ def _bone_plots(session: Session) -> Markup:
             level = float(rows.bone_lengths[-1, j])
             plots.append(line_plot(bone.replace("_", " "), "m", time, lines, level=level))
     return Markup("").join(map(Markup, plots))
-
-
-def _bone_rows(figures: dict[str, Any]) -> list[list[str]]:
-    rows = []
-    for name, bone in figures["bones"].items():
-        cells = [name.replace("_", " "), f"{bone['target_m'] * 1e3:.0f}"]
-        for key in ("a", "b", "fused"):
-            mean, deviation = bone[key]["mean_m"], bone[key]["std_mm"]
-            cells.append("–" if mean is None else f"{mean * 1e3:.0f} ± {deviation:.1f}")
-        rows.append(cells)
-    return rows
 
 
 def _jitter_plot(session: Session) -> Markup:

@@ -2,74 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
 from devices.capture.sensor_pair import TwoSensors
-from devices.sensor import LinkFigures
 from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.errors import UsageError
-from viewer_app.output_files import whole_file
 from viewer_app.outputs.opening import print_outputs
 from viewer_app.outputs.output import LiveOutput
-from viewer_app.report.details import print_method
-from viewer_app.report.figures import Figures, fusion_figures, method_figures, report_to_json
-from viewer_app.report.summary import Line, fusion_lines, print_lines, say_saved
+from viewer_app.report.figures import Figures, fusion_figures
+from viewer_app.report.terminal import print_details, print_summary, say_saved
 from viewer_app.sinks.session_file import FileSink
-
-
-def print_frames(console: Console, sensors: TwoSensors) -> None:
-    """Prints how many frames were received, paired and dropped."""
-    figures = sensors.figures
-    console.print(
-        f"[bold]Paired[/] {figures.pairs} frames of {sensors.a.received} (A) and {sensors.b.received} (B); "
-        f"alone {figures.alone_a} and {figures.alone_b}; of B {figures.unmatched_b} that A has no frame for."
-    )
-    small = {"frames late": figures.late, "repeated": figures.repeated, "out of order": figures.reordered}
-    if any(small.values()):
-        console.print(f"{_counts_in_words(small)}.", highlight=False)
-    for side, link in zip("AB", sensors.links, strict=True):
-        if link is not None:
-            console.print(f"{side} by network: {_link_in_words(link)}.", highlight=False)
-    if figures.offset_ns is not None:
-        console.print(
-            f"B's clock less A's: {figures.offset_ns * 1e-6:.1f} ms, drifting {figures.drift_ppm:.0f} ppm."
-        )
-
-
-def _stream_trouble(sensors: TwoSensors) -> Iterator[Line]:
-    """What someone should fix: frames dropped, sensors and messages lost, clocks reset or not related."""
-    dropped = {
-        "frames of A dropped (too slow)": sensors.a.dropped,
-        "frames of B dropped (too slow)": sensors.b.dropped,
-        "reconnects of A": sensors.a.returns,
-        "reconnects of B": sensors.b.returns,
-        "clocks reset": sensors.figures.resets,
-    }
-    if any(dropped.values()):
-        yield Line("Streams", f"{_counts_in_words(dropped)}.", warning=True)
-    for side, link in zip("AB", sensors.links, strict=True):
-        if link is not None and (link.lost or link.malformed or link.restarts or link.clock_bound_ns is None):
-            yield Line("Network", f"{side}: {_link_in_words(link)}.", warning=True)
-
-
-def _counts_in_words(counts: dict[str, int]) -> str:
-    return ", ".join(f"{what} {count}" for what, count in counts.items() if count)
-
-
-def _link_in_words(link: LinkFigures) -> str:
-    counts = {"lost": link.lost, "damaged messages": link.malformed, "restarts": link.restarts}
-    said = _counts_in_words(counts)
-    said = f"frames arrived: {link.received}, {said or 'none lost'}"
-    if link.round_trip_ns is None or link.clock_bound_ns is None:
-        return f"{said}; the clocks of the two PCs could not be related"
-    trip_ms, bound_ms = link.round_trip_ns * 1e-6, link.clock_bound_ns * 1e-6
-    return f"{said}; round trip {trip_ms:.1f} ms, clocks related within {bound_ms:.1f} ms"
 
 
 def rows_since_calibration(setup: FusionSetup, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
@@ -95,34 +42,37 @@ def session_report(
     Frames are counted since the start. All other figures cover the last minute; ``seconds`` is its actual
     length. Without a fused frame there are only counts.
     """
-    counted = sensors.figures
+    figures = stream_figures(sensors)
+    if outputs:
+        figures["outputs"] = [output.figures() for output in outputs]
+    rows = rows_since_calibration(setup, frames)
+    if rows is not None:
+        figures |= fusion_figures(setup.calibration, setup.settings, rows)
+    return figures | {"latency_ms": latency_figures(frames)}
+
+
+def stream_figures(sensors: TwoSensors) -> Figures:
+    """What became of the frames of both sensors, and the state of the links to other PCs."""
+    counted, a, b = sensors.figures, sensors.a, sensors.b
     figures: Figures = {
-        "frames": {"a": sensors.a.received, "b": sensors.b.received},
+        "frames": {"a": a.received, "b": b.received},
         "paired": counted.pairs,
         "alone": {"a": counted.alone_a, "b": counted.alone_b},
-        "dropped": {"a": sensors.a.dropped, "b": sensors.b.dropped + counted.unmatched_b},
+        "dropped": {"a": a.dropped, "b": b.dropped + counted.unmatched_b},
         "streams": {
-            "too_slow_for": {"a": sensors.a.dropped, "b": sensors.b.dropped},
+            "too_slow_for": {"a": a.dropped, "b": b.dropped},
             "unmatched_b": counted.unmatched_b,
             "late": counted.late,
             "repeated": counted.repeated,
             "out_of_order": counted.reordered,
             "clock_resets": counted.resets,
-            "lost_and_back": {"a": sensors.a.returns, "b": sensors.b.returns},
+            "lost_and_back": {"a": a.returns, "b": b.returns},
             "clock_offset_ms": None if counted.offset_ns is None else counted.offset_ns * 1e-6,
             "drift_ppm": counted.drift_ppm,
         },
     }
-    if outputs:
-        figures["outputs"] = [output.figures() for output in outputs]
     links = {side: asdict(link) for side, link in zip("ab", sensors.links, strict=True) if link is not None}
-    if links:
-        figures["network"] = links
-    rows = rows_since_calibration(setup, frames)
-    if rows is not None:
-        figures["seconds"] = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
-        figures |= fusion_figures(setup.calibration, setup.settings, rows)
-    return figures | {"latency_ms": latency_figures(frames)}
+    return figures | ({"network": links} if links else {})
 
 
 def latency_figures(frames: Sequence[RecordedFrame]) -> dict[str, float | None]:
@@ -137,49 +87,23 @@ def latency_figures(frames: Sequence[RecordedFrame]) -> dict[str, float | None]:
     }
 
 
-def save_report(path: Path, figures: Figures) -> None:
-    """Writes a report; an unfinished file is never left behind."""
-    with whole_file(path) as unfinished:
-        unfinished.write_text(report_to_json(figures), encoding="utf-8")
-
-
 def print_session(
-    console: Console,
-    setup: FusionSetup,
-    frames: Sequence[RecordedFrame],
-    sensors: TwoSensors,
-    outputs: Sequence[LiveOutput] = (),
-    verbose: bool = False,
+    console: Console, figures: Figures, outputs: Sequence[LiveOutput] = (), verbose: bool = False
 ) -> None:
     """Prints the summary. Frames are counted since the start; the method's figures cover the last minute.
 
     Args:
         console: Receives the output.
-        setup: The last setup.
-        frames: The frames of the last minute.
-        sensors: The sensors, for their counts.
+        figures: Of :func:`session_report`.
         outputs: The live outputs, whose counts are printed, too.
         verbose: Whether all figures follow.
     """
-    rows = rows_since_calibration(setup, frames)
-    figures = None if rows is None else method_figures(rows)
-    ms = latency_figures(frames)
-    if figures is None:
+    if "fused_frames" not in figures:
         console.print("No frame was fused.")
-    else:
-        print_lines(console, fusion_lines(setup.calibration, figures, ms))
-    print_lines(console, _stream_trouble(sensors))
+    print_summary(console, figures)
     print_outputs(console, outputs)
-    if not verbose:
-        return
-    print_frames(console, sensors)
-    if figures is not None:
-        print_method(console, setup.calibration, figures)
-    if ms["p50"] is not None:
-        console.print(
-            f"[bold]From images to S*[/]: {ms['p50']:.0f} ms (median), 99 % {ms['p99']:.0f} ms, max "
-            f"{ms['max']:.0f} ms"
-        )
+    if verbose:
+        print_details(console, figures)
 
 
 def print_saved(console: Console, file: FileSink) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from viewer_app.report import summary
+from viewer_app.report import terminal
 
 
 @pytest.mark.parametrize(
@@ -18,14 +18,14 @@ from viewer_app.report import summary
 def test_the_next_step_is_one_line_that_works_without_a_display(
     display: bool, command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(summary, "has_display", lambda: display)
+    monkeypatch.setattr(terminal, "has_display", lambda: display)
     monkeypatch.setattr("sys.argv", ["pytest"])
     monkeypatch.chdir(tmp_path)
     file = Path("a/long/folder/s.rrd")
     file.parent.mkdir(parents=True)
     file.write_bytes(bytes(122_400_000))
     out = io.StringIO()
-    summary.say_saved(Console(file=out, width=40), file)
+    terminal.say_saved(Console(file=out, width=40), file)
     (line,) = out.getvalue().splitlines()
     assert f"{file}, 122 MB" in line
     assert command in line

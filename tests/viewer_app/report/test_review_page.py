@@ -14,7 +14,7 @@ from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.machine import need_browser
 from tests.helpers.two_views import calibration_of
-from viewer_app.report.figures import FusionResult, report
+from viewer_app.report.figures import report, truth_free_figures
 from viewer_app.report.review_page import _without_folders, review_page
 from viewer_app.report.svg_plots import _columns_of_time, _figure, _legend
 
@@ -106,7 +106,7 @@ def test_a_browser_shows_it_light_and_dark_without_network(page: Path) -> None:
                 assert asked == [page.as_uri()]
                 assert said == []
                 headings = tab.locator("h2").all_inner_texts()
-                assert {"Calibration", "Bone lengths", "Jitter", "Trust per joint", "Timing"} <= set(headings)
+                assert {"All figures", "Bone lengths", "Jitter", "Trust per joint", "Timing"} <= set(headings)
                 assert tab.locator("figure svg").count() == 13
                 for box in (svg.bounding_box() for svg in tab.locator("figure svg").all()):
                     assert box["width"] > 300
@@ -134,8 +134,8 @@ def test_what_a_session_says_is_text_and_never_markup(fused_run: FusedRun) -> No
     session.about["settings"]["note"] = ["<script>alert(1)</script>"]
     hostile = replace(session.events[0], text="<img src=x onerror=alert(1)> & more")
     session = replace(session, events=(*session.events, hostile))
-    result = FusionResult(session.pairing, session.calibration, session.settings, session.rows)
-    text = review_page(session, report(result))
+    text = review_page(session, report(session) | {"without_truth": truth_free_figures(session)})
+    assert "Roughness" in text
     assert "<script" not in text
     assert "<img" not in text
     assert "&lt;img src=x onerror=alert(1)&gt; &amp; more" in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,17 +11,17 @@ import pytest
 from rich.console import Console
 
 from fusion.body import KINECT_V2
-from fusion.calibration.calibration import Calibration
+from fusion.calibration.calibration import FEWEST_PAIRS, Calibration
 from fusion.registration.rigid_fit import Registration
 from recordings.events import Event
+from recordings.session import Session
 from recordings.session_arrays import SessionArrays
 from recordings.testing import FusedRun, fused_run
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
-from viewer_app.report.details import FEWEST_FRAMES
-from viewer_app.report.figures import Figures, FusionResult, method_figures, report
-from viewer_app.report.numbers_in_words import in_mm, in_percent
-from viewer_app.report.summary import Line, fusion_lines, print_lines, print_summary
+from viewer_app.report.figures import Figures, calibration_figures, report, truth_free_figures
+from viewer_app.report.terminal import print_lines, print_summary
+from viewer_app.report.words import Line, detail_lines, in_mm, in_percent, lead_lines
 
 __all__ = ["fused_run"]  # a fixture
 
@@ -35,31 +36,39 @@ def registered(median_mm: float, frames: int = 90) -> Calibration:
 
 
 @pytest.fixture
-def result(fused_run: FusedRun) -> FusionResult:
-    session = fused_run(frame_pairs(KINECT_V2, 60), calibration_of(KINECT_V2))
-    return FusionResult(session.pairing, registered(31.0), session.settings, session.rows)
+def session(fused_run: FusedRun) -> Session:
+    fused = fused_run(frame_pairs(KINECT_V2, 60), calibration_of(KINECT_V2))
+    return replace(fused, calibrations=((0, registered(31.0)),))
 
 
-def said(result: FusionResult, figures: Figures, width: int = 80, **more: object) -> str:
+@pytest.fixture
+def figures(session: Session) -> Figures:
+    return report(session)
+
+
+def said(figures: Figures, width: int = 80, **more: object) -> str:
     out = io.StringIO()
-    print_summary(Console(file=out, width=width), result, figures, **more)  # type: ignore[arg-type]
+    print_summary(Console(file=out, width=width), figures, **more)  # type: ignore[arg-type]
     return out.getvalue()
 
 
-def test_three_figures_lead_in_at_most_six_short_lines(result: FusionResult) -> None:
-    lines = said(result, report(result)).splitlines()
+def views_agree(figures: Figures, **calibration: object) -> Line:
+    return next(lead_lines(figures | {"calibration": figures["calibration"] | calibration}))
+
+
+def test_three_figures_lead_in_at_most_six_short_lines(figures: Figures) -> None:
+    lines = said(figures).splitlines()
     assert [line[:13].strip() for line in lines[:3]] == ["Views agree", "Repaired", "S*"]
     assert len(lines) <= 6
     assert all(line[12] == " " and line[13] != " " for line in lines), "texts are aligned"
     assert lines[0].strip().endswith("good: 31 mm apart (median).")
 
 
-def test_tables_come_with_verbose_only(result: FusionResult) -> None:
-    figures = report(result)
-    short, long = said(result, figures), said(result, figures, verbose=True)
+def test_all_figures_come_with_verbose_only(figures: Figures) -> None:
+    short, long = said(figures), said(figures, verbose=True)
     assert long.startswith(short)
-    for words in ("Paired", "upper arm left", "start", "ms per frame", "axes are"):
-        assert (words in long, words in short) == (True, False) or words == "start"
+    for words in ("Paired", "upper arm left", "ms per frame", "axes are"):
+        assert (words in long, words in short) == (True, False)
 
 
 @pytest.mark.parametrize(
@@ -68,28 +77,27 @@ def test_tables_come_with_verbose_only(result: FusionResult) -> None:
         (39.0, 90, "good: 39 mm apart", False),
         (41.0, 90, "usable: 41 mm apart (median); good is below 40 mm", False),
         (81.0, 90, "poor: 81 mm apart (median); usable is below 80 mm. Calibrate: stand still", True),
-        (20.0, FEWEST_FRAMES - 1, "too few frames to tell: 20 mm apart over 14", True),
+        (20.0, FEWEST_PAIRS - 1, "too few frames to tell: 20 mm apart over 14", True),
     ],
 )
 def test_a_verdict_is_a_word_and_says_what_to_do_where_it_is_poor(
-    result: FusionResult, median_mm: float, frames: int, words: str, warning: bool
+    figures: Figures, median_mm: float, frames: int, words: str, warning: bool
 ) -> None:
-    line = next(fusion_lines(registered(median_mm, frames), report(result)))
+    line = views_agree(figures, **calibration_figures(registered(median_mm, frames)))
     assert line.text.startswith(words)
     assert line.warning is warning
 
 
-def test_without_a_registration_the_frames_themselves_tell(result: FusionResult) -> None:
-    figures = report(result)
+def test_without_a_registration_the_frames_themselves_tell(figures: Figures) -> None:
     figures["disagreement_mm"]["median"] = 55.0
-    assert next(fusion_lines(calibration_of(KINECT_V2), figures)).text.startswith("usable: 55 mm")
+    assert views_agree(figures, residual_mm=None).text.startswith("usable: 55 mm")
     figures["disagreement_mm"]["median"] = None
-    assert next(fusion_lines(calibration_of(KINECT_V2), figures)).warning
+    assert views_agree(figures, residual_mm=None).warning
 
 
 @pytest.mark.parametrize("how", ["none yet: an adult's proportions", "provisional, 1 frame of any pose"])
-def test_what_is_not_calibrated_has_no_verdict(result: FusionResult, how: str) -> None:
-    line = next(fusion_lines(replace(registered(20.0), how=how), report(result)))
+def test_what_is_not_calibrated_has_no_verdict(figures: Figures, how: str) -> None:
+    line = views_agree(figures, how=how)
     assert line.text.startswith("unknown: not calibrated yet. Calibrate: stand still")
     assert line.warning
 
@@ -104,44 +112,56 @@ def with_repairs(rows: SessionArrays) -> SessionArrays:
     return replace(rows, exchanged=exchanged, predicted=predicted)
 
 
-def test_repaired_shares_count_frames_with_a_person(result: FusionResult) -> None:
-    repaired = method_figures(with_repairs(result.rows))["repaired"]
-    assert repaired["exchanged"] == {"a": pytest.approx(15 / 50), "b": 0.0}
-    assert repaired["unseen_joints"] == pytest.approx(2 / len(KINECT_V2))
-    result = replace(result, rows=with_repairs(result.rows))
-    assert "left and right: 30 % of A, 0 % of B; joints filled in: 8.0 %." in said(result, report(result))
-    without = replace(result, rows=replace(result.rows, exchanged=None))  # the paper's methods
-    assert "left and right" not in said(without, report(without))
+def test_repaired_shares_count_frames_with_a_person(session: Session) -> None:
+    rows = with_repairs(session.rows)
+    figures = report(replace(session, rows=rows))
+    assert figures["repaired"]["exchanged"] == {"a": pytest.approx(15 / 50), "b": 0.0}
+    assert figures["repaired"]["unseen_joints"] == pytest.approx(2 / len(KINECT_V2))
+    assert "left and right: 30 % of A, 0 % of B; joints filled in: 8.0 %." in said(figures)
+    without = replace(session, rows=replace(rows, exchanged=None))  # the paper's methods
+    assert "left and right" not in said(report(without))
 
 
-def test_what_someone_must_act_on_is_told_in_words(result: FusionResult) -> None:
-    figures = report(result)
+def test_what_someone_must_act_on_is_told_in_words(figures: Figures) -> None:
     figures["dropped"] = {"a": 3, "b": 0}
     figures["without_person"] = {"a": 5, "b": 0, "both": 0}
     events = [
-        Event(9, 3_000_000_000, "A sensor seems to have been moved.", "WARN"),
-        Event(30, 1_000_000_000, "calibrated", "INFO"),
-        Event(20, 6_000_000_000, "Registration follows.", "WARN"),
+        Event(text="A sensor seems to have been moved.", level="WARN", frame=9, time_ns=3_000_000_000),
+        Event(text="calibrated", level="INFO", frame=30, time_ns=1_000_000_000),
+        Event(text="Registration follows.", level="WARN", frame=20, time_ns=6_000_000_000),
     ]
-    text = " ".join(said(result, figures, width=200, events=events).split())
+    text = " ".join(said(figures, width=200, events=events).split())
     assert "Dropped 3 of 60 frames of A and 0 of 60 of B have no partner." in text
     assert "No person in 5 frames of A, 0 of B, 0 of both." in text
     assert "Warning 3.00 s: A sensor seems to have been moved. (1 more)" in text
 
 
 @pytest.mark.parametrize(("a", "b", "told"), [(0.9, 0.8, True), (0.9, 0.1, False), (0.3, 0.3, False)])
-def test_two_mirrored_recordings_are_noticed(result: FusionResult, a: float, b: float, told: bool) -> None:
-    figures = report(result)
+def test_two_mirrored_recordings_are_noticed(figures: Figures, a: float, b: float, told: bool) -> None:
     figures["repaired"]["exchanged"] = {"a": a, "b": b}
-    assert ("change its sign" in said(result, figures)) is told
+    assert ("change its sign" in said(figures)) is told
 
 
-def test_live_latency_stands_beside_the_rate(result: FusionResult) -> None:
-    lines = {
-        line.label: line.text
-        for line in fusion_lines(result.calibration, report(result), {"p50": 12.4, "p99": 30.6})
-    }
+def test_live_latency_stands_beside_the_rate(figures: Figures) -> None:
+    figures["latency_ms"] = {"p50": 12.4, "p99": 30.6, "max": 40.0}
+    lines = {line.label: line.text for line in lead_lines(figures)}
     assert lines["S*"].startswith("12 ms after the images (99 %: 31 ms), 30.0 per second")
+    assert "From images to S* 12 ms (median), 99 % 31 ms, max 40 ms." in said(figures, verbose=True)
+
+
+def test_figures_without_truth_follow_where_they_were_computed(session: Session, figures: Figures) -> None:
+    figures["without_truth"] = found = truth_free_figures(session)
+    lines = {line.label: line.text for line in detail_lines(figures)}
+    rough = {key: 1e3 * (found[f"rough_{key}"] or 0.0) for key in ("a", "fused")}
+    assert f"S* {in_mm(rough['fused'])}, S_A {in_mm(rough['a'])}" in lines["Roughness"]
+    assert lines["Jumps"].startswith("above 150 mm per frame: S* 0 %, S_A 0 %")
+    halves = math.degrees(found["halves_rotation_off"] or 0.0)
+    assert f"the fits of both halves differ by {halves:.1f}°" in lines["Registration"]
+    assert halves < 1.0
+    short = replace(session, rows=session.rows[slice(0, 20)])
+    assert set(truth_free_figures(short).values()) == {None}
+    figures["without_truth"] = truth_free_figures(short)
+    assert "too short" in said(figures, verbose=True)
 
 
 def test_brackets_in_a_text_are_printed_as_they_are() -> None:

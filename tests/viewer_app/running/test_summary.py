@@ -9,25 +9,32 @@ from typing import Any
 import pytest
 
 from devices.sensor import LinkFigures
-from viewer_app.running.summary import _stream_trouble
+from viewer_app.report.words import Line, lead_lines
+from viewer_app.running.summary import stream_figures
 
 WELL = LinkFigures(received=900, round_trip_ns=2_000_000, clock_bound_ns=1_000_000)
 
 
 def sensors(links: tuple[LinkFigures | None, ...] = (None, None), **counts: int) -> Any:
     """The counts of two sensors that run well but for what is given."""
-    stream = {name: SimpleNamespace(dropped=0, returns=0) for name in ("a", "b")}
+    stream = {name: SimpleNamespace(dropped=0, returns=0, received=900) for name in ("a", "b")}
     stream["b"].dropped = counts.pop("dropped_b", 0)
     stream["a"].returns = counts.pop("returns_a", 0)
-    figures = SimpleNamespace(resets=counts.pop("resets", 0), late=9, repeated=9, reordered=9)
+    figures = SimpleNamespace(pairs=900, alone_a=0, alone_b=0, unmatched_b=0, offset_ns=None, drift_ppm=0.0)
+    figures.late = figures.repeated = figures.reordered = 9
+    figures.resets = counts.pop("resets", 0)
     assert not counts
     return SimpleNamespace(**stream, figures=figures, links=links)
 
 
+def trouble(sensors: Any) -> list[Line]:
+    return list(lead_lines(stream_figures(sensors)))
+
+
 def test_streams_that_run_well_are_not_mentioned() -> None:
     """Late, repeated and reordered frames are put right; they come with --verbose."""
-    assert list(_stream_trouble(sensors())) == []
-    assert list(_stream_trouble(sensors((WELL, WELL)))) == []
+    assert trouble(sensors()) == []
+    assert trouble(sensors((WELL, WELL))) == []
 
 
 @pytest.mark.parametrize(
@@ -38,7 +45,7 @@ def test_streams_that_run_well_are_not_mentioned() -> None:
     ],
 )
 def test_what_is_lost_is_a_warning(counts: dict[str, int], words: str) -> None:
-    (line,) = _stream_trouble(sensors(**counts))
+    (line,) = trouble(sensors(**counts))
     assert (line.label, line.text, line.warning) == ("Streams", words, True)
 
 
@@ -52,7 +59,7 @@ def test_what_is_lost_is_a_warning(counts: dict[str, int], words: str) -> None:
     ],
 )
 def test_a_link_that_loses_something_is_a_warning(change: dict[str, Any], words: str) -> None:
-    (line,) = _stream_trouble(sensors((WELL, replace(WELL, **change))))
+    (line,) = trouble(sensors((WELL, replace(WELL, **change))))
     assert line.label == "Network"
     assert words in line.text
     assert line.warning

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.pairing import Pairing
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
@@ -23,8 +22,7 @@ from tests.helpers.session_text import rows_of
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import JPEG, Bus
 from viewer_app.commands import live as live_command
-from viewer_app.report.figures import FusionResult
-from viewer_app.report.figures import report as report_of
+from viewer_app.report.figures import fusion_figures
 
 
 def test_two_sensors_become_a_session_and_a_summary(
@@ -137,9 +135,7 @@ def test_a_report_has_what_that_of_fuse_has(kinects: Bus, standin: Standin, tmp_
     assert figures["frames"]["a"] >= figures["paired"] > 0
     assert figures["streams"]["clock_resets"] == 0
     rows = Session.open(tmp_path / "s.rrd").rows
-    of_fuse = report_of(
-        FusionResult(Pairing([], 0, 0, 0, 0), nominal_calibration(AZURE_KINECT), FuserSettings(), rows)
-    )
+    of_fuse = fusion_figures(nominal_calibration(AZURE_KINECT), FuserSettings(), rows)
     assert of_fuse.keys() <= figures.keys()
     assert live(standin, tmp_path / "t.rrd", "--report", report) == 2, "it exists already"
 

@@ -11,7 +11,7 @@ from recordings.events import Event
 from recordings.testing import FusedRun, fused_run
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
-from viewer_app.report.event_list import (
+from viewer_app.report.events import (
     event_in_words,
     list_events,
     opening_event,

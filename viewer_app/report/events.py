@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from fusion.calibration.calibration import PROVISIONAL
 from recordings.events import Event, Spell, spells_of
 from recordings.session import Session
-
-UNSETTLED = ("none yet", "provisional")
-"""How the descriptions of calibrations begin that precede the start-up pose."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ def opening_event(events: Sequence[ListedEvent], settled_frame: int = 0) -> List
 
 def settled_frame(session: Session) -> int:
     """The first frame fused with a calibration that is not provisional; 0 where all are."""
-    return next((first for first, one in session.calibrations if not one.how.startswith(UNSETTLED)), 0)
+    return next((first for first, one in session.calibrations if not one.how.startswith(PROVISIONAL)), 0)
 
 
 def shortest_list(events: Sequence[ListedEvent], most: int) -> list[ListedEvent]:

@@ -1,0 +1,167 @@
+"""The report in the terminal."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from recordings.events import Event
+from recordings.session import Session
+from viewer_app.report.events import ListedEvent, event_in_words, list_events, seconds_of, shortest_list
+from viewer_app.report.figures import Figures
+from viewer_app.report.words import BONE_HEAD, Line, bone_rows, detail_lines, in_mm, lead_lines
+from viewer_app.viewer.display import has_display
+
+_LABEL_WIDTH = 13
+_MOST_EVENTS = 10
+
+
+def print_lines(console: Console, lines: Iterable[Line]) -> None:
+    """Prints lines with aligned texts. The label is bold, a warning yellow; neither carries the meaning."""
+    for line in lines:
+        grid = Table.grid()
+        grid.add_column(width=max(_LABEL_WIDTH, len(line.label) + 1), no_wrap=True)
+        grid.add_column(overflow="fold")
+        grid.add_row(Text(line.label, "bold"), Text(line.text, "yellow" if line.warning else ""))
+        console.print(grid, highlight=False)
+
+
+def print_summary(
+    console: Console, figures: Figures, events: Iterable[Event] = (), verbose: bool = False
+) -> None:
+    """Prints the summary of a session.
+
+    Args:
+        console: Receives the output.
+        figures: The report.
+        events: Events whose warnings are told; none if they are printed elsewhere.
+        verbose: Whether all figures follow.
+    """
+    print_lines(console, lead_lines(figures))
+    warned = [event for event in list_events(events) if event.level != "INFO"]
+    if warned:
+        more = f" ({len(warned) - 1} more)" if len(warned) > 1 else ""
+        text = f"{seconds_of(warned[0].time_ns)}: {warned[0].text}{more}"
+        print_lines(console, [Line("Warning", text, warning=True)])
+    if verbose:
+        print_details(console, figures)
+
+
+def print_details(console: Console, figures: Figures) -> None:
+    """Prints what ``--verbose`` adds: all figures, every bone, the paper's scheme beside the exact one."""
+    print_lines(console, detail_lines(figures))
+    if "bones" in figures:
+        title = "Bones: target, and mean ± deviation in mm"
+        console.print(_table(title, BONE_HEAD, bone_rows(figures)))
+    if "compared_with_exact" in figures:
+        console.print(_comparison_table(figures["compared_with_exact"]))
+
+
+def _comparison_table(figures: Figures) -> Table:
+    apart, rows = figures["difference_mm"], []
+    for name in ("paper", "exact"):
+        solver = figures[name]
+        rows.append(
+            [
+                name,
+                in_mm(solver["max_bone_error_mm"]),
+                f"{solver['median_iterations']:.0f}",
+                f"{solver['at_iteration_limit']} frames",
+                f"{solver['fuse_ms_p50']:.3f}",
+            ]
+        )
+    head = ("solver", "largest bone error", "iterations (median)", "at the limit", "ms per frame")
+    table = _table("The paper's scheme beside the exact solver, same frames and weights", head, rows)
+    table.caption = f"Joints differ by {in_mm(apart['median'])} (median), {in_mm(apart['max'])} at most."
+    table.caption_justify = "left"
+    return table
+
+
+def _table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
+    """A table of figures; the first column has names."""
+    table = Table(title=title, title_justify="left")
+    for k, column in enumerate(head):
+        table.add_column(column, justify="right" if k else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def say_saved(console: Console, path: Path) -> None:
+    """Prints where the session is, and the command to view it, as this program was called."""
+    called = Path(sys.argv[0])
+    found = shutil.which("duplex")
+    on_path = found is not None and Path(found).resolve() == called.resolve()
+    program = str(called) if called.name.startswith("duplex") and not on_path else "duplex"
+    page = "" if has_display() else f" --html {path.with_suffix('.html')}"
+    # a command must be copied in one piece: no wrapping
+    console.print(
+        f"{'Saved':{_LABEL_WIDTH}}{path}, {_in_bytes(path.stat().st_size)}. "
+        f"Look at it with: {program} review {path}{page}",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
+
+
+def _in_bytes(size: int) -> str:
+    """A file's size as kB, MB or GB of a thousand each, with two digits at least."""
+    value, unit = size * 1e-3, "kB"
+    for larger in ("MB", "GB"):
+        if value >= 1000.0:
+            value, unit = value * 1e-3, larger
+    return f"{value:.0f} {unit}" if value >= 10.0 else f"{value:.1f} {unit}"
+
+
+def say_more(console: Console, others: str = "as data with --report FILE.json") -> None:
+    """Prints where all other figures are: in the terminal, and `others`."""
+    print_lines(console, [Line("All figures", f"with --verbose; {others}.")])
+
+
+def print_damage(console: Console, session: Session) -> None:
+    """Prints the damage of a file, if any."""
+    if session.damage is not None:
+        lost = f"; {session.frames_lost} more were written and are lost" if session.frames_lost else ""
+        console.print(
+            f"[bold yellow]{escape(str(session))} is not whole[/]: {escape(session.damage)}. "
+            f"{len(session)} frames could be read{lost}.",
+            highlight=False,
+        )
+
+
+def print_damaged_images(console: Console, count: int) -> None:
+    """Prints how many images could not be copied, if any."""
+    if count:
+        console.print(f"[bold yellow]{count} damaged images[/] were skipped.", highlight=False)
+
+
+def print_events(console: Console, events: Sequence[ListedEvent], all_of_them: bool = False) -> None:
+    """Prints events as a numbered list in order of time.
+
+    Args:
+        console: Receives the output.
+        events: Of :func:`viewer_app.report.events.list_events`.
+        all_of_them: Whether to print all; if not, at most ten: first warnings, then spells, then the others.
+    """
+    if not events:
+        console.print("No event was recorded.")
+        return
+    shown = list(events) if all_of_them else shortest_list(events, _MOST_EVENTS)
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(justify="right", no_wrap=True)
+    grid.add_column(justify="right", no_wrap=True)
+    grid.add_column(overflow="fold")
+    for event in shown:
+        style = "" if event.level == "INFO" else "yellow"
+        grid.add_row(str(event.number), seconds_of(event.time_ns), Text(event_in_words(event), style))
+    console.print("[bold]Events[/]")
+    console.print(grid, highlight=False)
+    if len(shown) < len(events):
+        console.print(f"and {len(events) - len(shown)} more: --verbose.", highlight=False)

@@ -1,0 +1,307 @@
+"""The figures of a report in words: lines and tables that the terminal and the page share.
+
+How well the two views agree, how much of the data had to be repaired, and how fast S* comes: these lines
+lead. Further lines appear only where there is something to say. All other figures follow on request.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from fusion.calibration.calibration import FEWEST_PAIRS, PROVISIONAL
+from viewer_app.coach.advice import ANGLES, GOOD, USABLE, quality
+from viewer_app.report.figures import Figures
+
+_MICROMETRE = 1e-3  # millimetres; what a file stores of S* is no more exact
+_MIRRORED = 0.6
+"""Share of frames in both views; real walks stay below 0.3."""
+_CALIBRATE = "Calibrate: stand still for a second, arms and legs apart, where both sensors see all of you"
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a report.
+
+    Attributes:
+        label: The subject, one or two words.
+        text: The figure and what it means.
+        warning: Whether someone should act on it.
+        figure: The figure alone, where the line has one that matters; else empty.
+    """
+
+    label: str
+    text: str
+    warning: bool = False
+    figure: str = ""
+
+
+def lead_lines(figures: Figures) -> Iterator[Line]:
+    """The lines that lead every report.
+
+    Args:
+        figures: Of :func:`viewer_app.report.figures.report`, or of a live session.
+    """
+    if "fused_frames" in figures:
+        repaired, rate = figures["repaired"], figures["frames_per_second"]
+        error = figures["bone_error_mm"]
+        yield _agreement(figures)
+        yield Line("Repaired", _repaired(repaired), figure=in_percent(repaired["unseen_joints"]))
+        yield Line("S*", _pace(figures), figure="–" if rate is None else f"{rate:.1f} / s")
+        yield Line("Bones", _bones(error), figure=in_mm(error["fused"]["max"]))
+        yield from _placement(figures["calibration"])
+    yield from _stream_trouble(figures) if "streams" in figures else _shortfalls(figures)
+
+
+def detail_lines(figures: Figures) -> Iterator[Line]:
+    """All other figures but those of each bone."""
+    yield from _counts(figures)
+    if "calibration" in figures:
+        for k, text in enumerate(calibration_in_words(figures["calibration"])):
+            yield Line("" if k else "Calibration", text)
+        error, apart, ms = figures["bone_error_mm"], figures["disagreement_mm"], figures["fuse_ms"]
+        a, b, fused = (in_mm(error[key]["max"]) for key in ("a", "b", "fused"))
+        yield Line("Largest bone error", f"S_A {a}, S_B {b}, S* {fused}.")
+        median, high = in_mm(apart["median"]), in_mm(apart["p95"])
+        yield Line("S_A against S_B", f"median {median}, 95 % {high}.")
+        yield Line("Fusion", f"{_times(ms, 3, 'ms per frame')}.")
+    if figures.get("latency_ms", {}).get("p50") is not None:
+        yield Line("From images to S*", f"{_times(figures['latency_ms'], 0, 'ms')}.")
+    if "without_truth" in figures:
+        yield from _without_truth(figures["without_truth"])
+
+
+def calibration_in_words(figures: Figures) -> list[str]:
+    """The source of a calibration, and the verdict, as lines.
+
+    Args:
+        figures: Of :func:`viewer_app.report.figures.calibration_figures`.
+    """
+    lines = [f"{figures['how']}."]
+    angle, residual, frames = figures["axes_angle_deg"], figures["residual_mm"], figures["frames"]
+    low, high = ANGLES
+    advice = "" if low <= angle <= high else " (about 90° lets each sensor see most of what the other cannot)"
+    if residual is None:
+        return [*lines, f"The sensors' axes are {angle:.0f}° apart{advice}."]
+    verdict: str = quality(residual["median"])
+    if frames < FEWEST_PAIRS:
+        verdict = f"too few frames to trust ({FEWEST_PAIRS} at least)"
+    worst = ", ".join(f"{name} {distance:.0f} mm" for name, distance in figures["worst_joints_mm"].items())
+    return [
+        *lines,
+        f"{verdict.capitalize()}: the views differ by {residual['median']:.0f} mm (median), "
+        f"{residual['rms']:.0f} mm (RMS), over {frames} frames; worst: {worst}.",
+        f"The sensors' axes are {angle:.0f}° apart{advice}; "
+        f"that rotation is certain to about {figures['rotation_sd_deg']:.1f}°.",
+    ]
+
+
+def bone_rows(figures: Figures) -> Iterator[list[str]]:
+    """Of each bone: its name, the target in millimetres, and mean ± deviation of S_A, S_B and S*."""
+    for name, bone in figures["bones"].items():
+        means = [bone[key] for key in ("a", "b", "fused")]
+        yield [
+            name.replace("_", " "),
+            f"{bone['target_m'] * 1e3:.0f}",
+            *("–" if m["mean_m"] is None else f"{m['mean_m'] * 1e3:.0f} ± {m['std_mm']:.1f}" for m in means),
+        ]
+
+
+BONE_HEAD = ("bone", "target", "S_A", "S_B", "S*")
+"""The columns of :func:`bone_rows`."""
+
+
+def _agreement(figures: Figures) -> Line:
+    calibration = figures["calibration"]
+    residual, apart = calibration["residual_mm"], figures["disagreement_mm"]["median"]
+    if residual is not None:
+        apart = residual["median"]
+
+    def line(text: str, warning: bool) -> Line:
+        return Line("Views agree", text, warning, in_mm(apart))
+
+    if calibration["how"].startswith(PROVISIONAL):
+        return line(f"unknown: not calibrated yet. {_CALIBRATE}.", True)
+    if residual is not None and calibration["frames"] < FEWEST_PAIRS:
+        text = f"too few frames to tell: {in_mm(apart)} apart over {calibration['frames']}; at least "
+        return line(f"{text}{FEWEST_PAIRS} are needed. {_CALIBRATE}.", True)
+    if apart is None:
+        return line("unknown: no joint was seen by both sensors", True)
+    word = quality(apart)
+    limit = {
+        "good": "",
+        "usable": f"; good is below {GOOD:.0f} mm",
+        "poor": f"; usable is below {USABLE:.0f} mm. {_CALIBRATE}",
+    }
+    return line(f"{word}: {in_mm(apart)} apart (median){limit[word]}.", word == "poor")
+
+
+def _repaired(repaired: Figures) -> str:
+    filled_in = f"joints filled in: {in_percent(repaired['unseen_joints'])}."
+    exchanged = repaired["exchanged"]
+    if exchanged is None:
+        return filled_in
+    a, b = in_percent(exchanged["a"]), in_percent(exchanged["b"])
+    return f"left and right: {a} of A, {b} of B; {filled_in}"
+
+
+def _pace(figures: Figures) -> str:
+    frames, seconds, rate = figures["fused_frames"], figures["seconds"], figures["frames_per_second"]
+    latency_ms = figures.get("latency_ms", {})
+    each = "" if rate is None else f", {rate:.1f} per second"
+    if latency_ms.get("p50") is None:
+        counted = "1 frame" if frames == 1 else f"{frames} frames"
+        return f"{counted} in {seconds:.1f} s{each}."
+    late = f"{latency_ms['p50']:.0f} ms after the images (99 %: {latency_ms['p99']:.0f} ms)"
+    return f"{late}{each}, last {seconds:.1f} s."
+
+
+def _bones(error_mm: Figures) -> str:
+    a, b, fused = (in_mm(error_mm[key]["max"]) for key in ("a", "b", "fused"))
+    return f"S* within {fused} of their lengths; S_A up to {a} off, S_B {b}."
+
+
+def _placement(calibration: Figures) -> Iterator[Line]:
+    """What to change where the sensors see too much alike, or too little."""
+    angle, (low, high) = calibration["axes_angle_deg"], ANGLES
+    if calibration["residual_mm"] is not None and not low <= angle <= high:
+        way = "further apart" if angle < low else "closer together"
+        good = f"good is {low:.0f}° to {high:.0f}°"
+        text = f"{angle:.0f}° between the sensors; {good}. Move them {way} round the person."
+        yield Line("Placement", text, warning=True)
+
+
+def _shortfalls(figures: Figures) -> Iterator[Line]:
+    """What recordings lack: partners, people, sides."""
+    dropped, absent, frames = figures["dropped"], figures["without_person"], figures["frames"]
+    if dropped["a"] or dropped["b"]:
+        of_a, of_b = (f"{dropped[key]} of {frames[key]}" for key in ("a", "b"))
+        yield Line("Dropped", f"{of_a} frames of A and {of_b} of B have no partner.", warning=True)
+    if absent["a"] or absent["b"]:
+        yield Line(
+            "No person", f"in {absent['a']} frames of A, {absent['b']} of B, {absent['both']} of both."
+        )
+    exchanged = figures["repaired"]["exchanged"]
+    if exchanged is not None and min(exchanged["a"] or 0.0, exchanged["b"] or 0.0) > _MIRRORED:
+        yield Line(
+            "Mirrored?",
+            "Left and right are exchanged in both views most of the time. If the person faced the sensors, "
+            "x points to the wrong side in both files: change its sign.",
+            warning=True,
+        )
+
+
+def _stream_trouble(figures: Figures) -> Iterator[Line]:
+    """What someone should fix: frames dropped, sensors and messages lost, clocks reset or not related."""
+    streams = figures["streams"]
+    slow, back = streams["too_slow_for"], streams["lost_and_back"]
+    trouble = {
+        "frames of A dropped (too slow)": slow["a"],
+        "frames of B dropped (too slow)": slow["b"],
+        "reconnects of A": back["a"],
+        "reconnects of B": back["b"],
+        "clocks reset": streams["clock_resets"],
+    }
+    if any(trouble.values()):
+        yield Line("Streams", f"{_listed(trouble)}.", warning=True)
+    for side, link in figures.get("network", {}).items():
+        if link["lost"] or link["malformed"] or link["restarts"] or link["clock_bound_ns"] is None:
+            yield Line("Network", f"{side.upper()}: {_link(link)}.", warning=True)
+
+
+def _counts(figures: Figures) -> Iterator[Line]:
+    """How many frames were received, paired, dropped and late."""
+    frames, alone, dropped = figures["frames"], figures["alone"], figures["dropped"]
+    paired = f"{figures['paired']} frames of {frames['a']} (A) and {frames['b']} (B)"
+    if "streams" not in figures:
+        stale = figures["stale"]
+        yield Line(
+            "Paired",
+            f"{paired}; dropped {dropped['a']} and {dropped['b']}; "
+            f"repeated by the sensor {stale['a']} and {stale['b']}.",
+        )
+        return
+    streams = figures["streams"]
+    yield Line(
+        "Paired",
+        f"{paired}; alone {alone['a']} and {alone['b']}; "
+        f"of B {streams['unmatched_b']} that A has no frame for.",
+    )
+    put_right = {
+        "frames late": streams["late"],
+        "repeated": streams["repeated"],
+        "out of order": streams["out_of_order"],
+    }
+    if any(put_right.values()):
+        yield Line("", f"{_listed(put_right)}.")
+    for side, link in figures.get("network", {}).items():
+        yield Line("Network", f"{side.upper()}: {_link(link)}.")
+    if streams["clock_offset_ms"] is not None:
+        offset, drift = streams["clock_offset_ms"], streams["drift_ppm"]
+        yield Line("Clocks", f"B's clock less A's: {offset:.1f} ms, drifting {drift:.0f} ppm.")
+
+
+def _link(link: Figures) -> str:
+    counts = {"lost": link["lost"], "damaged messages": link["malformed"], "restarts": link["restarts"]}
+    text = f"frames arrived: {link['received']}, {_listed(counts) or 'none lost'}"
+    if link["round_trip_ns"] is None or link["clock_bound_ns"] is None:
+        return f"{text}; the clocks of the two PCs could not be related"
+    trip_ms, bound_ms = link["round_trip_ns"] * 1e-6, link["clock_bound_ns"] * 1e-6
+    return f"{text}; round trip {trip_ms:.1f} ms, clocks related within {bound_ms:.1f} ms"
+
+
+def _without_truth(figures: Figures) -> Iterator[Line]:
+    """Figures that need no ground truth: bad ones prove that S* is wrong, good ones prove nothing."""
+    if figures["roughness_ratio"] is None:
+        yield Line("Without truth", "too short, or too few joints that both sensors see.")
+        return
+    ratio, own = figures["roughness_ratio"], in_percent(figures["jumps_own"])
+    a, b, fused = (in_mm(_times_1000(figures[f"rough_{key}"])) for key in ("a", "b", "fused"))
+    yield Line("Roughness", f"second difference: S* {fused}, S_A {a}, S_B {b}; ratio {ratio:.2f}.")
+    a, b, fused = (in_percent(figures[f"jumps_{key}"]) for key in ("a", "b", "fused"))
+    yield Line("Jumps", f"above 150 mm per frame: S* {fused}, S_A {a}, S_B {b} of steps; S* alone {own}.")
+    a, b, fused = (in_percent(figures[f"against_{key}"]) for key in ("a", "b", "fused"))
+    flips = figures["flips_per_minute"]
+    yield Line(
+        "Facing",
+        f"against the motion: S* {fused}, S_A {a}, S_B {b} of fast frames; {flips:.1f} flips per minute.",
+    )
+    turn, halves = (math.degrees(figures[name]) for name in ("rotation_off", "halves_rotation_off"))
+    shift = in_mm(_times_1000(figures["halves_position_off"]))
+    yield Line(
+        "Registration",
+        f"R is {turn:.1f}° from a robust fit; the fits of both halves differ by {halves:.1f}° and {shift}.",
+    )
+
+
+def _times(ms: Figures, digits: int, unit: str) -> str:
+    median, high, most = (f"{ms[key]:.{digits}f}" for key in ("p50", "p99", "max"))
+    return f"{median} {unit} (median), 99 % {high} ms, max {most} ms"
+
+
+def _times_1000(metres: float | None) -> float | None:
+    return None if metres is None else metres * 1e3
+
+
+def _listed(counts: Figures) -> str:
+    return ", ".join(f"{what} {count}" for what, count in counts.items() if count)
+
+
+def in_mm(value: float | None, unit: str = " mm") -> str:
+    """Whole millimetres from 10 on, two digits below, 0 below a micrometre; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if abs(value) < _MICROMETRE:
+        return f"0{unit}"
+    return f"{value:.0f}{unit}" if value >= 10.0 else f"{value:.2g}{unit}"
+
+
+def in_percent(share: float | None) -> str:
+    """A share as a percentage: whole from 10 % on, one digit below; a dash where there is none."""
+    if share is None or not math.isfinite(share):
+        return "–"
+    percent = 100.0 * share
+    if 0.0 < percent < 0.05:
+        return "below 0.1 %"
+    return f"{percent:.0f} %" if percent >= 10.0 or percent == 0.0 else f"{percent:.1f} %"
