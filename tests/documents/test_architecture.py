@@ -1,0 +1,50 @@
+"""docs/architecture.md lists every folder, and the documents name modules that exist."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.documents import PACKAGES, ROOT, documents
+
+FOLDER = re.compile(r"`((?:fusion|devices|recordings|viewer_app)/[a-z_/]+)`")
+NAMED = re.compile(r"`((?:fusion|devices|recordings|viewer_app|tests)(?:[./][a-z_0-9]+)+(?:\.py)?)`")
+
+
+def exists(name: str) -> bool:
+    """Whether a dotted name or a path is a folder or a module, or a name in a module."""
+    path = ROOT / name
+    if "/" in name:
+        return path.exists()
+    parts = name.split(".")
+    for length in range(len(parts), 0, -1):
+        stem = ROOT.joinpath(*parts[:length])
+        if stem.is_dir():
+            return length == len(parts) or _defines(stem / "__init__.py", parts[length])
+        if stem.with_suffix(".py").exists():
+            return length == len(parts) or _defines(stem.with_suffix(".py"), parts[length])
+    return False
+
+
+def _defines(module: Path, name: str) -> bool:
+    return re.search(rf"\b{name}\b", module.read_text(encoding="utf-8")) is not None
+
+
+def test_the_table_of_folders_is_complete() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = [line for line in page.splitlines() if line.startswith("| `")]
+    listed = {folder for row in rows for folder in FOLDER.findall(row)}
+    folders = {
+        module.parent.relative_to(ROOT).as_posix()
+        for package in PACKAGES
+        for module in (ROOT / package).rglob("*.py")
+    }
+    assert listed == folders - set(PACKAGES)
+
+
+@pytest.mark.parametrize("page", documents(), ids=lambda page: page.name)
+def test_modules_that_a_page_names_exist(page: Path) -> None:
+    named = NAMED.findall(page.read_text(encoding="utf-8"))
+    assert [name for name in named if not exists(name)] == []
