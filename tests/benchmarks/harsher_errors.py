@@ -22,7 +22,7 @@ SIZES = frozenset(
 """Knobs for the size of an error; they are multiplied."""
 SHARES = frozenset(
     {
-        "unsure", "not_tracked", "mistracked", "snap", "stretch", "outliers", "mirroring", "swapped", "stale",
+        "unsure", "not_tracked", "mistracked", "snap", "stretch", "outliers", "mirroring", "stale",
         "lost",
     }
 )  # fmt: skip
@@ -33,7 +33,7 @@ A value that is already above LARGEST_SHARE stays unchanged.
 Of ``mirroring`` it is ``back``.
 """
 SHAPES = frozenset({
-    "seen_share", "inferred_jitter", "jitter_memory", "rescale_seconds", "swap_seconds", "lost_seconds",
+    "seen_share", "inferred_jitter", "jitter_memory", "rescale_seconds", "lost_seconds",
     "added",
 })  # fmt: skip
 """Knobs for the form of an error; they are unchanged."""

@@ -46,7 +46,7 @@ def test_sizes_and_shares_grow_and_shapes_stay() -> None:
     often = TrackerErrors.of(KINECT_V2)
     assert scaled(often, 1.5).mirroring == often.mirroring  # 97 % is more than LARGEST_SHARE: it stays
     assert larger.not_tracked == LARGEST_SHARE  # 1.5 times 65 % would be 98 %
-    assert (larger.seen_share, larger.swap_seconds) == (FITTED.seen_share, FITTED.swap_seconds)
+    assert (larger.seen_share, larger.lost_seconds) == (FITTED.seen_share, FITTED.lost_seconds)
 
 
 def distances(body: Body) -> np.ndarray:

@@ -156,19 +156,15 @@ def simulated_views(
     Args:
         motion: See :func:`movement`.
         body: By name.
-        tracker: ``mirroring`` (the body's own errors), ``random`` (version 0.1's), ``right`` (no exchanges)
-            or ``perfect`` (no errors, and both sensors at the same time).
+        tracker: ``mirroring`` (the body's own errors), ``right`` (no exchanges), ``random`` (sides exchanged
+            at random while the back is turned) or ``perfect`` (no errors, both sensors at the same time).
         angle_deg: Between the sensors.
         seconds: How long.
         seed: Of every error.
     """
     which = BODIES[body]
-    errors = {
-        "mirroring": TrackerErrors.of(which),
-        "random": TrackerErrors.with_random_swaps(which),
-        "right": replace(TrackerErrors.of(which), mirroring=Mirroring()),
-        "perfect": TrackerErrors.none(),
-    }[tracker]
+    fitted, right = TrackerErrors.of(which), replace(TrackerErrors.of(which), mirroring=Mirroring())
+    errors = {"mirroring": fitted, "right": right, "random": right, "perfect": TrackerErrors.none()}[tracker]
     rig = Rig(angle_deg=angle_deg, skew_seconds=0.0) if tracker == "perfect" else Rig(angle_deg=angle_deg)
     a, b, truth = simulated_pair(
         motion=movement(motion), seed=seed, body=which, seconds=seconds, errors=errors, rig=rig
@@ -178,17 +174,39 @@ def simulated_views(
     times = np.array([pair.time_ns for pair in pairs])
     joints = len(which)
     nowhere, unseen = np.full((joints, 3), np.nan), np.zeros(joints, dtype=np.uint8)
-    b_at = np.array([nowhere if pair.b is None else pair.b.positions for pair in pairs], dtype=np.float64)
-    return Views(
+    at_a, at_b = (
+        np.array([nowhere if side is None else side.positions for side in sides], dtype=np.float64)
+        for sides in zip(*((pair.a, pair.b) for pair in pairs), strict=True)
+    )
+    views = Views(
         body=which,
         time_ns=times,
-        a=np.array([nowhere if pair.a is None else pair.a.positions for pair in pairs], dtype=np.float64),
+        a=at_a,
         states_a=np.array([unseen if pair.a is None else pair.a.states for pair in pairs]),
-        b_in_a=b_at @ transform.rotation.T + transform.translation,
+        b_in_a=at_b @ transform.rotation.T + transform.translation,
         states_b=np.array([unseen if pair.b is None else pair.b.states for pair in pairs]),
         sensor_b=transform.translation,
         truth=truth.positions_at(times),
     )
+    return _with_random_swaps(views, np.random.default_rng(seed)) if tracker == "random" else views
+
+
+def _with_random_swaps(views: Views, random: np.random.Generator) -> Views:
+    """Sides exchanged for 2 s on average, in a third of the frames with the back turned to a sensor."""
+    front = heading(views.body, views.truth)
+    for at, states, sensor in (
+        (views.a, views.states_a, np.zeros(3)),
+        (views.b_in_a, views.states_b, views.sensor_b),
+    ):
+        to_sensor = (sensor - views.truth[:, views.body.root]) * (1.0, 0.0, 1.0)
+        to_sensor /= np.linalg.norm(to_sensor, axis=1, keepdims=True)
+        back_turned = np.sum(front * to_sensor, axis=1) < -0.3
+        on = False
+        for k, chance in enumerate(random.random(len(at))):
+            on = chance >= 1 / 60 if on else back_turned[k] and chance < 0.5 / 60
+            if on:
+                at[k], states[k] = at[k, views.body.mirror], states[k, views.body.mirror]
+    return views
 
 
 def real_views(folder: Path) -> Views:

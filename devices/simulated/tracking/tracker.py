@@ -27,7 +27,6 @@ _HIDING_SECONDS = 0.08  # time constant of the transition from observation to gu
 _GUESS_SECONDS = 0.6  # correlation time of the error of a guess
 _UNSURE_SECONDS = 0.4
 _OUTLIER_SECONDS = 0.12
-_BACK_TURNED = -0.3  # cosine between the person's front and the direction to the sensor
 
 
 class Tracker:
@@ -75,7 +74,7 @@ class Tracker:
         self._misplaced = np.zeros(count, dtype=bool)
         self._away = np.zeros((count, 3))
         self._mirroring = MirroringTracker(body, errors.mirroring, frame_seconds, random.spawn(1)[0])
-        self._swapped = self._lost = False
+        self._lost = False
         self._before: Array | None = None
         self._last: tuple[NDArray[np.float64], NDArray[np.uint8]] | None = None
 
@@ -93,7 +92,7 @@ class Tracker:
         e, body = self._errors, self._body
         normal = self._random.standard_normal((2 * len(body) + 1, 3))
         uniform = self._random.random((7, len(body)))
-        chance = self._random.random(3)
+        _, stale, lost = self._random.random(3)  # three, so that a seed gives the frames of version 1.0
         self._wander(normal)
         hidden = self._hide(joints, visible, uniform, time_ns)
 
@@ -116,18 +115,11 @@ class Tracker:
         facing = self._facing(joints)
         told = self._script is not None and self._script.mirrors(time_ns)
         reported, states = self._mirroring.apply(reported, states, self._front(joints), facing, told)
-        if self._switch(
-            self._swapped, e.swapped if facing < _BACK_TURNED else 0.0, e.swap_seconds, chance[0]
-        ):
-            self._swapped = True
-            reported, states = reported[body.mirror], states[body.mirror]
-        else:
-            self._swapped = False
-        if self._last is not None and chance[1] < e.stale:
+        if self._last is not None and stale < e.stale:
             reported, states = self._last
         self._last = reported, states
         out_of_sight = e.seen_share > 0.0 and np.mean(visible > 0.0) < 0.25
-        self._lost = self._switch(self._lost, e.lost, e.lost_seconds, chance[2])
+        self._lost = self._switch(self._lost, e.lost, e.lost_seconds, lost)
         if self._lost or out_of_sight:
             return None
         return Skeleton.of(body, reported, states, time_ns)

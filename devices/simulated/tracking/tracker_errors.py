@@ -86,9 +86,6 @@ class TrackerErrors:
         moving_jitter: Increase of ``jitter`` per axis for each m/s of the joint's speed.
         jitter_memory: Correlation of the jitter of successive frames.
         mirroring: Frequency and form of mirroring: a person whose back is turned is reported mirrored.
-        swapped: Share of frames with left and right swapped at random moments while the back is turned.
-            Version 0.1 assumed this instead of mirroring; see :meth:`with_random_swaps`.
-        swap_seconds: Duration of a swap.
         stale: Share of frames that repeat the previous skeleton.
         lost: Share of frames in which the person is lost.
         lost_seconds: Duration of a loss.
@@ -113,8 +110,6 @@ class TrackerErrors:
     moving_jitter: float = 0.0
     jitter_memory: float = 0.5
     mirroring: Mirroring = field(default_factory=Mirroring)
-    swapped: float = 0.0
-    swap_seconds: float = 0.5
     stale: float = 0.0
     lost: float = 0.0
     lost_seconds: float = 0.5
@@ -129,13 +124,6 @@ class TrackerErrors:
     def of(body: Body) -> TrackerErrors:
         """Returns the errors of the tracker that reports this body."""
         return _OF.get(body.name, _KINECT_V2)
-
-    @staticmethod
-    def with_random_swaps(body: Body) -> TrackerErrors:
-        """Returns the errors of version 0.1: sides swapped at random moments while the back is turned."""
-        return replace(
-            TrackerErrors.of(body), mirroring=Mirroring(), swapped=0.18 if body is AZURE_KINECT else 0.34
-        )
 
     def only(self, *knobs: str) -> TrackerErrors:
         """Returns these errors with all but the named knobs turned off."""
@@ -155,7 +143,7 @@ _KINECT_V2 = TrackerErrors(
     jitter=JointGroups(spine=0.0016, head=0.001, girdle=0.0024, elbow=0.0024, wrist=0.0036, hand=0.005,
                        tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
     moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.97),
-    swap_seconds=2.0, stale=0.05, lost=0.002,
+    stale=0.05, lost=0.002,
 )  # fmt: skip
 _AZURE = TrackerErrors(
     view_bias=0.009, skin=0.15, seen_share=0.35,
@@ -165,7 +153,7 @@ _AZURE = TrackerErrors(
     jitter=JointGroups(spine=0.0012, head=0.001, girdle=0.0020, elbow=0.0024, wrist=0.0036, hand=0.005,
                        tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
     moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.35),
-    swap_seconds=2.0, stale=0.04, lost=0.001,
+    stale=0.04, lost=0.001,
 )  # fmt: skip
 _BLAZEPOSE = TrackerErrors(
     view_bias=0.012, skin=0.0, seen_share=0.35,

@@ -68,7 +68,7 @@ def test_without_errors_the_truth_is_reported_and_all_is_tracked() -> None:
 def test_knobs_that_shape_other_errors_do_nothing_alone() -> None:
     real = TrackerErrors.of(KINECT_V2)
     shapes = ("inferred_error", "inferred_jitter", "mistracked", "snap", "not_tracked", "outlier_size",
-              "rescale_seconds", "jitter_memory", "swap_seconds", "lost_seconds")  # fmt: skip
+              "rescale_seconds", "jitter_memory", "lost_seconds")  # fmt: skip
     skeletons, true = watch("walk", real.only(*shapes), 6.0)
     assert np.abs(errors_of(skeletons, true)).max() <= 4 * FLOAT32
 
@@ -224,20 +224,6 @@ def test_unsure_joints_are_inferred_for_the_share_of_time_the_knob_says() -> Non
     assert inferred[:, [j for j in range(32) if j not in thumbs]].sum() == 0
 
 
-def test_left_and_right_are_swapped_in_runs_while_the_back_is_turned_and_never_else() -> None:
-    skeletons, true = watch("walk", replace(NONE, swapped=0.5, swap_seconds=0.5), 30.0)
-    joints = errors_of(skeletons, true) + true
-    swapped = np.abs(joints - true[:, AZURE_KINECT.mirror]).max(axis=(1, 2)) < 1e-5
-    plain = np.abs(joints - true).max(axis=(1, 2)) < 1e-5
-    assert (swapped | plain).all()
-    left = true[:, AZURE_KINECT.joint("HIP_LEFT")] - true[:, AZURE_KINECT.joint("HIP_RIGHT")]
-    back_turned = left[:, 0] < 0.0  # the person's left is on the sensor's left
-    assert 0.1 < swapped[back_turned].mean() < 0.7
-    runs = run_lengths(swapped)
-    assert np.mean(runs) > 4
-    assert swapped[~back_turned].mean() < 0.03  # a run that began with the back turned may outlast it
-
-
 def test_the_stale_share_of_frames_repeats_the_one_before_with_a_new_time() -> None:
     skeletons, _ = watch("walk", replace(NONE, stale=0.1), 20.0)
     repeats = [s.repeats(before) for before, s in pairwise(skeletons) if s]
@@ -298,14 +284,7 @@ def test_the_real_defaults_have_every_error_turned_on() -> None:
     for body in BODIES.values():
         errors = TrackerErrors.of(body)
         for knob in TrackerErrors.knobs():
-            off = {
-                "lost_seconds",
-                "swap_seconds",
-                "swapped",
-                "added",
-            }  # durations, and what mirroring replaces
+            off = {"lost_seconds", "added"}
             if body is BLAZEPOSE:  # it gives one skeleton per image, places all joints, and lost nobody
                 off |= {"not_tracked", "stale", "lost", "skin"}
             assert getattr(errors, knob) != getattr(NONE, knob) or knob in off, knob
-        assert TrackerErrors.with_random_swaps(body).swapped > 0.0
-        assert TrackerErrors.with_random_swaps(body).mirroring == NONE.mirroring

@@ -44,8 +44,6 @@ TABLE: list[tuple[TrackerErrors, str, Any, Any, str, float]] = [
     (NONE, "moving_jitter", 0.005, 0.02, "tracked_change", 1.2),
     (replace(NONE, jitter=EVEN), "jitter_memory", 0.0, 0.9, "tracked_change", 1 / 1.2),
     (NONE, "mirroring", Mirroring(back=0.1), Mirroring(back=0.9), "swapped", 1.2),
-    (NONE, "swapped", 0.1, 0.6, "swapped", 1.2),
-    (replace(NONE, swapped=0.5), "swap_seconds", 0.1, 1.0, "swap_frames", 2.0),
     (NONE, "stale", 0.05, 0.2, "stale", 2.0),
     (NONE, "lost", 0.03, 0.2, "lost", 1.2),
     (replace(NONE, lost=0.2), "lost_seconds", 0.1, 1.0, "lost frames", 2.0),
