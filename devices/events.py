@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -34,3 +35,31 @@ class Event:
     def placed(self, frame: int, time_ns: int) -> Event:
         """The event at a frame of a session."""
         return replace(self, frame=frame, time_ns=time_ns)
+
+
+@dataclass(frozen=True)
+class Spell:
+    """A condition that lasted for some time.
+
+    Attributes:
+        start: The event that starts the spell.
+        end: The event that ends it; None if the session ended first.
+    """
+
+    start: Event
+    end: Event | None
+
+
+def spells_of(events: Iterable[Event]) -> list[Spell]:
+    """The spells of events given in time order, sorted by start. A repeated start does not open a second
+    spell."""
+    spells: list[Spell] = []
+    lasting: dict[str, int] = {}
+    for event in events:
+        if event.phase == "start" and event.topic not in lasting:
+            lasting[event.topic] = len(spells)
+            spells.append(Spell(event, None))
+        elif event.phase == "end" and event.topic in lasting:
+            index = lasting.pop(event.topic)
+            spells[index] = Spell(spells[index].start, event)
+    return spells

@@ -6,10 +6,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from devices.events import Event
     from recordings.errors import RecordingError
-    from recordings.events import Event
-    from recordings.fusing.live import fuse_live
-    from recordings.fusing.recorded import fuse
+    from recordings.fusing.files import fuse
+    from recordings.fusing.sensors import fuse_live
     from recordings.session import Session
     from recordings.session_arrays import RecordedFrame, SessionArrays
     from recordings.session_series import QualitySeries, SkeletonSeries
@@ -28,9 +28,9 @@ __all__ = [
 
 _HOMES = {
     "RecordingError": "recordings.errors",
-    "fuse": "recordings.fusing.recorded",
-    "fuse_live": "recordings.fusing.live",
-    "Event": "recordings.events",
+    "fuse": "recordings.fusing.files",
+    "fuse_live": "recordings.fusing.sensors",
+    "Event": "devices.events",
     "Session": "recordings.session",
     "RecordedFrame": "recordings.session_arrays",
     "SessionArrays": "recordings.session_arrays",

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.events import Event, Spell, spells_of
 from devices.pairing import FramePair, Pairing
 from devices.sensor import SensorFrame
 from fusion.calibration.calibration import Calibration
@@ -32,9 +33,7 @@ from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton
 from recordings import layout
 from recordings.errors import RecordingError
-from recordings.events import Event, Spell, spells_of
 from recordings.file.session_reader import read_session
-from recordings.file.session_writer import write_session
 from recordings.images import NO_IMAGES, SessionImages
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.session_data import SessionData
@@ -109,6 +108,9 @@ class Session(SessionData):
         Raises:
             OSError: The file could not be written completely.
         """
+        # the writer imports OpenCV, which changes the environment of the process
+        from recordings.file.session_writer import write_session
+
         write_session(self, Path(path), blueprint=blueprint)
 
     @staticmethod

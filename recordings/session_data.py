@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.events import Event
 from devices.sensor import ColorImage
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import Intrinsics
 from fusion.setup import FuserSettings, FusionSetup
-from recordings.events import Event
 from recordings.images import NO_IMAGES, Images, SessionImages
 from recordings.session_arrays import SessionArrays
 

@@ -17,11 +17,11 @@ from uuid import uuid4
 import numpy as np
 import pytest
 
+from devices.events import Event
 from devices.pairing import FramePair
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
-from recordings.events import Event
 from recordings.file.session_writer import write_session
 from recordings.images import PairImages
 from recordings.session import Session
@@ -53,7 +53,7 @@ def record_fused(
     frames = [RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
     session = Session.of(
         [(setup, frames)],
-        events=(Event(0, 0, f"calibrated: {calibration.how}", "INFO"),),
+        events=(Event(f"calibrated: {calibration.how}"),),
         images=PairImages([frame.pair for frame in frames], depth_every),
     )
     write_session(session, path, block=block)

@@ -29,7 +29,7 @@ _MATRIX_HEIGHT = 400  # pixels, about: twice as wide as high, as is the place fo
 _INK = (140, 140, 148)  # in contrast to the viewer's light and dark background, which shines through
 _INKS = 16  # from transparent to opaque: smooth letters
 _FAST, _SMALL = 1, 9  # zlib levels: _FAST takes a fifth of the time, _SMALL half the space
-_FONT, _TEXT_SIZE, _STROKE = cv2.FONT_HERSHEY_SIMPLEX, 0.85, 2
+_TEXT_SIZE, _STROKE = 0.85, 2
 _GROUPS = ("head", "left arm", "right arm", "trunk", "left leg", "right leg")
 _HEAD, _ARM, _LEG = (
     ("neck", "head", "nose", "eye", "ear"),
@@ -161,7 +161,7 @@ class TrustMatrix:
         axis = picture[height:]
         step = _BIN_WIDTH * (_TICK_S * 10**9 // _BIN_NS)
         for k, x in enumerate(range(0, width, step)):
-            cv2.line(axis, (x, 0), (x, 7), _INKS - 1, 2)
+            axis[:8, x : x + 2] = _INKS - 1
             _text(axis, f"{page.first * _BIN_NS // 10**9 + k * _TICK_S} s", x + 6, 29)
         return page.frame, page.time_ns, _png(picture, level)
 
@@ -254,7 +254,7 @@ class StateLanes:
 
 def _text(picture: NDArray[np.uint8], words: str, x: int, y: int) -> None:
     letters = np.zeros_like(picture)
-    cv2.putText(letters, words, (x, y), _FONT, _TEXT_SIZE, 255, _STROKE, cv2.LINE_AA)
+    cv2.putText(letters, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, _TEXT_SIZE, 255, _STROKE, cv2.LINE_AA)
     np.maximum(picture, letters // (256 // _INKS), out=picture)
 
 

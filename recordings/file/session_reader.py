@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.events import Event, Phase
 from fusion.body import BODIES, Body
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
@@ -18,7 +19,6 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
 from recordings import layout
 from recordings.errors import RecordingError
-from recordings.events import Event, Phase
 from recordings.file.rrd_file import Columns, read_columns
 from recordings.file.stored_images import FileImages
 from recordings.frame_fields import FrameField
@@ -156,15 +156,11 @@ def _events_of(found: Columns) -> tuple[Event, ...]:
     for frame, time, row in found.texts:
         names = "TextLog:text", "TextLog:level", "crc32", "topic", "phase"
         text, level, check, topic, phase = ((row.get(name) or [None])[0] for name in names)
-        spell = () if phase in (None, "moment") else (str(topic), str(phase))
-        if (
-            frame is not None
-            and time is not None
-            and isinstance(text, str)
-            and check == event_checksum((frame, time), text, str(level), *spell)
-        ):
-            known: Phase = "start" if phase == "start" else "end" if phase == "end" else "moment"
-            events.append(Event(frame, time, text, str(level), str(topic or ""), known))
+        known: Phase = "start" if phase == "start" else "end" if phase == "end" else "moment"
+        event = Event(text, level, str(topic or ""), known, frame or 0, time or 0)
+        complete = frame is not None and time is not None and isinstance(text, str)
+        if complete and check == event_checksum(event):
+            events.append(event)
         else:
             found.damage = found.damage or "an event does not match its checksum"
     return tuple(events)

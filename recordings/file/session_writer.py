@@ -16,6 +16,7 @@ from uuid import uuid4
 import rerun as rr
 import rerun_bindings
 
+from devices.events import Event
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.errors import RecordingError
@@ -73,7 +74,7 @@ def write_session(
         if page is not None:  # before the frames, so that it is seen from the beginning
             recorder.coach(page)
         if segments[0][1].start < first:  # its calibration event comes before the range
-            recorder.event(f"calibrated: {segments[0][0].calibration.how}", at=(0, 0))
+            recorder.event(Event(f"calibrated: {segments[0][0].calibration.how}"), placed=True)
         events = [event for event in session.events if first <= event.frame < end]
         for setup, own in segments:
             if own.start > first:
@@ -87,7 +88,7 @@ def write_session(
                 # with their frames: a file that is cut off keeps the events up to the cut
                 for event in (event for event in events if part.start <= event.frame < part.stop):
                     moment = event.frame - first, event.time_ns - start_ns
-                    recorder.event(event.text, event.level, event.topic, event.phase, moment)
+                    recorder.event(event.placed(*moment), placed=True)
         damaged = _copy_images(session, recorder, first, end)
         recorder.finish()
     return damaged

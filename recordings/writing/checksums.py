@@ -14,6 +14,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.events import Event
 from recordings.session_arrays import SessionArrays
 
 _BLOCK = 4096  # frames per step, which temporarily need three times their memory
@@ -69,9 +70,10 @@ def image_checksum(frame: int, blob: bytes) -> int:
     return crc32(blob, crc32(frame.to_bytes(8, "little", signed=True)))
 
 
-def event_checksum(at: tuple[int, int], text: str, level: str, *spell: str) -> int:
+def event_checksum(event: Event) -> int:
     """CRC-32 of an event: frame number and time (ns), text, level; topic and phase of a spell."""
-    return crc32("\0".join(map(str, (*at, text, level, *spell))).encode())
+    spell = () if event.phase == "moment" else (event.topic, event.phase)
+    return crc32("\0".join(map(str, (event.frame, event.time_ns, event.text, event.level, *spell))).encode())
 
 
 def _checksums(*columns: NDArray[Any]) -> NDArray[np.uint32]:

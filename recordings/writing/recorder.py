@@ -16,13 +16,13 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from devices.depth.rvl import MEDIA_TYPE, encode_depth
+from devices.events import Event
 from devices.sensor import ColorImage
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.joint_trust import StateLanes, TrustMatrix, matrix_frame
-from recordings.events import Phase
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.arrow_columns import Times, depth_image, points
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
@@ -219,28 +219,19 @@ class Recorder:
         self._set_time(frame, time_ns)
         self._color.record(side, frame, color)
 
-    def event(
-        self,
-        text: str,
-        level: str = "INFO",
-        topic: str = "",
-        phase: Phase = "moment",
-        at: tuple[int, int] | None = None,
-    ) -> None:
-        """Logs an event at the time of the last frame.
+    def event(self, event: Event, placed: bool = False) -> None:
+        """Logs an event.
 
         Args:
-            text: What happened.
-            level: INFO, WARN or ERROR.
-            topic, phase: Topic and phase of a spell; see :class:`recordings.events.Event`.
-            at: Number and time (ns since the first pair) of the frame; None: the last frame.
+            event: The event.
+            placed: Whether to log it at its own frame and time; otherwise at those of the last frame.
         """
-        at = at or self._last or (self._frames, 0)
-        self._set_time(*at)
-        check = event_checksum(at, text, level, *(() if phase == "moment" else (topic, phase)))
+        if not placed:
+            event = event.placed(*(self._last or (self._frames, 0)))
+        self._set_time(event.frame, event.time_ns)
         # all events have all components, so that they share chunks
-        values = rr.AnyValues(crc32=check, topic=topic, phase=phase)
-        self._stream.log(layout.EVENTS, rr.TextLog(text, level=level), values)
+        values = rr.AnyValues(crc32=event_checksum(event), topic=event.topic, phase=event.phase)
+        self._stream.log(layout.EVENTS, rr.TextLog(event.text, level=event.level), values)
 
     def coach(self, page: CoachPage) -> None:
         """Logs the coach's page at the time of the last frame."""

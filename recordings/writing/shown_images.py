@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import math
 from functools import lru_cache
 
-import cv2
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
+from PIL import Image
 
 from devices.blazepose.grey_image import compressed
 from devices.depth.point_cloud import depth_to_points, ray_table
@@ -66,10 +67,9 @@ def show_infrared(stream: rr.RecordingStream, side: str, image: NDArray[np.uint1
         image: (height, width) uint16, on the pixels of the depth image.
     """
     grey = np.rint(255.0 * compressed(image)).astype(np.uint8)
-    written, jpeg = cv2.imencode(".jpg", grey, (cv2.IMWRITE_JPEG_QUALITY, _INFRARED_QUALITY))
-    if written:
-        contents = jpeg.tobytes()
-        stream.log(layout.infrared(side), rr.EncodedImage(contents=contents, media_type="image/jpeg"))
+    jpeg = io.BytesIO()
+    Image.fromarray(grey).save(jpeg, "JPEG", quality=_INFRARED_QUALITY)
+    stream.log(layout.infrared(side), rr.EncodedImage(contents=jpeg.getvalue(), media_type="image/jpeg"))
 
 
 def thin_points(depth: NDArray[np.uint16], camera: Intrinsics) -> NDArray[np.float32]:

@@ -25,8 +25,8 @@ from fusion.plan import plan_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton
-from recordings.fusing.live import LiveFusion
-from recordings.fusing.recorded import fuse_segments, setups_of
+from recordings.fusing.pairs import fuse_segments, setups_of
+from recordings.fusing.sensors import LiveFusion
 from tests.benchmarks import baselines
 
 Array = NDArray[np.float64]
@@ -186,7 +186,6 @@ def as_live(settings: FuserSettings) -> Callable[[RecordedPair], Found]:
         live = LiveFusion(FusionSetup(recording.calibration, settings), refine=True)
         frames = []
         for pair in recording.pairs:
-            live.recalibrated(pair)
             frames.append(live.fuse(pair))
             live.learn(frames[-1])
         return _found([f.fused for f in frames], float(np.median([f.fuse_ns for f in frames])) * 1e-3)

@@ -21,7 +21,7 @@ from fusion.evaluation.without_truth import FusedPair, figures_without_truth, ju
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
-from recordings.fusing.recorded import fuse_segments, setups_of
+from recordings.fusing.pairs import fuse_segments, setups_of
 from tests.benchmarks import results
 from tests.benchmarks.faults import FAULTS, Fault, share_of_fault, with_fault
 

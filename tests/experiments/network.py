@@ -25,7 +25,7 @@ from devices.simulated.kinect import simulated_pair
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.fusing.live import LiveFusion
+from recordings.fusing.sensors import LiveFusion
 from tests.helpers.network import free_address
 from tests.helpers.programs import running
 from viewer_app.running.loop import low_latency
@@ -63,10 +63,7 @@ def measured(sensors: TwoSensors, seconds: float) -> Run:
     setup = FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
     fusion, run = LiveFusion(setup), Run()
     begun, settled = time.perf_counter(), False
-    for live in sensors.pairs():
-        pair = fusion.chosen(live)
-        fusion.recalibrated(pair)
-        frame = fusion.fuse(pair)
+    for frame in fusion.frames(sensors):
         now_ns = time.perf_counter_ns()
         fusion.learn(frame)
         elapsed = now_ns * 1e-9 - begun
@@ -76,7 +73,9 @@ def measured(sensors: TwoSensors, seconds: float) -> Run:
                 thread.count_from_now()
         elif settled:
             run.pairs += 1
-            came = [frame.host_ns for frame in (live.a, live.b) if frame is not None and frame.host_ns]
+            came = [
+                seen.host_ns for seen in (frame.pair.a, frame.pair.b) if seen is not None and seen.host_ns
+            ]
             run.latency.append((now_ns - max(came)) * 1e-6)
         if elapsed > _SETTLED_S + seconds:
             break

@@ -15,8 +15,8 @@ from fusion.calibration.calibration import Calibration, calibrate, nominal_calib
 from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
 from fusion.setup import FusionSetup
-from recordings.fusing.live import LiveFusion
-from recordings.fusing.recorded import fuse_one
+from recordings.fusing.pairs import fuse_one
+from recordings.fusing.sensors import LiveFusion
 from recordings.session_arrays import RecordedFrame
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.setup_coach import Coach, Situation
@@ -43,10 +43,8 @@ def fused_demonstration(body: Body, seconds: float, seed: int = 0, motion: str =
     setup = FusionSetup(nominal_calibration(body), None, shown.a.intrinsics, shown.b.intrinsics)
     fusion, run = LiveFusion(setup), Run(shown, [], [])
     for pair in pairs_of(shown.a, shown.b):
-        fusion.recalibrated(pair)
         run.frames.append(fusion.fuse(pair))
-        fusion.learn(run.frames[-1])
-        run.events.extend((pair.time_ns * 1e-9, text) for text, *_ in fusion.told())
+        run.events.extend((pair.time_ns * 1e-9, event.text) for event in fusion.learn(run.frames[-1]))
     return run
 
 

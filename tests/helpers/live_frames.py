@@ -11,7 +11,7 @@ from devices.sensor import SensorFrame
 from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.fusing.recorded import fuse_one
+from recordings.fusing.pairs import fuse_one
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 from tests.helpers.two_views import FRAME_NS, calibration_of, pair_of, standing

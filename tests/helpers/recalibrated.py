@@ -8,6 +8,7 @@ from uuid import uuid4
 
 import rerun as rr
 
+from devices.events import Event
 from devices.pairing import FramePair
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
@@ -29,7 +30,7 @@ def record_recalibrated(
     for (first, fuser), end in zip(fusers, [*(f for f, _ in fusers[1:]), len(pairs)], strict=True):
         if first > 0:
             recorder.recalibrated(fuser.setup)
-        recorder.event(f"calibrated: {fuser.setup.calibration.how}")
+        recorder.event(Event(f"calibrated: {fuser.setup.calibration.how}"))
         recorder.record_all([RecordedFrame(p, fuser.update(p.skeletons), 0) for p in pairs[first:end]])
     recorder.finish()
     stream.disconnect()

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from devices.events import Event, spells_of
 from fusion.body import KINECT_V1
-from recordings.events import Event, spells_of
 from recordings.file.session_writer import write_session
 from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
@@ -15,9 +15,9 @@ from tests.helpers.two_views import calibration_of
 
 __all__ = ["fused_run"]  # a fixture
 
-LOST = Event(2, 66_000_000, "A is lost", "WARN", "A", "start")
-TURNED = Event(3, 99_000_000, "B is mirrored", "INFO", "B", "start")
-BACK = Event(5, 165_000_000, "A is back", "INFO", "A", "end")
+LOST = Event("A is lost", "WARN", "A", "start", frame=2, time_ns=66_000_000)
+TURNED = Event("B is mirrored", "INFO", "B", "start", frame=3, time_ns=99_000_000)
+BACK = Event("A is back", "INFO", "A", "end", frame=5, time_ns=165_000_000)
 
 
 def test_a_spell_is_read_back_as_it_was_written(fused_run: FusedRun, tmp_path: Path) -> None:
@@ -35,4 +35,4 @@ def test_a_spell_is_read_back_as_it_was_written(fused_run: FusedRun, tmp_path: P
 def test_a_spell_that_starts_again_before_its_end_stays_one_spell() -> None:
     again = replace(LOST, frame=4)
     assert [(spell.start, spell.end) for spell in spells_of([LOST, again, BACK, BACK])] == [(LOST, BACK)]
-    assert spells_of([BACK, Event(0, 0, "moment", "INFO")]) == []
+    assert spells_of([BACK, Event("moment", "INFO")]) == []

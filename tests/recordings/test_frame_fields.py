@@ -15,7 +15,7 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.frame_fields import JOINTS, FrameField, no_joint_or_joint
-from recordings.fusing.recorded import fuse_one
+from recordings.fusing.pairs import fuse_one
 from recordings.session_arrays import FRAME_FIELDS, SessionArrays
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of

@@ -13,7 +13,7 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings import Session
-from recordings.fusing.recorded import fuse_one
+from recordings.fusing.pairs import fuse_one
 
 
 def test_a_session_gives_the_witness_back_bit_for_bit_without_the_images(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from unittest import mock
 from uuid import uuid4
@@ -13,6 +12,7 @@ import pyarrow as pa
 import pytest
 import rerun as rr
 
+from devices.events import Event
 from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
@@ -267,15 +267,15 @@ def test_checksums_do_not_depend_on_how_many_frames_are_looked_at_together(
 def test_an_event_moved_to_another_time_is_damage(tmp_path: Path) -> None:
     path, moved = tmp_path / "s.rrd", tmp_path / "moved.rrd"
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
-    for file, at in ((path, None), (moved, (1, 7))):
+    for file, at in ((path, (2, 5)), (moved, (1, 7))):
         with rr.RecordingStream("duplex_kinects") as stream:
             stream.set_sinks(rr.FileSink(str(file)))
             recorder = Recorder(stream, fuser.setup, ("a", "b"))
             pairs = frame_pairs(KINECT_V1, 3)
             recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
-            there = partial(event_checksum, (2, 5))
-            with mock.patch("recordings.writing.recorder.event_checksum", lambda _, *of: there(*of)):  # noqa: B023
-                recorder.event("lost", at=at or (2, 5))
+            check = event_checksum(Event("lost").placed(2, 5))
+            with mock.patch("recordings.writing.recorder.event_checksum", return_value=check):
+                recorder.event(Event("lost").placed(*at), placed=True)
             recorder.finish()
     assert [event.text for event in Session.open(path).events] == ["lost"]
     session = Session.open(moved)

@@ -9,7 +9,7 @@ import numpy as np
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.fusing.recorded import fuse_one
+from recordings.fusing.pairs import fuse_one
 from recordings.session_arrays import SessionArrays
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of

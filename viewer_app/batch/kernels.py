@@ -17,7 +17,7 @@ from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings, Hindsight, Method
-from recordings.fusing.recorded import fuse_segments, setups_of
+from recordings.fusing.pairs import fuse_segments, setups_of
 from viewer_app.batch.machine_lock import one_process
 from viewer_app.running.loop import warm_up
 

@@ -26,7 +26,8 @@ from fusion.skeleton import SkeletonPair
 from recordings import layout
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.file.session_writer import write_session
-from recordings.fusing.recorded import fuse_one, fuse_segments, fused_session, setups_of
+from recordings.fusing.files import fused_session
+from recordings.fusing.pairs import fuse_one, fuse_segments, setups_of
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.coach.scene import verdict_page

@@ -15,12 +15,9 @@ from fusion.facing.exchange import with_doubt
 from fusion.facing.model import DOUBT_STEPS
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
-from fusion.setup import FusionSetup
-from recordings.events import Event
 from recordings.file.session_writer import write_session
-from recordings.fusing.exchanged_sides import exchange_events
-from recordings.fusing.lost_limbs import limb_events
-from recordings.fusing.recorded import fuse_segments, setups_of
+from recordings.fusing.pairs import calibrated, fuse_segments, setups_of
+from recordings.fusing.view_events import view_events
 from recordings.images import NO_IMAGES
 from recordings.session import Session
 from recordings.writing.checksums import fused_checksums, joint_digests
@@ -105,9 +102,8 @@ def run(options: ReplayOptions) -> None:
             )
         )
     first_ns = pairs[0].time_ns
-    events = [_calibrated(setup, session, own) for setup, own in segments]
-    events += exchange_events((frame.fused for frame in frames), first_ns)
-    events += limb_events(session.body, frames, first_ns)
+    events = [calibrated(setup, own, session.time_ns) for setup, own in segments]
+    events += view_events(session.body, frames, first_ns)
     replayed = Session.of(
         [(setup, frames[own]) for setup, own in segments],
         session.sources,
@@ -152,12 +148,6 @@ def _planned(options: ReplayOptions) -> OutputPlan:
             f"--listen {options.listen} is the address of --websocket and --lsl; add one of them."
         )
     return plan
-
-
-def _calibrated(setup: FusionSetup, session: Session, own: slice) -> Event:
-    """The event that a calibration takes effect, at the time of the frame before it."""
-    frame = max(own.start - 1, 0)
-    return Event(frame, int(session.time_ns[frame]), f"calibrated: {setup.calibration.how}", "INFO")
 
 
 def verify(console: Console, session: Session, fused: NDArray[np.float64]) -> bool:

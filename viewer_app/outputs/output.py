@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.events import Phase
 from fusion.fused_frame import FusedFrame
 from fusion.setup import FusionSetup
-from recordings.events import Phase
 from recordings.session_arrays import RecordedFrame
 from viewer_app.sinks.sink import Sink
 

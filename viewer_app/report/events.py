@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from devices.events import Event, Spell, spells_of
 from fusion.calibration.calibration import PROVISIONAL
-from recordings.events import Event, Spell, spells_of
 from recordings.session import Session
 
 

@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from recordings.events import Event
+from devices.events import Event
 from recordings.session import Session
 from viewer_app.report.events import ListedEvent, event_in_words, list_events, seconds_of, shortest_list
 from viewer_app.report.figures import Figures

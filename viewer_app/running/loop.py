@@ -17,14 +17,13 @@ from rich.console import Console
 
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
-from devices.depth.image_thinning import Depth, with_depth, without_images
+from devices.depth.image_thinning import Depth, without_images
 from devices.depth.rvl import encode_depth
-from devices.pairing import FramePair
+from devices.events import Event
 from fusion.calibration.calibrator import Calibrator
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.events import Event
-from recordings.fusing.live import LiveFusion
+from recordings.fusing.sensors import LiveFusion
 from recordings.session_arrays import RecordedFrame
 from viewer_app.sinks.sink import Sink
 
@@ -113,18 +112,11 @@ def run_live(
     fusion = LiveFusion(setup, calibrated)
     kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
     ahead_ns = 0
-    for live in sensors.pairs():
-        pair = with_depth(fusion.chosen(live), depth)
-        recalibrated = fusion.recalibrated(pair)
+    for frame in fusion.frames(sensors, depth, clock):
+        pair, recalibrated = frame.pair, fusion.setup is not setup
         if recalibrated:
-            sink.recalibrated(fusion.setup)
-        lengths = fusion.setup.calibration.bone_lengths
-        frame = replace(
-            fusion.fuse(pair),
-            streams=sensors.stream_figures,
-            latency_ns=_latency_ns(pair, clock()),
-            bone_lengths=lengths,
-        )
+            setup = fusion.setup
+            sink.recalibrated(setup)
         if truth_at is not None:
             if pair.a is not None:  # the pair's time continues when A's clock is reset
                 ahead_ns = pair.time_ns - pair.a.time_ns
@@ -133,15 +125,14 @@ def run_live(
         sink.write(frame)
         if recalibrated:
             sink.event(f"calibrated: {fusion.setup.calibration.how}")
-        for event in events:
-            sink.event(event, "WARN")
+        for text in events:
+            sink.event(text, "WARN")
         kept.append(replace(frame, pair=without_images(pair)))
         goes_on = go_on(Status(frame, fusion.calibrator, sensors, events))
         if not sensors.waiting:
             sink.rest(_REST)
-        fusion.learn(frame)
-        for told in fusion.told():
-            sink.event(*told)
+        for event in fusion.learn(frame):
+            sink.event(event.text, event.level, event.topic, event.phase)
         if not goes_on:
             break
     for late in sensors.events():  # what happened after the last pair
@@ -186,9 +177,3 @@ def played(
             at += 1
         yield frame
     sink.finish()
-
-
-def _latency_ns(pair: FramePair, now_ns: int) -> int | None:
-    """Time since the first images of a pair arrived; None where no sensor tells."""
-    arrivals = [seen.host_ns for seen in (pair.a, pair.b) if seen is not None and seen.host_ns is not None]
-    return now_ns - min(arrivals) if arrivals else None

@@ -11,9 +11,9 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from devices.depth.image_thinning import has_images, without_images
+from devices.events import Event, Phase
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
-from recordings.events import Phase
 from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder
 
@@ -67,7 +67,7 @@ class Note:
 
     def write(self, recorder: Recorder) -> None:
         """At the time of the last frame."""
-        recorder.event(self.text, self.level, self.topic, self.phase)
+        recorder.event(Event(self.text, self.level, self.topic, self.phase))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)

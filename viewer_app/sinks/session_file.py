@@ -11,9 +11,9 @@ from pathlib import Path
 
 import rerun as rr
 
+from devices.events import Phase
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
-from recordings.events import Phase
 from recordings.file.growing_file import GrowingFile
 from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 
+from devices.events import Phase
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
-from recordings.events import Phase
 from recordings.session_arrays import RecordedFrame
 
 
@@ -27,7 +27,7 @@ class Sink:
         Args:
             text: What happened.
             level: INFO, WARN or ERROR.
-            topic, phase: Topic and phase of a spell; see :class:`recordings.events.Event`.
+            topic, phase: Topic and phase of a spell; see :class:`devices.events.Event`.
         """
 
     def recalibrated(self, setup: FusionSetup) -> None:

@@ -11,10 +11,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from devices.events import Phase
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
-from recordings.events import Phase
 from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder
 from viewer_app.errors import UsageError

@@ -18,7 +18,7 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.file.stored_images import FileImages
-from recordings.fusing.recorded import fuse_one
+from recordings.fusing.pairs import fuse_one
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from devices.events import Event
 from recordings import Session, fuse
 from recordings.errors import RecordingError
-from recordings.events import Event
 from recordings.file.session_writer import write_session
 from tests.helpers.command_line import duplex
 from tests.helpers.written_recordings import write_recordings
@@ -21,7 +21,7 @@ _BLOCK = 10
 def told(tmp_path_factory: pytest.TempPathFactory) -> Session:
     """A session with an event at every second frame."""
     session = fuse(*write_recordings(tmp_path_factory.mktemp("told")))
-    events = [Event(k, int(session.time_ns[k]), f"event {k}", "INFO") for k in range(0, len(session), 2)]
+    events = [Event(f"event {k}").placed(k, int(session.time_ns[k])) for k in range(0, len(session), 2)]
     return replace(session, events=tuple(events))
 
 

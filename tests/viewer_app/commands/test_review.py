@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from devices.events import Event
 from fusion.body import KINECT_V2
-from recordings.events import Event
 from recordings.file.session_writer import write_session
 from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
@@ -19,10 +19,12 @@ from viewer_app.commands import review
 
 __all__ = ["fused_run"]  # a fixture
 EVENTS = (
-    Event(0, 0, "calibrated: known", "INFO"),
-    Event(15, 500_000_000, "A reports left and right exchanged.", "INFO", "exchanged_a", "start"),
-    Event(30, 1_000_000_000, "A sensor seems to have been moved.", "WARN"),
-    Event(45, 1_500_000_000, "A is right again.", "INFO", "exchanged_a", "end"),
+    Event("calibrated: known", "INFO"),
+    Event(
+        "A reports left and right exchanged.", "INFO", "exchanged_a", "start", frame=15, time_ns=500_000_000
+    ),
+    Event("A sensor seems to have been moved.", "WARN").placed(30, 1_000_000_000),
+    Event("A is right again.", "INFO", "exchanged_a", "end").placed(45, 1_500_000_000),
 )
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devices.events import Event
 from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
-from recordings.events import Event
 from recordings.testing import record_fused
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
@@ -93,7 +93,7 @@ class Notebook(Sink):
 def test_each_frame_is_played_when_it_is_due_and_events_with_theirs(fuser: Fuser) -> None:
     book = Notebook()
     made = frames(fuser, 20)
-    events = [Event(0, 0, "first", "INFO"), Event(7, 7 * FRAME_NS, "later", "WARN")]
+    events = [Event("first", "INFO"), Event("later", "WARN").placed(7, 7 * FRAME_NS)]
 
     def slow() -> Iterator[object]:
         for k, frame in enumerate(made):

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from devices.events import Event
 from fusion.body import KINECT_V2
-from recordings.events import Event
 from recordings.testing import FusedRun, fused_run
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
@@ -21,13 +21,19 @@ from viewer_app.report.events import (
 
 __all__ = ["fused_run"]  # a fixture
 
-CALIBRATED = Event(0, 0, "calibrated: start-up pose, 91 frames", "INFO")
-CUT_OFF = Event(0, 0, "a.csv is cut off", "WARN")
-EARLY = Event(20, 700_000_000, "Too close to sensor B", "WARN")
-A_FROM = Event(168, 5_600_000_000, "A reports left and right exchanged", "INFO", "exchanged_a", "start")
-B_FROM = Event(180, 6_000_000_000, "B reports left and right exchanged", "INFO", "exchanged_b", "start")
-A_TO = Event(189, 6_300_000_000, "A reports left and right correctly again", "INFO", "exchanged_a", "end")
-MOVED = Event(600, 20_000_000_000, "A sensor seems to have been moved", "WARN")
+CALIBRATED = Event("calibrated: start-up pose, 91 frames", "INFO")
+CUT_OFF = Event("a.csv is cut off", "WARN")
+EARLY = Event("Too close to sensor B", "WARN").placed(20, 700_000_000)
+A_FROM = Event(
+    "A reports left and right exchanged", "INFO", "exchanged_a", "start", frame=168, time_ns=5_600_000_000
+)
+B_FROM = Event(
+    "B reports left and right exchanged", "INFO", "exchanged_b", "start", frame=180, time_ns=6_000_000_000
+)
+A_TO = Event(
+    "A reports left and right correctly again", "INFO", "exchanged_a", "end", frame=189, time_ns=6_300_000_000
+)
+MOVED = Event("A sensor seems to have been moved", "WARN").placed(600, 20_000_000_000)
 ALL = [CALIBRATED, CUT_OFF, EARLY, A_FROM, B_FROM, A_TO, MOVED]
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from devices.events import Event
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import FEWEST_PAIRS, Calibration
 from fusion.registration.rigid_fit import Registration
-from recordings.events import Event
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
 from recordings.testing import FusedRun, fused_run

@@ -26,7 +26,7 @@ from fusion.calibration.calibrator import Calibrator
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
-from recordings.fusing.recorded import fuse_one
+from recordings.fusing.pairs import fuse_one
 from recordings.session_arrays import SessionArrays
 from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standing

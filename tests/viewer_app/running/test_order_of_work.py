@@ -25,7 +25,7 @@ from fusion.registration import refinement
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 from recordings import layout
-from recordings.fusing.live import LiveFusion
+from recordings.fusing.sensors import LiveFusion
 from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames, session
@@ -78,7 +78,7 @@ def test_a_frame_is_handed_over_before_the_program_learns_from_it(
             done.append("rested")
 
     learn = LiveFusion.learn
-    monkeypatch.setattr(LiveFusion, "learn", lambda *of: (done.append("learned"), learn(*of)))
+    monkeypatch.setattr(LiveFusion, "learn", lambda *of: (done.append("learned"), learn(*of))[1])
     setup, pairs = walking(2)
     run_live(Sensors(pairs, waiting), setup, FanOut([Handed()]))  # type: ignore[arg-type]
     assert done == ["handed over", *([] if waiting else ["rested"]), "learned"] * 2
@@ -165,9 +165,7 @@ def test_nothing_is_compiled_after_the_first_frame(monkeypatch: pytest.MonkeyPat
     fusion = LiveFusion(setup)
     before = compiled()
     for pair in pairs:
-        chosen = fusion.chosen(pair)
-        fusion.recalibrated(chosen)
-        fusion.learn(fusion.fuse(chosen))
+        fusion.learn(fusion.fuse(fusion.chosen(pair)))
     assert fusion.calibrator.settled
     assert len(fits) >= 3, "a whole proposal"
     assert compiled() == before

@@ -1,29 +1,23 @@
-"""Fuses two recordings into a session in memory, as ``duplex fuse`` does, without files or terminal
-output."""
+"""Fuses two recorded files into a session in memory, as ``duplex fuse`` does, without terminal output."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from devices.depth.image_thinning import Depth
+from devices.events import Event
 from devices.files import Progress, RecordingChoice, TwoRecordings, quietly, read_two
-from devices.pairing import FramePair
 from devices.skeletons.conventions import Unit
 from devices.tracker_choice import WantedTracker, choose_tracker
 from fusion.calibration.calibration import Calibration
-from fusion.fuser import Fuser
-from fusion.intrinsics import Intrinsics
 from fusion.plan import RecordingPlan, plan_recording
-from fusion.setup import FuserSettings, FusionSetup, Hindsight
-from recordings.events import Event
-from recordings.fusing.exchanged_sides import exchange_events
-from recordings.fusing.lost_limbs import limb_events
+from fusion.setup import FuserSettings, Hindsight
+from recordings.fusing.pairs import Segments, calibrated, fuse_segments, setups_of
+from recordings.fusing.view_events import view_events
 from recordings.images import RecordingImages
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
@@ -90,54 +84,6 @@ def fuse(
     return fused_session(read, plan, segments, frames, (str(a), str(b)), depth)
 
 
-Segments = Sequence[tuple[FusionSetup, slice]]
-"""The setups of successive parts of a recording."""
-
-
-def setups_of(
-    plan: RecordingPlan, settings: FuserSettings, cameras: tuple[Intrinsics | None, Intrinsics | None]
-) -> Segments:
-    """Returns the segments of a plan as setups with the settings and cameras."""
-    return [(FusionSetup(calibration, settings, *cameras), own) for calibration, own in plan.segments]
-
-
-def fuse_segments(
-    segments: Segments, pairs: Sequence[FramePair], codes: NDArray[np.int64] | None = None
-) -> Iterator[RecordedFrame]:
-    """Fuses a recording with the calibration of each segment.
-
-    The method ``duplex`` keeps its state from segment to segment; the paper's methods start each one anew.
-
-    Args:
-        segments: Segments in order, without gaps.
-        pairs: Pairs of all segments.
-        codes: (T, 2) exchange codes with doubt; None: found pair by pair.
-    """
-    fuser: Fuser | None = None
-    for setup, own in segments:
-        if fuser is None or setup.settings.method != "duplex":
-            fuser = Fuser(setup)
-        else:
-            fuser.recalibrate(setup)
-        known = None if codes is None else codes[own]
-        if setup.settings.method == "duplex" and setup.settings.hindsight == "whole":
-            before = time.perf_counter_ns()
-            smoothed = fuser.smooth_sequence([pair.skeletons for pair in pairs[own]], known)
-            each = (time.perf_counter_ns() - before) // max(len(smoothed), 1)
-            for pair, fused in zip(pairs[own], smoothed, strict=True):
-                yield RecordedFrame(pair, fused, each)
-            continue
-        for k, pair in enumerate(pairs[own]):
-            yield fuse_one(fuser, pair, None if known is None else (int(known[k, 0]), int(known[k, 1])))
-
-
-def fuse_one(fuser: Fuser, pair: FramePair, codes: tuple[int, int] | None = None) -> RecordedFrame:
-    """Fuses a pair and measures the time; ``codes`` as in :meth:`fusion.fuser.Fuser.update`."""
-    before = time.perf_counter_ns()
-    fused = fuser.update(pair.skeletons, codes)
-    return RecordedFrame(pair, fused, time.perf_counter_ns() - before)
-
-
 def fused_session(
     read: TwoRecordings,
     plan: RecordingPlan,
@@ -164,8 +110,7 @@ def fused_session(
         sources,
         events=[
             *_events_of(read, plan, segments, first_ns),
-            *exchange_events((f.fused for f in frames), first_ns),
-            *limb_events(read.body, frames, first_ns),
+            *view_events(read.body, frames, first_ns),
         ],
         images=RecordingImages(read, depth, progress),
         about={"tracker": read.tracker} if read.tracker else None,
@@ -176,19 +121,14 @@ def _events_of(read: TwoRecordings, plan: RecordingPlan, segments: Segments, fir
     """Returns calibrations, warnings and events of the learner, in time order."""
     pairs = read.pairing.pairs
     times = np.array([pair.time_ns for pair in pairs], dtype=np.int64)
-    said = []
-    for setup, own in segments:
-        frame = max(own.start - 1, 0)
-        said.append(
-            Event(frame, pairs[frame].time_ns - first_ns, f"calibrated: {setup.calibration.how}", "INFO")
-        )
-    said += [Event(0, 0, text, "WARN") for text in read.warnings]
+    events = [calibrated(setup, own, times - first_ns) for setup, own in segments]
+    events += [Event(text, "WARN") for text in read.warnings]
     if plan.clock is not None:
-        said.append(Event(0, 0, plan.clock.event, "INFO"))
+        events.append(Event(plan.clock.event))
     for change in plan.changes:
         frame = min(int(np.searchsorted(times, change.time_ns)), len(pairs) - 1)
-        said.append(Event(frame, pairs[frame].time_ns - first_ns, change.event, "WARN"))
-    return sorted(said, key=lambda event: event.frame)
+        events.append(Event(change.event, "WARN").placed(frame, int(times[frame]) - first_ns))
+    return sorted(events, key=lambda event: event.frame)
 
 
 def _path(given: str | Path | None) -> Path | None:

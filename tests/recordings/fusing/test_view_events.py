@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from devices.events import Event
 from fusion.body import KINECT_V2
 from fusion.fused_frame import FusedFrame
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
-from recordings.fusing.exchanged_sides import Told
-from recordings.fusing.lost_limbs import LostLimbs
+from recordings.fusing.view_events import ViewEvents
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, standing
 
 BODY = KINECT_V2
@@ -25,10 +25,10 @@ def told_of(
     joints: int = 3,
     state: TrackingState = TrackingState.TRACKED,
     exchanged: int = 0,
-) -> list[tuple[int, Told]]:
+) -> list[tuple[int, Event]]:
     """The events, with their frames, of a view whose left arm is wrong from frame 10 on."""
-    limbs, truth = LostLimbs(BODY), standing(BODY)
-    told: list[tuple[int, Told]] = []
+    views_of, truth = ViewEvents(BODY), standing(BODY)
+    told: list[tuple[int, Event]] = []
     for k in range(90):
         wrong = 10 <= k < 10 + wrong_frames
         shift, weights, states = np.zeros((len(BODY), 3)), np.full(len(BODY), 0.5), np.full(len(BODY), 2)
@@ -47,18 +47,18 @@ def told_of(
             weights if sensor == "B" else 1.0 - weights, np.full(len(BODY), -1), A_FROM_B, 1, False, False,
             k * FRAME_NS, exchanged_a=exchanged, exchanged_b=exchanged,
         )  # fmt: skip
-        told += [(k, each) for each in limbs.observe(pair, fused)]
+        told += [(k, each) for each in views_of.observe(pair, fused)]
     return told
 
 
 @pytest.mark.parametrize(("sensor", "other"), [("A", "B"), ("B", "A")])
 def test_a_lost_arm_is_told_with_its_distance_and_its_end(sensor: str, other: str) -> None:
     (begun, start), (ended, end) = told_of(30, sensor=sensor)
-    assert start == (f"{sensor} loses the left arm, 0.5 m off; S* follows {other}.", "INFO",
-                     f"lost_{sensor.lower()}_left_arm", "start")  # fmt: skip
+    text = f"{sensor} loses the left arm, 0.5 m off; S* follows {other}."
+    assert start == Event(text, "INFO", f"lost_{sensor.lower()}_left_arm", "start")
     assert begun == 10 + 16  # 15 intervals of 33.3 ms are just short of half a second
     # 30 frames are 29 intervals; 0.2 s later it is certain
-    assert end == (f"{sensor} finds the left arm again, after 1.0 s.", "INFO", start[2], "end")
+    assert end == Event(f"{sensor} finds the left arm again, after 1.0 s.", "INFO", start.topic, "end")
     assert ended == 39 + 7
 
 
@@ -69,4 +69,5 @@ def test_what_is_short_near_counted_guessed_single_or_exchanged_is_no_lost_limb(
     assert told_of(30, share=0.2) == []
     assert told_of(30, state=TrackingState.INFERRED) == []
     assert told_of(30, joints=1) == []
-    assert told_of(30, exchanged=3) == []
+    exchanged = told_of(30, exchanged=3)
+    assert [event.topic for _, event in exchanged] == ["exchanged_a", "exchanged_b"]

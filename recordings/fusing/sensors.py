@@ -1,13 +1,15 @@
-"""Fuses live pairs: follows one person and calibrates while pairs arrive."""
+"""Fuses running sensors: follows one person, calibrates while pairs arrive, and fuses each pair."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+import time
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth import witness as depth_witness
-from devices.depth.image_thinning import without_images
+from devices.depth.image_thinning import Depth, with_depth, without_images
+from devices.events import Event
 from devices.pairing import FramePair
 from devices.people import PersonOfPair
 from devices.sensor import Sensor
@@ -20,10 +22,8 @@ from fusion.fuser import Fuser
 from fusion.registration.refinement import RefinementSettings
 from fusion.setup import FusionSetup
 from recordings.errors import RecordingError
-from recordings.events import Event
-from recordings.fusing.exchanged_sides import ExchangedSides, Told
-from recordings.fusing.lost_limbs import LostLimbs
-from recordings.fusing.recorded import fuse_one
+from recordings.fusing.pairs import fuse_one
+from recordings.fusing.view_events import ViewEvents
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 
@@ -47,8 +47,26 @@ class LiveFusion:
         settings = LearnerSettings(refinement=RefinementSettings(in_steps=True))
         self._learner = CalibrationLearner(setup.body, setup.calibration, settings) if learns else None
         self._changes: list[CalibrationChange] = []
-        self._sides, self._limbs = ExchangedSides(), LostLimbs(setup.body)
-        self._told: list[Told] = []
+        self._views = ViewEvents(setup.body)
+
+    def frames(
+        self,
+        sensors: TwoSensors,
+        depth: Depth = "full",
+        clock: Callable[[], int] = time.perf_counter_ns,
+    ) -> Iterator[RecordedFrame]:
+        """Fuses the pairs of two open sensors as they arrive, until both sensors end.
+
+        Call :meth:`learn` with each frame before the next one.
+
+        Args:
+            sensors: The open sensors.
+            depth: Which depth images the frames keep.
+            clock: Nanoseconds, of the frames' ``host_ns``.
+        """
+        for pair in sensors.pairs():
+            frame = self.fuse(self.chosen(with_depth(pair, depth)))
+            yield replace(frame, streams=sensors.stream_figures, latency_ns=_latency_ns(pair, clock()))
 
     def chosen(self, pair: FramePair) -> FramePair:
         """Returns the pair with the followed person chosen."""
@@ -56,11 +74,31 @@ class LiveFusion:
         b_from_a = self.setup.calibration.a_from_b.inverse() if calibrator.settled else None
         return self._people.chosen(pair, b_from_a)
 
-    def recalibrated(self, pair: FramePair) -> bool:
-        """Returns whether a new calibration is used from this pair on.
+    def fuse(self, pair: FramePair) -> RecordedFrame:
+        """Fuses a pair whose person is chosen, with the newest calibration; see :attr:`setup`."""
+        self._recalibrate(pair)
+        return replace(fuse_one(self._fuser, pair), bone_lengths=self.setup.calibration.bone_lengths)
 
-        It comes from the start-up pose or from the learner. The person of the pair must be chosen.
+    def learn(self, frame: RecordedFrame) -> list[Event]:
+        """Learns from the frame that was fused last, and returns its events.
+
+        Call it when the frame is handed over: a refinement of the calibration, which applies to the next
+        pairs, takes longer than S*.
         """
+        fused, pair = frame.fused, frame.pair
+        events = self._views.observe(pair.skeletons, fused)
+        if self._learner is not None and self.calibrator.settled:
+            codes = fused.exchanged_a & WHOLE, fused.exchanged_b & WHOLE
+            stale = fused.stale_a, fused.stale_b
+            changes = self._learner.observe(pair.skeletons, codes, stale, pair.skeletons.skew_ns)
+            self._changes += changes
+            for change in changes:
+                knocked = change.kind in ("knocked", "followed")
+                events.append(Event(change.event, "WARN" if knocked else "INFO"))
+        return events
+
+    def _recalibrate(self, pair: FramePair) -> None:
+        """Takes a new calibration, from the start-up pose or from the learner, if there is one."""
         found = self.calibrator.watch(pair.skeletons)
         if found is not None:
             if self._learner is not None:
@@ -70,38 +108,12 @@ class LiveFusion:
             found = self._changes[-1].calibration
             self._changes.clear()
         if found is None or found is self.setup.calibration:
-            return False
+            return
         self.setup = FusionSetup(found, self.setup.settings, *self.setup.intrinsics)
         if self.setup.settings.method == "duplex":
             self._fuser.recalibrate(self.setup)
         else:
             self._fuser = Fuser(self.setup)
-        return True
-
-    def fuse(self, pair: FramePair) -> RecordedFrame:
-        """Fuses a pair whose person is chosen."""
-        return fuse_one(self._fuser, pair)
-
-    def learn(self, frame: RecordedFrame) -> None:
-        """Learns from the frame that was fused last: its events, and a calibration for the next pairs.
-
-        Call it before the next pair, when the frame is handed over: a refinement takes longer than S*.
-        """
-        fused, pair = frame.fused, frame.pair
-        self._told = self._sides.observe(fused) + self._limbs.observe(pair.skeletons, fused)
-        if self._learner is not None and self.calibrator.settled:
-            codes = fused.exchanged_a & WHOLE, fused.exchanged_b & WHOLE
-            stale = fused.stale_a, fused.stale_b
-            changes = self._learner.observe(pair.skeletons, codes, stale, pair.skeletons.skew_ns)
-            self._changes += changes
-            for change in changes:
-                level = "WARN" if change.kind in ("knocked", "followed") else "INFO"
-                self._told.append((change.event, level, "", "moment"))
-
-    def told(self) -> list[Told]:
-        """Returns the events of the last pair that was learned from: of views, the calibration and the
-        sensors."""
-        return self._told
 
 
 class LiveFrames(Iterator[RecordedFrame]):
@@ -165,23 +177,19 @@ class LiveFrames(Iterator[RecordedFrame]):
         with self._sensors as sensors:
             setup = self._given or FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
             fusion = LiveFusion(setup, self._given is not None)
-            for pair in sensors.pairs():
-                pair = fusion.chosen(pair)
-                fusion.recalibrated(pair)
-                frame = fusion.fuse(pair)
-                fusion.learn(frame)
-                self._note(fusion, frame)
+            for frame in fusion.frames(sensors):
+                self._keep_frame(fusion.setup, frame, fusion.learn(frame))
                 yield frame
 
-    def _note(self, fusion: LiveFusion, frame: RecordedFrame) -> None:
-        if self._setup is not fusion.setup:
-            self._setup = fusion.setup
-            self._kept = [*self._kept, (fusion.setup, [])] if self._keep else []
+    def _keep_frame(self, setup: FusionSetup, frame: RecordedFrame, events: list[Event]) -> None:
+        if self._setup is not setup:
+            self._setup = setup
+            self._kept = [*self._kept, (setup, [])] if self._keep else []
         if not self._keep:
             return
         self._start_ns = frame.pair.time_ns if self._count == 0 else self._start_ns
         since_ns = frame.pair.time_ns - self._start_ns
-        self._events += [Event(self._count, since_ns, *told) for told in fusion.told()]
+        self._events += [event.placed(self._count, since_ns) for event in events]
         self._kept[-1][1].append(replace(frame, pair=without_images(frame.pair)))
         self._count += 1
 
@@ -201,3 +209,9 @@ def fuse_live(a: Sensor, b: Sensor, setup: FusionSetup | None = None, *, keep: b
         An iterator over the frames; sensors are opened at the first.
     """
     return LiveFrames(TwoSensors(a, b), setup, keep)
+
+
+def _latency_ns(pair: FramePair, now_ns: int) -> int | None:
+    """Time since the first images of a pair arrived; None if no sensor tells their arrival."""
+    arrivals = [seen.host_ns for seen in (pair.a, pair.b) if seen is not None and seen.host_ns is not None]
+    return now_ns - min(arrivals) if arrivals else None
