@@ -8,16 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from recordings import fuse, layout
+from recordings import fuse
 from tests.experiments.moving_picture import (
-    SHOWN,
-    WRONG,
-    Skeletons,
-    fault_of,
     hardest_window,
     pictures,
     skeletons_of,
-    with_captions,
     write_animation,
 )
 from tests.helpers.machine import need_viewer
@@ -31,10 +26,6 @@ def test_the_hardest_moment_is_where_the_views_disagree_most() -> None:
     begin, end = hardest_window(seconds, apart, 2.0)
     assert end - begin == pytest.approx(2.0)
     assert begin == pytest.approx(6.0, abs=0.11)  # a frame is 0.1 s
-
-
-def test_a_short_session_is_shown_whole() -> None:
-    assert hardest_window([0.0, 0.5, 1.0], [0.1, 0.1, 0.1], 4.0) == (0.0, 1.0)
 
 
 def noise(frames: int) -> list[Image.Image]:
@@ -53,41 +44,6 @@ def test_the_animation_stays_below_its_limit(tmp_path: Path) -> None:
         assert made.n_frames == 8  # type: ignore[attr-defined]
     with pytest.raises(ValueError, match="do not fit"):
         write_animation(file, noise(8), 2.0, limit=10)
-
-
-def skeletons(
-    wrong: tuple[str, ...], exchanged: tuple[str, ...] = (), unseen: tuple[str, ...] = ()
-) -> Skeletons:
-    """One frame of five joints, of which two are wrong in some skeletons, and all unseen in others."""
-    far = np.array([[True, True, False, False, False]])
-    return Skeletons(
-        {key: np.zeros((1, 5, 3)) for key in SHOWN},
-        {key: np.array([[key in unseen] * 5]) for key in SHOWN},
-        {key: np.array([key in unseen]) for key in SHOWN},
-        {key: far if key in wrong else ~far & far for key in SHOWN},
-        {key: np.array([key in exchanged]) for key in SHOWN},
-    )
-
-
-def test_the_captions_name_the_skeletons_and_their_faults() -> None:
-    def colored(drawn: Skeletons, key: str, color: layout.Color) -> int:
-        picture = np.asarray(with_captions(Image.new("RGB", (780, 420)), drawn, 0), dtype=int)
-        third = picture[:, 260 * SHOWN.index(key) : 260 * (SHOWN.index(key) + 1)]
-        return int((np.abs(third - color).max(axis=2) <= 10).sum())
-
-    right, lost = skeletons(()), skeletons(("a",))
-    for key in SHOWN:
-        assert colored(right, key, layout.SKELETON_COLORS[key]) > 10, key  # a letter without blurred edges
-        assert colored(right, key, WRONG) == 0
-    assert colored(lost, "a", WRONG) > 10
-    assert colored(lost, "b", WRONG) == colored(lost, "fused", WRONG) == 0
-    hidden = skeletons((), unseen=("b",))
-    assert colored(hidden, "b", (150, 153, 160)) > 10
-    assert colored(hidden, "a", (150, 153, 160)) == 0
-    own = layout.SKELETON_COLORS["fused"]
-    assert colored(lost, "fused", own) > colored(right, "fused", own)  # it says that S* stays right
-    assert fault_of(lost, "a", 0) == "an arm is misplaced"
-    assert fault_of(skeletons(("b",), ("b",)), "b", 0) == "left and right exchanged"
 
 
 def test_the_viewer_draws_other_pictures_at_other_moments(tmp_path: Path) -> None:
