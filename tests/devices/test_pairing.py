@@ -1,10 +1,11 @@
+"""Pairing of two recorded streams by capture time."""
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from devices.pairing import pair_recordings
-from devices.people import choose_person, with_successors
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import KINECT_V1
 from fusion.skeleton import Skeleton
@@ -83,35 +84,6 @@ def test_a_person_absent_from_a_frame_is_none_there() -> None:
     assert pairing.pairs[0].skeletons.a is not None
     assert pairing.pairs[1].skeletons.a is None
     assert pairing.pairs[1].skeletons.b is not None
-
-
-def test_the_person_seen_longest_is_followed_unless_another_is_wanted() -> None:
-    frames = [*frames_at(list(range(5)), "1"), *frames_at(list(range(5, 12)), "2")]
-    assert choose_person(frames, None, "a.csv", "--person-a") == "2"
-    assert choose_person(frames, "1", "a.csv", "--person-a") == "1"
-    with pytest.raises(DeviceError, match=r"no person '9'.*'2' \(7 frames\).*--person-a"):
-        choose_person(frames, "9", "a.csv", "--person-a")
-    with pytest.raises(DeviceError, match="no person in any"):
-        choose_person([SensorFrame(0)], None, "a.csv", "--person-a")
-
-
-def test_the_next_person_is_followed_under_the_same_id() -> None:
-    frames = [
-        *frames_at(list(range(7)), "2"),
-        SensorFrame(7),
-        *frames_at([8, 9, 10], "4"),
-        *frames_at([11], "5"),
-    ]
-    beside = frames_at([3], "3")[0].people | frames[3].people
-    frames[3] = SensorFrame(3, beside)  # someone else, at the same time
-    followed, others = with_successors(frames, "2")
-    assert others == ("4", "5")
-    assert [list(frame.people) for frame in followed] == [["2"]] * 3 + [["3", "2"]] + [["2"]] * 3 + [[]] + [
-        ["2"]
-    ] * 4
-    assert followed[9].people["2"] is frames[9].people["4"]
-    alone = frames_at([0, 1], "2")
-    assert with_successors(alone, "2") == (alone, ())
 
 
 def test_times_far_from_zero_pair_exactly() -> None:

@@ -1,10 +1,12 @@
-"""Following one person among several."""
+"""Choosing and following one person among several."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from devices.people import PersonChoice
+from devices.people import PersonChoice, choose_person, with_successors
+from devices.sensor import DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT
 from fusion.skeleton import Skeleton
 
@@ -88,3 +90,36 @@ def test_a_clock_reset_starts_the_choice_anew() -> None:
 def test_nobody_and_bodies_without_a_position_are_no_choice() -> None:
     assert PersonChoice().choose({}, 0) is None
     assert PersonChoice().choose({"1": _person(0.0, states=0)}, 0) is None
+
+
+def _alone(times_ns: range, person: str) -> list[SensorFrame]:
+    return [SensorFrame(time_ns, {person: _person(0.0)}) for time_ns in times_ns]
+
+
+def test_the_person_seen_longest_is_followed_unless_another_is_wanted() -> None:
+    frames = [*_alone(range(5), "1"), *_alone(range(5, 12), "2")]
+    assert choose_person(frames, None, "a.csv", "--person-a") == "2"
+    assert choose_person(frames, "1", "a.csv", "--person-a") == "1"
+    with pytest.raises(DeviceError, match=r"no person '9'.*'2' \(7 frames\).*--person-a"):
+        choose_person(frames, "9", "a.csv", "--person-a")
+    with pytest.raises(DeviceError, match="no person in any"):
+        choose_person([SensorFrame(0)], None, "a.csv", "--person-a")
+
+
+def test_the_next_person_is_followed_under_the_same_id() -> None:
+    frames = [
+        *_alone(range(7), "2"),
+        SensorFrame(7),
+        *_alone(range(8, 11), "4"),
+        *_alone(range(11, 12), "5"),
+    ]
+    beside = _alone(range(3, 4), "3")[0].people | frames[3].people
+    frames[3] = SensorFrame(3, beside)  # someone else, at the same time
+    followed, others = with_successors(frames, "2")
+    assert others == ("4", "5")
+    assert [list(frame.people) for frame in followed] == [["2"]] * 3 + [["3", "2"]] + [["2"]] * 3 + [[]] + [
+        ["2"]
+    ] * 4
+    assert followed[9].people["2"] is frames[9].people["4"]
+    alone = _alone(range(2), "2")
+    assert with_successors(alone, "2") == (alone, ())

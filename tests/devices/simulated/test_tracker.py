@@ -136,6 +136,9 @@ def test_the_whole_skeleton_rescales_by_one_factor() -> None:
     assert np.ptp(ratio, axis=0).max() < 1e-4  # the same for all bones, to float32 over 3 cm
     # 60 s hold about 60 / (2 · 0.2) = 150 independent scales: known to 1/√300 = 6 %; five times that.
     assert ratio[0].std() == pytest.approx(0.04, rel=0.3)
+    # From frame to frame it keeps exp(−1/30 / 0.2) of its deviation.
+    kept = np.corrcoef(ratio[0][1:], ratio[0][:-1])[0, 1]
+    assert kept == pytest.approx(np.exp(-FRAME / 0.2), abs=0.05)
 
 
 def test_hidden_joints_are_inferred_and_their_guess_errs_smoothly() -> None:

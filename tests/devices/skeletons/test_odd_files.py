@@ -161,7 +161,7 @@ def test_what_is_not_a_file_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() == 0, reason="root may read every file")
-def test_a_file_without_permission_is_refused(tmp_path: Path) -> None:
+def test_a_file_without_permission_is_refused(tmp_path: Path, good: Path) -> None:
     secret = tmp_path / "a.csv"
     secret.write_bytes(good.read_bytes())
     secret.chmod(0)

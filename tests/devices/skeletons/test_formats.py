@@ -1,3 +1,5 @@
+"""The formats of recorded skeletons: what is read, and what a broken file says."""
+
 import json
 from pathlib import Path
 
@@ -55,12 +57,6 @@ def test_other_units_of_time_are_named(tmp_path: Path, factor: float, unit: str)
         read(file)
 
 
-def test_a_z_axis_that_points_backward_is_named(tmp_path: Path) -> None:
-    file = write_view(tmp_path / "a.csv", KINECT_V2, np.stack([standing(KINECT_V2)] * 3) * [1.0, 1.0, -1.0])
-    with pytest.raises(DeviceError, match="The z axis must point forward"):
-        read(file)
-
-
 @pytest.mark.parametrize("body", [KINECT_V1, KINECT_V2, AZURE_KINECT], ids=str)
 def test_a_y_axis_that_points_up_is_noticed(tmp_path: Path, body: Body) -> None:
     people = np.stack([standing(body)] * 10)
@@ -115,12 +111,8 @@ def test_csv_coordinates_that_are_no_numbers_count_as_not_tracked(tmp_path: Path
             lambda rows: ([HEADER], [rows[0], rows[1].replace(",0,", ",0,", 1).replace("0.", "zero.", 1)]),
             "x must",
         ),
-        (lambda rows: ([HEADER], ["now" + rows[0][1:]]), "line 2: time_us must be a whole number; got 'now'"),
-        (lambda rows: ([HEADER], [rows[0].replace("tracked", "seen")]), "state 'seen' is none of"),
         (lambda rows: ([HEADER], [*rows, rows[0]]), "HipCenter of one person has two rows"),
         (lambda rows: ([HEADER], [*rows[:-1], rows[-1][:20]]), "line 61.*not have 7 columns; .*cut off"),
-        (lambda rows: ([HEADER], []), "has a header and no rows"),
-        (lambda rows: ([""], []), "is empty"),
     ],
 )
 def test_a_broken_csv_says_what_is_wrong(tmp_path: Path, broken: object, message: str) -> None:
@@ -250,16 +242,8 @@ def test_a_broken_ntu_file_says_what_is_wrong(tmp_path: Path, break_it: object, 
 
 
 def test_files_that_are_no_recordings_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match="No file"):
-        read(tmp_path / "none.csv")
     with pytest.raises(DeviceError, match=r"\.txt is not a format.*\.csv"):
         read(tmp_path / "none.txt")
-    (tmp_path / "folder.csv").mkdir()
-    with pytest.raises(DeviceError, match="cannot be read"):
-        read(tmp_path / "folder.csv")
     (tmp_path / "noise.json").write_bytes(bytes(range(256)))
     with pytest.raises(DeviceError, match="not text"):
         read(tmp_path / "noise.json")
-    (tmp_path / "noise.csv").write_bytes(bytes(range(256)))
-    with pytest.raises(DeviceError, match="not text"):
-        read(tmp_path / "noise.csv")
