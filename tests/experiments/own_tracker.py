@@ -8,12 +8,10 @@ tracker, and the CPU time of an image. Its figures describe the tracker and the 
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -229,54 +227,34 @@ def by_joint(scenes: Sequence[SceneFigures]) -> dict[str, dict[str, float]]:
     return table
 
 
-_COLUMNS = (
-    ("images", "{:.0f}", 1.0), ("found", "{:.1f} %", 100.0), ("median", "{:.0f} mm", 1e3),
-    ("p90", "{:.0f} mm", 1e3), ("hidden_tracked", "{:.1f} %", 100.0), ("covered_tracked", "{:.1f} %", 100.0),
-    ("visible_tracked", "{:.1f} %", 100.0),
-    ("own", "{:.1f} mm", 1e3), ("azure", "{:.1f} mm", 1e3), ("ratio", "{:.2f}", 1.0), ("ms", "{:.1f}", 1.0),
-)  # fmt: skip
+def printed(figures: dict[str, float]) -> str:
+    """Figures in a line."""
+    return ", ".join(f"{name} {value:.4g}" for name, value in figures.items())
 
 
-def row(name: str, figures: dict[str, float]) -> str:
-    """A line of the table, in Markdown."""
-    return (
-        f"| {name} | " + " | ".join(form.format(scale * figures[key]) for key, form, scale in _COLUMNS) + " |"
-    )
-
-
-def main(arguments: Sequence[str]) -> None:
+def main() -> None:
     """Runs the experiment."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--motions", nargs="+", default=MOTIONS)
     parser.add_argument("--angles", nargs="+", type=float, default=ANGLES)
     parser.add_argument("--seed", type=int, default=5000)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--depth", choices=("half", "full"), default="full", help="size of the images")
     parser.add_argument("--network", choices=("full", "lite"), default="full")
-    parser.add_argument("--tracker-model", type=Path)
     parser.add_argument("--joints", action="store_true", help="figures by joint as well")
-    parser.add_argument("--json", type=Path)
-    o = parser.parse_args(arguments)
-    settings = BlazePoseSettings(network=o.network, models=o.tracker_model)
-    print("| | " + " | ".join(key for key, _, _ in _COLUMNS) + " |", flush=True)
-    print("|---|" + "---:|" * len(_COLUMNS), flush=True)
+    o = parser.parse_args()
+    settings = BlazePoseSettings(network=o.network)
     scenes = []
-    for angle in o.angles:
-        here = []
-        for motion in o.motions:
-            here.append(measure(motion, angle, o.seed, o.seconds, o.depth, settings))
-            print(row(f"{angle:g}° {motion}", summary(here[-1:])), flush=True)
-        scenes += here
-    for angle in o.angles:
-        print(row(f"{angle:g}°", summary([scene for scene in scenes if scene.angle == angle])))
-    print(row("all", summary(scenes)))
+    for motion, angle in product(o.motions, o.angles):
+        scenes.append(measure(motion, angle, o.seed, o.seconds, o.depth, settings))
+        print(f"{motion} {angle:g}°: {printed(summary(scenes[-1:]))}", flush=True)
+    for motion in o.motions:
+        print(f"{motion}: {printed(summary([scene for scene in scenes if scene.motion == motion]))}")
+    print(f"all: {printed(summary(scenes))}")
     if o.joints:
         for name, figures in by_joint(scenes).items():
-            print(f"{name:15}", {key: round(value, 3) for key, value in figures.items()})
-    if o.json is not None:
-        content = {"summary": summary(scenes), "joints": by_joint(scenes)}
-        o.json.write_text(json.dumps(content, indent=1), encoding="utf-8")
+            print(f"{name}: {printed(figures)}")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

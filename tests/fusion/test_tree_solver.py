@@ -18,18 +18,20 @@ from fusion.errors import FusionError
 from fusion.solvers.solver import MAX_ITERATIONS
 from fusion.solvers.tree_solver import MAX_SYSTEMS, TreeSolver
 from fusion.solvers.tree_start import bend
-from tests.experiments.solver import (
+from tests.helpers.solver_problems import (
+    SAME,
     Problem,
     bone_error,
     failures,
+    ordinary_problem,
     projected_gradient,
     random_information,
     random_pose,
     random_problem,
     run,
     slsqp,
+    solver_of,
 )
-from tests.helpers.solver_problems import SAME, ordinary_problem, solver_of
 
 ROUNDING = 1e-12  # m: coordinates of a few metres, sums of some tens of them, in float64
 
@@ -244,7 +246,7 @@ def test_random_information_is_symmetric_positive_definite_of_condition_up_to_a_
     assert (values[:, 2] / values[:, 0]).max() > 1e5
 
 
-def test_the_checks_of_the_experiment_see_a_point_that_a_matrix_pulls_on():
+def test_the_checks_see_a_point_that_a_matrix_pulls_on():
     problem = ordinary_problem(6)
     problem = replace(problem, weights=moderate_information(6, len(problem.body)))
     solution = solve(problem)
@@ -314,7 +316,7 @@ def test_shapes_that_do_not_fit_are_refused():
         TreeSolver([-1, 0, 1], [0, 2, 1], np.ones((3, 3)))
 
 
-def test_the_checks_of_the_experiment_see_what_is_wrong():
+def test_the_checks_see_what_is_wrong():
     problem = ordinary_problem(6)
     solution = solve(problem)
     assert failures(problem, solution) == []

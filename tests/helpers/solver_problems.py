@@ -1,12 +1,143 @@
-"""Ordinary instances of eq. (1) for tests and benchmarks of the solvers."""
+"""Instances of eq. (1), ordinary and random ones, and what is wrong with a solution."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections import Counter
+from dataclasses import dataclass
 
-from fusion.body import KINECT_V2, Body
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import BODIES, KINECT_V2, Body
+from fusion.solvers.solver import MAX_ITERATIONS, Solution
 from fusion.solvers.tree_solver import TreeSolver
-from tests.experiments.solver import Problem
+from tests.helpers.slsqp import slsqp_optimum
+
+BONE_TOLERANCE = 1e-6  # m, the claim
+# m: force over the information it acts on, as if it were a joint's distance from its target. The solver's
+# own criterion is 3e-11 over the trace, three times the information: 1e-10 of this one. Ten times that.
+STATIONARY = 1e-9
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One random instance of eq. (1)."""
+
+    body: Body
+    targets: NDArray[np.float64]
+    weights: NDArray[np.float64]  # (J,) w, or (J, 3, 3) W
+    lengths: NDArray[np.float64]
+    start: NDArray[np.float64] | None
+    noise: float
+
+
+def random_pose(rng: np.random.Generator, body: Body, lengths: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(J, 3) joints with these bone lengths, each bone in any direction."""
+    directions = rng.normal(size=(len(body), 3))
+    directions *= (lengths / np.linalg.norm(directions, axis=1))[:, None]
+    pose = np.tile(rng.uniform([-1.0, -1.0, 1.0], [1.0, 1.0, 4.0]), (len(body), 1))
+    for joint in body.order[1:]:
+        pose[joint] = pose[body.parents[joint]] + directions[joint]
+    return pose
+
+
+def random_problem(seed: int, matrices: bool = False) -> Problem:
+    """Bones of 20–500 mm, noise of 1–300 mm, weights of 1e-6–1, up to half the joints without data; every
+    second one starts from an unrelated pose.
+
+    With `matrices`, the eigenvalues of each joint's W are 1e-6–1, in random directions. All else is the same.
+    """
+    rng = np.random.default_rng(seed)
+    body = tuple(BODIES.values())[seed % len(BODIES)]
+    lengths = np.exp(rng.uniform(np.log(0.02), np.log(0.5), len(body)))
+    noise = float(np.exp(rng.uniform(np.log(0.001), np.log(0.3))))
+    targets = random_pose(rng, body, lengths) + rng.normal(0.0, noise, (len(body), 3))
+    weights = 10.0 ** rng.uniform(-6.0, 0.0, len(body))
+    without = rng.permutation(len(body))[: rng.integers(0, len(body) // 2 + 1)]
+    targets[without], weights[without] = np.nan, 0.0
+    start = random_pose(rng, body, lengths) if rng.random() < 0.5 else None
+    if matrices:
+        weights = random_information(rng, len(body))
+        weights[without] = 0.0
+    return Problem(body, targets, weights, lengths, start, noise)
+
+
+def random_information(rng: np.random.Generator, joints: int) -> NDArray[np.float64]:
+    """(J, 3, 3) symmetric positive definite, with eigenvalues of 1e-6–1: of condition up to a million."""
+    values = 10.0 ** rng.uniform(-6.0, 0.0, (joints, 3))
+    directions, _ = np.linalg.qr(rng.normal(size=(joints, 3, 3)))
+    W = (directions * values[:, None]) @ directions.transpose(0, 2, 1)
+    return np.asarray(0.5 * (W + W.transpose(0, 2, 1)))  # symmetric to the bit
+
+
+def bone_error(problem: Problem, positions: NDArray[np.float64]) -> float:
+    """The largest |length - l|, metres."""
+    child = problem.body.bone_joints
+    bones = positions[child] - positions[problem.body.parent_indices[child]]
+    return float(np.abs(np.linalg.norm(bones, axis=1) - problem.lengths[child]).max())
+
+
+def projected_gradient(problem: Problem, positions: NDArray[np.float64]) -> float:
+    """The largest gradient along what may move, over the information it acts on, metres: 0 if stationary.
+
+    What may move: the end of each bone, normal to it, with all joints below; and the whole.
+    """
+    body, W = problem.body, problem.weights
+    # a weight w is the matrix w I; the information of a matrix is the mean of its eigenvalues
+    information = 2 * W if W.ndim == 1 else 2 * np.trace(W, axis1=1, axis2=2) / 3
+    apart = np.where(information[:, None] > 0, positions - problem.targets, 0)
+    force = 2 * (W[:, None] * apart if W.ndim == 1 else (W @ apart[:, :, None])[:, :, 0])
+    largest = 0.0
+    for joint in body.order[:0:-1]:
+        parent = body.parents[joint]
+        bone = positions[joint] - positions[parent]
+        tangential = force[joint] - bone * (bone @ force[joint]) / (bone @ bone)
+        if information[joint] > 0:
+            largest = max(largest, float(np.linalg.norm(tangential)) / information[joint])
+        force[parent] += force[joint]
+        information[parent] += information[joint]
+    root = body.root
+    return max(largest, float(np.linalg.norm(force[root])) / information[root])
+
+
+def failures(problem: Problem, solution: Solution) -> list[str]:
+    """What is wrong with a solution; empty where nothing is."""
+    if not np.isfinite(solution.positions).all():
+        return ["NaN"]
+    wrong = []
+    if bone_error(problem, solution.positions) > BONE_TOLERANCE:
+        wrong.append("bones")
+    if projected_gradient(problem, solution.positions) > STATIONARY:
+        wrong.append("not stationary")
+    if solution.iterations > MAX_ITERATIONS or not solution.converged:
+        wrong.append("iterations ran out")
+    return wrong
+
+
+def slsqp(problem: Problem, start: NDArray[np.float64]) -> tuple[NDArray[np.float64], float, bool]:
+    """Eq. (1) by scipy, with all derivatives: (positions, objective, whether bones came right)."""
+    found = slsqp_optimum(problem.body, problem.targets, problem.weights, problem.lengths, start)
+    return found.positions, found.objective, bone_error(problem, found.positions) < BONE_TOLERANCE
+
+
+def run(count: int, first: int, matrices: bool = False) -> tuple[Counter[str], NDArray[np.int64], list[int]]:
+    """Solves ``count`` random problems: failures by kind, (2, count) iterations and systems, seeds failed."""
+    solvers = {name: TreeSolver(b.parent_indices, b.order, b.rest) for name, b in BODIES.items()}
+    kinds: Counter[str] = Counter()
+    work = np.zeros((2, count), dtype=np.int64)
+    failed = []
+    for k in range(count):
+        problem = random_problem(first + k, matrices)
+        solution = solvers[problem.body.name].solve(
+            problem.targets, problem.weights, problem.lengths, problem.start
+        )
+        work[:, k] = solution.iterations, solution.systems
+        wrong = failures(problem, solution)
+        kinds.update(wrong)
+        if wrong:
+            failed.append(first + k)
+    return kinds, work, failed
+
 
 # m: at 3e-11 m of projected gradient and pivots of at least a hundredth of the information (moderate weights
 # and noise), two solutions of one problem lie within 3e-9 m of each other
