@@ -187,7 +187,9 @@ def soak(
         seen.pairing = sensors.figures
         seen.received = sensors.a.received, sensors.b.received
         seen.dropped = sensors.a.dropped, sensors.b.dropped
-    seen.lost, seen.not_shown = session.file.lost + seen.frames - session.file.saved, session.viewer.dropped
+    assert session.file is not None
+    seen.lost = session.file.lost + seen.frames - session.file.saved
+    seen.not_shown = 0 if session.viewer is None else session.viewer.dropped
     seen.without_images = session.file.without_images
     seen.saved_mb = path.stat().st_size / 1e6
     seen.threads = threading.active_count()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from devices.events import Event
 from devices.files import Progress, RecordingChoice, not_of_libk4a, read_two
 from devices.sensor import SensorFrame
 from fusion.body import Body
@@ -38,8 +39,9 @@ from viewer_app.output_files import check_outputs, whole_file, write_text
 from viewer_app.report.figures import Figures, report, save_report
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.loop import warm_up
-from viewer_app.sinks.shown_images import ShownImages
-from viewer_app.sinks.viewer_sink import viewer_sink
+from viewer_app.sinks.sink import Sink
+from viewer_app.sinks.viewer_images import ShownImages
+from viewer_app.sinks.viewer_sink import ViewerSink
 from viewer_app.tracker_selection import announce_tracker, tracker_of
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
@@ -98,13 +100,16 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     blueprint = session_blueprint(setup, _whereabouts(skeletons), options.layout, depth=depth)
     sources = str(options.a), str(options.b)
     announce(viewing, console)
-    viewer = viewer_sink(setup, sources, blueprint, viewing, uuid4(), complete=True)
+    shown = None
+    if viewing is not None and viewing.opens:
+        shown = ViewerSink(setup, sources, blueprint, viewing, uuid4(), complete=True)
+    viewer = shown or Sink()
     with closing(viewer):
         page = verdict_page(setup)
-        viewer.event(f"calibrated: {setup.calibration.how}")
+        viewer.event(Event(f"calibrated: {setup.calibration.how}"))
         viewer.coach(page)
         for warning in read.warnings:
-            viewer.event(warning, "WARN")
+            viewer.event(Event(warning, "WARN"))
         frames = []
         for frame in track(
             fuse_segments(segments, read.pairing.pairs, plan.codes),
@@ -117,7 +122,8 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
             viewer.write(frame)
             frames.append(frame)
         session = fused_session(read, plan, segments, frames, sources, options.depth, progress)
-        session = replace(session, images=ShownImages(session, viewer))
+        if shown is not None:
+            session = replace(session, images=ShownImages(session, shown.offer))
         if options.save is None:
             for side in layout.SIDES:
                 deque(session.depth(side), maxlen=0)  # for the viewer

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.capture.host_clock import HostClock
+from devices.events import Event
 from fusion.body import Body
 from fusion.fused_frame import FusedFrame
 from viewer_app.errors import UsageError
-from viewer_app.outputs.output import LiveOutput, TimedFrame, TimedNote, confidence
+from viewer_app.outputs.output import LiveOutput, confidence
+from viewer_app.sinks.queued_sink import QueuedFrame
 
 _KEEP = 64  # frames; a recorder wants all of them
 _THIS_MACHINE = """
@@ -73,7 +75,7 @@ class LabStreamingOutput(LiveOutput):
         self._stamp = -np.inf
         self.start()
 
-    def send_frame(self, frame: TimedFrame) -> int:
+    def send_frame(self, frame: QueuedFrame) -> int:
         """Pushes a sample; liblsl buffers it for each receiver."""
         self._host_clock.observe(frame.time_ns, frame.written_ns)
         offset_ns = self._host_clock.offset_ns
@@ -82,12 +84,12 @@ class LabStreamingOutput(LiveOutput):
         self._samples.push_sample(sample(frame.fused), self._stamp)
         return 1
 
-    def send_note(self, note: TimedNote) -> None:
+    def send_event(self, event: Event) -> None:
         """Pushes an event at the time of the last sample."""
         if np.isfinite(self._stamp):
-            self._events.push_sample([f"{note.level}: {note.text}"], self._stamp)
+            self._events.push_sample([f"{event.level}: {event.text}"], self._stamp)
         else:
-            self._events.push_sample([f"{note.level}: {note.text}"])
+            self._events.push_sample([f"{event.level}: {event.text}"])
 
     def shut(self) -> None:
         """Removes the streams."""

@@ -11,9 +11,11 @@ import json
 
 import numpy as np
 
+from devices.events import Event
 from fusion.joint_rotations import JointRotations
 from fusion.setup import FusionSetup
-from viewer_app.outputs.output import TimedFrame, TimedNote, confidence
+from viewer_app.outputs.output import confidence
+from viewer_app.sinks.queued_sink import QueuedFrame
 
 SCHEMA, VERSION = "duplex-kinects/skeleton", 1
 
@@ -62,7 +64,7 @@ class SkeletonJson:
             }
         )
 
-    def frame(self, timed: TimedFrame) -> str:
+    def frame(self, timed: QueuedFrame) -> str:
         """A frame: positions (J, 3), rotations (J, 4) x, y, z, w, confidence (J,), sigma (J,) or null."""
         fused = timed.fused
         about = (timed.number, timed.time_ns * 1e-9)
@@ -75,14 +77,14 @@ class SkeletonJson:
         values.append(np.minimum(fused.sigma, 9.0))
         return self._with_sigma % (*about, *np.concatenate(values).tolist())
 
-    def note(self, note: TimedNote) -> str:
+    def event(self, event: Event) -> str:
         """An event."""
         return json.dumps(
             {
                 "type": "event",
                 "version": VERSION,
-                "time_s": note.time_ns * 1e-9,
-                "level": note.level,
-                "text": note.text,
+                "time_s": event.time_ns * 1e-9,
+                "level": event.level,
+                "text": event.text,
             }
         )

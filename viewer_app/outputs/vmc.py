@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from viewer_app.outputs.osc import Address, OscMessage, UdpSender, filled, split_bundles
-from viewer_app.outputs.output import LiveOutput, TimedFrame
+from viewer_app.outputs.output import LiveOutput
 from viewer_app.outputs.unity_pose import UnitySkeleton
 from viewer_app.outputs.vrm import Avatar
+from viewer_app.sinks.queued_sink import QueuedFrame
 
 _HERE = (1, 3, 0)  # loaded; calibrated; in the normal calibration mode
 
@@ -79,7 +80,7 @@ class VmcOutput(LiveOutput):
         self._udp = UdpSender(address, "--vmc")
         self.start()
 
-    def send_frame(self, frame: TimedFrame) -> int:
+    def send_frame(self, frame: QueuedFrame) -> int:
         """Sends one or two datagrams."""
         return self._udp.send(self._encoder.encode(frame.fused.positions, frame.time_ns))
 

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from viewer_app.outputs.osc import Address, OscMessage, UdpSender, filled, split_bundles
-from viewer_app.outputs.output import LiveOutput, TimedFrame
+from viewer_app.outputs.output import LiveOutput
 from viewer_app.outputs.unity_pose import UnitySkeleton
+from viewer_app.sinks.queued_sink import QueuedFrame
 
 # slot: (bone whose rotation it has, bone at whose beginning it is)
 TRACKERS = {
@@ -92,7 +93,7 @@ class VRChatOutput(LiveOutput):
         self._udp = UdpSender(address, "--vrchat")
         self.start()
 
-    def send_frame(self, frame: TimedFrame) -> int | None:
+    def send_frame(self, frame: QueuedFrame) -> int | None:
         """Sends one datagram; none without a person."""
         datagrams = self._encoder.encode(frame.fused.positions, frame.time_ns)
         return self._udp.send(datagrams) if datagrams else None

@@ -18,12 +18,14 @@ from importlib import resources
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
+from devices.events import Event
 from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame
 from viewer_app.addresses import LOOPBACK, in_url, reached_at
 from viewer_app.errors import UsageError
-from viewer_app.outputs.output import LATE_NS, LiveOutput, TimedFrame, TimedNote
+from viewer_app.outputs.output import LATE_NS, LiveOutput
 from viewer_app.outputs.skeleton_json import SkeletonJson
+from viewer_app.sinks.queued_sink import QueuedFrame
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import Server, ServerConnection
@@ -96,15 +98,15 @@ class WebSocketOutput(LiveOutput):
         else:
             self._number += 1
 
-    def send_frame(self, frame: TimedFrame) -> int | None:
+    def send_frame(self, frame: QueuedFrame) -> int | None:
         """Encodes a frame, if there is a client, and hands it to the server's thread."""
         if self._clients:
             self._publish(self._json.frame(frame), frame.written_ns)
         return None  # the server's thread counts
 
-    def send_note(self, note: TimedNote) -> None:
+    def send_event(self, event: Event) -> None:
         """Sends an event."""
-        self._publish(self._json.note(note))
+        self._publish(self._json.event(event))
 
     def send_setup(self, setup: FusionSetup) -> None:
         """Sends the description again."""
@@ -126,7 +128,7 @@ class WebSocketOutput(LiveOutput):
                 client.others.append(text)
             else:
                 if client.frame is not None:
-                    self._unsent()
+                    self._unsent(1)
                 client.frame = text, written_ns
             client.more.set()
 

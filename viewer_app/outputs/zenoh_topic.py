@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
+from devices.events import Event
 from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zenoh, zenoh_session
 from fusion.setup import FusionSetup
-from viewer_app.outputs.output import LiveOutput, TimedFrame, TimedNote
+from viewer_app.outputs.output import LiveOutput
 from viewer_app.outputs.skeleton_json import SkeletonJson
+from viewer_app.sinks.queued_sink import QueuedFrame
 
 _KEEP = 64
 _HELLO_EVERY_NS = 1_000_000_000  # for those who come later
@@ -30,7 +32,7 @@ class ZenohOutput(LiveOutput):
         self._hello_ns = 0
         self.start()
 
-    def send_frame(self, frame: TimedFrame) -> int:
+    def send_frame(self, frame: QueuedFrame) -> int:
         """Publishes a frame, and once a second the description."""
         if frame.time_ns >= self._hello_ns:
             self._hello_ns = frame.time_ns + _HELLO_EVERY_NS
@@ -38,9 +40,9 @@ class ZenohOutput(LiveOutput):
         self._put("frame", self._json.frame(frame))
         return 1
 
-    def send_note(self, note: TimedNote) -> None:
+    def send_event(self, event: Event) -> None:
         """Publishes an event."""
-        self._put("event", self._json.note(note))
+        self._put("event", self._json.event(event))
 
     def send_setup(self, setup: FusionSetup) -> None:
         """Publishes the description."""

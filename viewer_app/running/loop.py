@@ -41,7 +41,7 @@ class Status:
     frame: RecordedFrame
     calibrator: Calibrator
     sensors: TwoSensors
-    events: tuple[str, ...]
+    events: tuple[Event, ...]
 
 
 def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = lambda: None) -> None:
@@ -121,22 +121,22 @@ def run_live(
             if pair.a is not None:  # the pair's time continues when A's clock is reset
                 ahead_ns = pair.time_ns - pair.a.time_ns
             frame = replace(frame, truth=truth_at(pair.time_ns - ahead_ns))
-        events = tuple(event.text for event in sensors.events())
+        events = tuple(sensors.events())
         sink.write(frame)
         if recalibrated:
-            sink.event(f"calibrated: {fusion.setup.calibration.how}")
-        for text in events:
-            sink.event(text, "WARN")
+            sink.event(Event(f"calibrated: {fusion.setup.calibration.how}"))
+        for event in events:
+            sink.event(event)
         kept.append(replace(frame, pair=without_images(pair)))
         goes_on = go_on(Status(frame, fusion.calibrator, sensors, events))
         if not sensors.waiting:
             sink.rest(_REST)
         for event in fusion.learn(frame):
-            sink.event(event.text, event.level, event.topic, event.phase)
+            sink.event(event)
         if not goes_on:
             break
     for late in sensors.events():  # what happened after the last pair
-        sink.event(late.text, "WARN")
+        sink.event(late)
     sink.finish()
     return fusion.setup, list(kept)
 
@@ -172,8 +172,7 @@ def played(
             sink.recalibrated(setups[number])
         sink.write(frame)
         while at < len(events) and events[at].frame <= number:
-            event = events[at]
-            sink.event(event.text, event.level, event.topic, event.phase)
+            sink.event(events[at])
             at += 1
         yield frame
     sink.finish()

@@ -13,6 +13,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.text import Text
 
+from devices.events import Event
 from recordings.appearance.coach_page import CoachPage
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.scene import CoachScene
@@ -78,8 +79,9 @@ class LiveDisplay:
             self._frames.popleft()
         self._advise(status)
         for event in status.events:
-            self._console.print(str(event), style="yellow", highlight=False, markup=False, soft_wrap=True)
-        failure = self._session.file.failure
+            self._console.print(event.text, style="yellow", highlight=False, markup=False, soft_wrap=True)
+        file = self._session.file
+        failure = None if file is None else file.failure
         if failure is not None and not self._failure_told:
             self._failure_told = True
             self._console.print(f"[bold red]{escape(failure)}[/] The fusion goes on.", highlight=False)
@@ -109,14 +111,14 @@ class LiveDisplay:
             f"fuse {fuse:.0f} µs",
         ]
         file, viewer = self._session.file, self._session.viewer
-        if file.failure is not None:
-            parts.append("SAVING STOPPED")
-        elif file.saves:
-            parts.append(f"saving {file.saved_bytes / 1e6:.1f} MB")
-        for count, what in ((viewer.dropped, "not shown"), (file.lost, "NOT SAVED")):
-            if count:
-                parts.append(f"{count} {what}")
-        if viewer.window_closed:
+        if file is not None:
+            stopped = file.failure is not None
+            parts.append("SAVING STOPPED" if stopped else f"saving {file.saved_bytes / 1e6:.1f} MB")
+        if viewer is not None and viewer.dropped:
+            parts.append(f"{viewer.dropped} not shown")
+        if file is not None and file.lost:
+            parts.append(f"{file.lost} NOT SAVED")
+        if viewer is not None and viewer.window_closed:
             parts.append("viewer closed")
         if self._verbose:
             sensors = self._frames[-1].sensors
@@ -151,7 +153,7 @@ class LiveDisplay:
             if each.level != "WARN":
                 continue
             if each.topic not in self._said:
-                self._session.event(each.text, "WARN")
+                self._session.event(Event(each.text, "WARN"))
                 if now_ns - self._printed.get(each.topic, -_SAID_AGAIN_NS) >= _SAID_AGAIN_NS:
                     self._printed[each.topic] = now_ns
                     self._console.print(
@@ -161,7 +163,7 @@ class LiveDisplay:
         for topic, (text, last_ns) in list(self._said.items()):
             if now_ns - last_ns >= _OVER_AFTER_NS:
                 del self._said[topic]
-                self._session.event(f"no longer: {_clause(text)}")
+                self._session.event(Event(f"no longer: {_clause(text)}"))
 
 
 def _clause(text: str) -> str:

@@ -16,7 +16,7 @@ from viewer_app.outputs.opening import print_outputs
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.figures import Figures, fusion_figures
 from viewer_app.report.terminal import print_details, print_summary, say_saved
-from viewer_app.sinks.session_file import FileSink
+from viewer_app.sinks.session_file import SessionFile
 
 
 def rows_since_calibration(setup: FusionSetup, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
@@ -106,9 +106,9 @@ def print_session(
         print_details(console, figures)
 
 
-def print_saved(console: Console, file: FileSink) -> None:
+def print_saved(console: Console, file: SessionFile | None) -> None:
     """Prints where the session was saved and which frames are missing; nothing if none was to be saved."""
-    if file.path is None:
+    if file is None:
         return
     if file.saved == 0 and file.failure is None:
         console.print(f"{file.path} was not written: no frame was received.", highlight=False, markup=False)
@@ -122,11 +122,11 @@ def print_saved(console: Console, file: FileSink) -> None:
             console.print(f"[yellow]{count} frames are {what}.[/]", highlight=False)
 
 
-def check_saved(file: FileSink) -> None:
+def check_saved(file: SessionFile | None) -> None:
     """Reports a failure of saving as a usage error: one line and exit code 2.
 
     Raises:
         UsageError: Saving stopped.
     """
-    if file.failure is not None:
+    if file is not None and file.failure is not None:
         raise UsageError(file.failure)

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import rerun as rr
 
+from devices.depth.image_thinning import has_images
 from recordings.file.growing_file import partial_beside
 from recordings.file.session_writer import check_whole
 from recordings.writing.recorder import Recorder
-from viewer_app.sinks.queue_items import Frame, Item, Opening, write_items
+from viewer_app.sinks.queued_sink import Item, Opening, QueuedFrame, write_items
 
 _BLOCK = 600
 """Items per block: 20 s, which need less than half the space of blocks of half a second."""
@@ -49,7 +50,7 @@ class CompactCopy:
 
     def add(self, items: Sequence[Item]) -> None:
         """Takes items."""
-        if any(isinstance(item, Frame) and item.has_images for item in items):
+        if any(isinstance(item, QueuedFrame) and has_images(item.frame.pair) for item in items):
             self.close()
         if self._recorder is not None:
             self._waiting += items

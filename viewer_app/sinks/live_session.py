@@ -9,16 +9,17 @@ from uuid import uuid4
 import rerun as rr
 import rerun.blueprint as rrb
 
+from devices.events import Event
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.writing.recorder import Recorder
-from viewer_app.sinks.session_file import FileSink, SessionFile
+from viewer_app.sinks.session_file import SessionFile
 from viewer_app.sinks.sink import FanOut, Sink
-from viewer_app.sinks.viewer_sink import viewer_sink
+from viewer_app.sinks.viewer_sink import ViewerSink
 from viewer_app.viewer.viewer_choice import Viewing
 
 _PAUSE = 0.02
-"""Seconds: for so long at most, the file's thread waits between two messages while the viewer's writes."""
+"""Longest time in seconds that the file's thread waits between two messages while the viewer's is writing."""
 
 
 class LiveSession(FanOut):
@@ -39,8 +40,8 @@ class LiveSession(FanOut):
         file_blueprint: The layout in the file; None: the viewer's. A file lacks what only a viewer is shown.
 
     Attributes:
-        viewer: The viewer.
-        file: The file.
+        viewer: The viewer; None for none.
+        file: The file; None for none.
 
     Raises:
         UsageError: The viewer does not start.
@@ -60,31 +61,34 @@ class LiveSession(FanOut):
         about: Mapping[str, str | int] | None = None,
     ) -> None:
         identity = uuid4()
-        self.viewer = viewer_sink(setup, sources, blueprint, viewing, identity)
+        self.viewer: ViewerSink | None = None
+        if viewing is not None and viewing.opens:
+            self.viewer = ViewerSink(setup, sources, blueprint, viewing, identity)
+        self.file: SessionFile | None = None
+        viewer = self.viewer
 
         def begin(stream: rr.RecordingStream) -> Recorder:
-            between = self.viewer.wait_until_free
-            pause = None if between is None else lambda: between(_PAUSE)
+            pause = None if viewer is None else lambda: viewer.wait_until_free(_PAUSE)
             recorder = Recorder(stream, setup, sources, depth_every=1, about=about, pause=pause)
             # The blueprint's timeline must exist. If not active, a viewer restores a remembered layout.
             stream.send_blueprint(file_blueprint or blueprint)
             return recorder
 
-        self.file = FileSink()
         if file is not None:
             self.file = SessionFile(
                 file,
                 lambda: rr.RecordingStream(layout.APPLICATION_ID, recording_id=identity),
                 begin,
                 overwrite=overwrite,
-                turn=self.viewer.wait_for_turn,
-                on_failure=lambda why: self.viewer.event(why, "ERROR"),
+                turn=None if viewer is None else viewer.wait_for_turn,
+                on_failure=lambda why: None if viewer is None else viewer.event(Event(why, "ERROR")),
             )
-        super().__init__((self.file, self.viewer, *others))
+        super().__init__([sink for sink in (self.file, self.viewer, *others) if sink is not None])
 
     def save(self) -> None:
         """Writes the queued items to the file and closes it; later items go only to the other sinks."""
-        self.file.close()
+        if self.file is not None:
+            self.file.close()
 
     def __enter__(self) -> LiveSession:
         """Returns itself; it is already open."""

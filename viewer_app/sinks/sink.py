@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 
-from devices.events import Phase
+from devices.events import Event
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
 from recordings.session_arrays import RecordedFrame
 
 
 class Sink:
-    """Receives the output of a loop. Each method does nothing here; a sink overrides the methods it needs.
+    """Receives the output of a loop. Each method does nothing; a sink overrides those that it needs.
 
     The loop calls the methods on its own thread, so they must not block. A sink that may wait for a disk, a
     process or a network puts its items into a queue.
@@ -21,14 +21,8 @@ class Sink:
     def write(self, frame: RecordedFrame) -> None:
         """Takes the next frame."""
 
-    def event(self, text: str, level: str = "INFO", topic: str = "", phase: Phase = "moment") -> None:
-        """Takes an event, at the time of the last frame.
-
-        Args:
-            text: What happened.
-            level: INFO, WARN or ERROR.
-            topic, phase: Topic and phase of a spell; see :class:`devices.events.Event`.
-        """
+    def event(self, event: Event) -> None:
+        """Takes an event, at the time of the last frame."""
 
     def recalibrated(self, setup: FusionSetup) -> None:
         """Takes the setup of the following frames; a new fuser starts."""
@@ -46,10 +40,6 @@ class Sink:
         """Writes the queued items and closes. Closing twice has no effect."""
 
 
-class NullSink(Sink):
-    """Discards everything."""
-
-
 class FanOut(Sink):
     """Passes everything on to several sinks, in their order."""
 
@@ -61,10 +51,10 @@ class FanOut(Sink):
         for sink in self.sinks:
             sink.write(frame)
 
-    def event(self, text: str, level: str = "INFO", topic: str = "", phase: Phase = "moment") -> None:
+    def event(self, event: Event) -> None:
         """To each."""
         for sink in self.sinks:
-            sink.event(text, level, topic, phase)
+            sink.event(event)
 
     def recalibrated(self, setup: FusionSetup) -> None:
         """To each."""

@@ -36,6 +36,11 @@ class Viewing:
     headless: bool = False
     why_not: str = ""
 
+    @property
+    def opens(self) -> bool:
+        """Whether any viewer is to open."""
+        return self.window or self.hub is not None
+
 
 def choose_viewing(
     *, no_viewer: bool, web: bool, listen: str | None, save: Path | None, live: bool, served: bool = False

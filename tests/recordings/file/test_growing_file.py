@@ -23,6 +23,7 @@ import pytest
 import rerun as rr
 
 from devices.depth.image_thinning import without_images
+from devices.events import Event
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
@@ -112,8 +113,8 @@ def test_it_is_the_same_session_as_one_written_at_once(
     for number, frame in enumerate(frames):
         file.write(frame)
         if number in (9, 29):
-            assert eventually(lambda: file.waiting == 0)
-            file.event(f"after {number}", "WARN")
+            assert eventually(lambda: not file._queue)
+            file.event(Event(f"after {number}", "WARN"))
     file.finish()
     file.close()
     assert file.saved == 50
@@ -176,7 +177,7 @@ def test_the_file_waits_for_who_goes_first(tmp_path: Path) -> None:
     file = file_of(tmp_path / "s.rrd", fuser, turn=lambda seconds: (asked.set(), over.wait(5.0)))
     file.write(frames[0])
     assert asked.wait(5.0)
-    assert file.waiting == 1
+    assert len(file._queue) == 1
     over.set()
     assert eventually(lambda: file.saved == 1)
     file.close()
@@ -246,7 +247,7 @@ def test_an_existing_file_stays_until_its_replacement_is_ready(tmp_path: Path) -
     path.write_text("precious")
     fuser, frames = fused_frames(10)
     file = file_of(path, fuser, overwrite=True)
-    file.event("nobody there")
+    file.event(Event("nobody there"))
     file.finish()
     file.close()
     assert path.read_text() == "precious"
@@ -320,7 +321,7 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
             assert eventually(lambda: file.saved == 10)
             disk.fail()
         if number > 9 and number % 40 == 0:
-            assert eventually(lambda: file.waiting == 0)
+            assert eventually(lambda: not file._queue)
     file.finish()
     file.close()
     assert file.failure is not None

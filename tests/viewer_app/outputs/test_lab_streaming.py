@@ -9,6 +9,7 @@ from uuid import uuid4
 import numpy as np
 import pytest
 
+from devices.events import Event
 from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
 from tests.helpers.live_frames import frames
@@ -46,7 +47,7 @@ def test_an_inlet_reads_joints_confidences_times_and_events(fuser: Fuser) -> Non
             output.write(frame)
             sample, stamp = inlet.pull_sample(timeout=30.0)
             read.append((sample, stamp))
-        output.event("sensor B lost", "WARN")
+        output.event(Event("sensor B lost", "WARN"))
         assert events.pull_sample(timeout=30.0)[0] == ["WARN: sensor B lost"]
         assert abs(pylsl.local_clock() - read[-1][1]) < 30.0
     finally:

@@ -83,8 +83,8 @@ class Notebook(Sink):
         del frame
         self.at.append(self.now)
 
-    def event(self, text: str, *_: object) -> None:
-        self.said.append((len(self.at) - 1, text))
+    def event(self, event: Event) -> None:
+        self.said.append((len(self.at) - 1, event.text))
 
     def wait(self, seconds: float) -> None:
         self.now += seconds

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from devices.events import Event
 from fusion.body import BODIES, Body
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
@@ -17,8 +18,9 @@ from tests.helpers.waiting import eventually
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import LiveOutputOptions
 from viewer_app.outputs.opening import plan_outputs
-from viewer_app.outputs.output import LATE_NS, LiveOutput, TimedFrame, TimedNote, confidence
+from viewer_app.outputs.output import LATE_NS, LiveOutput, confidence
 from viewer_app.sinks.live_session import LiveSession
+from viewer_app.sinks.queued_sink import QueuedFrame
 from viewer_app.viewer.blueprint import session_blueprint
 
 
@@ -34,7 +36,7 @@ class Receiver(LiveOutput):
         self.refuses = self.breaks = False
         self.start()
 
-    def send_frame(self, frame: TimedFrame) -> int:
+    def send_frame(self, frame: QueuedFrame) -> int:
         self.taking.release()
         self.let.acquire()
         if self.breaks:
@@ -44,8 +46,8 @@ class Receiver(LiveOutput):
         self.got.append(frame.number)
         return 1
 
-    def send_note(self, note: TimedNote) -> None:
-        self.said.append(note.text)
+    def send_event(self, event: Event) -> None:
+        self.said.append(event.text)
 
 
 def test_a_blocked_receiver_loses_the_oldest_frames(fuser: Fuser) -> None:
@@ -107,7 +109,7 @@ def test_events_are_not_dropped_with_the_frames(fuser: Fuser) -> None:
     output = Receiver()
     for k, frame in enumerate(frames(fuser, 20)):
         output.write(frame)
-        output.event(f"event {k}")
+        output.event(Event(f"event {k}"))
     for _ in range(20):
         output.let.release()
     assert eventually(lambda: len(output.said) == 20)
@@ -121,7 +123,7 @@ def test_a_live_session_feeds_its_further_sinks(fuser: Fuser) -> None:
         for frame in frames(fuser, 3):
             live.write(frame)
             output.let.release()
-        live.event("seen")
+        live.event(Event("seen"))
         assert eventually(lambda: output.got == [0, 1, 2])
     assert output.said == ["seen"]
     assert not output._thread.is_alive()

@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from devices.events import Event
 from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
 from recordings.session_arrays import RecordedFrame
@@ -81,7 +82,7 @@ def test_a_client_reads_the_description_then_frames_and_events(server: WebSocket
                 rest = KINECT_V2.rest[j] * lengths[j]
                 made[j] = made[KINECT_V2.parents[j]] + turns[int(j)].apply(rest)
             np.testing.assert_allclose(made, at, atol=1e-4)
-        server.event("B lost", "WARN")
+        server.event(Event("B lost", "WARN"))
         event = read(client)
         assert (event["type"], event["level"], event["text"]) == ("event", "WARN", "B lost")
         server.recalibrated(fuser.setup)
@@ -301,7 +302,7 @@ def test_a_page_in_a_browser_draws_the_skeleton(
             assert "kinect_v2" in status
             boxes = tab.evaluate(_INK)
             tab.screenshot(path=str(tmp_path / "page.png"))
-            server.event("sensor B lost", "WARN")
+            server.event(Event("sensor B lost", "WARN"))
             tab.wait_for_function("document.getElementById('event').textContent.includes('sensor B lost')")
             server.write(without_person(frames(fuser, 1)[0]))
             tab.wait_for_function("document.getElementById('status').textContent.includes('nobody')")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from devices.events import Event
 from devices.network.zenoh_session import LOOPBACK, ZenohAddresses, zenoh_session
 from devices.sensor import DeviceError
 from fusion.fuser import Fuser
@@ -42,7 +43,7 @@ def test_a_second_session_reads_the_description_frames_and_events(fuser: Fuser) 
             for frame in made:
                 output.write(frame)
                 assert eventually(lambda f=frame: got["frame"][-1]["time_s"] >= f.pair.time_ns * 1e-9 - 1e-5)
-            output.event("B lost", "WARN")
+            output.event(Event("B lost", "WARN"))
             assert eventually(lambda: bool(got["event"]))
     finally:
         output.close()

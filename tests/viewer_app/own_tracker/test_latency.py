@@ -17,7 +17,7 @@ from recordings.session_arrays import RecordedFrame
 from tests.helpers.two_views import FRAME_NS, pair_of, standing
 from viewer_app.running.loop import run_live
 from viewer_app.running.summary import latency_figures
-from viewer_app.sinks.sink import NullSink
+from viewer_app.sinks.sink import Sink
 
 ARRIVED = ((100, 140), (300, 290), (None, 500), (None, None))
 DONE = (1_100, 1_300, 1_600, 1_900)
@@ -44,7 +44,7 @@ class Arriving:
 def frames_of_a_session() -> list[RecordedFrame]:
     now = iter(DONE)
     setup = FusionSetup(nominal_calibration(KINECT_V1))
-    return run_live(Arriving(), setup, NullSink(), clock=lambda: next(now) * 1_000_000)[1]
+    return run_live(Arriving(), setup, Sink(), clock=lambda: next(now) * 1_000_000)[1]
 
 
 def test_latency_counts_from_the_images_that_arrived_first() -> None:

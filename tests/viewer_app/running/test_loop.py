@@ -33,7 +33,7 @@ from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of, standin
 from viewer_app.cli import main
 from viewer_app.commands import demo
 from viewer_app.running.loop import low_latency, run_live
-from viewer_app.sinks.sink import NullSink
+from viewer_app.sinks.sink import Sink
 
 NOMINAL = FusionSetup(nominal_calibration(KINECT_V1))
 
@@ -218,7 +218,7 @@ def test_the_truth_is_that_of_a_sensors_own_time() -> None:
         asked.append(time_ns)
         return standing(KINECT_V1)
 
-    run_live(ResetSensors(), NOMINAL, NullSink(), truth_at=truth_at)
+    run_live(ResetSensors(), NOMINAL, Sink(), truth_at=truth_at)
     start = 10**10
     assert asked == [start, start + FRAME_NS, *(start + t * FRAME_NS - 10**9 for t in (2, 3))]
 
@@ -251,7 +251,7 @@ def test_both_sensors_follow_one_person_once_they_know_each_others_place(known: 
     _, frames = run_live(
         TwoPeople(((first - middle).tolist(), (second - middle).tolist())),
         FusionSetup(calibrate(KINECT_V1, [pair], "before")) if known else NOMINAL,
-        NullSink(),
+        Sink(),
         calibrated=known,
     )
     for pair in (frame.pair for frame in frames):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+import time
 import types
 from collections.abc import Iterator
 from itertools import islice
@@ -32,10 +33,9 @@ from tests.helpers.live_frames import frames, session
 from tests.helpers.waiting import eventually
 from viewer_app.running.loop import run_live
 from viewer_app.sinks import live_session
-from viewer_app.sinks.queue_items import Frame
 from viewer_app.sinks.sink import FanOut, Sink
-from viewer_app.sinks.viewer_feed import ViewerFeed
-from viewer_app.sinks.viewer_sink import ViewerSink
+from viewer_app.sinks.viewer_sink import ViewerFeed
+from viewer_app.viewer.rerun_process import Hub
 
 
 class Sensors:
@@ -100,13 +100,13 @@ def test_a_feed_is_free_when_it_has_written_and_when_it_has_ended(fuser: Fuser) 
         lambda stream: Slow(stream, fuser.setup, ("a", "b")),
     )
     assert eventually(lambda: is_free(feed)), "the static data is written"
-    feed.offer(Frame(0, frames(fuser, 1)[0]))
+    feed.write(frames(fuser, 1)[0])
     assert writing.wait(30.0)
     assert not is_free(feed)
     go_on.set()
     assert eventually(lambda: is_free(feed))
     go_on.clear()
-    feed.offer(Frame(1, frames(fuser, 1)[0]))
+    feed.write(frames(fuser, 1)[0])
     assert not is_free(feed)
     threading.Timer(0.0, go_on.set).start()
     feed.close(end_process=True)
@@ -143,11 +143,12 @@ def test_a_session_s_file_gives_way_to_its_viewer(
 ) -> None:
     waited: list[float] = []
 
-    class Viewer(ViewerSink):
-        wait_until_free = staticmethod(waited.append)  # type: ignore[assignment]
+    class Viewer(Sink):
+        wait_until_free = staticmethod(waited.append)
+        wait_for_turn = staticmethod(time.sleep)
 
-    monkeypatch.setattr(live_session, "viewer_sink", lambda *_: Viewer())
-    with session(fuser, tmp_path / "s.rrd") as live:
+    monkeypatch.setattr(live_session, "ViewerSink", lambda *_: Viewer())
+    with session(fuser, tmp_path / "s.rrd", Hub.on_free_ports(web=False)) as live:
         for frame in frames(fuser, 3):
             live.write(frame)
     assert waited

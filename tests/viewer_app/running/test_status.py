@@ -11,6 +11,7 @@ from unittest.mock import MagicMock
 import pytest
 from rich.console import Console
 
+from devices.events import Event
 from fusion.calibration.calibration import Calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
@@ -58,8 +59,8 @@ class Shown:
         self.display = LiveDisplay(console, self.session, self.coach, clock=lambda: self.now, **options)
         self.display._scene = MagicMock()
 
-    def events(self) -> list[tuple[str, ...]]:
-        return [call.args for call in self.session.event.call_args_list]
+    def events(self) -> list[Event]:
+        return [call.args[0] for call in self.session.event.call_args_list]
 
 
 def test_the_status_line_has_every_figure(statuses: list[Any]) -> None:
@@ -106,11 +107,11 @@ def test_a_warning_is_one_event_and_one_when_it_is_over(statuses: list[Any], qui
     for status, advice in zip(statuses, advised, strict=True):
         shown.coach.watch.return_value = advice
         shown.display(status)
-    begins = (WARNING.text, "WARN")
+    begins = Event(WARNING.text, "WARN")
     assert shown.events() == [begins]  # 1.8 s without it
     for k in (6, 7):
         shown.display(later(statuses[-1], k))
-    assert shown.events() == [begins, ("no longer: sensor A sees no one",)]
+    assert shown.events() == [begins, Event("no longer: sensor A sees no one")]
     assert shown.printed.getvalue() == f"{WARNING.text}\n"
 
 
@@ -125,7 +126,7 @@ def test_a_warning_about_its_threshold_is_not_repeated(statuses: list[Any]) -> N
     shown.display(later(statuses[-1], 90))
     shown.coach.watch.return_value = [WARNING]
     shown.display(later(statuses[-1], 91))
-    assert shown.events()[-1] == (WARNING.text, "WARN")  # it came back, which the session tells
+    assert shown.events()[-1] == Event(WARNING.text, "WARN")  # it came back, which the session tells
     assert shown.printed.getvalue() == "Sensor A sees 1 of 25 joints\n"
     shown.coach.watch.return_value = []
     shown.display(later(statuses[-1], 2000))

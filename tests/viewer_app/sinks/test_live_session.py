@@ -15,6 +15,7 @@ import psutil
 import pytest
 import rerun as rr
 
+from devices.events import Event
 from fusion.fuser import Fuser
 from recordings import layout
 from recordings.session_arrays import RecordedFrame
@@ -23,10 +24,10 @@ from tests.helpers.live_frames import frames, numbers_in, session
 from tests.helpers.machine import need_viewer
 from tests.helpers.pictures import headless_viewer
 from tests.helpers.waiting import eventually
-from viewer_app.sinks.image_turns import ImageTurns
-from viewer_app.sinks.queue_items import Frame, Note
+from viewer_app.sinks.queued_sink import QueuedFrame
 from viewer_app.sinks.session_file import SessionFile
-from viewer_app.sinks.viewer_feed import ViewerFeed
+from viewer_app.sinks.viewer_images import ImageTurns
+from viewer_app.sinks.viewer_sink import ViewerFeed
 from viewer_app.viewer.rerun_process import Hub, stop
 
 STUCK = [sys.executable, "-c", "import time; time.sleep(600)"]
@@ -58,13 +59,13 @@ def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
 ) -> None:
     made = frames(fuser, 100, depth=True)  # 87 MB: more than the capacity of a pipe
     slowest = 0.0
-    for number, frame in enumerate(made):
+    for frame in made:
         before = time.perf_counter()
-        stuck.offer(Frame(number, frame))
+        stuck.write(frame)
         slowest = max(slowest, time.perf_counter() - before)
         time.sleep(0.002)  # the pace of a fast loop, in which the feed's thread gets its turns
     assert stuck.dropped >= 50
-    waiting = [item.number for item in stuck._queue if isinstance(item, Frame)]
+    waiting = [item.number for item in stuck._queue if isinstance(item, QueuedFrame)]
     assert waiting == list(range(90, 100))
     assert slowest < 3.0  # it would be 60 s, the patience, if it waited
 
@@ -72,13 +73,13 @@ def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
 def test_a_turn_is_over_when_the_feed_has_written_or_time_is_up(stuck: ViewerFeed, fuser: Fuser) -> None:
     feed = feed_into(HUNGRY, fuser)
     begun = time.monotonic()
-    for number, frame in enumerate(frames(fuser, 2)):
-        feed.offer(Frame(number, frame))
+    for frame in frames(fuser, 2):
+        feed.write(frame)
         feed.wait_for_turn(30.0)
     assert time.monotonic() - begun < 30.0
     feed.close(end_process=True)
-    for number, frame in enumerate(frames(fuser, 100, depth=True)):  # more than any pipe takes
-        stuck.offer(Frame(number, frame))
+    for frame in frames(fuser, 100, depth=True):  # more than any pipe takes
+        stuck.write(frame)
         time.sleep(0.002)  # the pace of a fast loop, in which the feed's thread gets its turns
     stuck._turn_over.set()  # from an earlier turn
     begun = time.monotonic()
@@ -104,21 +105,21 @@ def test_the_file_goes_after_the_viewer(
 
 
 def test_messages_are_not_dropped_with_the_frames(stuck: ViewerFeed, fuser: Fuser) -> None:
-    stuck.offer(Frame(0, frames(fuser, 1, depth=True)[0]))
-    for number, frame in enumerate(frames(fuser, 60, depth=True)):
-        stuck.offer(Frame(number, frame))
+    stuck.write(frames(fuser, 1, depth=True)[0])
+    for frame in frames(fuser, 60, depth=True):
+        stuck.write(frame)
         time.sleep(0.002)  # the pace of a fast loop, in which the feed's thread gets its turns
-    stuck.offer(Note("sensor lost"))
-    for number, frame in enumerate(frames(fuser, 30)):
-        stuck.offer(Frame(60 + number, frame))
-    assert sum(isinstance(item, Note) for item in stuck._queue) == 1
-    assert len(stuck._queue) == 10
+    stuck.event(Event("sensor lost"))
+    for frame in frames(fuser, 30):
+        stuck.write(frame)
+    assert sum(isinstance(item, Event) for item in stuck._queue) == 1
+    assert len(stuck._queue) == 10 + 1
 
 
 def test_closing_with_a_frozen_viewer_takes_no_time(fuser: Fuser) -> None:
     feed = feed_into(STUCK, fuser, keep=10, patience=60.0)
-    for number, frame in enumerate(frames(fuser, 40, depth=True)):
-        feed.offer(Frame(number, frame))
+    for frame in frames(fuser, 40, depth=True):
+        feed.write(frame)
     before = time.perf_counter()
     feed.close(end_process=True)
     assert time.perf_counter() - before < 20.0  # it would be 600 s if it waited for the process
@@ -129,8 +130,8 @@ def test_a_process_without_progress_is_replaced(fuser: Fuser) -> None:
     feed = feed_into(STUCK, fuser, keep=10, patience=0.2, retry=0.01)
     made = frames(fuser, 60, depth=True)
     try:
-        for number, frame in enumerate(made):
-            feed.offer(Frame(number, frame))
+        for frame in made:
+            feed.write(frame)
         assert eventually(lambda: feed.starts >= 2)
     finally:
         feed.close(end_process=True)
@@ -152,9 +153,9 @@ def test_a_complete_feed_passes_every_frame_on(fuser: Fuser) -> None:
         keep=None,
         restart=False,
     )
-    for number, frame in enumerate(frames(fuser, 300)):
-        feed.offer(Frame(number, frame))
-    assert feed.finish(20.0)
+    for frame in frames(fuser, 300):
+        feed.write(frame)
+    assert feed.wait_until_free(20.0)
     assert written == list(range(300))
     feed.close(end_process=False)
     assert feed.process.stdout is not None
@@ -186,7 +187,7 @@ def test_a_blocked_disk_costs_images_first(
     assert file.without_images == 1800 - 60
     assert file.lost == 200
     with_images = [
-        item for item in file._queue if isinstance(item, Frame) and item.frame.pair.a.depth is not None
+        item for item in file._queue if isinstance(item, QueuedFrame) and item.frame.pair.a.depth is not None
     ]
     assert len(with_images) == 60
 
@@ -207,16 +208,16 @@ def test_a_viewer_killed_again_and_again_loses_no_frame_of_the_file(fuser: Fuser
     hub = Hub.on_free_ports(web=False)
     kills = 0
     with session(fuser, out, hub, window=True) as live:
-        assert live.viewer.feed is not None
+        assert live.viewer is not None
         assert live.viewer.window is not None
         for k, frame in enumerate(made):
             live.write(frame)
             if k % 100 == 50:
-                victim = (live.viewer.window.process, live.viewer.feed.process)[kills % 2]
+                victim = (live.viewer.window.process, live.viewer.process)[kills % 2]
                 os.kill(victim.pid, signal.SIGSTOP if k == 550 else signal.SIGKILL)
                 kills += 1
             time.sleep(0.01)  # the pace of a loop, so that viewers die in the middle of it
-        assert live.viewer.feed.starts >= 2
+        assert live.viewer.starts >= 2
         live.finish()
         live.save()
         window = live.viewer.window.process
@@ -230,8 +231,8 @@ def test_a_viewer_that_comes_later_sees_the_history(fuser: Fuser) -> None:
     with session(fuser, None, hub) as live:
         for frame in frames(fuser, 60):
             live.write(frame)
-        assert live.viewer.feed is not None
-        assert live.viewer.feed.finish(10.0)
+        assert live.viewer is not None
+        assert live.viewer.wait_until_free(10.0)
         with headless_viewer("--connect", hub.url) as viewer:
 
             def sees_all() -> bool:
@@ -244,7 +245,7 @@ def test_a_viewer_that_comes_later_sees_the_history(fuser: Fuser) -> None:
 def test_nothing_is_left_running(fuser: Fuser) -> None:
     hub = Hub.on_free_ports(web=False)
     with session(fuser, None, hub) as live:
-        assert live.viewer.feed is not None
-        process = live.viewer.feed.process
+        assert live.viewer is not None
+        process = live.viewer.process
         assert psutil.pid_exists(process.pid)
     assert process.poll() is not None

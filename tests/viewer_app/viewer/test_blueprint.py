@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
 from devices.capture.sensor_pair import StreamFigures
+from devices.events import Event
 from fusion.body import BODIES, KINECT_V2, Body
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
@@ -47,7 +48,7 @@ def saved(path: Path, fuser: Fuser, made: list[RecordedFrame], active: Layout) -
     blueprint = session_blueprint(fuser.setup, np.array([0.1, 0.1, 2.6]), active)
     with LiveSession(fuser.setup, ("a", "b"), blueprint, file=path) as live:
         live.coach(CoachPage("- **Mend:** step into the view of sensor A, to 2.5 m from both sensors\n" * 6))
-        live.event("calibrated: known")
+        live.event(Event("calibrated: known"))
         for frame in made:
             live.write(frame)
     return path

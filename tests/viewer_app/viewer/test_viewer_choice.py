@@ -43,8 +43,8 @@ def listening(pid: int) -> set[str]:
 
 
 def test_hub_page_and_window_listen_on_loopback_only(served: LiveSession) -> None:
-    assert served.viewer.feed is not None
-    assert listening(served.viewer.feed.process.pid) == {"127.0.0.1"}
+    assert served.viewer is not None
+    assert listening(served.viewer.process.pid) == {"127.0.0.1"}
     own = {c.laddr.ip for c in psutil.Process().net_connections("inet") if c.status == psutil.CONN_LISTEN}
     assert own <= {"127.0.0.1"}
 
@@ -61,17 +61,17 @@ def test_a_viewer_that_we_start_listens_on_loopback_only() -> None:
 def test_an_address_that_is_asked_for_is_listened_on(fuser: Fuser) -> None:
     hub = Hub.on_free_ports(web=True, address="0.0.0.0")
     with session(fuser, None, hub) as live:
-        assert live.viewer.feed is not None
-        assert listening(live.viewer.feed.process.pid) == {"0.0.0.0"}
+        assert live.viewer is not None
+        assert listening(live.viewer.process.pid) == {"0.0.0.0"}
 
 
 def test_usage_statistics_are_off(served: LiveSession) -> None:
-    assert served.viewer.feed is not None
-    assert psutil.Process(served.viewer.feed.process.pid).environ()["RERUN_ANALYTICS"] == "0"
+    assert served.viewer is not None
+    assert psutil.Process(served.viewer.process.pid).environ()["RERUN_ANALYTICS"] == "0"
 
 
 def test_the_page_is_the_viewer_with_the_session(served: LiveSession) -> None:
-    hub = served.viewer._viewing.hub
+    hub = served.viewer._hub
     assert hub is not None
     with urlopen(hub.page, timeout=5.0) as page:
         assert b"<canvas" in page.read()
@@ -135,7 +135,7 @@ def browser() -> Iterator[object]:
 def test_a_browser_sees_the_three_skeletons_and_a_later_visitor_the_history(
     served: LiveSession, fuser: Fuser
 ) -> None:
-    hub = served.viewer._viewing.hub
+    hub = served.viewer._hub
     assert hub is not None
     for frame in frames(fuser, 60):
         served.write(frame)
