@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS := 1
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test coverage check docs pictures package clean
+.PHONY: demo test coverage check docs pictures package benchmarks clean
 
 demo: $(READY)
 	$(BIN)/duplex demo
@@ -44,6 +44,10 @@ pictures: $(READY)
 # An sdist and a wheel in dist/, checked and tried in a fresh environment.
 package: $(READY)
 	.ci/package dist
+
+# docs/benchmarks.md from the figures that the benchmarks left; CONTRIBUTING.md says how they are measured.
+benchmarks: $(READY)
+	$(BIN)/python -m tests.benchmarks.page
 
 clean:
 	rm -rf $(VENV)

@@ -41,6 +41,7 @@ def write(name: str, figures: dict[str, Any]) -> None:
         },
         "figures": _plain(figures),
     }
+    FOLDER.mkdir(exist_ok=True)
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     (FOLDER / f"{name}.json").write_text(text + "\n", encoding="utf-8")
 

@@ -1,0 +1,205 @@
+"""Writes ``docs/benchmarks.md`` from the figures that the benchmarks left: ``make benchmarks``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from tests.benchmarks import results
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "benchmarks.md"
+_SETS = {
+    "azure": "Azure Kinect",
+    "kinect_v2": "Kinect v2",
+    "blazepose": "our own tracker (simulated errors)",
+    "larger_errors": "Azure, errors × 1.5",
+    "heavy_tails": "Azure, heavy-tailed errors",
+    "depth": "Azure, with depth images",
+}
+_BASELINES = ("mean, start-up", "mean, refined", "tracked wins", "Kalman, start-up", "Kalman, refined")
+
+
+def page() -> str:
+    """The whole page."""
+    template = Template(Path(__file__).with_name("page.md").read_text(encoding="utf-8"))
+    names = {f"accuracy_{name}": f"accuracy_{name}" for name in _SETS}
+    names |= dict.fromkeys(("real", "speed", "latency"), "")
+    origins = [_origin(name) for name in names if (results.FOLDER / f"{name}.json").exists()]
+    return template.substitute(
+        methods=_methods(results.read("accuracy_azure")["figures"]),
+        sets=_sets(),
+        real=_real(results.read("real")["figures"]),
+        speed=_speed(results.read("speed")["figures"]),
+        latency=_latency(results.read("latency")["figures"]),
+        origins=_table(("command", "date", "processors", "load at its end"), origins),
+    )
+
+
+def _origin(name: str) -> tuple[str, ...]:
+    document = results.read(name)
+    machine = document["machine"]
+    load = "–" if machine["load"] is None else f"{machine['load']:.1f}"
+    command = document["command"].removeprefix("python -m ")
+    if name == "real":  # one folder after the other
+        command = command.partition(" kinect")[0] + " FOLDER…"
+    return f"`{command}`", document["date"], f"{machine['processors']} ({machine['architecture']})", load
+
+
+def _methods(figures: dict[str, Any]) -> str:
+    rows = []
+    for name, row in figures["methods"].items():
+        rows.append(
+            (
+                f"**{name}**" if name.startswith("duplex") else name,
+                _mm(row["mpjpe"], 1),
+                _mm(row["p95"]),
+                f"{_mm(row['hidden_one'])} / {_mm(row['hidden_both'])}",
+                _mm(row["bone_error"]),
+                _mm(row["jitter"], 1),
+                _mm(row["acceleration"], 1),
+                _number(row["swapped"], 100, 2),
+                _number(row["lag"], 1, 2),
+                _number(row["nearer"], 100, 0),
+            )
+        )
+    columns = (
+        "method", "mean error", "95 %", "hidden in one / both views", "worst bone", "jitter, still",
+        "acceleration error", "sides swapped, %", "lag, frames", "recordings in which *duplex* is nearer, %",
+    )  # fmt: skip
+    return _table(columns, rows)
+
+
+def _sets() -> str:
+    rows = []
+    for name, title in _SETS.items():
+        if not (results.FOLDER / f"accuracy_{name}.json").exists():
+            continue
+        figures = results.read(f"accuracy_{name}")["figures"]
+        methods = figures["methods"]
+        best = min((m for m in _BASELINES if m in methods), key=lambda m: methods[m]["mpjpe"])
+        cells = [
+            "–" if m not in methods else f"{_mm(methods[m]['mpjpe'], 1)} / {_mm(methods[m]['p95'])}"
+            for m in (best, "paper", "duplex", "duplex, live", "duplex, smoothed", "oracle")
+        ]
+        motions = {(case["motion"], case["angle"]) for case in figures["lost"]}
+        worst = max((case["by"] for case in figures["lost"]), default=0.0)
+        lost = f"{len(motions)}, by {_mm(worst, 1)} at most" if motions else "none"
+        if name == "depth":
+            lost = f"without images {_mm(methods['without depth']['mpjpe'], 1)}"
+        rows.append((title, str(figures["recordings"]), *cells, lost))
+    columns = (
+        "trackers", "recordings", "best baseline", "paper", "**duplex**", "live", "smoothed", "oracle",
+        "movements × angles where a baseline is nearer",
+    )  # fmt: skip
+    return _table(columns, rows)
+
+
+def _real(figures: dict[str, Any]) -> str:
+    walks = {name: row for name, row in figures["pairs"].items() if "walk" in name}
+    others = {name: row for name, row in figures["pairs"].items() if "walk" not in name}
+    rows = [
+        _real_row(name.removeprefix("kinect_v2_").replace("_", " "), [row]) for name, row in walks.items()
+    ]
+    rows.append(_real_row(f"**mean of {len(walks)} walks**", list(walks.values())))
+    rows.append(_real_row(f"mean of {len(others)} people who stand or step", list(others.values())))
+    columns = (
+        "recording", "roughness of S\\*, views = 1", "own jumps, %", "against the motion A / B / S\\*, %",
+        "flips per minute", "second half: R, °", "t, mm", "snap / swap / freeze / shift that reach S\\*",
+    )  # fmt: skip
+    return _table(columns, rows)
+
+
+def _real_row(name: str, rows: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    def mean(figure: str) -> float | None:
+        known = [row[figure] for row in rows if row.get(figure) is not None]
+        return float(np.mean(known)) if known else None
+
+    faults = [[mean(f"{fault}_{side}") for side in "ab"] for fault in ("snap", "swap", "freeze", "shift")]
+    shares = ["–" if a is None or b is None else f"{0.5 * (a + b):.2f}" for a, b in faults]
+    return (
+        name,
+        _number(mean("roughness_ratio"), 1, 2),
+        _number(mean("jumps_own"), 100, 2),
+        " / ".join(_number(mean(f"against_{view}"), 100, 1) for view in ("a", "b", "fused")),
+        _number(mean("flips_per_minute"), 1, 1),
+        _number(mean("held_out_rotation_off"), float(np.degrees(1.0)), 1),
+        _mm(mean("held_out_position_off")),
+        "–" if "–" in shares else " / ".join(shares),
+    )
+
+
+def _speed(figures: dict[str, Any]) -> str:
+    rows = [
+        (f"`Fuser.update`, {body}, *{method}*", f"{row['median_us']:.0f} µs", f"{row['p99_us']:.0f} µs")
+        for body, methods in figures["update"].items()
+        for method, row in methods.items()
+    ]
+    rows += [
+        (f"eq. (1), 20 joints, {title}", f"{row['median_us']:.0f} µs", f"{row['p99_us']:.0f} µs")
+        for title, row in (
+            ("our solver, bones exact", figures["solver"]["exact"]),
+            (f"the paper's, bones off by {figures['solver']['published']['bone_error_mm']:.0f} mm at worst",
+             figures["solver"]["published"]),
+        )
+    ]  # fmt: skip
+    commands = figures["commands"]
+    batch = figures["update"]["kinect_v2"]["duplex"]["batch_per_s"]
+    rows += [
+        ("a whole recording at once, Kinect v2", f"{batch:,.0f} pairs/s", ""),
+        ("`duplex fuse --save`, after its start", f"{commands['fuse_pairs_per_s']:,.0f} pairs/s", ""),
+        ("start of `duplex fuse`", f"{commands['fuse_start_up_s']:.1f} s", ""),
+        ("`duplex replay --verify`", f"{commands['replay_pairs_per_s']:,.0f} pairs/s", ""),
+        ("opening a session of an hour", f"{commands['open_hour_s']:.1f} s", ""),
+        ("session file, without images", f"{commands['file_mb_per_minute']:.1f} MB per minute", ""),
+        ("`duplex --help`", f"{commands['help_s']:.2f} s", ""),
+    ]
+    return _table(("", "median", "99 %"), rows)
+
+
+def _latency(figures: dict[str, Any]) -> str:
+    conditions = (
+        ("file", "file"), ("viewer", "file, viewer"), ("busy", "file, viewer; beside two busy processes")
+    )  # fmt: skip
+    rows = []
+    for key, title in conditions:
+        row = figures[key]
+        shown = row["shown"]
+        rows.append(
+            (
+                title,
+                f"{row['handed_over']['median_ms']:.1f} / {row['handed_over']['p99_ms']:.1f}",
+                "–" if shown is None else f"{shown['median_ms']:.1f} / {shown['p99_ms']:.1f}",
+                str(row["lost"]),
+                f"{100 * row['processor']:.0f} %",
+                "–" if row["growth_mb"] is None else f"{row['growth_mb']:.0f} MB",
+            )
+        )
+    vmc = figures["vmc"]
+    rows.append(("from S\\* to a VMC receiver", f"{vmc['median_ms']:.1f} / {vmc['p99_ms']:.1f}", "–",
+                 str(vmc["frames"] - vmc["arrived"]), "–", "–"))  # fmt: skip
+    columns = (
+        "sinks", "S\\* handed over, ms", "logged for the viewer, ms", "frames lost", "one processor's time",
+        "memory growth",
+    )  # fmt: skip
+    return _table(columns, rows)
+
+
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(columns) + " |", "|---|" + "--:|" * (len(columns) - 1)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def _mm(metres: float | None, digits: int = 0) -> str:
+    return _number(metres, 1e3, digits)
+
+
+def _number(value: float | None, factor: float, digits: int) -> str:
+    return "–" if value is None else f"{factor * value:.{digits}f}"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
