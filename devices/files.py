@@ -33,7 +33,7 @@ Progress = Callable[[Iterable[SensorFrame], str, int | None], Iterable[SensorFra
 """Shows progress: takes frames, a description of the work, and the number of frames if known."""
 
 _CLOCKS_AGREE_NS = 1_000_000
-"""Synchronised captures lie this near to their delay: the sensors' own timing is within 0.1 ms."""
+"""Tolerance between the measured and the configured sync delay; the sensors are accurate to 0.1 ms."""
 
 
 def quietly(frames: Iterable[SensorFrame], what: str, total: int | None) -> Iterable[SensorFrame]:

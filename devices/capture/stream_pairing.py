@@ -4,8 +4,8 @@ The sensors' clocks start anywhere and drift apart, so a moment of B is found on
 machine's: both sensors' frames arrive on it. With a sync cable the sensors capture at the same moments, a
 fixed delay apart, and the pairs found so far tell the offset to the microsecond.
 
-The pairs' time is A's clock; it goes on without a jump when that clock is reset, and never back. Nobody has
-been chosen in them yet: see :mod:`devices.people`.
+Pairs carry A's time, which stays monotonic and continuous when A's clock is reset. The person has not been
+selected yet: see :mod:`devices.people`.
 
 Pure: time is passed in, nothing waits.
 """

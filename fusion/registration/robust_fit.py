@@ -154,9 +154,9 @@ def fit_robust(
         try:
             step = np.linalg.solve(information, gradient)
         except np.linalg.LinAlgError:
-            raise CalibrationError("The joints seen by both sensors leave the transform open.") from None
+            raise CalibrationError("Joints seen by both sensors do not determine the transform.") from None
         if not np.isfinite(step).all():
-            raise CalibrationError("The joints seen by both sensors leave the transform open.")
+            raise CalibrationError("Joints seen by both sensors do not determine the transform.")
         turn = Rotation.from_rotvec(step[3:]).as_matrix()
         t = centre + step[:3] + turn @ (t - centre)
         R = turn @ R

@@ -34,8 +34,8 @@ RATE = 0.8
 SKEW = 0.5
 """Largest accepted skew, as a share of the frame interval; above it another frame would match better."""
 MOVED = 0.25
-"""Metres that t drifts, eight seconds' median. People who walk about between two real Kinects shift the three
-seconds' median by up to 0.19; turning a sensor by 5° shifts it by 0.26 at 3 m."""
+"""Drift of t in metres, median over 8 s. On real pairs a walking person shifts the 3 s median by up to
+0.19 m; turning a sensor by 5° shifts it by 0.26 m at a distance of 3 m."""
 WARM_UP = 2400.0
 """Seconds until an Azure Kinect's distances stay the same (Tölgyessy et al. 2021: 40 to 50 minutes)."""
 DROPPED = 0.05
