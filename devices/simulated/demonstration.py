@@ -14,7 +14,7 @@ from devices.simulated.kinect import Movement, Scene, SimulatedKinect, Truth, mo
 from devices.simulated.person.gait import walking
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.scripted_faults import ScriptedFaults, Spells
-from fusion.body import AZURE_KINECT, KINECT_V1, Body
+from fusion.body import KINECT_V1, Body
 
 _HEIGHT, _TILT_DEG = 1.2, 5.0  # metres, degrees
 _DISTANCE, _DISTANCE_V1 = 2.9, 3.2  # metres
@@ -82,11 +82,8 @@ def demonstrated(name: str | Path) -> Movement:
 
 
 def demonstration(
-    motion: str | Path = "badminton",
-    body: Body = AZURE_KINECT,
+    scene: Scene,
     *,
-    seconds: float,
-    seed: int = 0,
     angle_deg: float = 90.0,
     depth: Depth = "none",
     infrared: bool = False,
@@ -95,18 +92,15 @@ def demonstration(
     """The sensors of ``duplex demo``.
 
     Args:
-        motion: A movement of the library by name, or a BVH file.
-        body: What the trackers report.
-        seconds: Duration.
-        seed: Of every error.
+        scene: The person, for a stated duration.
         angle_deg: Between the sensors; of a bad set-up it is ``BAD_ANGLE_DEG``.
         depth, infrared: As in :class:`devices.simulated.kinect.SimulatedKinect`.
         bad_setup: Whether the sensors are badly placed. Then there are no hard moments.
 
     Raises:
-        DeviceError: There is no such movement, or a value makes no sense.
+        DeviceError: A value makes no sense.
     """
-    scene = Scene(demonstrated(motion), body, seconds=seconds, seed=seed)
+    body, seconds = scene.body, scene.seconds or 0.0
     rig = bad_rig() if bad_setup else good_rig(body, angle_deg)
     scripts: tuple[ScriptedFaults | None, ScriptedFaults | None] = (None, None)
     moments: tuple[HardMoment, ...] = ()

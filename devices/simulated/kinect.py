@@ -143,12 +143,12 @@ class SimulatedKinect(Sensor):
         which: 0 for sensor A, 1 for B.
         errors: Errors of its body tracker; None: the errors fitted for the body.
         depth: Whether frames have a depth image, and its size.
-        depth_errors: Errors of the depth image.
         infrared: Whether frames with a depth image have an infrared image, too. Both then show the person
             dressed; the simulated tracker's errors stay the same.
         script: Faults of its body tracker at given times, besides those by chance.
 
         Attributes:
+            depth_errors: Errors of the depth images.
             hurried: While True, frames have no depth image, which takes most of a frame's time.
             imaging: While False, no images are wanted.
             images_wanted: Number of depth images wanted since ``frames`` began.
@@ -163,7 +163,6 @@ class SimulatedKinect(Sensor):
         *,
         errors: TrackerErrors | None = None,
         depth: Depth = "none",
-        depth_errors: DepthErrors | None = None,
         infrared: bool = False,
         script: ScriptedFaults | None = None,
     ) -> None:
@@ -178,7 +177,7 @@ class SimulatedKinect(Sensor):
         self._lens = self.intrinsics
         self._scene, self._rig, self._which = scene, rig, which
         self._errors, self._script = TrackerErrors.of(scene.body) if errors is None else errors, script
-        self._depth, self._depth_errors = depth, depth_errors or DepthErrors()
+        self._depth, self.depth_errors = depth, DepthErrors()
         self._infrared: InfraredModel | None = None
         if infrared:
             self._infrared = InfraredModel().binned() if depth == "half" else InfraredModel()
@@ -229,7 +228,7 @@ class SimulatedKinect(Sensor):
         if self._infrared is not None:
             shapes = clothed_capsules(landmarks, self._scene.height)
         z, label, cosine = surface(shapes, sensor_from_world, self._lens)
-        depth = depth_image(z, cosine, self._depth_errors, np.random.default_rng([seed, which, 2, frame]))
+        depth = depth_image(z, cosine, self.depth_errors, np.random.default_rng([seed, which, 2, frame]))
         if self._infrared is None or self._light is None:
             return depth, None
         noise = np.random.default_rng([seed, which, 3, frame])
@@ -283,9 +282,7 @@ def simulated_pair(
     scene = Scene(moving, body, height, seconds, seed)
     rig = rig or Rig(angle_deg=angle_deg)
     a, b = (
-        SimulatedKinect(
-            scene, rig, which, errors=errors, depth=depth, depth_errors=depth_errors, infrared=infrared
-        )
-        for which in (0, 1)
+        SimulatedKinect(scene, rig, which, errors=errors, depth=depth, infrared=infrared) for which in (0, 1)
     )
+    a.depth_errors = b.depth_errors = depth_errors or DepthErrors()
     return a, b, Truth(scene, rig)

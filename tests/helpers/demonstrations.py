@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from devices.pairing import FramePair
 from devices.simulated.demonstration import Demonstration, demonstrated, demonstration
-from devices.simulated.kinect import PERSON, SimulatedKinect, simulated_pair
+from devices.simulated.kinect import PERSON, Scene, SimulatedKinect, simulated_pair
 from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import Body
@@ -39,7 +39,7 @@ class Run:
 
 def fused_demonstration(body: Body, seconds: float, seed: int = 0, motion: str = "badminton") -> Run:
     """Fuses a demonstration as the live loop does."""
-    shown = demonstration(motion, body, seconds=seconds, seed=seed)
+    shown = demonstration(Scene(demonstrated(motion), body, seconds=seconds, seed=seed))
     setup = FusionSetup(nominal_calibration(body), None, shown.a.intrinsics, shown.b.intrinsics)
     fusion, run = LiveFusion(setup), Run(shown, [], [])
     for pair in pairs_of(shown.a, shown.b):

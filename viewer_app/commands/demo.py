@@ -17,8 +17,8 @@ from rich.table import Table
 
 from devices.capture.sensor_pair import TwoSensors
 from devices.real_time import paced_together
-from devices.simulated.demonstration import BAD_ANGLE_DEG, HardMoment, demonstration
-from devices.simulated.kinect import SimulatedKinect, Truth, TruthAhead
+from devices.simulated.demonstration import BAD_ANGLE_DEG, HardMoment, demonstrated, demonstration
+from devices.simulated.kinect import Scene, SimulatedKinect, Truth, TruthAhead
 from devices.simulated.person.movements import MOTIONS
 from devices.tracker_choice import tracker_name
 from fusion.body import BLAZEPOSE, BODIES
@@ -81,11 +81,9 @@ def run(options: DemoOptions) -> None:
         raise UsageError(f"{given} is of the program's own tracker: add --tracker blazepose.")
     if options.bad_setup and options.angle != DemoOptions.angle:
         raise UsageError(f"--bad-setup has an angle of its own, {BAD_ANGLE_DEG:.0f}°: leave --angle out.")
+    scene = Scene(demonstrated(options.motion), body, seconds=options.seconds, seed=options.seed)
     shown = demonstration(
-        options.motion,
-        body,
-        seconds=options.seconds,
-        seed=options.seed,
+        scene,
         angle_deg=options.angle,
         depth=options.depth,
         infrared=own_tracker,

@@ -28,7 +28,6 @@ from devices.simulated.person.anatomy import (
     carrier,
     rest_positions,
 )
-from fusion.compiling.kernels import njit
 from fusion.intrinsics import Intrinsics
 
 
@@ -126,21 +125,9 @@ def infrared_image(
     by_label[:2] = model.reflectance[[Material.WALL, Material.FLOOR]]
     by_label[3:] = model.reflectance[materials]
     normal = random.standard_normal(z.shape, dtype=np.float32)
-    image = np.empty(z.shape, dtype=np.uint16)
-    _expose(z, label, cosine, by_label, illumination, normal, model.read_noise, model.shot_noise, image)
-    return image
-
-
-@njit(nogil=True)
-def _expose(z, label, cosine, by_label, illumination, normal, read, shot, image):  # type: ignore[no-untyped-def]
-    height, width = z.shape
-    for v in range(height):
-        for u in range(width):
-            counts = 0.0
-            if label[v, u] != -1:
-                counts = by_label[label[v, u] + 3] * cosine[v, u] * illumination[v, u] / (z[v, u] * z[v, u])
-            noisy = counts + np.sqrt(read * read + shot * counts) * normal[v, u]
-            image[v, u] = np.uint16(min(max(noisy + 0.5, 0.0), 65535.0))
+    counts = (by_label[label + 3] * cosine * illumination / (z * z)).astype(np.float64)
+    noisy = counts + np.sqrt(model.read_noise**2 + model.shot_noise * counts) * normal
+    return np.clip(noisy + 0.5, 0.0, 65535.0).astype(np.uint16)
 
 
 # One capsule per row: material, radius in metres at reference height, both ends. An end is a landmark and an

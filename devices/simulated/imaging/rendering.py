@@ -5,7 +5,7 @@ All kernels that call each other are in this file: numba's cache does not detect
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +81,7 @@ def surface(
     z, label = np.full(size, np.inf, dtype=np.float32), np.full(size, NOTHING, dtype=np.int8)
     cosine = np.zeros(size, dtype=np.float32)
     lens = (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
-    cast(np.ascontiguousarray(shapes), planes, *lens, z, label, cosine)
+    cast(np.ascontiguousarray(shapes), planes, lens, z, label, cosine)
     return z, label, cosine
 
 
@@ -92,17 +92,13 @@ def depth_image(
     normal = random.standard_normal(z.shape, dtype=np.float32)
     uniform = random.random(z.shape, dtype=np.float32)
     image = np.zeros(z.shape, dtype=np.uint16)
-    _read_out(
-        z, cosine, normal, uniform, errors.noise, errors.noise_growth, errors.grazing, errors.edge_loss,
-        errors.nearest, errors.farthest, image,
-    )  # fmt: skip
+    _read_out(z, cosine, normal, uniform, astuple(errors), image)
     return image
 
 
 @njit(nogil=True)
-def _read_out(  # type: ignore[no-untyped-def]
-    z, cosine, normal, uniform, noise, growth, grazing, edge_loss, nearest, farthest, image
-):
+def _read_out(z, cosine, normal, uniform, errors, image):  # type: ignore[no-untyped-def]
+    noise, growth, grazing, edge_loss, nearest, farthest = errors
     height, width = z.shape
     for v in range(height):
         for u in range(width):
@@ -194,8 +190,9 @@ def _span(x, z, r, f, c, size):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True)
-def cast(shapes, planes, fx, fy, cx, cy, z, label, cosine):  # type: ignore[no-untyped-def]
-    """Fills z, label and cosine with the first hit of each pixel's ray; see rendering.surface."""
+def cast(shapes, planes, lens, z, label, cosine):  # type: ignore[no-untyped-def]
+    """Fills z, label and cosine with the first hit of each pixel's ray; see ``surface``."""
+    fx, fy, cx, cy = lens
     height, width = z.shape
     for k in range(len(shapes)):
         s = shapes[k]
