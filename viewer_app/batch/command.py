@@ -18,8 +18,8 @@ from viewer_app.batch.jobs import Job, Outcome, calibration_file
 from viewer_app.batch.manifest import read_manifest
 from viewer_app.batch.summary import Row, worst_first, write_page, write_parquet
 from viewer_app.errors import UsageError
-from viewer_app.method_options import check_paper_options
 from viewer_app.options.sensing import BatchOptions
+from viewer_app.options.shared import check_paper_options
 
 
 @dataclass(frozen=True)

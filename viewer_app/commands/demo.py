@@ -188,7 +188,7 @@ def _own_tracker(options: DemoOptions, console: Console) -> TrackingPace:
     """
     from devices.blazepose.pace import TrackingPace
     from devices.blazepose.settings import BlazePoseSettings
-    from viewer_app.tracker_networks import ensure_networks
+    from viewer_app.sensors.tracker import ensure_networks
 
     settings = BlazePoseSettings(options.tracker_network, options.tracker_model)
     ensure_networks(settings, console)

@@ -16,7 +16,7 @@ from rich.text import Text
 from devices.check import Check
 from devices.live_checks import device_checks
 from viewer_app.options.sensing import DoctorOptions
-from viewer_app.tracker_selection import tracker_of
+from viewer_app.sensors.tracker import tracker_of
 from viewer_app.viewer.display import why_no_window, why_no_x
 
 _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program from a slow disk

@@ -26,10 +26,8 @@ from fusion.setup import FuserSettings, FusionSetup
 from recordings.calibration_file import calibration_to_json, read_calibration
 from viewer_app.coach.setup_coach import WARM_UP, Coach
 from viewer_app.errors import UsageError
-from viewer_app.live_sensors import kinect_settings, one_of_live, two_kinects
-from viewer_app.method_options import check_paper_options
-from viewer_app.network_sensors import names_remote, sensors_by_network
 from viewer_app.options.sensing import LiveOptions
+from viewer_app.options.shared import check_paper_options
 from viewer_app.output_files import check_outputs, warn_of_little_room, write_text
 from viewer_app.outputs.opening import announce_outputs, plan_outputs
 from viewer_app.report.figures import save_report
@@ -38,6 +36,8 @@ from viewer_app.running.interruption import CtrlC
 from viewer_app.running.loop import Status, run_live, warm_up
 from viewer_app.running.status import LiveDisplay
 from viewer_app.running.summary import check_saved, print_saved, print_session, session_report
+from viewer_app.sensors.local import kinect_settings, one_of_live, two_kinects
+from viewer_app.sensors.remote import names_remote, sensors_by_network
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.viewer_choice import Viewing, announce, viewing_of

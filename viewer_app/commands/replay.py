@@ -23,8 +23,8 @@ from recordings.session import Session
 from recordings.writing.checksums import fused_checksums, joint_digests
 from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
-from viewer_app.method_options import check_paper_options
 from viewer_app.options.sessions import ReplayOptions
+from viewer_app.options.shared import check_paper_options
 from viewer_app.output_files import check_outputs
 from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_outputs, print_outputs
 from viewer_app.report.figures import report, save_report

@@ -19,11 +19,11 @@ from devices.sensor import Sensor
 from devices.simulated.demonstration import demonstrated
 from fusion.body import BODIES
 from viewer_app.errors import UsageError
-from viewer_app.live_sensors import one_sensor
-from viewer_app.network_sensors import teller
 from viewer_app.options.sensing import PublishOptions
 from viewer_app.running.interruption import CtrlC
-from viewer_app.tracker_selection import announce_tracker, tracker_of
+from viewer_app.sensors.local import one_sensor
+from viewer_app.sensors.remote import teller
+from viewer_app.sensors.tracker import announce_tracker, tracker_of
 
 _EVERY_S = 10.0  # seconds between two lines about what was sent
 

@@ -8,7 +8,7 @@ from rich.markup import escape
 from devices.blazepose.networks.fetching import LICENCE, NOTICE
 from devices.blazepose.networks.files import cache_folder
 from viewer_app.options.sensing import TrackerFetchOptions
-from viewer_app.tracker_networks import fetch_with_bar
+from viewer_app.sensors.tracker import fetch_networks
 
 
 def run(options: TrackerFetchOptions) -> None:
@@ -19,7 +19,7 @@ def run(options: TrackerFetchOptions) -> None:
     """
     console = Console()
     folder = options.tracker_model or cache_folder()
-    fetched = fetch_with_bar(options.network, folder, console)
+    fetched = fetch_networks(options.network, folder, console)
     where = escape(str(folder))
     if not fetched:
         console.print(

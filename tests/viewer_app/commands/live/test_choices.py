@@ -16,8 +16,8 @@ from tests.helpers.command_line import duplex
 from tests.helpers.live_program import live
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import Bus, Device
-from viewer_app.live_sensors import two_kinects
 from viewer_app.options.sensing import LiveOptions
+from viewer_app.sensors.local import two_kinects
 
 
 def _pairing_settings(monkeypatch: pytest.MonkeyPatch, **options: object) -> dict[str, object]:
@@ -28,7 +28,7 @@ def _pairing_settings(monkeypatch: pytest.MonkeyPatch, **options: object) -> dic
         given.update(interval_ns=interval_ns, **more)
         return LivePairing(interval_ns, **more)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("viewer_app.live_sensors.LivePairing", pairing)
+    monkeypatch.setattr("viewer_app.sensors.local.LivePairing", pairing)
     two_kinects(LiveOptions(**options), Console())  # type: ignore[arg-type]
     return given
 

@@ -44,7 +44,7 @@ def own_tracker(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
 
     monkeypatch.setattr(BlazePose, "__enter__", lambda self: self)
     monkeypatch.setattr(BlazePose, "track", track)
-    monkeypatch.setattr("viewer_app.tracker_selection.ensure_networks", lambda *_: False)
+    monkeypatch.setattr("viewer_app.sensors.tracker.ensure_networks", lambda *_: False)
     Fuser(FusionSetup(nominal_calibration(BLAZEPOSE))).warm_up()  # compiling takes longer than these sessions
     return images
 

@@ -28,9 +28,9 @@ from devices.connected_sensors import connected_sensors
 from devices.orbbec.sensor import OrbbecSensor
 from devices.sensor import Sensor
 from devices.tracker_choice import TrackerChoice
-from viewer_app.network_sensors import teller
 from viewer_app.options.sensing import LiveOptions
-from viewer_app.tracker_selection import announce_tracker, tracker_of
+from viewer_app.sensors.remote import teller
+from viewer_app.sensors.tracker import announce_tracker, tracker_of
 
 
 def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
@@ -74,13 +74,11 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
     )
     interval_ns = round(1e9 / options.fps)
     delay_ns = {None: None, serials[0]: 1000 * LASER_GAP_US}.get(master, -1000 * LASER_GAP_US)
-    pairing = LivePairing(
-        interval_ns,
-        sync_delay_ns=delay_ns,
-    )
+    pairing = LivePairing(interval_ns, sync_delay_ns=delay_ns)
     first: Side = "a" if master == serials[1] else "b"
     return TwoSensors(
-        *(a, b),
+        a,
+        b,
         pairing=pairing,
         decimation=decimation,
         first=first,

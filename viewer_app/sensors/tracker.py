@@ -1,0 +1,74 @@
+"""The body tracker that the options ask for, and its networks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.blazepose.settings import BlazePoseSettings, NetworkName
+from viewer_app.options.shared import TrackerOptions
+
+if TYPE_CHECKING:
+    from devices.tracker_choice import TrackerChoice
+
+
+def tracker_of(options: TrackerOptions, smoothing: float = 0.0) -> TrackerChoice:
+    """The tracker of images of an Azure Kinect.
+
+    Args:
+        options: What was asked for.
+        smoothing: Temporal smoothing of k4abt.
+    """
+    from devices.tracker_choice import choose_tracker
+
+    return choose_tracker(
+        options.tracker,
+        TrackerSettings(processing=options.processing, smoothing=smoothing, library=options.k4abt),
+        BlazePoseSettings(network=options.tracker_network, models=options.tracker_model),
+    )
+
+
+def announce_tracker(tracker: TrackerChoice, console: Console) -> None:
+    """Says which tracker runs and why, and fetches its networks if they are missing.
+
+    Raises:
+        DeviceError: The networks cannot be fetched.
+    """
+    console.print(f"Body tracker: {tracker.full_name} ({tracker.reason}).", highlight=False, markup=False)
+    if tracker.name == "blazepose":
+        ensure_networks(tracker.blazepose, console)
+
+
+def ensure_networks(settings: BlazePoseSettings, console: Console) -> None:
+    """Fetches the tracker's network files if they are missing in the user's cache folder.
+
+    A folder that was named by the user is not written; opening the tracker reports what it lacks.
+
+    Raises:
+        DeviceError: They cannot be fetched; one line with the way out.
+    """
+    from devices.blazepose.networks.files import cache_folder, missing
+
+    folder = cache_folder()
+    if settings.models is None and missing(settings.network, folder):
+        note = f"Fetching the body tracker's network once (BlazePose, Apache-2.0) into {folder}"
+        console.print(note, highlight=False, markup=False, soft_wrap=True)
+        fetch_networks(settings.network, folder, console)
+
+
+def fetch_networks(network: NetworkName, folder: Path, console: Console) -> list[Path]:
+    """Fetches the files of a network that a folder lacks or has damaged.
+
+    Returns:
+        The files that were fetched.
+
+    Raises:
+        DeviceError: They cannot be fetched; one line with the way out.
+    """
+    from devices.blazepose.networks.fetching import fetch
+
+    with console.status("fetching a package of about 40 MB …"):
+        return fetch(network, folder)
