@@ -12,7 +12,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from statistics import median
 
-from devices.capture.host_clock import Arrival, HostClock
+from devices.capture.host_clock import HostClock, Timing
 
 _FIRST_RESULTS = 2  # not counted: a tracker loads and compiles its network then
 _ENOUGH_TO_SLOW = 5
@@ -100,9 +100,9 @@ class FrameDecimation:
         """
         with self._lock:
             mine = self._sensors.setdefault(sensor, _Sensor())
-            arrival = mine.clock.observe(time_ns, host_ns)
+            timing = mine.clock.observe(time_ns, host_ns)
             gap_ns = None if mine.time_ns is None else time_ns - mine.time_ns
-            follows = gap_ns is not None and 0 <= gap_ns < _SAME_STREAM_NS and arrival is not Arrival.RESET
+            follows = gap_ns is not None and 0 <= gap_ns < _SAME_STREAM_NS and timing is not Timing.RESET
             if follows and gap_ns is not None:
                 mine.moment += round(gap_ns / self.period_ns)
             mine.time_ns = time_ns

@@ -14,7 +14,7 @@ _LATE_NS = 500_000_000
 _SAME_CLOCK_NS = 250_000_000
 
 
-class Arrival(Enum):
+class Timing(Enum):
     """Classification of a frame's times."""
 
     IN_TIME = "in time"
@@ -44,25 +44,25 @@ class HostClock:
         """Host time minus sensor time, least delay included; None before the first frame."""
         return self._offset_ns
 
-    def observe(self, sensor_ns: int, host_ns: int) -> Arrival:
+    def observe(self, sensor_ns: int, host_ns: int) -> Timing:
         """Adds a frame captured at ``sensor_ns`` that arrived at ``host_ns``."""
         offset_ns = host_ns - sensor_ns
         if self._offset_ns is None:
             self._note(offset_ns, host_ns)
-            return Arrival.IN_TIME
+            return Timing.IN_TIME
         excess_ns = offset_ns - self._offset_ns
         if -_LATE_NS <= excess_ns <= _LATE_NS:
             self._suspect = None
             self._note(offset_ns, host_ns)
-            return Arrival.IN_TIME
+            return Timing.IN_TIME
         # Nothing arrives before it was captured; lateness must be told from a reset by the next frame.
         suspect, self._suspect = self._suspect, (sensor_ns, offset_ns)
         follows = suspect is not None and sensor_ns > suspect[0]
         if excess_ns < 0 or (follows and suspect and abs(offset_ns - suspect[1]) < _SAME_CLOCK_NS):
             self.restart()
             self._note(offset_ns, host_ns)
-            return Arrival.RESET
-        return Arrival.LATE
+            return Timing.RESET
+        return Timing.LATE
 
     def restart(self) -> None:
         """Forgets the offset: the next frame starts it anew."""

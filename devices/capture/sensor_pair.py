@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from devices.capture.frame_decimation import FrameDecimation
-from devices.capture.sensor_state import SensorState
+from devices.capture.sensor_state import Arrival, SensorState
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing, PairingFigures, Side
 from devices.events import Event
 from devices.pairing import FramePair
-from devices.sensor import LinkFigures, Sensor, SensorFrame
+from devices.sensor import LinkFigures, Sensor
 
 _POLL_S = 0.01  # latest delay of a pair that no longer waits for a partner
 _CLOSE_S = 3.0  # for both together
@@ -178,17 +178,17 @@ class TwoSensors:
         self._arrival.clear()
         self._follow_decimation()
         now_ns, pairs = _ns(self._clock()), []
-        came: list[tuple[int, Side, SensorFrame]] = []
+        arrivals: list[tuple[Side, Arrival]] = []
         for side, thread in self._sides():
-            came_back, frames = thread.returns, thread.take()
+            came_back, taken = thread.returns, thread.take()
             if came_back != self._returns[side]:
                 self._returns[side] = came_back
                 pairs += self._pairing.restart(side)
-            came += [(at_ns, side, frame) for at_ns, frame in frames]
+            arrivals += [(side, arrival) for arrival in taken]
             self._take_events(thread)
         # Use the arrival times, so that a pause of this thread does not look like a pause of a sensor.
-        for at_ns, side, frame in sorted(came, key=lambda frame: frame[0]):
-            pairs += self._pairing.add(side, frame, at_ns)
+        for side, arrival in sorted(arrivals, key=lambda entry: entry[1].at_ns):
+            pairs += self._pairing.add(side, arrival.frame, arrival.at_ns)
         for side, thread in self._sides():
             if thread.gone:
                 self._pairing.set_gone(side, True)

@@ -1,8 +1,25 @@
-"""State of a sensor on its own thread."""
+"""State of a sensor on its own thread, the back-off between attempts to reopen it, and its messages."""
 
 from __future__ import annotations
 
 from enum import Enum
+from typing import NamedTuple
+
+from devices.sensor import AbsentError, DeviceError, SensorFrame
+
+_LONGEST_S = 10.0
+
+
+class Arrival(NamedTuple):
+    """A frame that a sensor's thread handed on.
+
+    Attributes:
+        at_ns: When it arrived, on the thread's clock: a reader that was busy learns what it would have seen.
+        frame: The frame.
+    """
+
+    at_ns: int
+    frame: SensorFrame
 
 
 class SensorState(Enum):
@@ -17,3 +34,62 @@ class SensorState(Enum):
     """Failed; it is reopened until it works again."""
     ENDED = "ended"
     """The source has reached its end."""
+
+
+class Retries:
+    """Doubles the wait after each failed attempt, up to ten seconds.
+
+    Each failed attempt searches the USB bus while pyk4a holds the GIL, and leaks memory in pyk4a. A sensor
+    that is not connected causes no such attempt, so its wait stays at ``first_s``.
+
+    Args:
+        first_s: Wait after the first failed attempt, in seconds.
+    """
+
+    def __init__(self, first_s: float) -> None:
+        self._first_s = self._next_s = first_s
+
+    def after(self, fault: DeviceError) -> float:
+        """Returns the seconds to wait after this failure."""
+        if isinstance(fault, AbsentError):
+            return self._first_s
+        wait_s, self._next_s = self._next_s, max(self._first_s, min(2.0 * self._next_s, _LONGEST_S))
+        return wait_s
+
+    def succeeded(self) -> None:
+        """Resets the wait after the sensor was opened."""
+        self._next_s = self._first_s
+
+
+def not_opened(sensor: str, within_s: float, waits_for: str) -> DeviceError:
+    """The error for a sensor that did not open in time.
+
+    Args:
+        sensor: Its name.
+        within_s: How long that was, in seconds.
+        waits_for: What it is known to wait for; empty if nothing explains it.
+    """
+    cause = f"it waits for {waits_for}" if waits_for else "its driver hangs"
+    return DeviceError(
+        f"{sensor} did not open in {within_s:g} s: {cause}. Try again; if it is the same, unplug it and plug "
+        f"it in again first."
+    )
+
+
+def not_closed(sensor: str, waits_for: str) -> str:
+    """Message for a sensor that does not close in time; arguments as for :func:`not_opened`."""
+    if waits_for:
+        return (
+            f"{sensor} does not close yet: it waits for {waits_for}. It closes by itself after that; leave "
+            f"it plugged in."
+        )
+    return f"{sensor} does not close; it is left behind. Unplug it before using it again."
+
+
+def failed_within(sensor: str, fault: Exception) -> DeviceError:
+    """The error for a fault of the program or a driver, which reopening does not fix."""
+    what = f"{type(fault).__name__}: {fault}".rstrip(": ")
+    return DeviceError(
+        f"{sensor} failed within its driver or this program ({what}). What was saved stays readable. Start "
+        f"again; if it comes back, report it."
+    )

@@ -1,7 +1,4 @@
-"""Runs a sensor on its own thread: keeps the newest frames, reopens lost sensors, closes in bounded time.
-
-A little over 300 lines: one state machine.
-"""
+"""Runs a sensor on its own thread: keeps the newest frames, reopens lost sensors, closes in bounded time."""
 
 from __future__ import annotations
 
@@ -12,9 +9,14 @@ from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import replace
 
-from devices.capture import sensor_messages as messages
-from devices.capture.retries import Retries
-from devices.capture.sensor_state import SensorState
+from devices.capture.sensor_state import (
+    Arrival,
+    Retries,
+    SensorState,
+    failed_within,
+    not_closed,
+    not_opened,
+)
 from devices.depth.witness import with_witness
 from devices.events import Event
 from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
@@ -26,8 +28,7 @@ class SensorThread:
     """Runs a sensor on a thread of its own and keeps its newest frames for a reader.
 
     Memory is bounded: the queue holds at most ``keep`` frames, then the oldest is dropped and counted. A
-        sensor
-    that fails while running is reopened every ``retry_s``; a failure at the first opening is raised by
+    sensor that fails while running is reopened every ``retry_s``; a failure at the first opening is raised by
     ``open``. All methods are for one reader's thread.
 
     Attributes:
@@ -65,7 +66,7 @@ class SensorThread:
         self._first_s = first_s
         self._clock, self._wait = clock, wait
         self._lock = threading.Lock()
-        self._frames: deque[tuple[int, SensorFrame]] = deque()  # and when each came
+        self._frames: deque[Arrival] = deque()
         self._events: deque[Event] = deque(maxlen=_EVENTS_KEPT)
         self._state = SensorState.CLOSED
         self._received = self._dropped = self._returns = self._missed_before = 0
@@ -119,7 +120,7 @@ class SensorThread:
         """
         self.close()
         if self._left_behind is not None and self._left_behind.is_alive():
-            raise DeviceError(messages.not_closed(self.sensor.name, self.sensor.waits_for))
+            raise DeviceError(not_closed(self.sensor.name, self.sensor.waits_for))
         self._stopping, self._settled = threading.Event(), threading.Event()
         self._fault, self._state = None, SensorState.OPENING
         # A daemon thread: a driver that hangs must not keep the program from ending.
@@ -137,7 +138,7 @@ class SensorThread:
             raise
         if not opened:
             self.close(0.0)
-            raise messages.not_opened(self.sensor.name, within_s, self.sensor.waits_for)
+            raise not_opened(self.sensor.name, within_s, self.sensor.waits_for)
         self._raise_fault()
         return self
 
@@ -181,7 +182,7 @@ class SensorThread:
                 self._state = SensorState.CLOSED
         if thread.is_alive():
             self._left_behind = thread
-            self._tell(messages.not_closed(self.sensor.name, self.sensor.waits_for))
+            self._tell(not_closed(self.sensor.name, self.sensor.waits_for))
             return False
         return True
 
@@ -191,12 +192,8 @@ class SensorThread:
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
-    def take(self) -> list[tuple[int, SensorFrame]]:
+    def take(self) -> list[Arrival]:
         """The frames that came since the last call, oldest first, ``keep`` at most; does not wait.
-
-        Returns:
-            Each with when it came, in ns on the thread's clock: a reader that was busy elsewhere learns what
-            it would have seen.
 
         Raises:
             DeviceError: The sensor raised something else: a fault of the program or of a driver, which no
@@ -235,7 +232,7 @@ class SensorThread:
         self.close()
         if not isinstance(self._fault, Exception) or isinstance(self._fault, DeviceError):
             raise self._fault
-        raise messages.failed_within(self.sensor.name, self._fault) from self._fault
+        raise failed_within(self.sensor.name, self._fault) from self._fault
 
     def _run(self, stopping: threading.Event, settled: threading.Event) -> None:
         ran = False
@@ -297,7 +294,7 @@ class SensorThread:
         with self._lock:
             self._last_s, self._first = now_s, False
             self._received += 1
-            self._frames.append((came_ns, frame))
+            self._frames.append(Arrival(came_ns, frame))
             if len(self._frames) > self._keep:
                 self._frames.popleft()
                 self._dropped += 1

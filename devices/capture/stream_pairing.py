@@ -17,7 +17,8 @@ from dataclasses import dataclass, field, replace
 from statistics import median_low
 from typing import Literal
 
-from devices.capture.host_clock import Arrival, HostClock
+from devices.capture.host_clock import HostClock, Timing
+from devices.capture.sensor_state import Arrival
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.skeleton import SkeletonPair
@@ -62,7 +63,7 @@ class _Stream:
     """One sensor's frames that wait for a partner, in capture order."""
 
     clock: HostClock = field(default_factory=HostClock)
-    waiting: list[tuple[SensorFrame, int]] = field(default_factory=list)  # and when each came
+    waiting: list[Arrival] = field(default_factory=list)
     recent: deque[int] = field(default_factory=lambda: deque(maxlen=2 * _PENDING))
     used_ns: int | None = None
     came_ns: int | None = None
@@ -132,12 +133,12 @@ class LivePairing:
         if frame.time_ns in stream.recent:
             self._count(repeated=1)
             return self.poll(now_ns)
-        arrival = stream.clock.observe(frame.time_ns, now_ns if frame.host_ns is None else frame.host_ns)
+        timing = stream.clock.observe(frame.time_ns, now_ns if frame.host_ns is None else frame.host_ns)
         pairs: list[FramePair] = []
-        if arrival is Arrival.RESET:
+        if timing is Timing.RESET:
             self._count(resets=1)
             pairs = self._let_out(side)
-        elif arrival is Arrival.LATE or (stream.used_ns is not None and frame.time_ns <= stream.used_ns):
+        elif timing is Timing.LATE or (stream.used_ns is not None and frame.time_ns <= stream.used_ns):
             self._count(late=1)
             return self.poll(now_ns)
         if side == "a":
@@ -145,8 +146,8 @@ class LivePairing:
         if stream.recent and frame.time_ns < max(stream.recent):
             self._count(reordered=1)
         stream.recent.append(frame.time_ns)
-        stream.waiting.append((frame, now_ns))
-        stream.waiting.sort(key=lambda entry: entry[0].time_ns)
+        stream.waiting.append(Arrival(now_ns, frame))
+        stream.waiting.sort(key=lambda arrival: arrival.frame.time_ns)
         return pairs + self.poll(now_ns)
 
     def poll(self, now_ns: int) -> list[FramePair]:
@@ -173,12 +174,11 @@ class LivePairing:
         """Decides on the oldest frames: returns the resulting pairs, or None if it must wait."""
         a, b = self._a.waiting, self._b.waiting
         if a and b:
-            frame, _ = a[0]
-            skews = [self._skew_ns(frame, other) for other, _ in b]
+            skews = [self._skew_ns(a[0].frame, other.frame) for other in b]
             nearest = min(range(len(b)), key=lambda index: abs(skews[index]))
             if abs(skews[nearest]) <= self._tolerance_ns:
                 self._count(unmatched_b=nearest)
-                return [self._pair(b[nearest][0], skews[nearest], nearest)]
+                return [self._pair(b[nearest].frame, skews[nearest], nearest)]
             if skews[-1] > -self._tolerance_ns:
                 return [self._alone_a()]
             # All of B's are too early for this frame of A, and so for every later one.
@@ -186,7 +186,7 @@ class LivePairing:
             self._use(self._b, len(b))
             return []
         if a and (
-            self._is_gone(self._b, now_ns) or now_ns - a[0][1] >= self._max_wait_ns or len(a) > _PENDING
+            self._is_gone(self._b, now_ns) or now_ns - a[0].at_ns >= self._max_wait_ns or len(a) > _PENDING
         ):
             return [self._alone_a()]
         if b and self._is_gone(self._a, now_ns):
@@ -215,7 +215,7 @@ class LivePairing:
         return by_arrival
 
     def _pair(self, b: SensorFrame, skew_ns: int, index: int) -> FramePair:
-        a = self._a.waiting[0][0]
+        a = self._a.waiting[0].frame
         if self._sync_delay_ns is not None:
             self._synced.append(b.time_ns - a.time_ns - self._sync_delay_ns)
         skew_ns += self._sync_delay_ns or 0
@@ -226,13 +226,13 @@ class LivePairing:
         return self._given(a, b, a.time_ns + (self._time_from_a or 0), skew_ns)
 
     def _alone_a(self) -> FramePair:
-        frame = self._a.waiting[0][0]
+        frame = self._a.waiting[0].frame
         self._use(self._a, 1)
         self._count(alone_a=1)
         return self._given(frame, None, frame.time_ns + (self._time_from_a or 0))
 
     def _alone_b(self) -> FramePair:
-        frame = self._b.waiting[0][0]
+        frame = self._b.waiting[0].frame
         self._use(self._b, 1)
         self._count(alone_b=1)
         on_host = frame.time_ns + (self._b.clock.offset_ns or 0)
@@ -271,11 +271,11 @@ class LivePairing:
         return pairs
 
     def _use(self, stream: _Stream, count: int) -> None:
-        stream.used_ns = stream.waiting[count - 1][0].time_ns
+        stream.used_ns = stream.waiting[count - 1].frame.time_ns
         del stream.waiting[:count]
 
     def _waited(self, stream: _Stream, now_ns: int) -> bool:
-        return now_ns - stream.waiting[0][1] >= self._max_wait_ns or len(stream.waiting) > _PENDING
+        return now_ns - stream.waiting[0].at_ns >= self._max_wait_ns or len(stream.waiting) > _PENDING
 
     def _is_gone(self, stream: _Stream, now_ns: int) -> bool:
         since = stream.came_ns if stream.came_ns is not None else self._first_ns

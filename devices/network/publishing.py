@@ -162,8 +162,8 @@ def publish_until(
         ended = thread.state is SensorState.ENDED
         thread.arrival.wait(0.0 if ended else _POLL_S)
         thread.arrival.clear()
-        for _, frame in thread.take():
-            publisher.publish(frame)
+        for arrival in thread.take():
+            publisher.publish(arrival.frame)
         for event in thread.events():
             tell(event)
         if ended:
