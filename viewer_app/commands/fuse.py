@@ -39,10 +39,10 @@ from viewer_app.output_files import check_outputs, whole_file, write_text
 from viewer_app.report.figures import Figures, report, save_report
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.loop import warm_up
+from viewer_app.sensors.tracker import announce_tracker, tracker_of
 from viewer_app.sinks.sink import Sink
 from viewer_app.sinks.viewer_images import ShownImages
 from viewer_app.sinks.viewer_sink import ViewerSink
-from viewer_app.sensors.tracker import announce_tracker, tracker_of
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
 
