@@ -13,6 +13,7 @@ settings.register_profile("duplex", deadline=None)
 settings.load_profile("duplex")
 
 pytest_plugins = (
+    "tests.helpers.compiled_kernels",
     "tests.helpers.machine",
     "tests.helpers.standin_library",
     "tests.helpers.standin_pyk4a",
