@@ -209,14 +209,14 @@ def _surfaces(
     far: Array,
 ) -> tuple[Array, Array]:
     """(33,) median reading between two depths around each landmark, metres or NaN; (33,) their share."""
-    reading, share = np.full(len(pixels), np.nan), np.zeros(len(pixels))
-    _read(depth, pixels, inside, camera.fx * _SURFACE_RADIUS, near, far, reading, share)
+    reading, share = _read(depth, pixels, inside, camera.fx * _SURFACE_RADIUS, near, far)
     return reading, share
 
 
 @kernel
-def _read(depth, pixels, inside, reach, near, far, reading, share):  # type: ignore[no-untyped-def]
+def _read(depth, pixels, inside, reach, near, far):  # type: ignore[no-untyped-def]
     height, width = depth.shape
+    reading, share = np.full(len(pixels), np.nan), np.zeros(len(pixels))
     own = np.empty((2 * _LARGEST_WINDOW + 1) ** 2)
     for j in range(len(pixels)):
         if not inside[j]:
@@ -243,3 +243,4 @@ def _read(depth, pixels, inside, reach, near, far, reading, share):  # type: ign
         if count >= 3:
             reading[j] = own[count // 2]
             share[j] = count / total
+    return reading, share

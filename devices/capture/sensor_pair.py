@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from devices.capture.frame_decimation import FrameDecimation
-from devices.capture.sensor_state import Arrival, SensorState
+from devices.capture.sensor_state import USUAL_LIMITS, Arrival, SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing, PairingFigures, Side
 from devices.events import Event
@@ -53,10 +53,7 @@ class TwoSensors:
         *,
         pairing: LivePairing | None = None,
         decimation: FrameDecimation | None = None,
-        first: Side = "b",
-        stall_s: float = 2.0,
-        retry_s: float = 1.0,
-        open_s: float = 120.0,
+        limits: TimeLimits = USUAL_LIMITS,
         tell: Callable[[Event], None] = lambda _: None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
@@ -66,30 +63,18 @@ class TwoSensors:
             a, b: The principal and the secondary sensor.
             pairing: How to pair them; None: the default pairing at 30 fps.
             decimation: What the two sensors share to keep the same moments; pairing follows its step.
-            first: Which one to start first: the subordinate, if there is a sync cable.
-            stall_s: After how long without a frame a sensor counts as stalled.
-            retry_s: How often a lost sensor is tried again.
-            open_s: How long opening one may take, and its first frame: its body tracker loads a network.
+            limits: How long each sensor may take.
             tell: Told of every event at once, also while no pair comes; on the thread that asks for pairs.
             clock: Seconds; tests inject their own.
         """
         self._arrival = threading.Event()
         self.a, self.b = (
-            SensorThread(
-                sensor,
-                keep=_KEEP,
-                stall_s=stall_s,
-                first_s=open_s,
-                retry_s=retry_s,
-                arrival=self._arrival,
-                clock=clock,
-            )
+            SensorThread(sensor, keep=_KEEP, limits=limits, arrival=self._arrival, clock=clock)
             for sensor in (a, b)
         )
         self._pairing = pairing or LivePairing()
         self._decimation, self._step = decimation, 1
-        self._first: Side = first
-        self._clock, self._open_s, self._tell = clock, open_s, tell
+        self._clock, self._tell = clock, tell
         self._stopped = False
         self._returns: dict[Side, int] = {"a": 0, "b": 0}
         self._events: list[Event] = []
@@ -129,8 +114,10 @@ class TwoSensors:
         """
         self._stopped = False
         try:
-            for thread in (self.b, self.a) if self._first == "b" else (self.a, self.b):
-                thread.open(self._open_s)
+            # On a sync cable the subordinate starts first, to be there at the first pulse.
+            a_leads = self._pairing.sync_delay_ns is None or self._pairing.sync_delay_ns > 0
+            for thread in (self.b, self.a) if a_leads else (self.a, self.b):
+                thread.open()
             # Frames of one sensor that arrived while the other's tracker was loading do not count as dropped.
             for _, thread in self._sides():
                 thread.count_from_now()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
@@ -34,6 +35,24 @@ class SensorState(Enum):
     """Failed; it is reopened until it works again."""
     ENDED = "ended"
     """The source has reached its end."""
+
+
+@dataclass(frozen=True)
+class TimeLimits:
+    """How long a sensor on its own thread may take.
+
+    Attributes:
+        open_s: Longest time for opening, and for the first frame: a body tracker loads its network.
+        stall_s: Longest time without a frame; longer where frames are rarer.
+        retry_s: Wait before a lost sensor is reopened; longer if it is there and does not open.
+    """
+
+    open_s: float = 120.0
+    stall_s: float = 2.0
+    retry_s: float = 1.0
+
+
+USUAL_LIMITS = TimeLimits()
 
 
 class Retries:

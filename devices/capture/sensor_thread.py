@@ -10,9 +10,11 @@ from contextlib import suppress
 from dataclasses import replace
 
 from devices.capture.sensor_state import (
+    USUAL_LIMITS,
     Arrival,
     Retries,
     SensorState,
+    TimeLimits,
     failed_within,
     not_closed,
     not_opened,
@@ -28,8 +30,8 @@ class SensorThread:
     """Runs a sensor on a thread of its own and keeps its newest frames for a reader.
 
     Memory is bounded: the queue holds at most ``keep`` frames, then the oldest is dropped and counted. A
-    sensor that fails while running is reopened every ``retry_s``; a failure at the first opening is raised by
-    ``open``. All methods are for one reader's thread.
+    sensor that fails while running is reopened until it works again. ``open`` raises a failure at the first
+    opening. All methods are for one reader's thread.
 
     Attributes:
         sensor: The sensor; its ``intrinsics`` and ``body`` may be read once ``open`` returned.
@@ -40,9 +42,7 @@ class SensorThread:
         sensor: Sensor,
         *,
         keep: int = 4,
-        stall_s: float = 2.0,
-        first_s: float = 120.0,
-        retry_s: float = 1.0,
+        limits: TimeLimits = USUAL_LIMITS,
         arrival: threading.Event | None = None,
         clock: Callable[[], float] = time.perf_counter,
         wait: Callable[[threading.Event, float], bool] = threading.Event.wait,
@@ -52,18 +52,15 @@ class SensorThread:
         Args:
             sensor: What to run.
             keep: Most frames that wait for the reader.
-            stall_s: After how long without a frame the sensor counts as stalled; see :meth:`set_interval`.
-            first_s: The same for the first one since opening: a body tracker's first result takes long.
-            retry_s: How soon a lost sensor is tried again; later where it is there and does not open.
+            limits: How long the sensor may take.
             arrival: Set at every frame and change of state; two sensors may share one, to wait for either.
             clock: Seconds, for stalls and ``host_ns``; tests inject their own.
             wait: Waits for an event at most so many seconds; how retries pass time.
         """
         self.sensor = sensor if isinstance(sensor, Sensor) else SensorWrapper(sensor)
         self.arrival = arrival or threading.Event()
-        self._keep, self._retries = keep, Retries(retry_s)
-        self._least_stall_s = self._stall_s = stall_s
-        self._first_s = first_s
+        self._keep, self._retries = keep, Retries(limits.retry_s)
+        self._limits, self._stall_s = limits, limits.stall_s
         self._clock, self._wait = clock, wait
         self._lock = threading.Lock()
         self._frames: deque[Arrival] = deque()
@@ -101,7 +98,7 @@ class SensorThread:
     def state(self) -> SensorState:
         """What the sensor is doing now."""
         with self._lock:
-            silent = self._clock() - self._last_s > (self._first_s if self._first else self._stall_s)
+            silent = self._clock() - self._last_s > (self._limits.open_s if self._first else self._stall_s)
             return SensorState.STALLED if self._state is SensorState.RUNNING and silent else self._state
 
     @property
@@ -109,11 +106,8 @@ class SensorThread:
         """Whether no frame is to be expected soon: stalled, lost, ended or closed."""
         return self.state not in (SensorState.RUNNING, SensorState.OPENING)
 
-    def open(self, within_s: float = 120.0) -> SensorThread:
+    def open(self) -> SensorThread:
         """Starts the thread and waits until the sensor is open.
-
-        Args:
-            within_s: How long opening may take: a body tracker loads its network.
 
         Raises:
             DeviceError: It cannot be opened, or not in that time.
@@ -132,13 +126,13 @@ class SensorThread:
         )
         try:
             self._thread.start()
-            opened = self._settled.wait(within_s)
+            opened = self._settled.wait(self._limits.open_s)
         except BaseException:  # Ctrl-C while it opens
             self.close()
             raise
         if not opened:
             self.close(0.0)
-            raise not_opened(self.sensor.name, within_s, self.sensor.waits_for)
+            raise not_opened(self.sensor.name, self._limits.open_s, self.sensor.waits_for)
         self._raise_fault()
         return self
 
@@ -152,7 +146,7 @@ class SensorThread:
 
     def set_interval(self, interval_s: float) -> None:
         """Changes the time between two frames; a sensor stalls after four of them at the earliest."""
-        self._stall_s = max(self._least_stall_s, 4 * interval_s)
+        self._stall_s = max(self._limits.stall_s, 4 * interval_s)
 
     def end(self) -> None:
         """Asks the thread to end, without waiting. Later frames are neither kept nor counted."""
@@ -210,7 +204,7 @@ class SensorThread:
         """What happened since the last call: lost, back, stalled, running again."""
         stalled = self.state is SensorState.STALLED
         if stalled and not self._stall_told:
-            silent_s = self._first_s if self._first else self._stall_s
+            silent_s = self._limits.open_s if self._first else self._stall_s
             self._tell(f"{self.sensor.name} stalls: no frame for {silent_s:g} s. Check its cable and power.")
         elif self._stall_told and self.state is SensorState.RUNNING:
             self._tell(f"{self.sensor.name} gives frames again.")

@@ -97,7 +97,7 @@ class LivePairing:
         """
         self._least_wait_ns, self._least_gone_ns = max_wait_ns, gone_after_ns
         self.set_interval(interval_ns)
-        self._sync_delay_ns = sync_delay_ns
+        self.sync_delay_ns = sync_delay_ns
         self._a, self._b = _Stream(), _Stream()
         self._synced: deque[int] = deque(maxlen=_SYNCED_PAIRS)
         self._figures = PairingFigures()
@@ -199,7 +199,7 @@ class LivePairing:
 
     def _skew_ns(self, a: SensorFrame, b: SensorFrame) -> int:
         """How far B's frame is from where A's partner should be, by A's clock."""
-        return b.time_ns - (self._offset_ns() or 0) - (self._sync_delay_ns or 0) - a.time_ns
+        return b.time_ns - (self._offset_ns() or 0) - (self.sync_delay_ns or 0) - a.time_ns
 
     def _offset_ns(self) -> int | None:
         a, b = self._a.clock.offset_ns, self._b.clock.offset_ns
@@ -216,9 +216,9 @@ class LivePairing:
 
     def _pair(self, b: SensorFrame, skew_ns: int, index: int) -> FramePair:
         a = self._a.waiting[0].frame
-        if self._sync_delay_ns is not None:
-            self._synced.append(b.time_ns - a.time_ns - self._sync_delay_ns)
-        skew_ns += self._sync_delay_ns or 0
+        if self.sync_delay_ns is not None:
+            self._synced.append(b.time_ns - a.time_ns - self.sync_delay_ns)
+        skew_ns += self.sync_delay_ns or 0
         self._use(self._a, 1)
         self._use(self._b, index + 1)
         self._count(pairs=1)

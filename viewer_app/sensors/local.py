@@ -22,8 +22,9 @@ from devices.capture.connected import (
 )
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_pair import TwoSensors
+from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import LASER_GAP_US
-from devices.capture.stream_pairing import LivePairing, Side
+from devices.capture.stream_pairing import LivePairing
 from devices.connected_sensors import connected_sensors
 from devices.orbbec.sensor import OrbbecSensor
 from devices.sensor import Sensor
@@ -75,14 +76,12 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
     interval_ns = round(1e9 / options.fps)
     delay_ns = {None: None, serials[0]: 1000 * LASER_GAP_US}.get(master, -1000 * LASER_GAP_US)
     pairing = LivePairing(interval_ns, sync_delay_ns=delay_ns)
-    first: Side = "a" if master == serials[1] else "b"
     return TwoSensors(
         a,
         b,
         pairing=pairing,
         decimation=decimation,
-        first=first,
-        open_s=opens_within(options),
+        limits=TimeLimits(open_s=opens_within(options)),
         tell=teller(console),
     )
 

@@ -65,9 +65,7 @@ def sensors_by_network(
                 f"A reports the body {sensor_a.body.name}, B {sensor_b.body.name}. Both need the same "
                 f"body tracker."
             )
-        yield TwoSensors(
-            sensor_a, sensor_b, pairing=LivePairing(interval_ns), open_s=120.0, tell=teller(console)
-        )
+        yield TwoSensors(sensor_a, sensor_b, pairing=LivePairing(interval_ns), tell=teller(console))
 
 
 def teller(console: Console) -> Callable[[Event], None]:

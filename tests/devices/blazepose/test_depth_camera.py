@@ -9,6 +9,7 @@ import pytest
 
 from devices.blazepose.blazepose import BlazePose
 from devices.blazepose.depth_camera import DepthCamera
+from devices.capture.sensor_state import TimeLimits
 from devices.capture.sensor_thread import SensorThread
 from devices.sensor import DeviceError
 from fusion.body import BLAZEPOSE
@@ -96,7 +97,7 @@ def test_a_camera_that_fails_is_opened_again() -> None:
         if opened == 1:
             raise OSError("the cable is out")
 
-    with SensorThread(DepthCamera("left", images, LENS), retry_s=0.01) as thread:
+    with SensorThread(DepthCamera("left", images, LENS), limits=TimeLimits(retry_s=0.01)) as thread:
         assert eventually(lambda: thread.received == 2)
         told = " ".join(event.text for event in thread.events())
     assert "left failed: the cable is out." in told

@@ -24,7 +24,7 @@ from devices.azure.settings import KinectSettings
 from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
 from devices.capture.connected import choose_two
 from devices.capture.sensor_pair import TwoSensors
-from devices.capture.sensor_state import SensorState
+from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
 from devices.capture.usb import usb_kinects
@@ -174,7 +174,7 @@ def test_tracker_stalls_or_crashes_to_an_error_code(
         standin.pop_status = status
         with pytest.raises(DeviceError, match=message):
             list(islice(frames, 5))
-        frames.close()  # type: ignore[attr-defined]
+        frames.close()
 
 
 def test_clock_reset() -> None:
@@ -205,7 +205,7 @@ class _Bench:
 
     def __init__(self, **settings: object) -> None:
         self.a, self.b = ScriptedSensor("000123"), ScriptedSensor("000456")
-        self.two = TwoSensors(self.a, self.b, retry_s=0.05, **settings)  # type: ignore[arg-type]
+        self.two = TwoSensors(self.a, self.b, limits=TimeLimits(retry_s=0.05), **settings)  # type: ignore[arg-type]
         self.start = time.perf_counter_ns()
         self.index = 0
         self.b_clock_ns = 0
@@ -298,10 +298,10 @@ def test_the_subordinate_starts_first() -> None:
             order.append(self.name)
             return super().__enter__()
 
-    for first in ("a", "b"):
-        with TwoSensors(Noting("a"), Noting("b"), first=first):  # type: ignore[arg-type]
+    for delay_ns in (-160_000, 160_000, None):
+        with TwoSensors(Noting("a"), Noting("b"), pairing=LivePairing(sync_delay_ns=delay_ns)):
             pass
-    assert order == ["a", "b", "b", "a"]
+    assert order == ["a", "b", "b", "a", "b", "a"]
 
 
 def test_both_sources_ended_end_the_pairs() -> None:
@@ -452,10 +452,10 @@ def test_a_sensor_that_still_loads_is_not_called_hung(waits_for: str, message: s
             return super().__enter__()
 
     sensor = Loading()
-    sensor.waits_for = waits_for  # type: ignore[attr-defined]
-    thread = SensorThread(sensor)
+    sensor.waits_for = waits_for
+    thread = SensorThread(sensor, limits=TimeLimits(open_s=0.01))
     with pytest.raises(DeviceError, match="did not open in"):
-        thread.open(0.01)
+        thread.open()
     (told,) = (event.text for event in thread.events())
     assert message in told
     assert ("Unplug" in told) == (waits_for == "")
@@ -479,6 +479,6 @@ def test_a_kinect_says_what_it_waits_for(bus: Bus, standin: Standin, monkeypatch
         frames = sensor.frames()
         next(frames)
         heard.append(sensor.waits_for)
-        frames.close()  # type: ignore[attr-defined]
+        frames.close()
     assert heard == ["its body tracker, which loads its network", "", ""]
     gc.collect()

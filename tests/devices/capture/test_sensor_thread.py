@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from devices.capture.sensor_state import SensorState
+from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
 from devices.sensor import DeviceError
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
@@ -96,7 +96,7 @@ def test_opening_waits_only_so_long() -> None:
             return sensor
 
     with pytest.raises(DeviceError, match=r"did not open in 0\.01 s"):
-        SensorThread(Slow()).open(within_s=0.01)
+        SensorThread(Slow(), limits=TimeLimits(open_s=0.01)).open()
     release.set()
 
 
@@ -129,7 +129,7 @@ def test_a_lost_sensor_is_reopened_until_it_is_back(sensor: ScriptedSensor) -> N
         pauses.append(seconds)
         return stopping.is_set()
 
-    with SensorThread(sensor, retry_s=1.5, wait=pause) as thread:
+    with SensorThread(sensor, limits=TimeLimits(retry_s=1.5), wait=pause) as thread:
         sensor.put(frame_at(1))
         _after(sensor)
         sensor.open_faults = [DeviceError("No Kinect with serial 000123.") for _ in range(3)]
@@ -166,7 +166,7 @@ def test_a_lost_sensor_says_so_while_it_is_gone(sensor: ScriptedSensor) -> None:
 def test_a_slow_first_frame_is_allowed_and_reported_once(sensor: ScriptedSensor) -> None:
     now = [100.0]
     with SensorThread(
-        sensor, stall_s=2.0, first_s=60.0, clock=lambda: now[0], wait=lambda *_: False
+        sensor, limits=TimeLimits(60.0, 2.0), clock=lambda: now[0], wait=lambda *_: False
     ) as thread:
         for opening in range(2):
             now[0] += 1.9
@@ -188,7 +188,7 @@ def test_a_slow_first_frame_is_allowed_and_reported_once(sensor: ScriptedSensor)
 
 def test_a_sensor_whose_tracker_takes_seconds_is_not_called_stalled(sensor: ScriptedSensor) -> None:
     now = [100.0]
-    with SensorThread(sensor, stall_s=2.0, clock=lambda: now[0]) as thread:
+    with SensorThread(sensor, limits=TimeLimits(stall_s=2.0), clock=lambda: now[0]) as thread:
         sensor.put(frame_at(0))
         _after(sensor)
         thread.set_interval(2.5)
@@ -205,7 +205,7 @@ def test_a_sensor_whose_tracker_takes_seconds_is_not_called_stalled(sensor: Scri
 
 def test_a_silent_sensor_is_stalled_and_then_not(sensor: ScriptedSensor) -> None:
     now = [100.0]
-    with SensorThread(sensor, stall_s=2.0, clock=lambda: now[0]) as thread:
+    with SensorThread(sensor, limits=TimeLimits(stall_s=2.0), clock=lambda: now[0]) as thread:
         sensor.put(frame_at(0))
         _after(sensor)
         now[0] = 101.9

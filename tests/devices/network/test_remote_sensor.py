@@ -10,7 +10,7 @@ import numpy as np
 import psutil
 import pytest
 
-from devices.capture.sensor_state import SensorState
+from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
 from devices.network.messages import FrameMessage, encode_frame
 from devices.network.publishing import FramePublisher, publish_until
@@ -107,11 +107,11 @@ def test_an_absent_sensor_gives_one_line(address: str) -> None:
 
 def test_waiting_for_a_sensor_can_be_interrupted(address: str) -> None:
     far = remote(address, appear_s=3600.0)
-    thread = SensorThread(far)
+    thread = SensorThread(far, limits=TimeLimits(open_s=3600.0))
 
     def open_it() -> None:
         with suppress(DeviceError):
-            thread.open(3600.0)
+            thread.open()
 
     opening = threading.Thread(target=open_it)
     opening.start()
@@ -126,7 +126,7 @@ def test_a_program_that_is_started_anew_is_taken_back(address: str) -> None:
         stack.enter_context(zenoh_session(ZenohAddresses(listen=(address,))))
         far = remote(address)
         with publisher(address) as published:
-            thread = stack.enter_context(SensorThread(far, keep=64, retry_s=0.05))
+            thread = stack.enter_context(SensorThread(far, keep=64, limits=TimeLimits(retry_s=0.05)))
             frames_through(published, thread, 5)
         assert eventually(lambda: thread.state is SensorState.LOST)
         with publisher(address) as published:
@@ -144,7 +144,7 @@ def test_a_program_that_is_replaced_within_a_moment_is_noticed(address: str) -> 
     with ExitStack() as stack:
         first = publisher(address)
         published = first.__enter__()
-        thread = stack.enter_context(SensorThread(remote(address), keep=64, retry_s=0.05))
+        thread = stack.enter_context(SensorThread(remote(address), keep=64, limits=TimeLimits(retry_s=0.05)))
         frames_through(published, thread, 5)
         first.__exit__(None, None, None)
         with publisher(address) as published:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from devices.capture.sensor_pair import TwoSensors
+from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import CaptureSettings
 from devices.orbbec import sdk_access
 from devices.orbbec.sdk_access import connected_orbbecs
@@ -139,7 +140,7 @@ def test_a_lost_sensor_is_taken_back(orbbecs: OrbbecBus) -> None:
     orbbecs.devices = [Orbbec(A, paced=True), Orbbec(B, paced=True)]
     lost = orbbecs.devices[1]
     sensors = [_sensor(serial, timeout_ms=20, stall_s=0.1) for serial in (A, B)]
-    with TwoSensors(*sensors, retry_s=0.02) as two:
+    with TwoSensors(*sensors, limits=TimeLimits(retry_s=0.02)) as two:
 
         def alone_now() -> bool:
             return any(pair.a is not None and pair.b is None for pair in two.poll())

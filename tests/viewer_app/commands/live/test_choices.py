@@ -67,8 +67,8 @@ def test_tensorrt_has_time_to_build_its_engine(
 ) -> None:
     given: list[float] = []
 
-    def open_thread(thread: SensorThread, within_s: float) -> SensorThread:
-        given.extend((within_s, thread.sensor.settings.start_s))
+    def open_thread(thread: SensorThread) -> SensorThread:
+        given.extend((thread._limits.open_s, thread.sensor.settings.start_s))
         return thread
 
     monkeypatch.setattr(SensorThread, "open", open_thread)
