@@ -6,13 +6,11 @@ import filecmp
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.azure.recording.mkv import MkvInfo, MkvRecording
-from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
 from devices.blazepose.tracked_images import TrackedImages
 from devices.depth.image_thinning import Depth, thinned, thinned_camera
@@ -76,7 +74,8 @@ def open_source(
     tracker = (tracker or choose_tracker()).for_images_of(not_of_libk4a(path))
     if tracker.name == "blazepose" or not isinstance(images, MkvRecording):
         return TrackedImages(images, tracker.blazepose)
-    return _NeedsTracker(images, tracker.k4abt, option)
+    otherwise = f" Or give its skeletons, saved before, with {option} FILE."
+    return TrackedRecording(images, tracker.k4abt, otherwise=otherwise)
 
 
 def has_images(path: Path) -> bool:
@@ -307,29 +306,3 @@ def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
         images = _images_of(source)
         info = images.info if isinstance(images, MkvRecording) else None
     return _Read(source.name, read, info, list(source.warnings))
-
-
-class _NeedsTracker(TrackedRecording):
-    """A recording to be tracked, which knows the other way when there is no tracker."""
-
-    def __init__(self, recording: MkvRecording, tracker: TrackerSettings, option: str) -> None:
-        super().__init__(recording, tracker, _libk4a_beside(tracker.library))
-        self._option = option
-
-    def __enter__(self) -> Self:
-        with self.recording:
-            pass  # report problems of the file itself first
-        try:
-            return super().__enter__()
-        except DeviceError as fault:
-            raise DeviceError(
-                f"{fault} Or give its skeletons, saved before, with {self._option} FILE."
-            ) from fault
-
-
-def _libk4a_beside(libk4abt: Path | None) -> Path | None:
-    """The Sensor SDK's library in the tracker's folder; None for the system's."""
-    if libk4abt is None:
-        return None
-    names = ("libk4a.so.1.4", "libk4a.so", "k4a.dll")
-    return next((libk4abt.with_name(name) for name in names if libk4abt.with_name(name).is_file()), None)

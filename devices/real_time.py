@@ -83,7 +83,6 @@ class PacedSensor(SensorWrapper):
         wait: Callable[[threading.Event, float], bool] = threading.Event.wait,
     ) -> None:
         super().__init__(sensor)
-        self._sensor = sensor
         self._simulated = sensor if isinstance(sensor, SimulatedKinect) else None
         self._beat = beat or Beat()
         self._decimation = decimation
@@ -106,7 +105,7 @@ class PacedSensor(SensorWrapper):
         """Yields the frames of the sensor, each when it is due."""
         begun, longest, simulated = None, 0.0, self._simulated
         start_ns = 0 if simulated is None else simulated.clock_at_start_ns
-        frames = self._sensor.frames()
+        frames = self.source.frames()
         if self._decimation is not None:
             self._decimation.restart(self.name)
         while True:

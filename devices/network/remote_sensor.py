@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any
 
-from devices.network.messages import MalformedError, SensorMessage, decode_sensor
+from devices.network.messages import MalformedError, decode_sensor
 from devices.network.remote_stream import RemoteStream
 from devices.network.zenoh_session import (
     LARGEST_MESSAGE,
@@ -19,8 +19,6 @@ from devices.network.zenoh_session import (
     zenoh_session,
 )
 from devices.sensor import AbsentError, DeviceError, LinkFigures, Sensor, SensorFrame
-from fusion.body import Body
-from fusion.intrinsics import Intrinsics
 
 PREFIX = "zenoh:"
 FRAMES, SENSOR, CLOCK = "frames", "sensor", "clock"
@@ -51,7 +49,10 @@ class RemoteSensor(Sensor):
     Attributes:
         name: ``zenoh:`` and the key.
         waits_for: What opening waits for; else empty.
+        body, intrinsics, interval_ns: As it described itself; known once it has been open.
     """
+
+    interval_ns: int
 
     def __init__(
         self,
@@ -66,7 +67,7 @@ class RemoteSensor(Sensor):
         self.waits_for = ""
         self._key, self._addresses, self._clock = key, addresses, clock
         self._appear_s = appear_s
-        self._described: SensorMessage | None = None
+        self._described = False
         self._stream = RemoteStream()
         self._reports = _LossReports(self.name)
         self._told: deque[str] = deque(maxlen=20)
@@ -75,21 +76,6 @@ class RemoteSensor(Sensor):
         self._arrival, self._interrupted = threading.Event(), threading.Event()
         self._stack = ExitStack()
         self._session: Any = None
-
-    @property
-    def body(self) -> Body:  # type: ignore[override]
-        """The body that its tracker reports; known once it has described itself."""
-        return self._known().body
-
-    @property
-    def intrinsics(self) -> Intrinsics | None:  # type: ignore[override]
-        """Intrinsics of its depth camera; known once it has described itself."""
-        return self._known().intrinsics
-
-    @property
-    def interval_ns(self) -> int:
-        """Nominal time between two frames; known once it has described itself."""
-        return self._known().interval_ns
 
     @property
     def missed(self) -> int:  # type: ignore[override]
@@ -181,11 +167,6 @@ class RemoteSensor(Sensor):
                 self._ask_clock()
             self._told += self._reports.observe(self._stream.figures, now_ns)
 
-    def _known(self) -> SensorMessage:
-        if self._described is None:
-            raise DeviceError(f"{self.name} is not open.")
-        return self._described
-
     def _arrived(self, wait_s: float) -> list[tuple[str, bytes, int]]:
         """Waits for messages and returns those that have come: kind, content, and time of arrival."""
         self._arrival.wait(wait_s)
@@ -201,7 +182,7 @@ class RemoteSensor(Sensor):
     def _describe(self) -> None:
         """Waits for the description; after the first opening only as long as a peer needs to connect."""
         self.waits_for = f"duplex sensor --publish {self._key}"
-        until_s = time.monotonic() + (self._appear_s if self._described is None else _AGAIN_S)
+        until_s = time.monotonic() + (_AGAIN_S if self._described else self._appear_s)
         fault = ""
         while True:
             for reply in self._session.get(f"{self._key}/{SENSOR}", timeout=_ANSWER_S):
@@ -212,12 +193,13 @@ class RemoteSensor(Sensor):
                 except MalformedError as malformed:
                     fault = f" Its answer was not understood: {malformed}"
                     continue
-                if self._described is not None and described.body is not self._described.body:
+                if self._described and described.body is not self.body:
                     raise DeviceError(
                         f"{self.name} reports {described.body.name} now and reported "
-                        f"{self._described.body.name} before. End duplex live and start it again."
+                        f"{self.body.name} before. End duplex live and start it again."
                     )
-                self._described = described
+                self._described, self.body = True, described.body
+                self.intrinsics, self.interval_ns = described.intrinsics, described.interval_ns
                 self._stream.begin(described)
                 self.waits_for = ""
                 return

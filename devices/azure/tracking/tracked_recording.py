@@ -24,19 +24,25 @@ class TrackedRecording(SensorWrapper):
     """
 
     def __init__(
-        self, recording: MkvRecording, settings: TrackerSettings | None = None, libk4a: Path | None = None
+        self,
+        recording: MkvRecording,
+        settings: TrackerSettings | None = None,
+        libk4a: Path | None = None,
+        otherwise: str = "",
     ) -> None:
         """Stores the recording without opening it.
 
         Args:
             recording: The recording to track.
             settings: Settings of the tracker.
-            libk4a: File of the Sensor SDK's library; found by the system if None.
+            libk4a: File of the Sensor SDK's library; None: beside the tracker's, else found by the system.
+            otherwise: Added to the message when there is no tracker: what else to do.
         """
         super().__init__(recording)
         self.recording = recording
         self._tracker = BodyTracker(settings)
-        self._libk4a = libk4a
+        self._libk4a = libk4a or (_libk4a_beside(settings.library) if settings and settings.library else None)
+        self._otherwise = otherwise
         self._maker: CaptureMaker | None = None
         self._calibration: ctypes.Array[ctypes.c_char] | None = None
 
@@ -53,6 +59,9 @@ class TrackedRecording(SensorWrapper):
             self._maker = CaptureMaker(self._libk4a)
             self._calibration = self._maker.calibration(info.calibration_json, info.depth_mode)
             self._tracker.open(ctypes.addressof(self._calibration))
+        except DeviceError as fault:
+            self.__exit__()
+            raise DeviceError(f"{fault}{self._otherwise}") from fault
         except BaseException:
             self.__exit__()
             raise
@@ -82,6 +91,12 @@ class TrackedRecording(SensorWrapper):
                 queue.put(frame, capture)
             yield from queue.done()
         yield from queue.flush()
+
+
+def _libk4a_beside(libk4abt: Path) -> Path | None:
+    """The Sensor SDK's library in the tracker's folder; None for the system's."""
+    names = ("libk4a.so.1.4", "libk4a.so", "k4a.dll")
+    return next((libk4abt.with_name(name) for name in names if libk4abt.with_name(name).is_file()), None)
 
 
 class RecordingWithSkeletons(SensorWrapper):
