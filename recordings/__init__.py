@@ -10,9 +10,8 @@ if TYPE_CHECKING:
     from recordings.errors import RecordingError
     from recordings.fusing.files import fuse
     from recordings.fusing.sensors import fuse_live
-    from recordings.session import Session
+    from recordings.session import QualitySeries, Session, SkeletonSeries
     from recordings.session_arrays import RecordedFrame, SessionArrays
-    from recordings.session_series import QualitySeries, SkeletonSeries
 
 __all__ = [
     "Event",
@@ -34,8 +33,8 @@ _HOMES = {
     "Session": "recordings.session",
     "RecordedFrame": "recordings.session_arrays",
     "SessionArrays": "recordings.session_arrays",
-    "QualitySeries": "recordings.session_series",
-    "SkeletonSeries": "recordings.session_series",
+    "QualitySeries": "recordings.session",
+    "SkeletonSeries": "recordings.session",
 }
 """Module of each public name. Modules are imported on first access, because importing numba takes a
 second."""

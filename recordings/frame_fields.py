@@ -36,15 +36,15 @@ class FrameField:
         shape: Shape for one frame; :data:`JOINTS` stands for the number of joints.
         entity, component: Place in the file.
         stored: Type in the file.
-        value: Returns the value of a :class:`recordings.session_arrays.RecordedFrame`; None if there is none.
-        absent: Value in memory for a frame without a value.
+        value: The value of a :class:`recordings.session_arrays.RecordedFrame`: the path of an attribute, such
+            as ``pair.a.time_ns``, or a function. None if there is none, or if ``a`` in the path is None.
+        absent: Value in memory for a frame without a value; None: NaN, or 0 of a type without NaN.
         optional: Whether a session may lack the figure, as sessions written before it was added do. The
             attribute is then None. An optional figure does not share its component with other figures.
         step: Values are rounded to multiples of this, which makes a file smaller.
         scale: The stored value is the value in memory times this: 1e3 stores metres as millimetres.
         names: Names indexed by the values; the file stores them as a dictionary. If `dtype` is signed, -1
-            means
-        the last name.
+            means the last name.
     """
 
     dtype: type[np.generic]
@@ -52,8 +52,8 @@ class FrameField:
     entity: str
     component: str
     stored: type[np.generic]
-    value: Callable[[Any], Any]
-    absent: float | int | bool | None = None
+    value: str | Callable[[Any], Any]
+    absent: int | None = None
     optional: bool = False
     step: float | None = None
     scale: float | None = None
@@ -67,13 +67,27 @@ class FrameField:
         """The number of values per frame of a body."""
         return int(np.prod(self.shape_for(body), dtype=np.int64))
 
+    def value_of(self, frame: Any) -> Any:
+        """The value of a frame; None if there is none."""
+        if not isinstance(self.value, str):
+            return self.value(frame)
+        value = frame
+        for name in self.value.split("."):
+            if value is None:
+                return None
+            value = getattr(value, name)
+        return value
+
     def nothing(self, body: Body, frames: int) -> NDArray[Any]:
         """(T, …) of absent values."""
-        return np.broadcast_to(np.array(self.absent, self.dtype), (frames, *self.shape_for(body)))
+        absent: float | None = self.absent
+        if absent is None:
+            absent = np.nan if np.issubdtype(self.dtype, np.floating) else 0
+        return np.broadcast_to(np.array(absent, self.dtype), (frames, *self.shape_for(body)))
 
     def stacked(self, body: Body, frames: Sequence[Any]) -> NDArray[Any] | None:
         """(T, …) values of the frames; None if the figure is optional and no frame has a value."""
-        values = [self.value(frame) for frame in frames]
+        values = [self.value_of(frame) for frame in frames]
         missing = [k for k, value in enumerate(values) if value is None]
         if missing:
             if self.optional and len(missing) == len(values):
@@ -125,7 +139,7 @@ def per_frame(
     entity: str,
     component: str,
     stored: type[np.generic],
-    value: Callable[[Any], Any],
+    value: str | Callable[[Any], Any],
     **more: Any,
 ) -> Any:
     """Declares an attribute of a dataclass as a :class:`FrameField`; same arguments."""
@@ -144,7 +158,7 @@ def no_joint_or_joint(body: Body) -> tuple[str, ...]:
     return (*body.joints, "none")
 
 
-def tracking_states(body: Body) -> tuple[str, ...]:
+def state_names(body: Body) -> tuple[str, ...]:
     """Names of tracking states, the same for all bodies."""
     del body
     return layout.STATE_NAMES

@@ -1,4 +1,4 @@
-"""A session's layout: entity paths, timelines, colours and names, shared by writer, reader and blueprint.
+"""A session's layout: entity paths, timelines and names, shared by writer, reader and blueprint.
 
 The layout is the same live and in a file. Positions are metres; the world is K_A's frame.
 """
@@ -137,8 +137,6 @@ def stream_figure(name: str) -> str:
     return f"{QUALITY}/{name}"
 
 
-Color = tuple[int, int, int]
-
 SKELETON_NAMES = {
     "a": "S_A",
     "b": "S_B",
@@ -147,33 +145,7 @@ SKELETON_NAMES = {
     "exchanged_a": "S_A, left and right exchanged",
     "exchanged_b": "S_B, left and right exchanged",
 }
-SKELETON_COLORS: dict[str, Color] = {
-    "a": (184, 115, 51),  # the paper's brown,
-    "b": (58, 134, 255),  # blue
-    "fused": (178, 78, 232),  # and purple
-    "truth": (64, 168, 96),
-    "exchanged_a": (240, 220, 70),  # yellow, and cyan: each next to the color of its own view
-    "exchanged_b": (70, 225, 225),
-}
-VIEW_COLORS: dict[str, tuple[Color, Color, Color]] = {
-    "a": (SKELETON_COLORS["a"], (134, 104, 76), (176, 156, 36)),
-    "b": (SKELETON_COLORS["b"], (92, 116, 164), (28, 164, 164)),
-}
-"""Of a joint of S_A and S_B that is tracked, that is inferred, and whose sides were exchanged. The last two
-are dimmed."""
 CLASS_IDS = {"a": 1, "b": 2, "fused": 3, "truth": 4, "exchanged_a": 5, "exchanged_b": 6}
 LINELESS_CLASS = 7
 """Class of joints that are shown without lines between them."""
-PREDICTED_COLOR: Color = (150, 150, 150)
-"""Colour of a joint of S* without data from any sensor."""
 STATE_NAMES = ("not tracked", "inferred", "tracked")
-STATE_COLORS: tuple[Color, ...] = ((190, 60, 60), (226, 168, 60), (86, 160, 96))
-PROMINENT_JOINTS = ("ELBOW_LEFT", "ELBOW_RIGHT", "WRIST_LEFT", "WRIST_RIGHT", "KNEE_LEFT", "KNEE_RIGHT")
-"""Joints whose weights are shown by default: those most often occluded and confused."""
-PROMINENT_BONES = ("upper_arm", "forearm", "thigh", "shin")
-"""Bones shown by default, on both sides: those of the paper's fig. 5."""
-TARGET_COLOR = (128, 128, 128)
-"""Colour of the target bone length. Unlike the paper's black, it is readable on light and dark
-backgrounds."""
-JOINT_RADII = {"a": 0.006, "b": 0.006, "fused": 0.016, "truth": 0.010}
-"""Metres."""

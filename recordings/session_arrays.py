@@ -1,7 +1,4 @@
-"""The frames of a session stacked into arrays, used for writing, reading and reporting.
-
-A little over 300 lines: the table of all figures of a frame.
-"""
+"""The frames of a session stacked into arrays, used for writing, reading and reporting."""
 
 from __future__ import annotations
 
@@ -28,7 +25,7 @@ from recordings.frame_fields import (
     frame_fields,
     no_joint_or_joint,
     per_frame,
-    tracking_states,
+    state_names,
 )
 
 
@@ -50,9 +47,8 @@ class RecordedFrame:
 
 
 POINTS = "Points3D:positions"
-_CLOCKS = layout.QUALITY, "sensors.captured_ns", np.int64
-_STALE = layout.QUALITY, "sensors.stale"
-_PLACEMENT = layout.kinect("b"), "rotation_translation"
+_VIEW_A, _VIEW_B, _FUSED = layout.skeleton("a"), layout.skeleton("b"), layout.FUSED_SKELETON
+_CAPTURED, _STALE, _PLACEMENT = "sensors.captured_ns", "sensors.stale", "rotation_translation"
 _WEIGHT_STEP = 1.0 / 128.0  # finer steps are not visible
 
 
@@ -76,138 +72,119 @@ class SessionArrays:
     frame: NDArray[np.int64]
     time_ns: NDArray[np.int64]
     skew_ns: NDArray[np.int64] = per_frame(
-        np.int64, (), layout.QUALITY, "figures.skew_ms", np.float64, lambda f: f.pair.skew_ns, scale=1e-6
+        np.int64, (), layout.QUALITY, "figures.skew_ms", np.float64, "pair.skew_ns", scale=1e-6
     )
     """(T,) capture time of B minus capture time of A."""
     clock_a: NDArray[np.int64] = per_frame(
-        np.int64,
-        (),
-        *_CLOCKS,
-        lambda f: None if f.pair.a is None else f.pair.a.time_ns,
-        absent=layout.NO_FRAME,
+        np.int64, (), layout.QUALITY, _CAPTURED, np.int64, "pair.a.time_ns", absent=layout.NO_FRAME
     )
     """(T,) time on A's own clock, ns; layout.NO_FRAME where A gave no frame."""
     clock_b: NDArray[np.int64] = per_frame(
-        np.int64,
-        (),
-        *_CLOCKS,
-        lambda f: None if f.pair.b is None else f.pair.b.time_ns,
-        absent=layout.NO_FRAME,
+        np.int64, (), layout.QUALITY, _CAPTURED, np.int64, "pair.b.time_ns", absent=layout.NO_FRAME
     )
     """(T,) time on B's own clock, ns; layout.NO_FRAME where B gave no frame."""
     positions_a: NDArray[np.float32] = per_frame(
-        *(np.float32, (JOINTS, 3), layout.skeleton("a"), POINTS, np.float32),
-        lambda f: None if f.pair.skeletons.a is None else f.pair.skeletons.a.positions,
-        absent=np.nan,
+        np.float32, (JOINTS, 3), _VIEW_A, POINTS, np.float32, "pair.skeletons.a.positions"
     )
     """(T, J, 3) S_A in A's frame."""
     positions_b: NDArray[np.float32] = per_frame(
-        *(np.float32, (JOINTS, 3), layout.skeleton("b"), POINTS, np.float32),
-        lambda f: None if f.pair.skeletons.b is None else f.pair.skeletons.b.positions,
-        absent=np.nan,
+        np.float32, (JOINTS, 3), _VIEW_B, POINTS, np.float32, "pair.skeletons.b.positions"
     )
     """(T, J, 3) S_B in B's frame."""
     states_a: NDArray[np.uint8] = per_frame(
-        *(np.uint8, (JOINTS,), layout.FUSED_SKELETON, layout.state("a"), np.int8),
-        lambda f: None if f.pair.skeletons.a is None else f.pair.skeletons.a.states,
-        absent=0,
-        names=tracking_states,
+        np.uint8,
+        (JOINTS,),
+        _FUSED,
+        layout.state("a"),
+        np.int8,
+        "pair.skeletons.a.states",
+        names=state_names,
     )
     """(T, J) tracking states of S_A."""
     states_b: NDArray[np.uint8] = per_frame(
-        *(np.uint8, (JOINTS,), layout.FUSED_SKELETON, layout.state("b"), np.int8),
-        lambda f: None if f.pair.skeletons.b is None else f.pair.skeletons.b.states,
-        absent=0,
-        names=tracking_states,
+        np.uint8,
+        (JOINTS,),
+        _FUSED,
+        layout.state("b"),
+        np.int8,
+        "pair.skeletons.b.states",
+        names=state_names,
     )
     """(T, J) tracking states of S_B."""
     weights_a: NDArray[np.float32] = per_frame(
-        *(np.float32, (JOINTS,), layout.FUSED_SKELETON, layout.weight("a"), np.float16),
-        lambda f: f.fused.weights_a,
-        step=_WEIGHT_STEP,
+        np.float32, (JOINTS,), _FUSED, layout.weight("a"), np.float16, "fused.weights_a", step=_WEIGHT_STEP
     )
     """(T, J) w^A of eq. (11), rounded to 1/128."""
     weights_b: NDArray[np.float32] = per_frame(
-        *(np.float32, (JOINTS,), layout.FUSED_SKELETON, layout.weight("b"), np.float16),
-        lambda f: f.fused.weights_b,
-        step=_WEIGHT_STEP,
+        np.float32, (JOINTS,), _FUSED, layout.weight("b"), np.float16, "fused.weights_b", step=_WEIGHT_STEP
     )
     """(T, J) w^B of eq. (11), rounded to 1/128."""
     misleading: NDArray[np.int32] = per_frame(
-        *(np.int32, (JOINTS,), layout.FUSED_SKELETON, "misleading_joint", np.int8),
-        lambda f: f.fused.misleading,
-        names=no_joint_or_joint,
+        np.int32, (JOINTS,), _FUSED, "misleading_joint", np.int8, "fused.misleading", names=no_joint_or_joint
     )
     """(T, J) index of the mis-leading joint of sec. 3, or -1."""
     rotation: NDArray[np.float64] = per_frame(
-        np.float64, (3, 3), *_PLACEMENT, np.float64, lambda f: f.fused.a_from_b.rotation
+        np.float64, (3, 3), layout.kinect("b"), _PLACEMENT, np.float64, "fused.a_from_b.rotation"
     )
     """(T, 3, 3) R, K_A ← K_B."""
     translation: NDArray[np.float64] = per_frame(
-        np.float64, (3,), *_PLACEMENT, np.float64, lambda f: f.fused.a_from_b.translation
+        np.float64, (3,), layout.kinect("b"), _PLACEMENT, np.float64, "fused.a_from_b.translation"
     )
     """(T, 3) t, K_A ← K_B."""
     fused: NDArray[np.float64] = per_frame(
-        *(np.float64, (JOINTS, 3), layout.FUSED_SKELETON, POINTS, np.float32), lambda f: f.fused.positions
+        np.float64, (JOINTS, 3), _FUSED, POINTS, np.float32, "fused.positions"
     )
     """(T, J, 3) S* in K_A's frame."""
     predicted: NDArray[np.bool_] = per_frame(
-        np.bool_, (JOINTS,), layout.FUSED_SKELETON, "predicted", np.bool_, lambda f: f.fused.predicted
+        np.bool_, (JOINTS,), _FUSED, "predicted", np.bool_, "fused.predicted"
     )
     """(T, J) whether a joint of S* has no data."""
     iterations: NDArray[np.int64] = per_frame(
-        np.int64, (), layout.QUALITY, "figures.iterations", np.uint16, lambda f: f.fused.iterations
+        np.int64, (), layout.QUALITY, "figures.iterations", np.uint16, "fused.iterations"
     )
     """(T,) iterations of the solver."""
-    stale_a: NDArray[np.bool_] = per_frame(np.bool_, (), *_STALE, np.bool_, lambda f: f.fused.stale_a)
+    stale_a: NDArray[np.bool_] = per_frame(np.bool_, (), layout.QUALITY, _STALE, np.bool_, "fused.stale_a")
     """(T,) whether A repeated its last skeleton."""
-    stale_b: NDArray[np.bool_] = per_frame(np.bool_, (), *_STALE, np.bool_, lambda f: f.fused.stale_b)
+    stale_b: NDArray[np.bool_] = per_frame(np.bool_, (), layout.QUALITY, _STALE, np.bool_, "fused.stale_b")
     """(T,) whether B repeated its last skeleton."""
     fuse_ms: NDArray[np.float64] = per_frame(
         np.float64, (), layout.QUALITY, "figures.fuse_ms", np.float32, lambda f: f.fuse_ns * 1e-6
     )
     """(T,) duration of the fusion, milliseconds."""
     truth: NDArray[np.float64] | None = per_frame(
-        *(np.float64, (JOINTS, 3), layout.TRUTH_SKELETON, POINTS, np.float32),
-        lambda f: f.truth,
-        absent=np.nan,
-        optional=True,
+        np.float64, (JOINTS, 3), layout.TRUTH_SKELETON, POINTS, np.float32, "truth", optional=True
     )
     """(T, J, 3) where the joints really are, in K_A's frame; simulations only."""
     sigma: NDArray[np.float32] | None = per_frame(
-        *(np.float32, (JOINTS,), layout.FUSED_SKELETON, "sigma_mm", np.float16),
-        lambda f: f.fused.sigma,
-        absent=np.nan,
-        optional=True,
-        scale=1e3,
+        np.float32, (JOINTS,), _FUSED, "sigma_mm", np.float16, "fused.sigma", optional=True, scale=1e3
     )
     """(T, J) metres, one standard deviation of S*; sessions of the method ``duplex`` only."""
     exchanged: NDArray[np.int8] | None = per_frame(
-        *(np.int8, (2,), layout.QUALITY, "exchanged", np.int8),
-        lambda f: None if f.fused.sigma is None else (f.fused.exchanged_a, f.fused.exchanged_b),
-        absent=0,
-        optional=True,
+        np.int8, (2,), layout.QUALITY, "exchanged", np.int8, lambda f: _exchanged(f.fused), optional=True
     )
     """(T, 2) which sides of A and of B were exchanged, see :mod:`fusion.facing.model`; ``duplex`` only."""
     witness_a: NDArray[np.float32] | None = per_frame(
-        *(np.float32, (JOINTS, 4), layout.skeleton("a"), "depth_witness", np.float16),
-        lambda f: _witness(f.pair.a, f.pair.skeletons.a, f.fused.positions),
-        absent=np.nan,
+        np.float32,
+        (JOINTS, 4),
+        _VIEW_A,
+        "depth_witness",
+        np.float16,
+        lambda f: _witness(f, "a"),
         optional=True,
     )
     """(T, J, 4) depth evidence for each joint of S_A, metres; columns: ``fusion.witness.COLUMNS``."""
     witness_b: NDArray[np.float32] | None = per_frame(
-        *(np.float32, (JOINTS, 4), layout.skeleton("b"), "depth_witness", np.float16),
-        lambda f: _witness(f.pair.b, f.pair.skeletons.b, f.fused.positions),
-        absent=np.nan,
+        np.float32,
+        (JOINTS, 4),
+        _VIEW_B,
+        "depth_witness",
+        np.float16,
+        lambda f: _witness(f, "b"),
         optional=True,
     )
     """(T, J, 4) likewise of B."""
     side_doubt: NDArray[np.uint8] | None = per_frame(
-        *(np.uint8, (2,), layout.QUALITY, "side_doubt", np.uint8),
-        lambda f: None if f.fused.sigma is None else _steps(f.fused.doubt_a, f.fused.doubt_b),
-        absent=0,
-        optional=True,
+        np.uint8, (2,), layout.QUALITY, "side_doubt", np.uint8, lambda f: _doubts(f.fused), optional=True
     )
     """(T, 2) probability that the sides of A and of B are wrong all the same, in 1/255; ``duplex`` only."""
 
@@ -303,22 +280,28 @@ class SessionArrays:
         return np.asarray((nearest[frame, (seen - 1) // 2] + nearest[frame, seen // 2]) / 2.0)
 
 
-def _steps(*doubts: float) -> list[int]:
-    return [round(DOUBT_STEPS * doubt) for doubt in doubts]
+def _exchanged(fused: FusedFrame) -> tuple[int, int] | None:
+    return None if fused.sigma is None else (fused.exchanged_a, fused.exchanged_b)
 
 
-def _witness(
-    frame: SensorFrame | None, skeleton: Skeleton | None, joints: NDArray[np.float64]
-) -> NDArray[np.float32] | None:
+def _doubts(fused: FusedFrame) -> list[int] | None:
+    if fused.sigma is None:
+        return None
+    return [round(DOUBT_STEPS * doubt) for doubt in (fused.doubt_a, fused.doubt_b)]
+
+
+def _witness(frame: RecordedFrame, side: str) -> NDArray[np.float32] | None:
     """The depth evidence of a skeleton; all NaN for an image without a person.
 
     An optional figure must exist in every frame of a session, including frames without a person.
     """
+    skeleton: Skeleton | None = getattr(frame.pair.skeletons, side)
     if skeleton is not None:
         return skeleton.witness
-    if frame is None or frame.depth is None:
+    seen: SensorFrame | None = getattr(frame.pair, side)
+    if seen is None or seen.depth is None:
         return None
-    return np.full((len(joints), 4), np.nan, dtype=np.float32)
+    return np.full((len(frame.fused.positions), 4), np.nan, dtype=np.float32)
 
 
 FRAME_FIELDS: Mapping[str, FrameField] = MappingProxyType(frame_fields(fields(SessionArrays)))

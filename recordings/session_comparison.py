@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from recordings import layout
+from recordings.appearance.colors import SKELETON_COLORS
 from recordings.errors import RecordingError
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
@@ -147,7 +148,7 @@ def record_comparison(
     joints = [rr.AnnotationInfo(id=j, label=name) for j, name in enumerate(body.joints)]
     bones = [(int(body.parents[joint]), int(joint)) for joint in body.bone_joints]
     both = (
-        (layout.FUSED_SKELETON, 1, "first S*", layout.SKELETON_COLORS["fused"], comparison.first),
+        (layout.FUSED_SKELETON, 1, "first S*", SKELETON_COLORS["fused"], comparison.first),
         (SECOND_SKELETON, 2, "second S*", _SECOND_COLOR, comparison.second),
     )
     classes = [

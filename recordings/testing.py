@@ -92,10 +92,10 @@ def assert_sessions_match(
         actual, expected: Sessions or their files.
         position_mm: Tolerance for the distance of a joint of S*; 0 requires bit-identical values.
 
-        Raises:
-            AssertionError: The body, the number of frames, the times, S_A or S_B differ; S* is missing in one
-                session; or a joint exceeds the tolerance.
-            ValueError: `position_mm` is negative or not a number.
+    Raises:
+        AssertionError: The body, the number of frames, the times, S_A or S_B differ; S* is missing in one
+            session; or a joint exceeds the tolerance.
+        ValueError: `position_mm` is negative or not a number.
     """
     if not 0.0 <= position_mm < np.inf:
         raise ValueError(f"position_mm is {position_mm}; it must be 0 or more millimetres")

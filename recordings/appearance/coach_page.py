@@ -9,11 +9,12 @@ from typing import Any, Literal
 import rerun as rr
 
 from recordings import layout
+from recordings.appearance.colors import Color
 
 Point = tuple[float, float, float]
 Meaning = Literal["do", "mend", "better"]
 
-_COLORS: dict[Meaning, layout.Color] = {
+_COLORS: dict[Meaning, Color] = {
     "do": (64, 168, 96),  # green: go here
     "mend": (220, 60, 60),  # red: something is wrong here
     "better": (226, 168, 60),  # amber: it could stand here

@@ -12,6 +12,15 @@ from fusion.body import Body
 from fusion.intrinsics import Intrinsics
 from recordings import layout
 from recordings.appearance.body_shape import capsule_radii
+from recordings.appearance.colors import (
+    JOINT_RADII,
+    PREDICTED_COLOR,
+    PROMINENT_JOINTS,
+    SKELETON_COLORS,
+    STATE_COLORS,
+    TARGET_COLOR,
+    Color,
+)
 
 _CLOUD_RADIUS = rr.components.Radius.ui_points(0.5)  # metres would hide the person behind points near the eye
 _BONE_RADIUS = 1.2  # points on the screen: seen beside the body from where the eye stands, light and dark
@@ -33,7 +42,7 @@ def annotation_context(body: Body) -> rr.AnnotationContext:
                 info=rr.AnnotationInfo(
                     id=layout.CLASS_IDS[key],
                     label=layout.SKELETON_NAMES[key],
-                    color=layout.SKELETON_COLORS[key],
+                    color=SKELETON_COLORS[key],
                 ),
                 keypoint_annotations=joints,
                 keypoint_connections=bones,
@@ -56,15 +65,15 @@ def joint_look(body: Body, key: str) -> rr.Points3D:
     return rr.Points3D.from_fields(
         class_ids=None if key in layout.SIDES else layout.CLASS_IDS[key],
         keypoint_ids=range(len(body)),
-        colors=layout.SKELETON_COLORS[key] if key == "truth" else None,
-        radii=layout.JOINT_RADII[key],
+        colors=SKELETON_COLORS[key] if key == "truth" else None,
+        radii=JOINT_RADII[key],
         show_labels=False,
     )
 
 
 def cloud_look(side: str) -> rr.Points3D:
     """Appearance of a sensor's point cloud: the colour of its skeleton, as in the paper's fig. 2."""
-    return rr.Points3D.from_fields(colors=layout.SKELETON_COLORS[side], radii=_CLOUD_RADIUS)
+    return rr.Points3D.from_fields(colors=SKELETON_COLORS[side], radii=_CLOUD_RADIUS)
 
 
 def sensor_label(side: str) -> rr.Points3D:
@@ -72,7 +81,7 @@ def sensor_label(side: str) -> rr.Points3D:
     return rr.Points3D(
         [_ABOVE_SENSOR],
         labels=[f"Kinect {side.upper()}"],
-        colors=layout.SKELETON_COLORS[side],
+        colors=SKELETON_COLORS[side],
         radii=0.001,
         show_labels=True,
     )
@@ -95,7 +104,7 @@ def camera(intrinsics: Intrinsics, side: str) -> rr.Pinhole:
         height=intrinsics.height,
         camera_xyz=rr.ViewCoordinates.RDF,
         image_plane_distance=_FRUSTUM_DEPTH,
-        color=layout.SKELETON_COLORS[side],
+        color=SKELETON_COLORS[side],
     )
 
 
@@ -104,14 +113,14 @@ def image_edge(intrinsics: Intrinsics) -> rr.Boxes2D:
     return rr.Boxes2D(
         array=[0, 0, intrinsics.width, intrinsics.height],
         array_format=rr.Box2DFormat.XYWH,
-        colors=layout.PREDICTED_COLOR,
+        colors=PREDICTED_COLOR,
         radii=rr.components.Radius.ui_points(0.5),
     )
 
 
 def weight_lines(body: Body, side: str) -> Visualizer:
     """Plot lines of a sensor's weights. Mirrored joints share a hue; the right side is paler."""
-    prominent = [body.joint(name) for name in layout.PROMINENT_JOINTS]
+    prominent = [body.joint(name) for name in PROMINENT_JOINTS]
     hue = {joint: k // 2 / (len(prominent) // 2) for k, joint in enumerate(prominent)}
     colors = []
     for joint, mirror in enumerate(body.mirror):
@@ -129,9 +138,7 @@ def weight_lines(body: Body, side: str) -> Visualizer:
 DEPTH = rr.EncodedDepthImage.from_fields(colormap=rr.components.Colormap.Grayscale)
 """Grey, so that a skeleton's colour stands out over it."""
 
-STATE_LANES = rr.StateConfiguration(
-    values=layout.STATE_NAMES, labels=layout.STATE_NAMES, colors=layout.STATE_COLORS
-)
+STATE_LANES = rr.StateConfiguration(values=layout.STATE_NAMES, labels=layout.STATE_NAMES, colors=STATE_COLORS)
 
 
 def bone_lines(bone: str, *, mirrored: bool = False) -> Visualizer:
@@ -141,14 +148,14 @@ def bone_lines(bone: str, *, mirrored: bool = False) -> Visualizer:
     of = f", {side}" if side in ("left", "right") else ""
     look = rr.SeriesLines(
         names=[*(layout.SKELETON_NAMES[key] + of for key in keys), f"target{of}"],
-        colors=[*(_darker(layout.SKELETON_COLORS[key], mirrored) for key in keys), layout.TARGET_COLOR],
+        colors=[*(_darker(SKELETON_COLORS[key], mirrored) for key in keys), TARGET_COLOR],
         widths=[1.0, 1.0, 2.5, 1.0],
         visible_series=[True, True, True, False],
     )
     return _lines(look, layout.BONE_LENGTHS, bone)
 
 
-def _darker(color: layout.Color, darker: bool) -> layout.Color:
+def _darker(color: Color, darker: bool) -> Color:
     red, green, blue = (round(_MIRRORED * each) if darker else each for each in color)
     return red, green, blue
 
@@ -156,14 +163,14 @@ def _darker(color: layout.Color, darker: bool) -> layout.Color:
 def figure_lines(name: str) -> Visualizer:
     """Plot line of a figure of layout.QUALITY; its name ends in its unit, if any."""
     words = name.replace("_mm", " (mm)").replace("_ms", " (ms)").replace("_", " ")
-    return _lines(rr.SeriesLines(names=words, colors=layout.SKELETON_COLORS["fused"]), layout.FIGURES, name)
+    return _lines(rr.SeriesLines(names=words, colors=SKELETON_COLORS["fused"]), layout.FIGURES, name)
 
 
 def tracked_lines() -> Visualizer:
     """Plot lines of the number of joints that each sensor tracks."""
     look = rr.SeriesLines(
         names=[f"tracked by {side.upper()}" for side in layout.SIDES],
-        colors=[layout.SKELETON_COLORS[side] for side in layout.SIDES],
+        colors=[SKELETON_COLORS[side] for side in layout.SIDES],
     )
     return _lines(look, layout.OF_EACH_SENSOR, "tracked_joints")
 
@@ -183,7 +190,7 @@ def sigma_spheres() -> Visualizer:
     """Transparent spheres around the joints of S*, one standard deviation in radius."""
     look = rr.Ellipsoids3D.from_fields(
         fill_mode=rr.components.FillMode.TransparentFillMajorWireframe,
-        colors=(*layout.SKELETON_COLORS["fused"], _SPHERE_OPACITY),
+        colors=(*SKELETON_COLORS["fused"], _SPHERE_OPACITY),
         line_radii=rr.components.Radius.ui_points(0.5),
     )
     sources = {"half_sizes": layout.SIGMA_SPHERES, "centers": "Points3D:positions"}
@@ -239,11 +246,11 @@ def _mapped(archetype: str, **sources: str) -> list[VisualizerComponentMapping]:
 
 
 STREAM_LINES = {
-    "drift_ppm": rr.SeriesLines(names="drift (ppm)", colors=layout.SKELETON_COLORS["fused"]),
+    "drift_ppm": rr.SeriesLines(names="drift (ppm)", colors=SKELETON_COLORS["fused"]),
     **{
         name: rr.SeriesLines(
             names=[f"{title} {side.upper()}" for side in layout.SIDES],
-            colors=[layout.SKELETON_COLORS[side] for side in layout.SIDES],
+            colors=[SKELETON_COLORS[side] for side in layout.SIDES],
         )
         for name, title in (("dropped", "dropped of"), ("unpaired", "without a partner, of"))
     },
@@ -253,11 +260,11 @@ STREAM_LINES = {
 QUALITY_LINES = {
     "jitter_mm": rr.SeriesLines(
         names=[layout.SKELETON_NAMES[key] for key in ("a", "b", "fused")],
-        colors=[layout.SKELETON_COLORS[key] for key in ("a", "b", "fused")],
+        colors=[SKELETON_COLORS[key] for key in ("a", "b", "fused")],
         widths=[1.0, 1.0, 2.5],
     ),
     "placement": rr.SeriesLines(
-        names=["moved (mm)", "turned (°)"], colors=[layout.SKELETON_COLORS["b"], layout.TARGET_COLOR]
+        names=["moved (mm)", "turned (°)"], colors=[SKELETON_COLORS["b"], TARGET_COLOR]
     ),
 }
 """Plot titles of figures of quality, by the names of :func:`layout.stream_figure`."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from fusion.body import Body
-from recordings import layout
+from recordings.appearance.colors import PREDICTED_COLOR, SKELETON_COLORS, Color
 from recordings.session_arrays import SessionArrays
 
 _SHADES = 16  # finer shades are not visible; few colours compress well
@@ -42,16 +42,16 @@ def _palette() -> NDArray[np.uint8]:
     """(_INKS + _SHADES + 2, 3) RGB: the ink, from B's colour over that of S* to A's, then the
     predicted colour."""
 
-    def between(first: layout.Color, last: layout.Color, steps: int) -> NDArray[np.float64]:
+    def between(first: Color, last: Color, steps: int) -> NDArray[np.float64]:
         return np.linspace(np.array(first), np.array(last), steps)
 
-    a, b, both = (layout.SKELETON_COLORS[key] for key in ("a", "b", "fused"))
+    a, b, both = (SKELETON_COLORS[key] for key in ("a", "b", "fused"))
     half = _SHADES // 2
     ramps = (
         between(_INK, _INK, _INKS),
         between(b, both, half + 1)[:-1],
         between(both, a, half + 1),
-        np.array([layout.PREDICTED_COLOR]),
+        np.array([PREDICTED_COLOR]),
     )
     return np.concatenate(ramps).astype(np.uint8)
 

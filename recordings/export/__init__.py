@@ -1,4 +1,4 @@
-"""Exports S* for other programs: one module per format, chosen by the file's suffix."""
+"""Exports S* for other programs: chosen by the file's suffix."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Literal
 
 from recordings.errors import RecordingError
 from recordings.export.bvh import write_bvh
-from recordings.export.c3d import write_c3d
+from recordings.export.markers import write_c3d, write_trc
 from recordings.export.tables import write_long_csv, write_npz, write_parquet, write_wide_csv
-from recordings.export.trc import write_trc
 from recordings.session import Session
 
 Table = Literal["long", "wide"]

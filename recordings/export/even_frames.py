@@ -19,8 +19,7 @@ class EvenFrames:
     """Assigns a recorded frame to each moment of an even rate.
 
     Frames are never interpolated: interpolation would change bone lengths. The intervals of sensors vary by
-        some
-    milliseconds only.
+    some milliseconds only.
 
     Attributes:
         rate: Frames per second.

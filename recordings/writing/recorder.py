@@ -1,9 +1,4 @@
-"""All log calls. Constant data is logged once; frames are logged one by one (live) or by columns (offline).
-
-Both ways give the same layout, because both use :mod:`recordings.writing.frame_streams`.
-
-A little over 300 lines: all log calls of a session are in one place.
-"""
+"""Logs a session to a stream: constant data once, frames by columns, everything else when it changes."""
 
 from __future__ import annotations
 
@@ -25,11 +20,10 @@ from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.joint_trust import StateLanes, TrustMatrix, matrix_frame
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.arrow_columns import Times, depth_image, points
+from recordings.writing.changes import PlacementLog, QualityLog, StreamFiguresLog
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
-from recordings.writing.frame_streams import FrameStream, frame_streams
-from recordings.writing.placement_log import PlacementLog
+from recordings.writing.frame_columns import frame_columns
 from recordings.writing.properties import session_properties
-from recordings.writing.quality_log import QualityLog, StreamFiguresLog
 from recordings.writing.shown_images import ColorLog, prepare_points, show_infrared, thin_points
 
 _MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
@@ -116,17 +110,6 @@ class Recorder:
         check = properties_checksum({"calibration": {"frame": self._frames, **values}})
         self._stream.log(layout.CALIBRATION, rr.AnyValues(**values, calibration_crc32=check))
 
-    def record(self, frame: RecordedFrame) -> None:
-        """Logs one frame immediately, for live use."""
-        rows = self._stack([frame], None)
-        self._placement.record(rows)
-        self._set_time(int(rows.frame[0]), int(rows.time_ns[0]))
-        for stream in frame_streams(rows):
-            self._stream.log(stream.entity, *stream.of_first())
-        self._log_sensors([frame], rows)
-        self._explain(rows)
-        self._last = (int(rows.frame[0]), int(rows.time_ns[0]))
-
     def record_all(
         self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None = None
     ) -> SessionArrays:
@@ -158,7 +141,7 @@ class Recorder:
             checks: Checks of S* in float64, if `rows` come from a file in float32.
         """
         self._placement.record(rows)
-        self._send(frame_streams(rows, checks))
+        self._send(frame_columns(rows, checks))
         self._explain(rows)
         self._frames = max(self._frames, int(rows.frame[-1]) + 1)
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
@@ -169,23 +152,22 @@ class Recorder:
             frames, numbers = zip(*self._unplotted, strict=True)
             self._unplotted.clear()
             rows = self._stack(frames, numbers)
-            self._send(frame_streams(rows, drawn=False))
+            self._send(frame_columns(rows, drawn=False))
             self._explain(rows)
 
     def _draw(self, rows: SessionArrays) -> None:
         """Logs what is drawn into the scene, and leaves the rest to :meth:`plot`."""
         self._placement.record(rows)
-        self._send(frame_streams(rows, plotted=False))
+        self._send(frame_columns(rows, plotted=False))
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
 
-    def _send(self, streams: Iterable[FrameStream]) -> None:
+    def _send(self, entities: Iterable[tuple[str, SessionArrays, list[Any]]]) -> None:
         timed: SessionArrays | None = None
         times: list[Times] = []
-        for stream in streams:
-            if stream.rows is not timed:
-                timed, times = stream.rows, _times(stream.rows)
-            columns: list[Any] = stream.columns()
-            self._stream.send_columns(stream.entity, times, columns)
+        for entity, rows, columns in entities:
+            if rows is not timed:
+                timed, times = rows, _times(rows)
+            self._stream.send_columns(entity, times, columns)
             self._pause()
 
     def record_images(self, number: int, frame: RecordedFrame) -> None:
@@ -260,10 +242,9 @@ class Recorder:
         if numbers is None:
             numbers = range(self._frames, self._frames + len(frames))
         calibration = self._calibration
+        begun_ns = self._begun_by(frames[0])
         rows = SessionArrays.stack(
-            *(calibration.body, calibration.bone_lengths, frames, numbers),
-            start_ns=self._begun_by(frames[0]),
-            like=self._like,
+            calibration.body, calibration.bone_lengths, frames, numbers, begun_ns, like=self._like
         )
         self._like = self._like or rows[:1]
         self._frames = numbers[-1] + 1

@@ -21,6 +21,7 @@ from recordings.appearance.body_shape import (
     parents,
     pelvis_rotations,
 )
+from recordings.appearance.colors import VIEW_COLORS
 from recordings.appearance.joint_trust import trust_colors
 from recordings.session_arrays import SessionArrays
 
@@ -67,13 +68,13 @@ def _view_class(side: str) -> Callable[[SessionArrays], NDArray[Any]]:
 
 
 def _view_colors(side: str) -> Callable[[SessionArrays], NDArray[Any]]:
-    """(T, J, 3) RGB of S_A or S_B, see :data:`recordings.layout.VIEW_COLORS`."""
+    """(T, J, 3) RGB of S_A or S_B, see :data:`recordings.appearance.colors.VIEW_COLORS`."""
 
     def colors(rows: SessionArrays) -> NDArray[Any]:
         states = rows.states_a if side == "a" else rows.states_b
         exchanged = rows.filled("exchanged")[:, layout.SIDES.index(side)] != 0
         chosen = np.where(exchanged[:, None], 2, np.where(states == TrackingState.TRACKED, 0, 1))
-        return np.array(layout.VIEW_COLORS[side], dtype=np.uint8)[chosen]
+        return np.array(VIEW_COLORS[side], dtype=np.uint8)[chosen]
 
     return colors
 
@@ -149,3 +150,8 @@ SHOWN_FIGURES = (
     ),
     ShownFigure(layout.QUALITY, "sensors.tracked_joints", np.uint8, _tracked_joints),
 )
+
+
+def shown_values(rows: SessionArrays, entity: str, component: str) -> NDArray[Any] | None:
+    """(T, …) values of one derived figure; None where there are none."""
+    return next(f for f in SHOWN_FIGURES if (f.entity, f.component) == (entity, component)).values(rows)

@@ -27,6 +27,7 @@ from devices.simulated.demonstration import MIRRORED, MISPLACED
 from fusion.rigid import RigidTransform
 from recordings import Session, layout
 from recordings.appearance.body_shape import capsule_lengths, capsule_radii, capsule_rotations, parents
+from recordings.appearance.colors import SKELETON_COLORS
 from recordings.appearance.floor import find_floor
 from tests.helpers.waiting import eventually
 from viewer_app.cli import main
@@ -161,7 +162,7 @@ def _write_scene(file: Path, session: Session, skeletons: Skeletons, rows: Seque
             at = skeletons.positions[key][row]
             known = np.isfinite(at).all(axis=1)
             unseen = skeletons.unseen[key][row]
-            colors = np.tile(layout.SKELETON_COLORS[key], (len(body), 1))
+            colors = np.tile(SKELETON_COLORS[key], (len(body), 1))
             colors[skeletons.wrong[key][row]] = WRONG
             colors[unseen | unseen[parents(body)]] = _GHOST  # a bone needs both of its ends
             capsules = rr.Capsules3D(
@@ -245,10 +246,10 @@ def with_captions(picture: Image.Image, skeletons: Skeletons, row: int) -> Image
     title, text = ImageFont.load_default(size=22), ImageFont.load_default(size=17)
     for place, key in enumerate(SHOWN):
         middle = (place + 0.5) * width
-        pen.text((middle, 24), _TITLES[key], fill=layout.SKELETON_COLORS[key], font=title, anchor="mm")
+        pen.text((middle, 24), _TITLES[key], fill=SKELETON_COLORS[key], font=title, anchor="mm")
         fault = fault_of(skeletons, key, row)
         if fault or (key == "fused" and any(fault_of(skeletons, side, row) for side in layout.SIDES)):
-            color = WRONG if fault else layout.SKELETON_COLORS[key]
+            color = WRONG if fault else SKELETON_COLORS[key]
             pen.text(
                 (middle, picture.height - 20), fault or "stays right", fill=color, font=text, anchor="mm"
             )

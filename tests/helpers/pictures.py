@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
-from recordings import layout
+from recordings.appearance.colors import Color
 from tests.helpers.machine import need_viewer
 from viewer_app.addresses import LOOPBACK
 from viewer_app.viewer.rerun_process import start_viewer, stop
@@ -36,7 +36,7 @@ def picture_of(viewer: ViewerClient, path: Path) -> NDArray[np.uint8]:
     return np.asarray(picture[..., ::-1])
 
 
-def pixels_near(picture: NDArray[np.uint8], color: layout.Color, within: int = 24) -> int:
+def pixels_near(picture: NDArray[np.uint8], color: Color, within: int = 24) -> int:
     """How many pixels have nearly this colour."""
     return int((np.abs(picture.astype(int) - color).max(axis=2) <= within).sum())
 

@@ -17,10 +17,11 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import TrackingState
 from recordings import layout
+from recordings.appearance.colors import PREDICTED_COLOR, SKELETON_COLORS
 from recordings.appearance.joint_trust import StateLanes, TrustMatrix, trust_colors
 from recordings.file.rrd_file import RrdFile
 from recordings.session_arrays import SessionArrays
-from recordings.writing.frame_streams import frame_streams
+from recordings.writing.frame_columns import frame_columns
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames
 from tests.helpers.pictures import pixels_near
@@ -50,14 +51,14 @@ def decoded(png: bytes) -> NDArray[np.uint8]:
 
 
 def test_a_joint_has_the_colour_of_the_sensor_it_came_from(rows: SessionArrays) -> None:
-    a, b = (np.array(layout.SKELETON_COLORS[side]) for side in layout.SIDES)
+    a, b = (np.array(SKELETON_COLORS[side]) for side in layout.SIDES)
     assert (trust_colors(trusting(rows, 1.0)) == a).all()
     assert (trust_colors(trusting(rows, 0.0)) == b).all()
-    assert (trust_colors(trusting(rows, 0.5)) == layout.SKELETON_COLORS["fused"]).all()
+    assert (trust_colors(trusting(rows, 0.5)) == SKELETON_COLORS["fused"]).all()
     mostly_a = trust_colors(trusting(rows, 0.75))[0, 0]
-    assert np.abs(mostly_a - (a + layout.SKELETON_COLORS["fused"]) / 2.0).max() <= 1.0
+    assert np.abs(mostly_a - (a + SKELETON_COLORS["fused"]) / 2.0).max() <= 1.0
     nothing = replace(rows, predicted=np.ones_like(rows.predicted))
-    assert (trust_colors(nothing) == layout.PREDICTED_COLOR).all()
+    assert (trust_colors(nothing) == PREDICTED_COLOR).all()
 
 
 def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows: SessionArrays) -> None:
@@ -68,9 +69,11 @@ def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows: Ses
     apart = rows.positions_a.copy()
     apart[3, ELBOW] += np.array([0.03, 0.04, 0.0], dtype=np.float32)
     told = replace(rows, states_b=states, misleading=misleading, positions_a=apart)
-    made = next(s.data for s in frame_streams(told) if s.entity == layout.FUSED_SKELETON)
-    assert made is not None
-    said = {name: np.array(of.to_pylist()).reshape(len(rows), -1) for name, of in made.items()}
+    columns = next(columns for entity, _, columns in frame_columns(told) if entity == layout.FUSED_SKELETON)
+    said = {
+        column.component_descriptor().component: np.array(column.as_arrow_array().to_pylist())
+        for column in columns
+    }
     assert said["state_a"][3, ELBOW] == "tracked"
     assert said["state_b"][3, ELBOW] == "inferred"
     assert said["misleading_joint"][3, ELBOW] == BODY.joints[BODY.joint("WRIST_RIGHT")]
@@ -110,16 +113,16 @@ def test_each_moment_of_a_file_is_in_the_page_that_is_shown_at_that_time(rows: S
         shown_from = max(t for t in pages if t <= at * SECOND)
         first = max(0, shown_from // SECOND - 10)
         seen = column(pages[shown_from], first, at + 0.1)
-        assert (seen[5] == layout.SKELETON_COLORS["a"]).all(), at
+        assert (seen[5] == SKELETON_COLORS["a"]).all(), at
         if first:  # and the ten seconds before the page
-            assert (column(pages[shown_from], first, first + 0.1)[5] == layout.SKELETON_COLORS["a"]).all()
+            assert (column(pages[shown_from], first, first + 0.1)[5] == SKELETON_COLORS["a"]).all()
 
 
 def test_pages_are_drawn_while_they_grow(rows: SessionArrays) -> None:
     drawn = list(TrustMatrix(BODY, 5 * SECOND).add(seconds_of(rows, 28)))
     # page 0 after 5, 10, 15 and 20 s, when it still lacks 10 s; the next after 20 and 25 s
     assert [t // SECOND for _, t, _ in drawn] == [0, 0, 0, 15, 15]
-    amber = [pixels_near(decoded(png), layout.SKELETON_COLORS["a"], 2) for _, _, png in drawn]
+    amber = [pixels_near(decoded(png), SKELETON_COLORS["a"], 2) for _, _, png in drawn]
     assert amber[0] < amber[1] < amber[2]
 
 
@@ -134,7 +137,7 @@ def test_without_drafts_each_page_is_drawn_once_and_is_the_last_draft(rows: Sess
 
 def test_the_matrix_shows_who_was_trusted(rows: SessionArrays) -> None:
     (page,) = pages_of(TrustMatrix(BODY, SECOND), trusting(rows, 1.0)).values()
-    a, b = (layout.SKELETON_COLORS[side] for side in layout.SIDES)
+    a, b = (SKELETON_COLORS[side] for side in layout.SIDES)
     assert pixels_near(decoded(page), a, 2) > 25 * 95 * 15  # 4 s of 25 joints, less the lines between them
     assert pixels_near(decoded(page), b, 2) == 0
 
@@ -144,8 +147,8 @@ def test_a_gap_stays_empty(rows: SessionArrays) -> None:
     with_gap = all_of[np.flatnonzero((all_of.frame < 120) | (all_of.frame >= 800))]
     pages = pages_of(TrustMatrix(BODY, SECOND), with_gap)
     assert list(pages) == [0, 80 * SECOND, 90 * SECOND]
-    assert not (column(pages[80 * SECOND], 65, 70.0)[5] == layout.SKELETON_COLORS["a"]).all()
-    assert (column(pages[80 * SECOND], 65, 81.0)[5] == layout.SKELETON_COLORS["a"]).all()
+    assert not (column(pages[80 * SECOND], 65, 70.0)[5] == SKELETON_COLORS["a"]).all()
+    assert (column(pages[80 * SECOND], 65, 81.0)[5] == SKELETON_COLORS["a"]).all()
 
 
 def test_hasty_drafts_are_larger_and_look_the_same(rows: SessionArrays) -> None:
@@ -183,8 +186,7 @@ def test_a_file_of_ten_seconds_has_lanes_and_a_matrix_to_its_end(rows: SessionAr
             for blob in batch.column("EncodedImage:blob").to_pylist()
         ]
     filled = [
-        (column(drawn[-1], 0, tenth / 10 + 0.05)[5] == layout.SKELETON_COLORS["a"]).all()
-        for tenth in range(100)
+        (column(drawn[-1], 0, tenth / 10 + 0.05)[5] == SKELETON_COLORS["a"]).all() for tenth in range(100)
     ]
     assert sum(filled) / 10 > 9.0
 

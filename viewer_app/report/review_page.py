@@ -14,7 +14,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from recordings import layout
+from recordings.appearance.colors import PROMINENT_BONES
 from recordings.session import Session
 from recordings.session_comparison import frame_noise_of
 from viewer_app.report.events import ListedEvent, event_in_words, list_events, seconds_of, shortest_list
@@ -70,7 +70,7 @@ def _bone_plots(session: Session) -> Markup:
     rows = session.rows
     time, lengths = rows.time_ns * 1e-9, rows.bone_length_of_each
     plots = []
-    for limb in layout.PROMINENT_BONES:
+    for limb in PROMINENT_BONES:
         for side in ("left", "right"):
             bone = f"{limb}_{side}"
             if bone not in session.body.bones:

@@ -15,7 +15,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings import layout
+from recordings.appearance.colors import SKELETON_COLORS
 
 _INK = "#010203"  # placeholder for the page's text colour
 _MOST_POINTS = 1500  # about one point per pixel
@@ -161,7 +161,7 @@ def _svg(figure: Any, label: str, wide: bool = False) -> str:
 
 def skeleton_color(key: str) -> str:
     """The colour of a skeleton as CSS and SVG write it."""
-    return "#{:02x}{:02x}{:02x}".format(*layout.SKELETON_COLORS[key])
+    return "#{:02x}{:02x}{:02x}".format(*SKELETON_COLORS[key])
 
 
 def _thinned(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -21,6 +21,7 @@ from fusion.calibration.calibration import nominal_calibration
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles
+from recordings.appearance.colors import PROMINENT_JOINTS
 
 Layout = Literal["setup", "inspect", "report"]
 LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report")
@@ -157,7 +158,7 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
     away = person_at - 0.5 * _place_of_b(setup, person_at)
     away /= max(float(np.linalg.norm(away)), 1e-6)
     behind = person_at + _BEHIND * away - np.array([0.0, _ABOVE, 0.0])
-    prominent = [body.joints[body.joint(name)] for name in layout.PROMINENT_JOINTS]
+    prominent = [body.joints[body.joint(name)] for name in PROMINENT_JOINTS]
     disagreement, *others = (_plot(*figure) for figure in _FIGURES)
     hidden = [*(layout.points(side) for side in layout.SIDES), f"{layout.COACH}/**"]
 

@@ -13,7 +13,7 @@ import rerun as rr
 
 from recordings import layout
 from recordings.session import Session
-from recordings.writing.frame_streams import PLOTTED
+from recordings.writing.frame_columns import PLOTTED
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames, known_fuser
 

@@ -77,7 +77,7 @@ def test_a_viewer_s_stream_gets_the_poses_again_and_again(tmp_path: Path) -> Non
         stream.save(path)
         recorder = Recorder(stream, fuser.setup, ("a", "b"), points=points)
         for frame in made:
-            recorder.record(frame)
+            recorder.record_all([frame])
         recorder.finish()
         stream.disconnect()
         assert poses(path, layout.kinect("b")) == expected

@@ -12,7 +12,7 @@ from fusion.calibration.calibration import Calibration
 from fusion.rigid import RigidTransform
 from recordings import layout
 from recordings.file.rrd_file import RrdFile
-from recordings.writing.quality_log import jitter
+from recordings.writing.changes import jitter
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.live_frames import BODY
 from tests.helpers.recalibrated import record_recalibrated

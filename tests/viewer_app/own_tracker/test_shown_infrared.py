@@ -14,6 +14,7 @@ from rerun.experimental import ViewerClient
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings import layout
+from recordings.appearance.colors import SKELETON_COLORS
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 from recordings.writing.recorder import Recorder
@@ -43,7 +44,7 @@ def written(path: Path, *, for_viewer: bool) -> Path:
     recorder = Recorder(stream, setup, ("a", "b"), depth_every=1, points=for_viewer)
     stream.send_blueprint(session_blueprint(setup, np.array([0.1, 0.1, 2.6]), "setup", infrared=for_viewer))
     for frame in frames(Fuser(setup), 10, depth=True):
-        recorder.record(with_infrared(frame))
+        recorder.record_all([with_infrared(frame)])
     recorder.finish()
     stream.flush()
     stream.disconnect()
@@ -86,7 +87,7 @@ def test_setup_shows_infrared_with_the_skeleton_over_it(tmp_path: Path) -> None:
 
 
 NAMES = "Kinect A, infrared", "Kinect B, infrared"
-SKELETONS = layout.SKELETON_COLORS["a"], layout.SKELETON_COLORS["b"]
+SKELETONS = SKELETON_COLORS["a"], SKELETON_COLORS["b"]
 
 
 def view_of(viewer: ViewerClient, view_id: object, path: Path) -> NDArray[np.uint8] | None:

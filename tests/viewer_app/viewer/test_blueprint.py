@@ -20,6 +20,7 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
+from recordings.appearance.colors import SKELETON_COLORS
 from recordings.session_arrays import RecordedFrame
 from tests.helpers.live_frames import BODY, frames
 from tests.helpers.pictures import headless_viewer, pixels_near
@@ -135,16 +136,13 @@ def test_a_plot_of_one_figure_has_no_line_of_the_streams(tmp_path: Path) -> None
             return np.asarray(cv2.imread(str(picture))[40:, :, ::-1])
 
         assert eventually(
-            lambda: (
-                (seen := of_plot()) is not None
-                and pixels_near(seen, layout.SKELETON_COLORS["fused"], 40) > 50
-            ),
+            lambda: (seen := of_plot()) is not None and pixels_near(seen, SKELETON_COLORS["fused"], 40) > 50,
             30.0,
         )
         plot = of_plot()
         assert plot is not None
         for side in layout.SIDES:
-            assert pixels_near(plot, layout.SKELETON_COLORS[side], 40) == 0
+            assert pixels_near(plot, SKELETON_COLORS[side], 40) == 0
 
 
 def layouts(body: Body) -> dict[str, rrb.Container]:

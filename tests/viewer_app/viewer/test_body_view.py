@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from fusion.skeleton import TrackingState
 from recordings import layout
+from recordings.appearance.colors import SKELETON_COLORS, VIEW_COLORS
 from recordings.session_arrays import RecordedFrame, SessionArrays
-from recordings.writing.frame_streams import frame_streams
+from recordings.writing.shown_figures import shown_values
 from tests.helpers.live_frames import BODY, frames, known_fuser
 from tests.helpers.pictures import headless_viewer, picture_of, pixels_near
 from tests.helpers.waiting import eventually
@@ -56,7 +57,7 @@ def picture(made: list[RecordedFrame], folder: Path) -> NDArray[np.uint8]:
 def shaded(seen: NDArray[np.uint8], key: str) -> int:
     """Pixels of a colour in any light: its hue within 12°, and clearly coloured."""
     hsv = cv2.cvtColor(seen, cv2.COLOR_RGB2HSV).astype(int)
-    wanted = np.array([[layout.SKELETON_COLORS[key]]], dtype=np.uint8)
+    wanted = np.array([[SKELETON_COLORS[key]]], dtype=np.uint8)
     hue = int(cv2.cvtColor(wanted, cv2.COLOR_RGB2HSV)[0, 0, 0])
     off = np.abs(hsv[..., 0] - hue)
     return int(((np.minimum(off, 180 - off) <= 6) & (hsv[..., 1] > 100) & (hsv[..., 2] > 60)).sum())
@@ -103,15 +104,15 @@ def test_joints_of_a_view_are_dimmed_where_inferred_or_exchanged(side: str) -> N
     exchanged = np.zeros((3, 2), dtype=np.int8)
     exchanged[2, layout.SIDES.index(side)] = 3
     told = replace(rows, states_a=states["a"], states_b=states["b"], exchanged=exchanged)
-    stream = next(s for s in frame_streams(told) if s.entity == layout.skeleton(side))
-    colors = stream.values[0]["colors"]
-    tracked, inferred, swapped = layout.VIEW_COLORS[side]
+    colors = shown_values(told, layout.skeleton(side), "Points3D:colors")
+    assert colors is not None
+    tracked, inferred, swapped = VIEW_COLORS[side]
     assert (colors[0] == tracked).all()
     assert (colors[1, 5] == inferred).all()
     assert (np.delete(colors[1], 5, axis=0) == tracked).all()
     assert (colors[2] == swapped).all()
     assert max(inferred) < 0.75 * max(tracked)
-    assert max(swapped) < 0.75 * max(layout.SKELETON_COLORS[layout.exchanged(side)])
+    assert max(swapped) < 0.75 * max(SKELETON_COLORS[layout.exchanged(side)])
 
 
 def test_an_exchanged_view_looks_other_than_a_tracked_one(tmp_path: Path) -> None:
@@ -119,7 +120,7 @@ def test_an_exchanged_view_looks_other_than_a_tracked_one(tmp_path: Path) -> Non
     away = np.array([0.4, 0.0, 0.0])
     aside = [replace(f, fused=replace(f.fused, positions=f.fused.positions + away)) for f in made]
     swapped = [replace(f, fused=replace(f.fused, exchanged_b=3)) for f in aside]
-    color = layout.VIEW_COLORS["b"][2]
+    color = VIEW_COLORS["b"][2]
     (tmp_path / "t").mkdir()
     (tmp_path / "x").mkdir()
     tracked = pixels_near(picture(aside, tmp_path / "t"), color, 20)

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from fusion.setup import FuserSettings
 from recordings import layout
 from recordings.session_arrays import RecordedFrame, SessionArrays
-from recordings.writing.frame_streams import FrameStream, frame_streams
+from recordings.writing.shown_figures import shown_values
 from tests.helpers.live_frames import BODY, frames, known_fuser
 from tests.helpers.pictures import headless_viewer, picture_of
 from tests.helpers.waiting import eventually
@@ -28,15 +28,12 @@ def exchanged_in_b(made: list[RecordedFrame]) -> list[RecordedFrame]:
     return [replace(frame, fused=replace(frame.fused, exchanged_b=3)) for frame in made]
 
 
-def stream_of(rows: SessionArrays, entity: str) -> FrameStream:
-    return next(stream for stream in frame_streams(rows) if stream.entity == entity)
-
-
 def test_a_view_has_another_class_while_its_sides_are_exchanged() -> None:
     made = frames(known_fuser(), 4)
     rows = SessionArrays.stack(BODY, BODY.nominal_lengths, made[:2] + exchanged_in_b(made[2:]))
     for side, expected in (("a", ["a"] * 4), ("b", ["b", "b", "exchanged_b", "exchanged_b"])):
-        classes = stream_of(rows, layout.skeleton(side)).values[0]["class_ids"]
+        classes = shown_values(rows, layout.skeleton(side), "Points3D:class_ids")
+        assert classes is not None
         assert classes.shape == (4, len(BODY))
         assert classes.tolist() == [[layout.CLASS_IDS[key]] * len(BODY) for key in expected]
 
@@ -44,9 +41,8 @@ def test_a_view_has_another_class_while_its_sides_are_exchanged() -> None:
 def test_spheres_have_the_radius_of_one_standard_deviation() -> None:
     made = frames(known_fuser(), 3)
     rows = SessionArrays.stack(BODY, BODY.nominal_lengths, made)
-    data = stream_of(rows, layout.FUSED_SKELETON).data
-    assert data is not None
-    half_sizes = np.asarray(data[layout.SIGMA_SPHERES].flatten()).reshape(3, len(BODY), 3)
+    half_sizes = shown_values(rows, layout.FUSED_SKELETON, layout.SIGMA_SPHERES)
+    assert half_sizes is not None
     sigma = np.array([frame.fused.sigma for frame in made])
     thumbs = [BODY.joint("THUMB_LEFT"), BODY.joint("THUMB_RIGHT")]  # see the next test
     sigma, half_sizes = np.delete(sigma, thumbs, axis=1), np.delete(half_sizes, thumbs, axis=1)
@@ -61,9 +57,10 @@ def test_a_sphere_is_no_larger_than_a_bone_of_any_direction_allows() -> None:
     sigma = np.full(len(BODY), 0.03)
     sigma[thumb] = 0.7
     lost = [replace(made[0], fused=replace(made[0].fused, sigma=sigma))]
-    data = stream_of(SessionArrays.stack(BODY, BODY.nominal_lengths, lost), layout.FUSED_SKELETON).data
-    assert data is not None
-    drawn = np.asarray(data[layout.SIGMA_SPHERES].flatten()).reshape(len(BODY), 3)[:, 0]
+    rows = SessionArrays.stack(BODY, BODY.nominal_lengths, lost)
+    half_sizes = shown_values(rows, layout.FUSED_SKELETON, layout.SIGMA_SPHERES)
+    assert half_sizes is not None
+    drawn = half_sizes[0, :, 0]
     most = np.hypot(sigma[parent], np.sqrt(2.0) * BODY.nominal_lengths[thumb])
     assert drawn[thumb] == pytest.approx(most, abs=0.51 * STEP)
     np.testing.assert_allclose(np.delete(drawn, thumb), 0.03, rtol=0, atol=0.51 * STEP)
@@ -73,9 +70,7 @@ def test_the_papers_methods_have_no_spheres() -> None:
     fuser = known_fuser()
     setup = replace(fuser.setup, settings=FuserSettings(method="paper"))
     rows = SessionArrays.stack(BODY, BODY.nominal_lengths, frames(type(fuser)(setup), 2))
-    data = stream_of(rows, layout.FUSED_SKELETON).data
-    assert data is not None
-    assert layout.SIGMA_SPHERES not in data
+    assert shown_values(rows, layout.FUSED_SKELETON, layout.SIGMA_SPHERES) is None
 
 
 def shown(view: rrb.View, made: list[RecordedFrame], folder: Path) -> Path:

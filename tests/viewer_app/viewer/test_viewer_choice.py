@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from fusion.fuser import Fuser
-from recordings import layout
+from recordings.appearance.colors import SKELETON_COLORS
 from tests.helpers.live_frames import frames, session
 from tests.helpers.machine import need_browser, need_viewer
 from tests.helpers.pictures import pixels_near
@@ -148,7 +148,7 @@ def test_a_browser_sees_the_three_skeletons_and_a_later_visitor_the_history(
                 shot = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)  # type: ignore[attr-defined]
                 assert shot is not None
                 picture: NDArray[np.uint8] = np.asarray(shot[..., ::-1])
-                colors = (layout.SKELETON_COLORS[key] for key in ("a", "b", "fused"))
+                colors = (SKELETON_COLORS[key] for key in ("a", "b", "fused"))
                 return all(pixels_near(picture, color) > 50 for color in colors)
 
             assert eventually(sees_skeletons, _DRAWN_WITHIN)

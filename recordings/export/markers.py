@@ -1,6 +1,7 @@
-"""Export to C3D, a marker file for biomechanics: millimetres, z up, even rate; a gap has residual -1.
+"""Export to marker files of biomechanics: C3D and OpenSim's TRC, in millimetres.
 
-For the even rate a recorded frame may be repeated or dropped; frames are never interpolated.
+C3D has z up, an even rate, and residual -1 for a gap. For the even rate a recorded frame may be repeated or
+dropped; frames are never interpolated. TRC has y up, one time per frame, and empty cells for gaps.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from recordings.errors import RecordingError
-from recordings.export.even_frames import at_even_frames, even_frames
+from recordings.export.even_frames import at_even_frames, even_frames, y_up
 from recordings.session import Session
 
 # Vendors count further in parameters of their own; ezc3d and all that is built on it read none of those
@@ -24,8 +25,8 @@ def write_c3d(session: Session, path: Path) -> str:
         session: The session.
         path: The file; ezc3d requires the suffix ``.c3d``.
 
-        Returns:
-            A description of what was written.
+    Returns:
+        A description of what was written.
 
     Raises:
         RecordingError: ``ezc3d`` is not installed, or the session is too long for the format.
@@ -61,3 +62,28 @@ def write_c3d(session: Session, path: Path) -> str:
     file["data"]["analogs"] = np.zeros((1, 0, N))
     file.write(str(path))
     return even.in_words(len(session))
+
+
+def write_trc(session: Session, path: Path) -> str:
+    """Writes S* as markers named after the joints. Times are as recorded; the header has the mean rate.
+
+    Returns:
+        A description of what was written.
+    """
+    rows = session.rows
+    joints, rate = rows.body.joints, f"{even_frames(rows).rate:.6g}"
+    T, J = len(rows), len(joints)
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{session.name.removesuffix('.rrd')}.trc",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{T}\t{J}\tmm\t{rate}\t1\t{T}",
+        "Frame#\tTime\t" + "\t\t\t".join(joints) + "\t\t",
+        "\t\t" + "\t".join(f"X{j}\tY{j}\tZ{j}" for j in range(1, J + 1)),
+        "",
+    ]
+    millimetres = y_up(rows.fused).reshape(T, -1) * 1e3
+    for t, (time_ns, values) in enumerate(zip(rows.time_ns.tolist(), millimetres, strict=True)):
+        cells = ("" if np.isnan(v) else f"{v:.4f}" for v in values)
+        lines.append(f"{t + 1}\t{time_ns * 1e-9:.6f}\t" + "\t".join(cells))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return f"{T} frames at the times they were recorded, {rate} Hz on average"

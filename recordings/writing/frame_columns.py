@@ -1,0 +1,147 @@
+"""The entities of a frame in a session, with their values and precision.
+
+A row of an entity costs 15 bytes for frame number and time, and each column 4 more bytes. Therefore related
+values share an entity, and many of them share a struct. Names are stored as dictionaries: the file holds
+numbers, and the viewer shows words when a joint is clicked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+from numpy.typing import NDArray
+
+from recordings import layout
+from recordings.frame_fields import FrameField
+from recordings.session_arrays import SessionArrays
+from recordings.writing.arrow_columns import Column
+from recordings.writing.checksums import (
+    FRAME_CRC,
+    FUSED_CRC,
+    FusedChecks,
+    frame_checksums,
+    fused_checksums,
+    joint_digests,
+)
+from recordings.writing.shown_figures import SHOWN_FIGURES
+
+_BONES_EVERY = 2  # plot every second frame; S_A, S_B and S* are logged every frame
+
+
+PLOTTED = frozenset({layout.QUALITY, layout.BONES, layout.kinect("b")})
+"""Entities that are plotted or only read back; all others are drawn into the scene."""
+
+
+def frame_columns(
+    rows: SessionArrays, checks: FusedChecks | None = None, *, drawn: bool = True, plotted: bool = True
+) -> Iterator[tuple[str, SessionArrays, list[Column]]]:
+    """Each entity with its frames and their columns: the recorded figures, then those for the viewer.
+
+    Args:
+        rows: The frames, one or more.
+        checks: Checks of S* in float64, if `rows` come from a file in float32.
+        drawn: Whether entities that are drawn into the scene are included.
+        plotted: Whether the other entities are, see :data:`PLOTTED`.
+    """
+    entities: dict[str, _EntityColumns] = {}
+    parts: dict[tuple[str, str], list[tuple[FrameField, NDArray[Any]]]] = {}
+    for _, spec, values in rows.figures():
+        if plotted if spec.entity in PLOTTED else drawn:
+            stored = spec.to_file(rows.body, values)
+            parts.setdefault((spec.entity, spec.component), []).append((spec, stored))
+    for (entity, component), stored_parts in parts.items():
+        spec, stored = stored_parts[0]
+        if len(stored_parts) > 1:
+            each = [values.reshape(len(rows), -1) for _, values in stored_parts]
+            stored = np.concatenate(each, axis=1)
+        of_entity = entities.setdefault(entity, _EntityColumns(rows))
+        if ":" in component:
+            of_entity.add_argument(component, stored)
+        else:
+            of_entity.add_data(component, spec.in_arrow(rows.body, stored))
+    for shown in SHOWN_FIGURES:
+        derived = shown.values(rows) if (plotted if shown.entity in PLOTTED else drawn) else None
+        if derived is None:
+            continue
+        of_entity = entities.setdefault(shown.entity, _EntityColumns(rows))
+        if ":" in shown.component:
+            of_entity.add_argument(shown.component, derived)
+        else:
+            of_entity.add_data(shown.component, _vectors(derived))
+    if plotted:
+        for component, values in _checks(rows, checks).items():
+            entities[layout.QUALITY].add_data(component, values)
+    for entity, of_entity in entities.items():
+        yield entity, rows, of_entity.columns()
+    chosen = np.flatnonzero(rows.frame % _BONES_EVERY == 0)
+    if plotted and len(chosen):
+        every = rows if len(chosen) == len(rows) else rows[chosen]
+        yield layout.BONES, every, [Column.of_data(layout.BONE_LENGTHS, _bones(every), len(every))]
+
+
+class _EntityColumns:
+    """Collects the columns of one entity; data named ``struct.field`` become fields of one struct."""
+
+    def __init__(self, rows: SessionArrays) -> None:
+        self._rows = rows
+        self._columns: list[Column] = []
+        self._structs: dict[str, dict[str, pa.Array]] = {}
+
+    def add_argument(self, component: str, values: NDArray[Any]) -> None:
+        """Adds ``archetype:argument``, (T, …) values, or (T, J, …) of the archetype ``Points3D``."""
+        archetype, _, argument = component.partition(":")
+        each, frames = len(self._rows.body) if archetype == "Points3D" else 1, len(self._rows)
+        column = Column.of_archetype(getattr(rr, archetype), argument, values, frames * each, frames)
+        self._columns.append(column)
+
+    def add_data(self, component: str, values: pa.Array) -> None:
+        """Adds a component of our own, n values for each of the T frames as a flat array."""
+        struct, dot, member = component.partition(".")
+        if dot:
+            self._structs.setdefault(struct, {})[member] = values
+        else:
+            self._columns.append(Column.of_data(component, values, len(self._rows)))
+
+    def columns(self) -> list[Column]:
+        """All columns."""
+        structs = {
+            name: pa.StructArray.from_arrays(list(members.values()), names=list(members))
+            for name, members in self._structs.items()
+        }
+        return self._columns + [Column.of_data(name, of, len(self._rows)) for name, of in structs.items()]
+
+
+def _bones(rows: SessionArrays) -> pa.Array:
+    """[S_A, S_B, S*, target] lengths of each bone in float16, whose step is 0.25 mm at the length of a
+    thigh."""
+    lengths = np.concatenate([rows.bone_length_of_each, rows.bone_lengths[None]])  # (4, T, J)
+    each = _array(lengths.transpose(2, 1, 0).astype(np.float16))  # one array, of which each bone is a part
+    count = lengths.shape[0] * lengths.shape[1]
+    of = _array(np.tile(np.arange(len(lengths), dtype=np.uint8), len(rows)))
+    body = rows.body
+    bones = [each.slice(j * count, count) for j in body.bone_joints]
+    # the viewer plots float16 only if the struct has another numeric field
+    return pa.StructArray.from_arrays([of, *bones], names=["of", *(body.bones[j] for j in body.bone_joints)])
+
+
+def _checks(rows: SessionArrays, checks: FusedChecks | None) -> dict[str, pa.Array]:
+    fused_crc, digests = checks or (fused_checksums(rows.fused), joint_digests(rows.fused))
+    return {
+        FRAME_CRC: _array(frame_checksums(rows)),
+        FUSED_CRC: _array(fused_crc),
+        layout.JOINT_DIGESTS: _array(digests),
+    }
+
+
+def _vectors(values: NDArray[Any]) -> pa.Array:
+    """(T, J, n) values as J vectors of n per frame; all others one by one."""
+    flat = _array(values)
+    return flat if values.ndim < 3 else pa.FixedSizeListArray.from_arrays(flat, values.shape[2])
+
+
+def _array(values: NDArray[Any]) -> pa.Array:
+    return pa.array(np.ascontiguousarray(values).ravel())
