@@ -12,8 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from types import ModuleType
 from typing import Any
 
-from devices.azure.firmware import firmware_advice, firmware_version
-from devices.azure.pyk4a_internals import put_back_none
+from devices.azure.pyk4a_internals import firmware_advice, firmware_version, put_back_none
 from devices.capture import usb
 from devices.capture.connected import ConnectedSensor
 from devices.capture.usb import usb_kinects

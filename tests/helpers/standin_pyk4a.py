@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.azure import firmware
+from devices.azure import pyk4a_internals
 from devices.azure.calibration import DEPTH_MODES
 from devices.azure.recording.mkv import MkvRecording
 from tests.helpers.standin_camera import Device, Shot, refused
@@ -290,5 +290,7 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> Bus:
     """An empty bus behind a stand-in pyk4a, without libk4a: captures carry images only."""
     result = Bus(None)
     monkeypatch.setitem(sys.modules, "pyk4a", make_module(result))
-    monkeypatch.setattr(firmware, "loaded_libk4a", lambda: None)  # ignore a library loaded by another test
+    monkeypatch.setattr(
+        pyk4a_internals, "loaded_libk4a", lambda: None
+    )  # ignore a library loaded by another test
     return result

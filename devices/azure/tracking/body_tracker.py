@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from devices.azure.tracking.native_library import load_library
+from devices.azure.tracking.native_library import Prototypes, declare, load_library
 from devices.sensor import DeviceError
 from fusion.body import AZURE_KINECT
 from fusion.skeleton import Skeleton, TrackingState
@@ -81,6 +81,21 @@ class _Configuration(ctypes.Structure):
     )
 
 
+_PROTOTYPES: Prototypes = {
+    "k4abt_tracker_create": (c_int, [c_void_p, _Configuration, POINTER(c_void_p)]),
+    "k4abt_tracker_shutdown": (None, [c_void_p]),
+    "k4abt_tracker_destroy": (None, [c_void_p]),
+    "k4abt_tracker_set_temporal_smoothing": (None, [c_void_p, c_float]),
+    "k4abt_tracker_enqueue_capture": (c_int, [c_void_p, c_void_p, c_int32]),
+    "k4abt_tracker_pop_result": (c_int, [c_void_p, POINTER(c_void_p), c_int32]),
+    "k4abt_frame_get_num_bodies": (c_uint32, [c_void_p]),
+    "k4abt_frame_get_body_skeleton": (c_int, [c_void_p, c_uint32, c_void_p]),
+    "k4abt_frame_get_body_id": (c_uint32, [c_void_p, c_uint32]),
+    "k4abt_frame_get_device_timestamp_usec": (c_uint64, [c_void_p]),
+    "k4abt_frame_release": (None, [c_void_p]),
+}
+
+
 class BodyTracker:
     """A tracker for one sensor. It returns the bodies of each capture, in the order of the captures.
 
@@ -112,7 +127,8 @@ class BodyTracker:
             raise DeviceError(
                 f"No network at {settings.model}. It comes with the SDK: dnn_model_2_0_op11.onnx."
             )
-        library = _declare(load_library("k4abt", settings.library, INSTALL))
+        library = load_library("k4abt", settings.library, INSTALL)
+        declare(library, _PROTOTYPES, f"it is not libk4abt 1.1. {INSTALL}")
         configuration = _Configuration(
             _ORIENTATIONS[settings.orientation],
             _PROCESSING[settings.processing],
@@ -229,26 +245,3 @@ def _bodies(library: ctypes.CDLL, frame: c_void_p) -> TrackedBodies:
             AZURE_KINECT, joints["position"] / 1000.0, _STATES[confidence], time_ns
         )
     return TrackedBodies(time_ns, people)
-
-
-def _declare(library: ctypes.CDLL) -> ctypes.CDLL:
-    prototypes = {
-        "k4abt_tracker_create": (c_int, [c_void_p, _Configuration, POINTER(c_void_p)]),
-        "k4abt_tracker_shutdown": (None, [c_void_p]),
-        "k4abt_tracker_destroy": (None, [c_void_p]),
-        "k4abt_tracker_set_temporal_smoothing": (None, [c_void_p, c_float]),
-        "k4abt_tracker_enqueue_capture": (c_int, [c_void_p, c_void_p, c_int32]),
-        "k4abt_tracker_pop_result": (c_int, [c_void_p, POINTER(c_void_p), c_int32]),
-        "k4abt_frame_get_num_bodies": (c_uint32, [c_void_p]),
-        "k4abt_frame_get_body_skeleton": (c_int, [c_void_p, c_uint32, c_void_p]),
-        "k4abt_frame_get_body_id": (c_uint32, [c_void_p, c_uint32]),
-        "k4abt_frame_get_device_timestamp_usec": (c_uint64, [c_void_p]),
-        "k4abt_frame_release": (None, [c_void_p]),
-    }
-    for name, (result, arguments) in prototypes.items():
-        try:
-            function = getattr(library, name)
-        except AttributeError as fault:
-            raise DeviceError(f"{library._name} has no {name}: it is not libk4abt 1.1. {INSTALL}") from fault
-        function.restype, function.argtypes = result, arguments
-    return library

@@ -6,9 +6,13 @@ import ctypes
 import ctypes.util
 import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from devices.sensor import DeviceError
+
+Prototypes = Mapping[str, tuple[Any, list[Any]]]
 
 _WINDOWS_FOLDERS = {
     "k4abt": ("Azure Kinect Body Tracking SDK/tools",),
@@ -43,6 +47,25 @@ def load_library(name: str, path: Path | None, advice: str) -> ctypes.CDLL:
         except OSError as fault:
             faults.append(str(fault))
     raise DeviceError(f"The library {path or name} cannot be loaded ({faults[-1]}). {advice}")
+
+
+def declare(library: ctypes.CDLL, prototypes: Prototypes, otherwise: str) -> None:
+    """Sets the types of a library's functions.
+
+    Args:
+        library: The library.
+        prototypes: Type of the result and types of the arguments by function name.
+        otherwise: What it means that a function is missing, and what to do.
+
+    Raises:
+        DeviceError: A function is missing.
+    """
+    for name, (result, arguments) in prototypes.items():
+        try:
+            function = getattr(library, name)
+        except AttributeError as fault:
+            raise DeviceError(f"{library._name} has no {name}: {otherwise}") from fault
+        function.restype, function.argtypes = result, arguments
 
 
 def loaded_file(name: str) -> Path | None:

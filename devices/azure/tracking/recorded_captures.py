@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.azure.tracking.native_library import load_library
+from devices.azure.tracking.native_library import Prototypes, declare, load_library
 from devices.sensor import DeviceError, SensorFrame
 
 CALIBRATION_SIZE = 1032
@@ -22,6 +22,17 @@ _DEPTH_MODES = {"NFOV_2X2BINNED": 1, "NFOV_UNBINNED": 2, "WFOV_2X2BINNED": 3, "W
 _COLOR_OFF = 0
 _DEPTH16, _IR16 = 4, 5
 _INSTALL = "Install the Azure Kinect Sensor SDK 1.4 (libk4a), which the body tracker needs too."
+_PROTOTYPES: Prototypes = {
+    "k4a_calibration_get_from_raw": (c_int, [c_char_p, c_size_t, c_int, c_int, c_void_p]),
+    "k4a_capture_create": (c_int, [POINTER(c_void_p)]),
+    "k4a_capture_release": (None, [c_void_p]),
+    "k4a_capture_set_depth_image": (None, [c_void_p, c_void_p]),
+    "k4a_capture_set_ir_image": (None, [c_void_p, c_void_p]),
+    "k4a_image_create": (c_int, [c_int, c_int, c_int, c_int, POINTER(c_void_p)]),
+    "k4a_image_get_buffer": (c_void_p, [c_void_p]),
+    "k4a_image_set_device_timestamp_usec": (None, [c_void_p, c_uint64]),
+    "k4a_image_release": (None, [c_void_p]),
+}
 
 
 class CaptureMaker:
@@ -32,7 +43,8 @@ class CaptureMaker:
     """
 
     def __init__(self, library: Path | None = None) -> None:
-        self._library = _declare(load_library("k4a", library, _INSTALL))
+        self._library = load_library("k4a", library, _INSTALL)
+        declare(self._library, _PROTOTYPES, f"it is not libk4a 1.4. {_INSTALL}")
 
     def calibration(self, text: bytes, depth_mode: str) -> ctypes.Array[ctypes.c_char]:
         """Converts a sensor's calibration JSON to a ``k4a_calibration_t``.
@@ -91,24 +103,3 @@ class CaptureMaker:
 def _must(status: int) -> None:
     if status != 0:
         raise DeviceError(f"libk4a could not make a capture (status {status}): out of memory?")
-
-
-def _declare(library: ctypes.CDLL) -> ctypes.CDLL:
-    prototypes = {
-        "k4a_calibration_get_from_raw": (c_int, [c_char_p, c_size_t, c_int, c_int, c_void_p]),
-        "k4a_capture_create": (c_int, [POINTER(c_void_p)]),
-        "k4a_capture_release": (None, [c_void_p]),
-        "k4a_capture_set_depth_image": (None, [c_void_p, c_void_p]),
-        "k4a_capture_set_ir_image": (None, [c_void_p, c_void_p]),
-        "k4a_image_create": (c_int, [c_int, c_int, c_int, c_int, POINTER(c_void_p)]),
-        "k4a_image_get_buffer": (c_void_p, [c_void_p]),
-        "k4a_image_set_device_timestamp_usec": (None, [c_void_p, c_uint64]),
-        "k4a_image_release": (None, [c_void_p]),
-    }
-    for name, (result, arguments) in prototypes.items():
-        try:
-            function = getattr(library, name)
-        except AttributeError as fault:
-            raise DeviceError(f"{library._name} has no {name}: it is not libk4a 1.4. {_INSTALL}") from fault
-        function.restype, function.argtypes = result, arguments
-    return library

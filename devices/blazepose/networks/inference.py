@@ -5,7 +5,11 @@ The layouts of the tensors are those of MediaPipe's graphs ``pose_detection`` an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import tempfile
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +17,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.blazepose.networks.native_messages import without_notes
 from devices.sensor import DeviceError
 
 Array = NDArray[np.float64]
@@ -31,6 +34,7 @@ _OVERLAP = 0.3  # intersection over union at which two detections are the same p
 _STRIDES = ((8, 2), (16, 2), (32, 6))  # of the detector's grids: pixels, anchors per cell
 _HEATMAP_WINDOW = 3  # cells to each side of a landmark
 _HEATMAP_LEAST = 0.5  # least peak of a heat map that may move its landmark; MediaPipe's
+_one_at_a_time = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +170,30 @@ class _Network:
         self._interpreter.invoke()
         index_of = {size: index for index, size in self._outputs}
         return [self._interpreter.get_tensor(index_of[size]).reshape(-1) for size in sizes]
+
+
+@contextmanager
+def without_notes(prefix: bytes = b"INFO:") -> Iterator[None]:
+    """Drops lines that begin with a prefix from what native code writes to standard error meanwhile.
+
+    The runtime of the networks has no setting for its notes. Other lines appear when the context ends.
+    """
+    with _one_at_a_time, tempfile.TemporaryFile() as caught:
+        try:
+            terminal = os.dup(2)
+        except OSError:  # no standard error
+            yield
+            return
+        os.dup2(caught.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(terminal, 2)
+            caught.seek(0)
+            kept = b"".join(line for line in caught if not line.startswith(prefix))
+            if kept:
+                os.write(terminal, kept)
+            os.close(terminal)
 
 
 def _three_channels(image: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -16,11 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.azure import firmware
-from devices.azure.firmware import loaded_libk4a
+from devices.azure import pyk4a_internals
 from devices.azure.kinect import KinectSensor
 from devices.azure.pyk4a_access import connected_kinects
-from devices.azure.pyk4a_internals import capsule_pointer
+from devices.azure.pyk4a_internals import capsule_pointer, loaded_libk4a
 from devices.azure.settings import KinectSettings
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.capture.connected import ConnectedSensor, NeedsChoiceError, choose_two, sync_master
@@ -333,7 +332,7 @@ def test_a_master_that_is_named_against_the_jacks_is_explained() -> None:
 def test_the_firmwares_version_is_read_from_libk4a(
     bus: Bus, wheel_library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(firmware, "loaded_libk4a", loaded_libk4a)
+    monkeypatch.setattr(pyk4a_internals, "loaded_libk4a", loaded_libk4a)
     version = (ctypes.c_uint32 * 3).in_dll(ctypes.CDLL(str(wheel_library)), "standin_firmware")
     version[:] = (1, 6, 102)
     bus.devices = [Device("000123")]
