@@ -1,13 +1,19 @@
-"""All connected sensors, of every vendor whose software is installed."""
+"""All connected sensors, of every vendor whose software is installed, and the live sensors made of them."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+from devices.azure.kinect import KinectSensor
 from devices.azure.pyk4a_access import connected_kinects
+from devices.azure.settings import KinectSettings
+from devices.blazepose.pace import TrackingPace
+from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.connected import ConnectedSensor
+from devices.capture.frame_decimation import FrameDecimation
 from devices.orbbec.sdk_access import connected_orbbecs
-from devices.sensor import DeviceError
+from devices.orbbec.sensor import OrbbecSensor
+from devices.sensor import DeviceError, Sensor
 from devices.tracker_choice import TrackerChoice
 
 
@@ -43,3 +49,33 @@ def connected_sensors(tracker: TrackerChoice) -> list[ConnectedSensor]:
     else:
         kinects = [kinect for kinect in kinects if kinect.serial not in by_sdk]
     return [replace(found, index=index) for index, found in enumerate((*kinects, *orbbecs))]
+
+
+def decimation_of(tracker: TrackerChoice, fps: float) -> FrameDecimation:
+    """The frame decimation that two sensors with this tracker share.
+
+    With the program's own tracker it also changes to the lighter network if a tracker stays too slow.
+    """
+    return TrackingPace(fps, tracker.blazepose) if tracker.name == "blazepose" else FrameDecimation(fps)
+
+
+def live_sensor(
+    connected: ConnectedSensor, settings: KinectSettings, tracker: TrackerChoice, decimation: FrameDecimation
+) -> Sensor:
+    """The sensor with its body tracker; opens nothing.
+
+    Args:
+        connected: The sensor.
+        settings: How it runs.
+        tracker: The body tracker.
+        decimation: Of :func:`decimation_of`, shared by two sensors.
+    """
+    serial = str(connected.serial)
+    if not isinstance(decimation, TrackingPace):
+        return KinectSensor(serial, settings, tracker.k4abt, decimation=decimation)
+    images: Sensor
+    if connected.sdk == "orbbec":
+        images = OrbbecSensor(serial, settings, decimation)
+    else:
+        images = KinectSensor(serial, replace(settings, infrared=True), track=False, decimation=decimation)
+    return TrackedImages(images, decimation.settings, pace=decimation)

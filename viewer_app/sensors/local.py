@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 
 from rich.console import Console
 
-from devices.azure.kinect import KinectSensor
 from devices.azure.settings import KinectSettings
-from devices.blazepose.pace import TrackingPace
-from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.connected import (
     ConnectedSensor,
     NeedsChoiceError,
@@ -20,13 +16,11 @@ from devices.capture.connected import (
     choose_two,
     sync_master,
 )
-from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import LASER_GAP_US
 from devices.capture.stream_pairing import LivePairing
-from devices.connected_sensors import connected_sensors
-from devices.orbbec.sensor import OrbbecSensor
+from devices.connected_sensors import connected_sensors, decimation_of, live_sensor
 from devices.sensor import Sensor
 from devices.tracker_choice import TrackerChoice
 from viewer_app.options.sensing import LiveOptions
@@ -64,18 +58,13 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
         )
     if options.processing == "tensorrt" and tracker.name == "k4abt":
         console.print("TensorRT builds its engine; minutes the first time.")
-    # A slow tracker of ours leaves out frames, too, and changes to its lighter network if that lasts.
-    pace = TrackingPace(options.fps, tracker.blazepose) if tracker.name == "blazepose" else None
-    decimation = pace or FrameDecimation(options.fps)
+    decimation = decimation_of(tracker, options.fps)
     a, b = (
-        _microsofts(kinect, options, master, tracker, decimation)
-        if pace is None
-        else _ours(kinect, kinect_settings(options, str(kinect.serial), master), pace)
+        live_sensor(kinect, kinect_settings(options, str(kinect.serial), master), tracker, decimation)
         for kinect in (kinect_a, kinect_b)
     )
-    interval_ns = round(1e9 / options.fps)
     delay_ns = {None: None, serials[0]: 1000 * LASER_GAP_US}.get(master, -1000 * LASER_GAP_US)
-    pairing = LivePairing(interval_ns, sync_delay_ns=delay_ns)
+    pairing = LivePairing(round(1e9 / options.fps), sync_delay_ns=delay_ns)
     return TwoSensors(
         a,
         b,
@@ -113,9 +102,7 @@ def one_sensor(
     kinect = next(kinect for kinect in connected if kinect.serial == chosen)
     tracker = tracker.for_images_of([chosen] if kinect.sdk == "orbbec" else [])
     announce_tracker(tracker, console)
-    if tracker.name == "k4abt":
-        return KinectSensor(chosen, settings, tracker.k4abt)
-    return _ours(kinect, settings, TrackingPace(settings.fps, tracker.blazepose))
+    return live_sensor(kinect, settings, tracker, decimation_of(tracker, settings.fps))
 
 
 def _choose(connected: Sequence[ConnectedSensor], options: LiveOptions, console: Console) -> tuple[str, str]:
@@ -142,31 +129,6 @@ def _ask(choice: NeedsChoiceError, console: Console) -> str:
             return one
         if answer in ("2", two):
             return two
-
-
-def _microsofts(
-    kinect: ConnectedSensor,
-    options: LiveOptions,
-    master: str | None,
-    tracker: TrackerChoice,
-    decimation: FrameDecimation,
-) -> Sensor:
-    """A sensor with libk4abt."""
-    serial = str(kinect.serial)
-    return KinectSensor(
-        serial, kinect_settings(options, serial, master), tracker.k4abt, decimation=decimation
-    )
-
-
-def _ours(kinect: ConnectedSensor, settings: KinectSettings, pace: TrackingPace) -> Sensor:
-    """A sensor with the program's own tracker."""
-    serial = str(kinect.serial)
-    images: Sensor
-    if kinect.sdk == "orbbec":
-        images = OrbbecSensor(serial, settings, pace)
-    else:
-        images = KinectSensor(serial, replace(settings, infrared=True), track=False, decimation=pace)
-    return TrackedImages(images, pace.settings, pace=pace)
 
 
 def kinect_settings(options: LiveOptions, serial: str, master: str | None) -> KinectSettings:
