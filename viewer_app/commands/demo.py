@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,10 +18,15 @@ from rich.table import Table
 
 from devices.capture.sensor_pair import TwoSensors
 from devices.real_time import paced_together
-from devices.simulated.demonstration import BAD_ANGLE_DEG, HardMoment, demonstrated, demonstration
+from devices.simulated.demonstration import (
+    BAD_ANGLE_DEG,
+    Demonstration,
+    HardMoment,
+    demonstrated,
+    demonstration,
+)
 from devices.simulated.kinect import Scene, SimulatedKinect, Truth, TruthAhead
 from devices.simulated.person.movements import MOTIONS
-from devices.tracker_choice import tracker_name
 from fusion.body import BLAZEPOSE, BODIES
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
@@ -29,19 +35,15 @@ from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions
-from viewer_app.output_files import check_outputs, free_name, warn_of_little_room
-from viewer_app.outputs.opening import announce_outputs, plan_outputs
-from viewer_app.report.figures import save_report
-from viewer_app.report.terminal import print_lines, say_more
+from viewer_app.output_files import check_outputs, free_name
+from viewer_app.report.terminal import print_lines
 from viewer_app.report.words import Line
 from viewer_app.running.interruption import CtrlC
 from viewer_app.running.loop import run_live, warm_up
-from viewer_app.running.status import LiveDisplay
-from viewer_app.running.summary import check_saved, print_saved, print_session, session_report
-from viewer_app.sinks.live_session import LiveSession
+from viewer_app.running.runner import Runner
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.display import has_display
-from viewer_app.viewer.viewer_choice import announce, stay_for_visitors, viewing_of
+from viewer_app.viewer.viewer_choice import stay_for_visitors
 
 if TYPE_CHECKING:
     from devices.blazepose.pace import TrackingPace
@@ -67,11 +69,29 @@ def run(options: DemoOptions) -> None:
     save = options.save
     if save is None and not (options.no_viewer or options.web or has_display()):
         save = free_name(_SAVED_WITHOUT_DISPLAY)
-    viewing = viewing_of(options, save, live=True, served=options.listens)
-    plan = plan_outputs(options, options.listen)
+    runner = Runner(options, console, save)
     check_outputs([options.report], [], options.force, save)
+    _check(options)
     own_tracker = options.tracker == "blazepose"
     body = BLAZEPOSE if own_tracker else BODIES[options.body]
+    shown = demonstration(
+        Scene(demonstrated(options.motion), body, seconds=options.seconds, seed=options.seed),
+        angle_deg=options.angle,
+        depth=options.depth,
+        infrared=own_tracker,
+        bad_setup=options.bad_setup,
+    )
+    pace = _own_tracker(options, console) if own_tracker else None
+    _show(options, shown, pace, runner, console)
+
+
+def _check(options: DemoOptions) -> None:
+    """Rejects options that contradict each other.
+
+    Raises:
+        UsageError: With one line for the person who asked.
+    """
+    own_tracker = options.tracker == "blazepose"
     if own_tracker and options.body not in ("azure_kinect", "blazepose"):
         raise UsageError(f"--tracker blazepose reports the body blazepose, not {options.body}.")
     if own_tracker and options.depth == "none":
@@ -81,63 +101,41 @@ def run(options: DemoOptions) -> None:
         raise UsageError(f"{given} is of the program's own tracker: add --tracker blazepose.")
     if options.bad_setup and options.angle != DemoOptions.angle:
         raise UsageError(f"--bad-setup has an angle of its own, {BAD_ANGLE_DEG:.0f}°: leave --angle out.")
-    scene = Scene(demonstrated(options.motion), body, seconds=options.seconds, seed=options.seed)
-    shown = demonstration(
-        scene,
-        angle_deg=options.angle,
-        depth=options.depth,
-        infrared=own_tracker,
-        bad_setup=options.bad_setup,
-    )
+
+
+def _show(
+    options: DemoOptions, shown: Demonstration, pace: TrackingPace | None, runner: Runner, console: Console
+) -> None:
+    """Fuses the simulated sensors until they end or Ctrl-C is pressed; saves and prints the summary."""
     a, b, truth = shown.a, shown.b, shown.truth
-    start = truth.positions_at(0)
-    nominal = FusionSetup(nominal_calibration(body), None, a.intrinsics, b.intrinsics)
-    person_at = np.asarray(start.mean(axis=0))
-    layout = "setup" if options.bad_setup else options.layout
-    blueprint, live = (
-        session_blueprint(
-            nominal, person_at, layout, live=True, depth=options.depth != "none", infrared=infrared
-        )
-        for infrared in (False, own_tracker)
-    )
-    pace = _own_tracker(options, console) if own_tracker else None
+    nominal = FusionSetup(nominal_calibration(a.body), None, a.intrinsics, b.intrinsics)
+    person_at = np.asarray(truth.positions_at(0).mean(axis=0))
     warm_up(Fuser(nominal), console, lambda: next(a.frames(), None))
-    if own_tracker:
+    if pace is not None:
         console.print(
             "The program's own body tracker (BlazePose) works on simulated infrared and depth images."
         )
-    _introduce(console, options, () if own_tracker else shown.moments)
-    if save is not None:
-        warn_of_little_room(save, console)
-    announce(viewing, console)
-    both = _together(a, b, pace)
+    _introduce(console, options, shown.moments if pace is None else ())
+    sensors = _together(a, b, pace)
     with CtrlC() as ctrl_c:
         with ExitStack() as stack:
-            outputs = stack.enter_context(plan.opened(nominal))
-            announce_outputs(console, outputs)
-            session = stack.enter_context(
-                LiveSession(
-                    *(nominal, (a.name, b.name), live),
-                    file=save,
-                    overwrite=options.force,
-                    viewing=viewing,
-                    file_blueprint=blueprint,
-                    others=outputs,
-                    about={"tracker": tracker_name(both.a.sensor)} if own_tracker else None,
-                )
-            )
-            sensors = stack.enter_context(both)
+            runner.open_outputs(stack, nominal, _FPS)
+            coach = Coach(a.body, nominal.intrinsics, simulated=True)
+            active = "setup" if options.bad_setup else options.layout
+            depth = options.depth != "none"
+            layout = partial(session_blueprint, nominal, person_at, active, live=True, depth=depth)
+            display = runner.open_session(stack, sensors, nominal, coach, layout, pace is not None)
+            stack.enter_context(sensors)
             ctrl_c.calls(sensors.stop)
-            coach = Coach(body, nominal.intrinsics, simulated=True)
-            show = stack.enter_context(LiveDisplay(console, session, coach, options.quiet, options.verbose))
-            setup, frames = run_live(sensors, nominal, session, truth_at=TruthAhead(truth), go_on=show)
-            session.save()
+            setup, frames = run_live(
+                sensors, nominal, runner.session, truth_at=TruthAhead(truth), go_on=display
+            )
+            runner.session.save()
             with suppress(KeyboardInterrupt):  # after Ctrl-C, do not wait for another one
                 again = threading.Event()
                 ctrl_c.calls(again.set)
-                stay_for_visitors(viewing, console, again)
-        figures = session_report(setup, frames, sensors, outputs)
-        print_session(console, figures, outputs, options.verbose)
+                stay_for_visitors(runner.viewing, console, again)
+        runner.summarise(setup, frames, sensors)
         left_out = a.images_left_out + b.images_left_out
         if left_out:
             wanted = a.images_wanted + b.images_wanted
@@ -147,14 +145,11 @@ def run(options: DemoOptions) -> None:
             )
         if frames:
             _print_truth(console, setup, frames, truth, options.verbose)
-        save_report(options.report, figures)
-        print_saved(console, session.file)
-        if not options.verbose:
-            say_more(console)
+        runner.print_end()
         if not options.quiet:
             other = "the demo without --bad-setup" if options.bad_setup else "--bad-setup"
             console.print(_NEXT.format(other=other), highlight=False)
-        check_saved(session.file)
+        runner.check_saved()
 
 
 def _introduce(console: Console, options: DemoOptions, moments: Sequence[HardMoment]) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
@@ -15,13 +17,12 @@ from rich.console import Console
 from rich.progress import track
 
 from devices.events import Event
-from devices.files import Progress, RecordingChoice, not_of_libk4a, read_two
-from devices.sensor import SensorFrame
+from devices.files import RecordingChoice, TwoRecordings, not_of_libk4a, read_two
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.errors import CalibrationError
 from fusion.fuser import Fuser
-from fusion.plan import plan_recording
+from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings, FusionSetup, Hindsight
 from fusion.skeleton import SkeletonPair
 from recordings import layout
@@ -72,53 +73,28 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     outputs = (options.report, options.save_calibration)
     inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
     check_outputs(outputs, filter(None, inputs), options.force, options.save)
-    hindsight: Hindsight = "whole" if options.smooth == "whole" else "labels"
-    if options.method != "duplex":
-        if options.smooth == "whole":
-            raise UsageError(f"--smooth whole needs --method duplex; got --method {options.method}.")
-        hindsight = "none"
-    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing, hindsight)
-    check_paper_options(settings)
-    progress = _progress(console)
-    choices = _choices(options)
-    tracker = None
-    if any(choice.is_tracked for choice in choices):
-        tracker = tracker_of(options).for_images_of(not_of_libk4a(options.a, options.b))
-        announce_tracker(tracker, console)
-    read = read_two(*choices, tracker, progress)
-    for warning in read.warnings:
-        console.print(warning, style="yellow", highlight=False, markup=False)
-    skeletons = [pair.skeletons for pair in read.pairing.pairs]
-    calibration = _calibrate(options.calibrate, read.body, skeletons)
-    kept = calibration is not None and not options.calibrate.startswith("seconds:")
-    with console.status("Learning the registration …") if console.is_terminal else nullcontext():
-        plan = plan_recording(read.body, skeletons, settings, calibration, not (options.no_refine or kept))
+    settings = _settings(options)
+    read = _read(options, console)
+    plan = _plan(options, settings, read, console)
     segments = setups_of(plan, settings, read.cameras(options.depth))
     setup = segments[-1][0]
     warm_up(Fuser(setup), console)
     depth = options.depth != "none" and any(camera is not None for camera in read.intrinsics)
-    blueprint = session_blueprint(setup, _whereabouts(skeletons), options.layout, depth=depth)
-    sources = str(options.a), str(options.b)
+    blueprint = session_blueprint(setup, _whereabouts(read), options.layout, depth=depth)
+    sources, page = (str(options.a), str(options.b)), verdict_page(setup)
     announce(viewing, console)
     shown = None
     if viewing is not None and viewing.opens:
         shown = ViewerSink(setup, sources, blueprint, viewing, uuid4(), complete=True)
-    viewer = shown or Sink()
-    with closing(viewer):
-        page = verdict_page(setup)
+    with closing(shown or Sink()) as viewer:
         viewer.event(Event(f"calibrated: {setup.calibration.how}"))
         viewer.coach(page)
         for warning in read.warnings:
             viewer.event(Event(warning, "WARN"))
         frames = []
-        for frame in track(
-            fuse_segments(segments, read.pairing.pairs, plan.codes),
-            "fusing",
-            total=len(skeletons),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        ):
+        fused = fuse_segments(segments, read.pairing.pairs, plan.codes)
+        progress = _progress(console)
+        for frame in progress(fused, "fusing", len(read.pairing.pairs)):
             viewer.write(frame)
             frames.append(frame)
         session = fused_session(read, plan, segments, frames, sources, options.depth, progress)
@@ -137,23 +113,53 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
         return session, figures
 
 
+def _settings(options: FuseOptions) -> FuserSettings:
+    hindsight: Hindsight = "whole" if options.smooth == "whole" else "labels"
+    if options.method != "duplex":
+        if options.smooth == "whole":
+            raise UsageError(f"--smooth whole needs --method duplex; got --method {options.method}.")
+        hindsight = "none"
+    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing, hindsight)
+    check_paper_options(settings)
+    return settings
+
+
+def _read(options: FuseOptions, console: Console) -> TwoRecordings:
+    """Reads both recordings, with a body tracker where they are images, and prints their warnings."""
+    choices = _choices(options)
+    tracker = None
+    if any(choice.is_tracked for choice in choices):
+        tracker = tracker_of(options).for_images_of(not_of_libk4a(options.a, options.b))
+        announce_tracker(tracker, console)
+    read = read_two(*choices, tracker, _progress(console))
+    for warning in read.warnings:
+        console.print(warning, style="yellow", highlight=False, markup=False)
+    return read
+
+
+def _plan(
+    options: FuseOptions, settings: FuserSettings, read: TwoRecordings, console: Console
+) -> RecordingPlan:
+    """Learns the registration, or keeps the one that is given."""
+    skeletons = [pair.skeletons for pair in read.pairing.pairs]
+    calibration = _calibrate(options.calibrate, read.body, skeletons)
+    kept = calibration is not None and not options.calibrate.startswith("seconds:")
+    with console.status("Learning the registration …") if console.is_terminal else nullcontext():
+        return plan_recording(read.body, skeletons, settings, calibration, not (options.no_refine or kept))
+
+
 def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:
+    a = options.a, options.skeletons_a, options.person_a
+    b = options.b, options.skeletons_b, options.person_b
     return (
-        RecordingChoice(
-            options.a, options.skeletons_a, options.person_a, options.unit, "--skeletons-a", "--person-a"
-        ),
-        RecordingChoice(
-            options.b, options.skeletons_b, options.person_b, options.unit, "--skeletons-b", "--person-b"
-        ),
+        RecordingChoice(*a, options.unit, "--skeletons-a", "--person-a"),
+        RecordingChoice(*b, options.unit, "--skeletons-b", "--person-b"),
     )
 
 
-def _progress(console: Console) -> Progress:
-    def shown(frames: Iterable[SensorFrame], what: str, total: int | None) -> Iterable[SensorFrame]:
-        quiet = not console.is_terminal
-        return track(frames, what, total=total, console=console, transient=True, disable=quiet)
-
-    return shown
+def _progress(console: Console) -> Callable[..., Any]:
+    """Shows the progress of reading and fusing, on a terminal."""
+    return partial(track, console=console, transient=True, disable=not console.is_terminal)
 
 
 def _exact(frames: list[RecordedFrame], setup: FusionSetup) -> SessionArrays | None:
@@ -200,9 +206,10 @@ def _calibrate(wanted: str, body: Body, pairs: Sequence[SkeletonPair]) -> Calibr
     return read_calibration(Path(wanted), body)
 
 
-def _whereabouts(pairs: Sequence[SkeletonPair]) -> NDArray[np.float64]:
-    """(3,) metres in K_A's frame, the median position of the person over the recording."""
-    seen = [pair.a.positions for pair in pairs if pair.a is not None]
+def _whereabouts(read: TwoRecordings) -> NDArray[np.float64]:
+    """(3,) metres in K_A's frame, the median position of the person over the recordings."""
+    views = [pair.skeletons.a for pair in read.pairing.pairs]
+    seen = [view.positions for view in views if view is not None]
     if not seen:
         raise CalibrationError("The principal sensor A never sees the person in a pair.")
     return np.asarray(np.nanmedian(np.concatenate(seen).astype(np.float64), axis=0))

@@ -18,7 +18,6 @@ from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth.image_thinning import thinned_camera
 from devices.sensor import Sensor
-from devices.tracker_choice import tracker_name
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
@@ -28,19 +27,13 @@ from viewer_app.coach.setup_coach import WARM_UP, Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.options.shared import check_paper_options
-from viewer_app.output_files import check_outputs, warn_of_little_room, write_text
-from viewer_app.outputs.opening import announce_outputs, plan_outputs
-from viewer_app.report.figures import save_report
-from viewer_app.report.terminal import say_more
+from viewer_app.output_files import check_outputs, write_text
 from viewer_app.running.interruption import CtrlC
 from viewer_app.running.loop import Status, run_live, warm_up
-from viewer_app.running.status import LiveDisplay
-from viewer_app.running.summary import check_saved, print_saved, print_session, session_report
+from viewer_app.running.runner import Runner
 from viewer_app.sensors.local import kinect_settings, one_of_live, two_kinects
 from viewer_app.sensors.remote import names_remote, sensors_by_network
-from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.blueprint import session_blueprint
-from viewer_app.viewer.viewer_choice import Viewing, announce, viewing_of
 
 _PERSON_AT = np.array([0.0, 0.0, 2.5])  # the initial view target, metres in K_A's frame
 
@@ -52,23 +45,22 @@ def run(options: LiveOptions) -> None:
         DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
     """
     console = Console()
-    check(options)
-    if names_remote(options):
-        with sensors_by_network(options, console, partial(one_of_live, options, console)) as remote:
-            show(options, remote, console)
-        return
-    sensors = two_kinects(options, console)
-    show(options, sensors, console)
+    remote = names_remote(options)
+    runner = Runner(options, console, options.save, remote)
+    _check(options)
+    if remote:
+        with sensors_by_network(options, console, partial(one_of_live, options, console)) as sensors:
+            _show(options, sensors, runner, console)
+    else:
+        _show(options, two_kinects(options, console), runner, console)
 
 
-def check(options: LiveOptions) -> None:
-    """Checks the options before any sensor is opened.
+def _check(options: LiveOptions) -> None:
+    """Checks the other options before any sensor is opened.
 
     Raises:
         DeviceError, UsageError: With one line for the person who asked.
     """
-    _viewing(options)
-    plan_outputs(options, options.listen, names_remote(options))
     check_modes(kinect_settings(options, "", None))
     check_smoothing(options.smoothing)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
@@ -82,77 +74,46 @@ def check(options: LiveOptions) -> None:
         )
 
 
-def show(options: LiveOptions, sensors: TwoSensors, console: Console) -> None:
+def _show(options: LiveOptions, sensors: TwoSensors, runner: Runner, console: Console) -> None:
     """Fuses two sensors until they end, Ctrl-C is pressed or the time is up; saves and prints the summary."""
-    viewing = _viewing(options)
     settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
     check_paper_options(settings)
     a, b = sensors.a.sensor, sensors.b.sensor
-    calibration = _given_calibration(options, a)
-    nominal = FusionSetup(calibration or nominal_calibration(a.body), settings)
+    given = None if options.calibrate == "auto" else read_calibration(Path(options.calibrate), a.body)
+    nominal = FusionSetup(given or nominal_calibration(a.body), settings)
     warm_up(Fuser(nominal), console)
     watch = _Watch(console)
-    plan = plan_outputs(options, options.listen, names_remote(options))
     with CtrlC() as ctrl_c:
-        with ExitStack() as opened:
-            outputs = opened.enter_context(plan.opened(nominal, options.fps))
-            announce_outputs(console, outputs)
+        with ExitStack() as stack:
+            runner.open_outputs(stack, nominal, options.fps)
             console.print(f"Opening {a.name} (A) and {b.name} (B) …", highlight=False, markup=False)
             with ctrl_c.raising():  # a body tracker may take minutes to load its network
-                opened.enter_context(sensors)
+                stack.enter_context(sensors)
             ctrl_c.calls(sensors.stop)
-            cameras = _camera(options, a), _camera(options, b)
-            nominal = FusionSetup(nominal.calibration, settings, *cameras)
-            if options.save is not None:
-                warn_of_little_room(options.save, console)
-            announce(viewing, console)
-            kept, shown = (
-                session_blueprint(
-                    *(nominal, _PERSON_AT, options.layout),
-                    live=True,
-                    depth=options.depth != "none",
-                    color=options.color != "off",
-                    infrared=infrared,
-                )
-                for infrared in (False, _has_infrared(options, sensors))
-            )
-            session = opened.enter_context(
-                LiveSession(
-                    *(nominal, (a.name, b.name), shown),
-                    file=options.save,
-                    overwrite=options.force,
-                    viewing=viewing,
-                    file_blueprint=kept,
-                    others=outputs,
-                    about={"tracker": tracker_name(a)} if tracker_name(a) else None,
-                )
-            )
+            nominal = FusionSetup(nominal.calibration, settings, _camera(options, a), _camera(options, b))
             coach = Coach(a.body, nominal.intrinsics, options.fps, warm_up=WARM_UP)
-            display = opened.enter_context(
-                LiveDisplay(console, session, coach, options.quiet, options.verbose)
-            )
+            images = {"depth": options.depth != "none", "color": options.color != "off"}
+            layout = partial(session_blueprint, nominal, _PERSON_AT, options.layout, live=True, **images)
+            infrared = _has_infrared(options, sensors)
+            display = runner.open_session(stack, sensors, nominal, coach, layout, infrared)
             console.print("Running. Press Ctrl-C to end.")
             with _Timer(options.seconds, sensors):
                 setup, frames = run_live(
                     sensors,
                     nominal,
-                    session,
-                    calibrated=calibration is not None,
+                    runner.session,
+                    calibrated=given is not None,
                     depth=options.depth,
                     # the sensors report events at once, even while no frame arrives
                     go_on=lambda status: watch(status) and display(replace(status, events=())),
                 )
         for warning in (*a.warnings, *b.warnings):
             console.print(warning, style="yellow", highlight=False, markup=False)
-        figures = session_report(setup, frames, sensors, outputs)
-        print_session(console, figures, outputs, options.verbose)
-        save_report(options.report, figures)
-        print_saved(console, session.file)
-        if not options.verbose:
-            say_more(console)
+        runner.summarise(setup, frames, sensors)
+        runner.print_end()
         if options.save_calibration is not None:
             _save_calibration(options.save_calibration, watch.settled)
-        check_saved(session.file)
+        runner.check_saved()
 
 
 def _has_infrared(options: LiveOptions, sensors: TwoSensors) -> bool:
@@ -160,10 +121,6 @@ def _has_infrared(options: LiveOptions, sensors: TwoSensors) -> bool:
     if options.depth == "none":  # without depth images there are no others
         return False
     return all(isinstance(stream.sensor, TrackedImages) for stream in (sensors.a, sensors.b))
-
-
-def _viewing(options: LiveOptions) -> Viewing | None:
-    return viewing_of(options, options.save, live=True, served=options.listens)
 
 
 class _Watch:
@@ -198,12 +155,6 @@ class _Timer:
 
 def _camera(options: LiveOptions, sensor: Sensor) -> Intrinsics:
     return thinned_camera(sensor.intrinsics or NOMINAL_INTRINSICS[sensor.body.name], options.depth)
-
-
-def _given_calibration(options: LiveOptions, sensor: Sensor) -> Calibration | None:
-    if options.calibrate == "auto":
-        return None
-    return read_calibration(Path(options.calibrate), sensor.body)
 
 
 def _save_calibration(path: Path, calibration: Calibration | None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,11 +16,13 @@ from fusion.facing.exchange import with_doubt
 from fusion.facing.model import DOUBT_STEPS
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
+from fusion.setup import FuserSettings
 from recordings.file.session_writer import write_session
-from recordings.fusing.pairs import calibrated, fuse_segments, setups_of
+from recordings.fusing.pairs import Segments, calibrated, fuse_segments, setups_of
 from recordings.fusing.view_events import view_events
 from recordings.images import NO_IMAGES
 from recordings.session import Session
+from recordings.session_arrays import RecordedFrame
 from recordings.writing.checksums import fused_checksums, joint_digests
 from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
@@ -27,6 +30,7 @@ from viewer_app.options.sessions import ReplayOptions
 from viewer_app.options.shared import check_paper_options
 from viewer_app.output_files import check_outputs
 from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_outputs, print_outputs
+from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.figures import report, save_report
 from viewer_app.report.terminal import (
     print_damage,
@@ -54,14 +58,11 @@ def run(options: ReplayOptions) -> None:
         FusionError, RecordingError, UsageError: With a one-line message for the user.
     """
     console = Console()
-    changed: dict[str, Any] = {
-        name: value
-        for name in ("method", "h", "weights", "smoothing")
-        if (value := getattr(options, name)) is not None
-    }
     check_outputs([options.report], [options.session], options.force, options.save)
     session = Session.open(options.session)
-    settings = replace(session.settings, **changed)
+    names = ("method", "h", "weights", "smoothing")
+    changed: dict[str, Any] = {name: getattr(options, name) for name in names}
+    settings = replace(session.settings, **{k: value for k, value in changed.items() if value is not None})
     check_paper_options(settings)
     if options.verify and settings != session.settings:
         raise UsageError(
@@ -70,57 +71,18 @@ def run(options: ReplayOptions) -> None:
         )
     planned = _planned(options)
     print_damage(console, session)
-    window = not options.no_viewer and not options.verify and has_display()
-    pairs = list(session.pairs())
-    skeletons = [pair.skeletons for pair in pairs]
-    codes = None
-    if settings.method == "duplex" and session.settings.method != "duplex":
-        # The session has neither labels nor a refined calibration: they are found as for two recordings.
-        settings = replace(settings, hindsight="labels")
-        plan = plan_recording(session.body, skeletons, settings, session.calibration)
-        codes, segments = plan.codes, setups_of(plan, settings, (session.intrinsics_a, session.intrinsics_b))
-    else:
-        segments = list(session.setups(settings))
-        if settings.hindsight != "none" and session.rows.exchanged is not None:
-            doubt = session.rows.side_doubt
-            codes = with_doubt(session.rows.exchanged, 0.0 if doubt is None else doubt / DOUBT_STEPS)
+    segments, codes = _plan(session, settings)
     with planned.opened(segments[0][0]) as outputs:
         announce_outputs(console, outputs)
-        fused = fuse_segments(segments, pairs, codes)
-        if options.pace == "live":
-            warm_up(Fuser(segments[0][0]), console)
-            setups = {own.start: setup for setup, own in segments}
-            fused = played(fused, FanOut(outputs), setups, session.events)
-        frames = list(
-            track(
-                fused,
-                "fusing",
-                total=len(pairs),
-                console=console,
-                transient=True,
-                disable=not console.is_terminal,
-            )
-        )
-    first_ns = pairs[0].time_ns
-    events = [calibrated(setup, own, session.time_ns) for setup, own in segments]
-    events += view_events(session.body, frames, first_ns)
-    replayed = Session.of(
-        [(setup, frames[own]) for setup, own in segments],
-        session.sources,
-        events=sorted(events, key=lambda event: event.frame),
-        images=NO_IMAGES if options.save is None else session.images,
-        about={
-            "first_frame": session.first_frame,
-            "replay_of": session.name,
-            **({"tracker": session.tracker} if session.tracker else {}),
-        },
-    )
+        frames = _fused(options, session, segments, codes, outputs, console)
+    replayed = _replayed(session, segments, frames, with_images=options.save is not None)
     damaged = 0
+    window = not options.no_viewer and not options.verify and has_display()
     with written_and_shown(options.save, window) as path:
         if path is not None:
             blueprint = inspect_blueprint(session.body, session.whereabouts, has_depth(replayed))
-            *_, (setup, _) = replayed.setups()
-            damaged = write_session(replayed, path, blueprint=blueprint, page=verdict_page(setup))
+            page = verdict_page(segments[-1][0])
+            damaged = write_session(replayed, path, blueprint=blueprint, page=page)
     figures = report(replayed)
     if outputs:
         figures["outputs"] = [output.figures() for output in outputs]
@@ -134,6 +96,57 @@ def run(options: ReplayOptions) -> None:
         say_more(console)
     if options.verify and not verify(console, session, replayed.rows.fused):
         sys.exit(1)
+
+
+def _plan(session: Session, settings: FuserSettings) -> tuple[Segments, NDArray[np.int64] | None]:
+    """The setups of the replay, and the exchange codes that are given to it; None: they are found."""
+    if settings.method == "duplex" and session.settings.method != "duplex":
+        # The session has neither labels nor a refined calibration: they are found as for two recordings.
+        settings = replace(settings, hindsight="labels")
+        skeletons = [pair.skeletons for pair in session.pairs()]
+        plan = plan_recording(session.body, skeletons, settings, session.calibration)
+        return setups_of(plan, settings, (session.intrinsics_a, session.intrinsics_b)), plan.codes
+    codes = None
+    if settings.hindsight != "none" and session.rows.exchanged is not None:
+        doubt = session.rows.side_doubt
+        codes = with_doubt(session.rows.exchanged, 0.0 if doubt is None else doubt / DOUBT_STEPS)
+    return list(session.setups(settings)), codes
+
+
+def _fused(
+    options: ReplayOptions,
+    session: Session,
+    segments: Segments,
+    codes: NDArray[np.int64] | None,
+    outputs: Sequence[LiveOutput],
+    console: Console,
+) -> list[RecordedFrame]:
+    """Fuses the pairs of a session, at the recorded times where S* is sent to outputs."""
+    pairs = list(session.pairs())
+    fused: Iterator[RecordedFrame] = fuse_segments(segments, pairs, codes)
+    if options.pace == "live":
+        warm_up(Fuser(segments[0][0]), console)
+        setups = {own.start: setup for setup, own in segments}
+        fused = played(fused, FanOut(outputs), setups, session.events)
+    quiet = not console.is_terminal
+    return list(track(fused, "fusing", len(pairs), console=console, transient=True, disable=quiet))
+
+
+def _replayed(
+    session: Session, segments: Segments, frames: list[RecordedFrame], with_images: bool
+) -> Session:
+    """The session of the replay, with the events that it found itself."""
+    first_ns = frames[0].pair.time_ns
+    events = [calibrated(setup, own, session.time_ns) for setup, own in segments]
+    events += view_events(session.body, frames, first_ns)
+    about: dict[str, str | int] = {"first_frame": session.first_frame, "replay_of": session.name}
+    return Session.of(
+        [(setup, frames[own]) for setup, own in segments],
+        session.sources,
+        events=sorted(events, key=lambda event: event.frame),
+        images=session.images if with_images else NO_IMAGES,
+        about=about | ({"tracker": session.tracker} if session.tracker else {}),
+    )
 
 
 def _planned(options: ReplayOptions) -> OutputPlan:

@@ -1,4 +1,4 @@
-"""The summary of a live session with real or simulated sensors."""
+"""The figures of a live session with real or simulated sensors."""
 
 from __future__ import annotations
 
@@ -6,17 +6,12 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
-from rich.console import Console
 
 from devices.capture.sensor_pair import TwoSensors
 from fusion.setup import FusionSetup
 from recordings.session_arrays import RecordedFrame, SessionArrays
-from viewer_app.errors import UsageError
-from viewer_app.outputs.opening import print_outputs
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.figures import Figures, fusion_figures
-from viewer_app.report.terminal import print_details, print_summary, say_saved
-from viewer_app.sinks.session_file import SessionFile
 
 
 def rows_since_calibration(setup: FusionSetup, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
@@ -85,48 +80,3 @@ def latency_figures(frames: Sequence[RecordedFrame]) -> dict[str, float | None]:
         "p99": float(np.percentile(known, 99)),
         "max": float(max(known)),
     }
-
-
-def print_session(
-    console: Console, figures: Figures, outputs: Sequence[LiveOutput] = (), verbose: bool = False
-) -> None:
-    """Prints the summary. Frames are counted since the start; the method's figures cover the last minute.
-
-    Args:
-        console: Receives the output.
-        figures: Of :func:`session_report`.
-        outputs: The live outputs, whose counts are printed, too.
-        verbose: Whether all figures follow.
-    """
-    if "fused_frames" not in figures:
-        console.print("No frame was fused.")
-    print_summary(console, figures)
-    print_outputs(console, outputs)
-    if verbose:
-        print_details(console, figures)
-
-
-def print_saved(console: Console, file: SessionFile | None) -> None:
-    """Prints where the session was saved and which frames are missing; nothing if none was to be saved."""
-    if file is None:
-        return
-    if file.saved == 0 and file.failure is None:
-        console.print(f"{file.path} was not written: no frame was received.", highlight=False, markup=False)
-    elif file.failure is None:
-        say_saved(console, file.path)
-    for count, what in (
-        (file.lost, "not saved: the disk was too slow"),
-        (file.without_images, "saved without their images: this machine was too slow"),
-    ):
-        if count:
-            console.print(f"[yellow]{count} frames are {what}.[/]", highlight=False)
-
-
-def check_saved(file: SessionFile | None) -> None:
-    """Reports a failure of saving as a usage error: one line and exit code 2.
-
-    Raises:
-        UsageError: Saving stopped.
-    """
-    if file is not None and file.failure is not None:
-        raise UsageError(file.failure)

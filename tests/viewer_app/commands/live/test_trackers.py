@@ -142,7 +142,7 @@ def test_the_viewer_shows_the_infrared_that_our_tracker_works_on(
             given.append((blueprint, more["file_blueprint"]))
             super().__init__(setup, sources, blueprint, **more)
 
-    monkeypatch.setattr("viewer_app.commands.live.LiveSession", Watched)
+    monkeypatch.setattr("viewer_app.running.runner.LiveSession", Watched)
     assert _live("--depth", depth, seconds=0.5) == 0
     ((viewer, file),) = (tuple(map(_view_names, pair)) for pair in given)
     infrared = {"Kinect A, infrared", "Kinect B, infrared"}

@@ -1,0 +1,151 @@
+"""What ``duplex live`` and ``duplex demo`` have in common: from open sensors to the summary at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import rerun.blueprint as rrb
+from rich.console import Console
+
+from devices.capture.sensor_pair import TwoSensors
+from devices.tracker_choice import tracker_name
+from fusion.setup import FusionSetup
+from recordings.session_arrays import RecordedFrame
+from viewer_app.coach.setup_coach import Coach
+from viewer_app.errors import UsageError
+from viewer_app.options.sensing import DemoOptions, LiveOptions
+from viewer_app.output_files import warn_of_little_room
+from viewer_app.outputs.opening import announce_outputs, plan_outputs, print_outputs
+from viewer_app.outputs.output import LiveOutput
+from viewer_app.report.figures import save_report
+from viewer_app.report.terminal import print_details, print_summary, say_more, say_saved
+from viewer_app.running.status import LiveDisplay
+from viewer_app.running.summary import session_report
+from viewer_app.sinks.live_session import LiveSession
+from viewer_app.viewer.viewer_choice import announce, viewing_of
+
+
+class Runner:
+    """Opens the sinks of a session whose sensors run, and prints its summary.
+
+    Args:
+        options: Of the command.
+        console: Receives the output.
+        save: The file of the session; None for none.
+        remote_sensors: Whether a sensor is on another PC.
+
+    Attributes:
+        viewing: How the session is shown.
+        session: The sinks; set by :meth:`open_session`.
+
+    Raises:
+        DeviceError, UsageError: The options of the viewer or of an output are wrong.
+    """
+
+    session: LiveSession
+
+    def __init__(
+        self,
+        options: DemoOptions | LiveOptions,
+        console: Console,
+        save: Path | None,
+        remote_sensors: bool = False,
+    ) -> None:
+        self.viewing = viewing_of(options, save, live=True, served=options.listens)
+        self._plan = plan_outputs(options, options.listen, remote_sensors)
+        self._options, self._console, self._save = options, console, save
+        self._outputs: Sequence[LiveOutput] = ()
+
+    def open_outputs(self, stack: ExitStack, setup: FusionSetup, rate: float) -> None:
+        """Opens the outputs to other programs, which the stack closes.
+
+        Args:
+            stack: Closes them.
+            setup: The setup of the first frames.
+            rate: Nominal frames per second.
+        """
+        self._outputs = stack.enter_context(self._plan.opened(setup, rate))
+        announce_outputs(self._console, self._outputs)
+
+    def open_session(
+        self,
+        stack: ExitStack,
+        sensors: TwoSensors,
+        setup: FusionSetup,
+        coach: Coach,
+        blueprint: Callable[..., rrb.Blueprint],
+        infrared: bool = False,
+    ) -> LiveDisplay:
+        """Opens viewer, file and status line, which the stack closes; returns the observer of the loop.
+
+        Args:
+            stack: Closes them.
+            sensors: Open, or about to be.
+            setup: The first calibration, the settings and the cameras.
+            coach: Gives the advice.
+            blueprint: Makes the layout; takes ``infrared``.
+            infrared: Whether the viewer gets infrared images; a file has none.
+        """
+        console, options, a, b = self._console, self._options, sensors.a.sensor, sensors.b.sensor
+        if self._save is not None:
+            warn_of_little_room(self._save, console)
+        announce(self.viewing, console)
+        self.session = stack.enter_context(
+            LiveSession(
+                setup,
+                (a.name, b.name),
+                blueprint(infrared=infrared),
+                file=self._save,
+                overwrite=options.force,
+                viewing=self.viewing,
+                file_blueprint=blueprint(infrared=False),
+                others=self._outputs,
+                about={"tracker": tracker_name(a)} if tracker_name(a) else None,
+            )
+        )
+        return stack.enter_context(LiveDisplay(console, self.session, coach, options.quiet, options.verbose))
+
+    def summarise(self, setup: FusionSetup, frames: Sequence[RecordedFrame], sensors: TwoSensors) -> None:
+        """Prints the figures of the session, and writes them if that is wanted.
+
+        Frames are counted since the start; the method's figures cover the last minute.
+        """
+        console, verbose = self._console, self._options.verbose
+        figures = session_report(setup, frames, sensors, self._outputs)
+        if "fused_frames" not in figures:
+            console.print("No frame was fused.")
+        print_summary(console, figures)
+        print_outputs(console, self._outputs)
+        if verbose:
+            print_details(console, figures)
+        save_report(self._options.report, figures)
+
+    def print_end(self) -> None:
+        """Prints where the session was saved, which frames are missing, and where all figures are."""
+        console, file = self._console, self.session.file
+        if file is not None:
+            if file.saved == 0 and file.failure is None:
+                text = f"{file.path} was not written: no frame was received."
+                console.print(text, highlight=False, markup=False)
+            elif file.failure is None:
+                say_saved(console, file.path)
+            for count, what in (
+                (file.lost, "not saved: the disk was too slow"),
+                (file.without_images, "saved without their images: this machine was too slow"),
+            ):
+                if count:
+                    console.print(f"[yellow]{count} frames are {what}.[/]", highlight=False)
+        if not self._options.verbose:
+            say_more(console)
+
+    def check_saved(self) -> None:
+        """Reports a failure of saving as a usage error: one line and exit code 2.
+
+        Raises:
+            UsageError: Saving stopped.
+        """
+        file = self.session.file
+        if file is not None and file.failure is not None:
+            raise UsageError(file.failure)
