@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from fusion.setup import FuserSettings
 from viewer_app.batch.finding import PAGE, TABLE, Pair, find_pairs
-from viewer_app.batch.jobs import Job, Outcome, calibration_file
+from viewer_app.batch.jobs import Job, Outcome, calibration_file, tidy
 from viewer_app.batch.manifest import read_manifest
 from viewer_app.batch.summary import Row, worst_first, write_page, write_parquet
 from viewer_app.errors import UsageError
@@ -48,6 +48,7 @@ def run(options: BatchOptions) -> None:
     for line in alone:
         console.print(line, style="yellow", highlight=False, markup=False)
     _make_folder(options.out)
+    tidy(options.out)
     work = plan_work([Job(pair, options) for pair in pairs], options.force)
     if work.done:
         console.print(f"Sessions fused already: {len(work.done)} of {len(pairs)}.", highlight=False)
@@ -63,6 +64,8 @@ def run(options: BatchOptions) -> None:
                             f"{outcome.name}: {outcome.error}", style="red", highlight=False, markup=False
                         )
     finally:
+        if options.scheduler is None or len(rows) == len(pairs):  # no worker is still at it
+            tidy(options.out)
         # After an interruption a session may be in place whose worker did not report it any more.
         left = [_left(job) for job in work.jobs if job.name not in rows]
         if rows or any(row.state == "fused" for row in left):
@@ -87,7 +90,6 @@ def plan_work(jobs: Sequence[Job], force: bool) -> Work:
     """
     done, left = [], []
     for job in jobs:
-        job.restore()
         strangers = job.strangers()
         if strangers:
             raise UsageError(
@@ -187,7 +189,7 @@ def _make_folder(out: Path) -> None:
         raise UsageError(f"The folder {out} is not writable.")
 
 
-def _outcomes(jobs: Sequence[Job], options: BatchOptions) -> Generator[Outcome | str, None, None]:
+def _outcomes(jobs: Sequence[Job], options: BatchOptions) -> Generator[Outcome, None, None]:
     if options.scheduler is not None:
         from viewer_app.batch.cluster import run_on_cluster
 
@@ -197,23 +199,12 @@ def _outcomes(jobs: Sequence[Job], options: BatchOptions) -> Generator[Outcome |
     return run_in_processes(jobs, options.processes or os.cpu_count() or 1)
 
 
-def _shown(outcomes: Iterator[Outcome | str], total: int, console: Console) -> Iterator[Outcome]:
-    """The outcomes, with a progress bar on a terminal; elsewhere with a line for each fused session.
-
-    A notice is printed once, although each worker may send it.
-    """
-    notices: set[str] = set()
-    finished = 0
+def _shown(outcomes: Iterator[Outcome], total: int, console: Console) -> Iterator[Outcome]:
+    """The outcomes, with a progress bar on a terminal; elsewhere with a line for each fused session."""
     columns = TextColumn("fusing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("fusing", total=total)
-        for outcome in outcomes:
-            if isinstance(outcome, str):
-                if outcome not in notices:
-                    console.print(outcome, highlight=False, markup=False)
-                notices.add(outcome)
-                continue
-            finished += 1
+        for finished, outcome in enumerate(outcomes, start=1):
             if not console.is_terminal and not outcome.error:
                 console.print(
                     f"{outcome.name}: fused, {finished} of {total}.",

@@ -1,7 +1,7 @@
 """One pair to fuse, its folder in the output, and the record by which a finished session is recognised.
 
-A session's folder is made under a temporary name and renamed when it is complete. A folder that has its
-final name is therefore complete.
+A session's folder is made under a temporary name and renamed when it is complete, so a folder that has its
+final name is complete. A worker deletes only its own temporary folder; the command deletes all remains.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import json
 import os
 import shutil
 import socket
-from contextlib import suppress
 from dataclasses import dataclass, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -20,12 +19,12 @@ from typing import Any
 from viewer_app.batch.finding import Pair
 from viewer_app.options.sensing import BatchOptions, FuseOptions
 
-RECORD = "record.json"
+RECORD, PARTIAL = "record.json", ".partial"
+"""Names of a session's record, and of the folder of what is not complete, in the output folder."""
 _ELSEWHERE = {"source", "out", "processes", "scheduler", "pages", "force"}
 """Options of the command that do not change a session."""
 _SHARED = [field.name for field in fields(BatchOptions) if field.name not in _ELSEWHERE]
 """Options that ``duplex fuse`` has as well."""
-_BLOCK = 1 << 20
 
 Record = dict[str, Any]
 
@@ -54,12 +53,13 @@ class Job:
 
     @property
     def partial(self) -> Path:
-        """The temporary folder of this process for the session."""
-        return self._partials / f"{socket.gethostname()}-{os.getpid()}"
+        """The temporary folder of this process for the session: a cluster may repeat a job elsewhere."""
+        return self.options.out / PARTIAL / f"{self.name}.{socket.gethostname()}-{os.getpid()}"
 
     @property
-    def _partials(self) -> Path:
-        return self.options.out / ".partial" / self.name
+    def _replaced(self) -> Path:
+        """Where the older session is while another takes its place."""
+        return self.options.out / PARTIAL / f"{self.name}.old"
 
     @property
     def session(self) -> Path:
@@ -127,48 +127,22 @@ class Job:
         own = {self.session.name, self.page.name, self.report.name, RECORD}
         return sorted({path.name for path in self.folder.iterdir()} - own)
 
-    def restore(self) -> None:
-        """Restores a session that a killed run was about to replace."""
-        for old in self._partials.glob("*.old"):
-            if not self.folder.exists():
-                old.rename(self.folder)
-                self._drop_empty()
-
-    def drop_partials(self) -> None:
-        """Deletes the remains of this session from an interrupted run."""
-        self.restore()
-        shutil.rmtree(self._partials, ignore_errors=True)
-        self._drop_empty()
-
-    def drop_own_partial(self) -> None:
-        """Deletes the temporary folder of this process."""
-        shutil.rmtree(self.partial, ignore_errors=True)
-        self._drop_empty()
-
-    def _drop_empty(self) -> None:
-        with suppress(OSError):  # another process or another session is in it
-            if self._partials.is_dir():
-                self._partials.rmdir()
-            self._partials.parent.rmdir()
-
     def place(self) -> None:
         """Renames the complete temporary folder to :attr:`folder`; an older session is replaced.
 
         Raises:
             OSError: It cannot be renamed. The older session is back in its place.
         """
-        old = self.partial.with_name(f"{self.partial.name}.old")
-        replaced = self.folder.exists()
-        if replaced:
-            self.folder.rename(old)
+        shutil.rmtree(self._replaced, ignore_errors=True)
+        if self.folder.exists():
+            self.folder.rename(self._replaced)
         try:
             self.partial.rename(self.folder)
         except OSError:
-            if replaced:
-                old.rename(self.folder)
+            if self._replaced.exists():
+                self._replaced.rename(self.folder)
             raise
-        if replaced:
-            shutil.rmtree(old, ignore_errors=True)
+        shutil.rmtree(self._replaced, ignore_errors=True)
 
 
 @dataclass(frozen=True)
@@ -186,6 +160,15 @@ class Outcome:
     error: str = ""
 
 
+def tidy(out: Path) -> None:
+    """Restores sessions that a killed worker was about to replace, and deletes what is not complete."""
+    for old in (out / PARTIAL).glob("*.old"):
+        session = out / old.name.removesuffix(".old")
+        if not session.exists():
+            old.rename(session)
+    shutil.rmtree(out / PARTIAL, ignore_errors=True)
+
+
 def program_version() -> str:
     """The version of the program on this machine."""
     return version("duplex-kinects")
@@ -193,11 +176,8 @@ def program_version() -> str:
 
 def checksum(path: Path) -> str:
     """SHA-256 of a file's content, hexadecimal."""
-    digest = hashlib.sha256()
     with path.open("rb") as file:
-        while block := file.read(_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def calibration_file(calibrate: str) -> Path | None:

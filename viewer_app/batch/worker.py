@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +16,6 @@ from fusion.errors import FusionError
 from recordings.errors import RecordingError
 from viewer_app.batch.figures import session_figures
 from viewer_app.batch.jobs import RECORD, Job, Outcome, Record
-from viewer_app.batch.kernels import compile_once, nobody
 from viewer_app.commands.fuse import fuse_files
 from viewer_app.errors import UsageError
 from viewer_app.report.figures import truth_free_figures
@@ -26,16 +25,11 @@ _ONE_AT_A_TIME = threading.Lock()
 """A Dask worker may have several threads; the memory of one recording is enough."""
 
 
-def fuse_job(job: Job, say: Callable[[str], object] = nobody) -> Outcome:
-    """Fuses a pair into its folder. Every error becomes the line of the outcome.
-
-    Args:
-        job: The pair.
-        say: Receives notices, such as that the kernels are compiled.
-    """
+def fuse_job(job: Job) -> Outcome:
+    """Fuses a pair into its folder. Every error becomes the line of the outcome."""
     with _ONE_AT_A_TIME:
         try:
-            return Outcome(job.name, _fuse(job, say))
+            return Outcome(job.name, _fuse(job))
         except _MISTAKES as error:
             return Outcome(job.name, None, _one_line(str(error)))
         except OSError as error:
@@ -47,19 +41,18 @@ def fuse_job(job: Job, say: Callable[[str], object] = nobody) -> Outcome:
             return Outcome(job.name, None, _one_line(f"internal error, {type(error).__name__}: {error}"))
 
 
-def _fuse(job: Job, say: Callable[[str], object]) -> Record:
+def _fuse(job: Job) -> Record:
     os.environ.setdefault("RERUN_ANALYTICS", "0")
     identity = job.identity()
-    job.drop_partials()
     finished = job.record()
     if finished is not None and finished["identity"] == identity:
         # A cluster repeats a job if its worker is lost after the session is in its place.
         return finished
     partial = job.partial
+    shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     try:
         options = job.fuse_options(partial)
-        compile_once(options.method, options.smooth, say)
         with Path(os.devnull).open("w", encoding="utf-8") as nothing:
             session, figures = fuse_files(options, Console(file=nothing))
         figures["without_truth"] = truth_free_figures(session)
@@ -78,7 +71,7 @@ def _fuse(job: Job, say: Callable[[str], object]) -> Record:
         (partial / RECORD).write_text(text + "\n", encoding="utf-8")
         job.place()
     finally:
-        job.drop_own_partial()
+        shutil.rmtree(partial, ignore_errors=True)
     return record
 
 

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from multiprocessing import Pipe
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -34,7 +33,6 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     def run(jobs: list[Job], _: int) -> object:
         for job in jobs:
             fused.append(job.name)
-            yield "Compiling the kernels"
             yield fuse_job(job)
 
     monkeypatch.setattr(processes, "run_in_processes", run)
@@ -95,7 +93,7 @@ def test_only_what_is_not_done_is_fused(
     assert in_this_process == ["one", "two"]
     # without a terminal there is no progress bar
     said = capsys.readouterr().out.splitlines()
-    assert said[:3] == ["Compiling the kernels", "one: fused, 1 of 2.", "two: fused, 2 of 2."]
+    assert said[:2] == ["one: fused, 1 of 2.", "two: fused, 2 of 2."]
     (out / "two" / "two.rrd").unlink()  # no longer complete
     write_pair(pairs, "six_a.csv", "six_b.csv", seed=6)
     assert duplex("batch", pairs, "--out", out) == 0
@@ -134,8 +132,8 @@ def test_a_session_that_was_being_replaced_returns(tmp_path: Path, in_this_proce
     pairs, out = write_pair(tmp_path / "pairs" / "p"), tmp_path / "out"
     assert duplex("batch", pairs.parent, "--out", out) == 0
     # the state after a kill between the two renames
-    (out / ".partial" / "p").mkdir(parents=True)
-    (out / "p").rename(out / ".partial" / "p" / "host-1.old")
+    (out / ".partial" / "p.host-1").mkdir(parents=True)
+    (out / "p").rename(out / ".partial" / "p.old")
     assert duplex("batch", pairs.parent, "--out", out) == 0
     assert in_this_process == ["p"]
     assert files_in(out) == {"summary.html", "summary.parquet"} | files_of("p")
@@ -177,19 +175,22 @@ def test_killed_half_way_and_resumed(
     assert len(Session.open(out / "p3" / "p3.rrd")) == 75
 
 
-def test_a_worker_that_dies_costs_its_own_job_only_and_a_notice_ends_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pipes = [_Dying(), _Notifying()]
-    monkeypatch.setattr(processes, "_Worker", lambda: pipes.pop(0))
-    monkeypatch.setattr(processes.connection, "wait", lambda ready: list(ready))
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
+def test_a_worker_that_dies_costs_its_own_job_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "compile_kernels", lambda _: None)
+    monkeypatch.setattr(processes, "fuse_job", dies_on_p)
     outcomes = list(run_in_processes([_job(tmp_path, name) for name in "pqr"], 1))
-    assert [each if isinstance(each, str) else (each.name, each.error) for each in outcomes] == [
-        ("p", "The worker process died."),
-        "a notice",
+    assert [(each.name, each.error) for each in outcomes] == [
+        ("p", "The worker process died (SIGKILL, often too little memory)."),
         ("q", ""),
         ("r", ""),
     ]
+
+
+def dies_on_p(job: Job) -> Outcome:
+    if job.name == "p":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return Outcome(job.name, {})
 
 
 def test_a_job_that_a_cluster_repeats_is_not_fused_again(tmp_path: Path) -> None:
@@ -202,59 +203,6 @@ def test_a_job_that_a_cluster_repeats_is_not_fused_again(tmp_path: Path) -> None
     assert job.session.stat().st_mtime_ns == made
 
 
-def test_a_real_worker_passes_a_notice_on(tmp_path: Path) -> None:
-    """The job stays with the worker until its outcome arrives."""
-    here, there = Pipe()
-    worker = processes._Worker.__new__(processes._Worker)
-    worker.connection, worker.job = here, _job(tmp_path, "p")
-    there.send("a notice")
-    there.send(Outcome("p", {}))
-    assert worker.outcome() == ("a notice", True)
-    assert worker.job is not None
-    assert worker.outcome() == (Outcome("p", {}), True)
-    assert worker.job is None
-
-
 def _job(folder: Path, name: str) -> Job:
     options = BatchOptions(source=folder, out=folder)
     return Job(Pair(name, folder / "a.csv", folder / "b.csv"), options)
-
-
-class _Living:
-    """A worker that finishes every job."""
-
-    def __init__(self) -> None:
-        self.connection = object()
-        self.job: Job | None = None
-
-    def start(self, job: Job) -> None:
-        self.job = job
-
-    def outcome(self) -> tuple[Outcome | str, bool]:
-        assert self.job is not None
-        job, self.job = self.job, None
-        return Outcome(job.name, {}), True
-
-    def end(self) -> None:
-        pass
-
-
-class _Dying(_Living):
-    """A worker that dies on its job."""
-
-    def outcome(self) -> tuple[Outcome | str, bool]:
-        assert self.job is not None
-        job, self.job = self.job, None
-        return Outcome(job.name, None, "The worker process died."), False
-
-
-class _Notifying(_Living):
-    """A worker that sends a notice before its first outcome."""
-
-    notified = False
-
-    def outcome(self) -> tuple[Outcome | str, bool]:
-        if self.notified:
-            return super().outcome()
-        self.notified = True
-        return "a notice", True

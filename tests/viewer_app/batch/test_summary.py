@@ -1,16 +1,13 @@
-"""The summary of a batch: order, table and page; and the lock around compilation."""
+"""The summary of a batch: order, table and page."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pyarrow.parquet as pq
 
 from viewer_app.batch.finding import Pair
 from viewer_app.batch.jobs import Job
-from viewer_app.batch.machine_lock import one_process
 from viewer_app.batch.summary import RANKED, Row, State, worst_first, write_page, write_parquet
 from viewer_app.options.sensing import BatchOptions
 
@@ -63,29 +60,3 @@ def test_the_table_is_in_si_units_and_the_page_escapes(tmp_path: Path) -> None:
     for words in ("a &lt; b", 'href="a%20b/a%20b.rrd"', "<td>62</td>", "pose &lt;1&gt;", "1 not fused yet"):
         assert words in page
     assert "<b>" not in page
-
-
-def test_one_process_at_a_time_compiles(tmp_path: Path) -> None:
-    program = (
-        "import sys; from pathlib import Path; from viewer_app.batch.machine_lock import one_process\n"
-        "print('ready', flush=True)\n"
-        "with one_process(Path(sys.argv[1])): print('in', flush=True)"
-    )
-    with one_process(tmp_path / "lock"):
-        other = subprocess.Popen(
-            [sys.executable, "-c", program, str(tmp_path / "lock")],
-            cwd=Path(__file__).resolve().parents[3],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert other.stdout is not None
-        assert other.stdout.readline() == "ready\n"
-        try:
-            other.wait(0.3)  # it cannot end while the lock is held
-        except subprocess.TimeoutExpired:
-            held = True
-        else:
-            held = False
-    said, _ = other.communicate(timeout=60.0)
-    assert held
-    assert said == "in\n"
