@@ -38,6 +38,13 @@ def evidence(body: Body, frames: int = 120, noise: float = 0.0, seed: int = 1) -
     return evidence_of(body, pairs)
 
 
+def joints_of(a: np.ndarray, b: np.ndarray) -> Evidence:
+    """(K, J, 3) joints that both views track, of a person who does not turn."""
+    count = len(a)
+    heading = np.tile([1.0, 0.0, 0.0], (count, 1))
+    return Evidence(a, b, np.ones(a.shape[:2]), heading, np.arange(count) * FRAME_NS)
+
+
 @pytest.mark.parametrize("body", [KINECT_V2, AZURE_KINECT], ids=str)
 def test_flawless_views_give_the_transform_from_a_start_20_degrees_off(body: Body) -> None:
     fit = fit_robust(body, evidence(body), turned(20.0, 0.2), SETTINGS, iterations=20)
@@ -67,15 +74,7 @@ def test_many_frames_of_one_pose_do_not_drown_a_few_of_a_better_one() -> None:
         bias = rng.normal(0.0, 0.03, still.shape)
         truth = np.array([narrow] * 300 + [still] * 20)
         truth += rng.normal(0.0, 0.003, truth.shape)
-        b = A_FROM_B.inverse().apply(truth)
-        count = len(truth)
-        seen = Evidence(
-            truth + bias,
-            b,
-            np.ones(truth.shape[:2]),
-            np.tile([1.0, 0.0, 0.0], (count, 1)),
-            np.arange(count) * FRAME_NS,
-        )
+        seen = joints_of(truth + bias, A_FROM_B.inverse().apply(truth))
         plain = fit_rigid(seen.a.reshape(-1, 3), seen.b.reshape(-1, 3))
         robust = fit_robust(KINECT_V2, seen, A_FROM_B, SETTINGS)
         errors.append([plain.angle_to(A_FROM_B), robust.a_from_b.angle_to(A_FROM_B)])
@@ -91,13 +90,7 @@ def test_a_bias_of_the_trunk_counts_no_more_than_that_of_the_limbs() -> None:
     biased[trunk] += [0.0, 0.0, -0.03]
     count = 4000  # so many frames that the noise's weights (1 to 4²) are small beside those of the biases
     b = A_FROM_B.inverse().apply(still)
-    seen = Evidence(
-        np.tile(biased, (count, 1, 1)),
-        np.tile(b, (count, 1, 1)),
-        np.ones((count, len(KINECT_V2))),
-        np.tile([1.0, 0.0, 0.0], (count, 1)),
-        np.arange(count) * FRAME_NS,
-    )
+    seen = joints_of(np.tile(biased, (count, 1, 1)), np.tile(b, (count, 1, 1)))
     equal = fit_rigid(biased, b)
     fit = fit_robust(KINECT_V2, seen, A_FROM_B, SETTINGS, iterations=20)
     middle = b.mean(axis=0)
@@ -112,13 +105,8 @@ def test_the_stated_uncertainty_does_not_shrink_with_frames_of_one_pose() -> Non
     for count in (200, 2000):
         truth = np.array([still] * count)
         rng = np.random.default_rng(2)
-        seen = Evidence(
-            truth + rng.normal(0.0, 0.005, truth.shape),
-            A_FROM_B.inverse().apply(truth) + rng.normal(0.0, 0.005, truth.shape),
-            np.ones(truth.shape[:2]),
-            np.tile([1.0, 0.0, 0.0], (count, 1)),
-            np.arange(count) * FRAME_NS,
-        )
+        a, b = (at + rng.normal(0.0, 0.005, at.shape) for at in (truth, A_FROM_B.inverse().apply(truth)))
+        seen = joints_of(a, b)
         sds.append(fit_robust(KINECT_V2, seen, A_FROM_B, SETTINGS).rotation_sd)
     # Ten times as many independent frames would divide it by √10 = 3.2. Jitter of the reported positions
     # counts as movement and therefore reduces the error a little.
