@@ -284,6 +284,27 @@ def test_a_joint_begins_at_the_mean_by_information(scene: Scene) -> None:
         np.testing.assert_allclose(state.shared_error[i], M, rtol=1e-7)
 
 
+def test_the_slow_error_approaches_that_of_the_trusted_views(scene: Scene) -> None:
+    state, seen = scene.state, scene.views
+    seen.trust[:, 3] = 0.02, 0.0
+    before, (together, alone) = state.shared_error.copy(), (0.7, 0.9)
+    interpreted(kalman.share_error)(
+        scene.model, state, seen, together, alone, np.zeros((3, 3)), np.zeros((3, 3))
+    )
+    paces = set()
+    for i in range(J):
+        total = seen.trust[:, i].sum()
+        kept = together if seen.trust[:, i].prod() > 0.25 else alone
+        pace = (1.0 - kept) * min(total, 1.0) if total >= 0.05 else 0.0
+        W = sum(
+            trust * np.linalg.inv(slow) for trust, slow in zip(seen.trust[:, i], seen.slow[:, i], strict=True)
+        )
+        expected = before[i] + pace * (np.linalg.inv(W) - before[i]) if pace else before[i]
+        np.testing.assert_allclose(state.shared_error[i], expected, rtol=1e-7, atol=1e-12)
+        paces.add(0.0 if not pace else kept)
+    assert paces == {0.0, together, alone}
+
+
 def test_a_skeleton_that_is_too_large_is_brought_to_its_size(scene: Scene) -> None:
     state, seen = scene.state, scene.views
     model = scene.model._replace(constants=Constants.of(AZURE_KINECT))
