@@ -1,203 +1,22 @@
-"""Faults of live sensors, from the bus up to the pairs that fusion gets.
-
-The module is long because it contains one test per fault.
-"""
+"""Faults of two live sensors, as the pairs show them."""
 
 from __future__ import annotations
 
-import gc
-import os
 import signal
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
-from itertools import islice, pairwise
-from pathlib import Path
 
 import pytest
 
-from devices.azure import pyk4a_access
-from devices.azure.kinect import KinectSensor
-from devices.azure.pyk4a_access import connected_kinects
-from devices.azure.settings import KinectSettings
-from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
-from devices.capture.connected import choose_two
 from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
-from devices.capture.usb import usb_kinects
 from devices.pairing import FramePair
 from devices.sensor import DeviceError
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
-from tests.helpers.standin_camera import VirtualTime
-from tests.helpers.standin_library import Standin
-from tests.helpers.standin_pyk4a import Bus, Device
-from tests.helpers.two_clocks import INTERVAL_NS, SECOND_NS, run, shots
-from tests.helpers.usb_tree import plug_in
-
-
-def _kinect(serial: str = "000123", **settings: object) -> KinectSensor:
-    return KinectSensor(serial, KinectSettings(**settings), track=False)  # type: ignore[arg-type]
-
-
-def test_no_device(bus: Bus) -> None:
-    assert bus.devices == []
-    with pytest.raises(DeviceError, match=r"No Kinect is connected\. Plug in two"):
-        choose_two(connected_kinects())
-    with pytest.raises(DeviceError, match=r"No Kinect with serial 000123, and no other\. Plug it in"):
-        _kinect().__enter__()
-
-
-def test_one_device(bus: Bus) -> None:
-    bus.devices = [Device("000456")]
-    with pytest.raises(DeviceError, match="Only one Kinect is connected, 000456; fusion needs two"):
-        choose_two(connected_kinects())
-    with pytest.raises(DeviceError, match=r"No Kinect with serial 000123\. Connected: 000456"):
-        _kinect().__enter__()
-
-
-def test_device_busy(bus: Bus) -> None:
-    bus.devices = [Device("000123", busy=True), Device("000456")]
-    with pytest.raises(DeviceError, match=r"000123 cannot be opened: it is busy.*k4aviewer.*Open: 000456"):
-        _kinect().__enter__()
-    with pytest.raises(DeviceError, match=r"cannot be opened.*busy"):
-        choose_two(connected_kinects())
-    assert bus.open_serials == []
-
-
-def test_no_permission(bus: Bus, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    bus.devices = [Device("000123", busy=True)]  # the SDK gives no reason in both cases
-    plug_in(tmp_path)
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    monkeypatch.setattr(pyk4a_access, "usb_kinects", lambda: usb_kinects(tmp_path))
-    with pytest.raises(DeviceError, match=r"no permission for .*007.*99-k4a\.rules"):
-        _kinect().__enter__()
-
-
-def test_unplugged_at_open(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
-    device = Device("000123")
-    bus.devices = [device]
-    check_jack = KinectSensor._check_jack
-
-    def pull_the_plug(self: KinectSensor) -> None:
-        device.plugged = False
-        check_jack(self)
-
-    monkeypatch.setattr(KinectSensor, "_check_jack", pull_the_plug)
-    with pytest.raises(DeviceError, match="Kinect 000123"):
-        _kinect().__enter__()
-    assert device.opened_by is None
-
-
-def test_unplugged_mid_stream(bus: Bus) -> None:
-    device = Device("000123")
-    bus.devices = [device]
-    with _kinect() as sensor:
-        frames = sensor.frames()
-        next(frames)
-        device.plugged = False
-        with pytest.raises(DeviceError, match="Kinect 000123 was unplugged or lost its power. Plug it in"):  # noqa: RUF043
-            next(frames)
-    assert device.opened_by is None
-
-
-def test_unplugged_mid_stream_beside_another(
-    bus: Bus, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    device = Device("000123")
-    bus.devices = [device, Device("000456")]
-    plug_in(tmp_path, "000456", number=8)
-    plug_in(tmp_path, "000123", number=7)
-    monkeypatch.setattr(pyk4a_access, "usb_kinects", lambda: usb_kinects(tmp_path))
-    with _kinect() as sensor:
-        frames = sensor.frames()
-        next(frames)
-        device.plugged = False
-        (tmp_path / "sys/bus/usb/devices/2-7/serial").write_text("")
-        with pytest.raises(DeviceError, match="unplugged"):
-            next(frames)
-
-
-@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
-def test_unplugged_at_close(bus: Bus) -> None:
-    device = Device("000123")
-    bus.devices = [device]
-    sensor = _kinect().__enter__()
-    device.plugged = False
-    sensor.__exit__()
-    assert device.opened_by is None
-    gc.collect()  # pyk4a's own destructor must find nothing left to stop: it would raise
-    assert sensor.warnings == [], "libk4a reports success"
-    device.plugged = True
-    with sensor:  # the same sensor can be opened again
-        next(sensor.frames())
-
-
-@pytest.mark.parametrize("fault", ["silent", "blind"])
-def test_stream_stalls(bus: Bus, fault: str) -> None:
-    device = Device("000123")
-    bus.devices = [device]
-    with _kinect(stall_s=5.0) as sensor:
-        frames = sensor.frames()
-        next(frames)
-        setattr(device, fault, True)
-        with pytest.raises(DeviceError, match=r"stalls: no depth for 5 s.*USB 3"):
-            next(frames)
-
-
-def test_stream_of_a_subordinate_stalls(bus: Bus) -> None:
-    device = Device("000123", jacks=(True, False), silent=True)
-    bus.devices = [device]
-    with _kinect(sync="subordinate", start_s=30.0, stall_s=5.0) as sensor:
-        with pytest.raises(DeviceError, match=r"no depth for 30 s.*check the master"):
-            next(sensor.frames())
-        device.silent = False
-        frames = sensor.frames()
-        next(frames)
-        device.silent = True
-        with pytest.raises(DeviceError, match="no depth for 5 s"):
-            next(frames)
-
-
-@pytest.mark.parametrize(
-    ("status", "message"), [(2, "body tracker stalls"), (1, r"body tracker failed \(status 1\)")]
-)
-def test_tracker_stalls_or_crashes_to_an_error_code(
-    bus: Bus, standin: Standin, status: int, message: str
-) -> None:
-    bus.native, bus.devices = standin.library, [Device("000123")]
-    with KinectSensor("000123", tracker=TrackerSettings(library=standin.path)) as sensor:
-        frames = sensor.frames()
-        assert len(list(islice(frames, 2))) == 2
-        standin.pop_status = status
-        with pytest.raises(DeviceError, match=message):
-            list(islice(frames, 5))
-        frames.close()
-
-
-def test_clock_reset() -> None:
-    a, b = shots("a", 4), shots("b", 4, clock_ns=900 * SECOND_NS)
-    reset_ns = b[60].frame.time_ns
-    for index in range(60, len(b)):
-        frame = b[index].frame
-        b[index] = replace(b[index], frame=replace(frame, time_ns=frame.time_ns - reset_ns))
-    pairing = LivePairing(INTERVAL_NS)
-    pairs = run(pairing, a, b)
-    assert pairing.figures.resets == 1
-    assert [pair.a for pair in pairs if pair.a is not None] == [shot.frame for shot in a]
-    assert all(pair.b is not None for pair in pairs[65:])
-
-
-def test_one_sensor_5_fps_slower() -> None:
-    a, b = shots("a", 10), shots("b", 10, fps=25)
-    pairing = LivePairing(INTERVAL_NS)
-    pairs = run(pairing, a, b)
-    assert len(pairs) == len(a)
-    # Never two frames in a row without B: the slower sensor leaves one of six alone.
-    alone = [pair.b is None for pair in pairs]
-    assert not any(first and second for first, second in pairwise(alone))
+from tests.helpers.two_clocks import INTERVAL_NS
 
 
 class _Bench:
@@ -380,36 +199,6 @@ def _press_ctrl_c() -> None:
     signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
-def test_unplugged_beside_another_without_a_usb_list(bus: Bus) -> None:
-    # As on Windows: only the SDK's count of sensors shows that one is missing.
-    bus.devices = [Device("000123"), Device("000456")]
-    with _kinect("000456"), _kinect("000123") as sensor:
-        frames = sensor.frames()
-        next(frames)
-        bus.devices[0].plugged = False
-        with pytest.raises(DeviceError, match="000123 was unplugged or lost its power"):
-            next(frames)
-
-
-def test_an_orbbec_that_is_unplugged_shows_by_time_outs_and_is_called_so(bus: Bus) -> None:
-    device = Device("CL8H741005K", orbbec=True)
-    bus.devices = [device]
-    device.time = VirtualTime()
-    with _kinect("CL8H741005K", stall_s=3.0) as sensor:
-        frames = sensor.frames()
-        next(frames)
-        device.plugged = False
-        with pytest.raises(DeviceError, match="was unplugged"):
-            next(frames)
-
-
-@pytest.mark.parametrize("sync", ["standalone", "master"])
-def test_a_busy_orbbec_shows_late_and_is_called_busy(bus: Bus, sync: str) -> None:
-    bus.devices = [Device("CL8H741005K", orbbec=True, busy=True)]
-    with pytest.raises(DeviceError, match="cannot be opened: it is busy"):
-        _kinect("CL8H741005K", sync=sync, trust_jacks=False).__enter__()
-
-
 def test_frames_are_counted_from_when_both_are_open() -> None:
     bench = _Bench()
     came = threading.Event()
@@ -461,24 +250,3 @@ def test_a_sensor_that_still_loads_is_not_called_hung(waits_for: str, message: s
     assert ("Unplug" in told) == (waits_for == "")
     release.set()
     assert all_threads_end()
-
-
-def test_a_kinect_says_what_it_waits_for(bus: Bus, standin: Standin, monkeypatch: pytest.MonkeyPatch) -> None:
-    bus.native, bus.devices = standin.library, [Device("000123")]
-    heard: list[str] = []
-    sensor = KinectSensor("000123", tracker=TrackerSettings(library=standin.path))
-    open_tracker = BodyTracker.open
-
-    def loading(tracker: BodyTracker, calibration: int) -> None:
-        heard.append(sensor.waits_for)
-        open_tracker(tracker, calibration)
-
-    monkeypatch.setattr(BodyTracker, "open", loading)
-    with sensor:
-        heard.append(sensor.waits_for)
-        frames = sensor.frames()
-        next(frames)
-        heard.append(sensor.waits_for)
-        frames.close()
-    assert heard == ["its body tracker, which loads its network", "", ""]
-    gc.collect()

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from devices.capture.connected import ConnectedSensor
-from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.settings import CaptureSettings
 from devices.orbbec.sdk_access import connected_orbbecs, how_to_install, load_sdk
@@ -197,36 +196,6 @@ def test_the_newest_of_the_waiting_frames_is_taken(two: OrbbecBus) -> None:
     assert second.time_ns - first.time_ns == 5 * 33_333_000
     assert sensor.missed == 8
     assert set(two.timeouts) == {1000, 0}, "every wait is finite"
-
-
-def test_frames_that_the_sdk_had_no_room_for_are_counted(two: OrbbecBus) -> None:
-    two.devices[0].skips = 3
-    thread = SensorThread(sensor := _sensor())
-    with sensor:
-        list(itertools.islice(sensor.frames(), 3))
-    assert sensor.missed == thread.dropped == 6, "before the first frame nothing is known"
-
-
-def test_two_sensors_leave_out_the_same_moments(two: OrbbecBus) -> None:
-    assert two.devices
-    decimation = FrameDecimation(30)
-    with OrbbecSensor(A, decimation=decimation) as sensor:
-        frames = sensor.frames()
-        next(frames)
-        for _ in range(10):
-            decimation.tracked(A, 50_000_000)  # a tracker that takes 50 ms
-        times = [frame.time_ns for frame in itertools.islice(frames, 4)]
-    assert decimation.step == 2
-    assert np.diff(times).tolist() == [2 * 33_333_000] * 3
-    assert sensor.missed == 0, "left out on purpose"
-
-
-def test_interrupting_ends_the_wait_of_a_silent_sensor(two: OrbbecBus) -> None:
-    two.devices[0].silent = two.devices[0].paced = True
-    sensor = _sensor(stall_s=1e9, timeout_ms=10)
-    with sensor:
-        threading.Timer(0.05, sensor.interrupt).start()
-        assert list(sensor.frames()) == []
 
 
 def test_a_hundred_openings_leave_nothing_open(two: OrbbecBus) -> None:
