@@ -99,11 +99,10 @@ class TrustMatrix:
         body: The body that defines the joints.
         draft_ns: Interval between drawings of an incomplete page; a newer drawing replaces an older one.
             None: only complete pages are drawn.
-        hasty: Whether to compress drafts fast rather than small.
     """
 
-    def __init__(self, body: Body, draft_ns: int | None, hasty: bool = False) -> None:
-        self._draft_ns, self._draft_level = draft_ns, _FAST if hasty else _SMALL
+    def __init__(self, body: Body, draft_ns: int | None) -> None:
+        self._draft_ns = draft_ns
         self._body = body
         self._rows = _Rows.of(body)
         self._open: list[_Page] = []
@@ -123,7 +122,7 @@ class TrustMatrix:
             if self._draft_ns is not None and now >= self._next_ns:
                 self._next_ns = now - now % self._draft_ns + self._draft_ns
                 for page in before[-1:]:
-                    yield self._drawn(page, self._draft_level)
+                    yield self._drawn(page, _FAST)
             whole = [page for page in before if number >= page.first + _BINS]
             yield from map(self._drawn, whole)
             self._open = [page for page in before if page not in whole]

@@ -76,7 +76,7 @@ class Recorder:
             prepare_points(*self._cameras.values())
         self._color, self._figures = ColorLog(stream), StreamFiguresLog(stream)
         draft_ns = (_MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS) if drafts else None
-        self._matrix = TrustMatrix(setup.calibration.body, draft_ns, hasty=points)
+        self._matrix = TrustMatrix(setup.calibration.body, draft_ns)
         self._lanes = StateLanes()
         self._placement, self._quality = PlacementLog(stream, setup, points), QualityLog(stream)
         self._log_static(setup)

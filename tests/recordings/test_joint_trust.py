@@ -151,15 +151,6 @@ def test_a_gap_stays_empty(rows: SessionArrays) -> None:
     assert (column(pages[80 * SECOND], 65, 81.0)[5] == SKELETON_COLORS["a"]).all()
 
 
-def test_hasty_drafts_are_larger_and_look_the_same(rows: SessionArrays) -> None:
-    drawn, hasty = (list(TrustMatrix(BODY, SECOND, hasty=how).add(rows)) for how in (False, True))
-    assert len(drawn) == 3
-    for (*at, png), (*hasty_at, hasty_png) in zip(drawn, hasty, strict=True):
-        assert hasty_at == at
-        assert (decoded(hasty_png) == decoded(png)).all()
-        assert len(hasty_png) > len(png)
-
-
 def test_the_matrix_is_the_same_frame_by_frame_and_at_once(rows: SessionArrays) -> None:
     at_once = pages_of(TrustMatrix(BODY, SECOND), rows)
     assert pages_of(TrustMatrix(BODY, SECOND), *(rows[[t]] for t in range(len(rows)))) == at_once
