@@ -94,23 +94,25 @@ def _avatar(gltf: dict[str, Any]) -> Avatar:
         raise _VrmError("no VRM extension")
     nodes = gltf["nodes"]
     above = {child: k for k, node in enumerate(nodes) for child in node.get("children", ())}
-    places: dict[int, NDArray[np.float64]] = {}
+    worlds: dict[int, NDArray[np.float64]] = {}
 
     def place(node: int) -> NDArray[np.float64]:
-        """(4, 4) world matrix; the way to the root must be no longer than there are nodes."""
-        way = [node]
-        while way[-1] in above:
-            way.append(above[way[-1]])
+        """(3,) metres in Unity's axes; each node's world matrix is computed once."""
+        way: list[int] = []
+        while node not in worlds:
+            way.append(node)
             if len(way) > len(nodes):
                 raise _VrmError("nodes in a circle")
-        matrix = np.eye(4)
+            if node not in above:
+                break
+            node = above[node]
         for each in reversed(way):
-            matrix = matrix @ _matrix(nodes[each])
-        return matrix
+            parent = worlds[above[each]] if each in above else np.eye(4)
+            worlds[each] = parent @ _matrix(nodes[each])
+        return np.asarray(worlds[way[0] if way else node][:3, 3] * to_unity)
 
-    for node in {int(n) for n in bones.values()}:
-        for each in {node, above.get(node, node)}:
-            places[each] = place(each)[:3, 3] * to_unity
+    known = {int(node) for node in bones.values()}
+    places = {node: place(node) for node in known | {above[node] for node in known if node in above}}
     if not np.isfinite(list(places.values())).all():
         raise _VrmError("a place that is not finite")
     origin = np.zeros(3)

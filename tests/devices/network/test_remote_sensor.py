@@ -223,6 +223,16 @@ def remote_after(
         yield published, far
 
 
+def test_a_clock_request_without_content_is_counted(address: str) -> None:
+    with publisher(address) as published, zenoh_session(ZenohAddresses(connect=(address,))) as session:
+
+        def counted() -> bool:
+            assert not list(session.get(f"{KEY}/{CLOCK}", timeout=1.0))
+            return published.malformed > 0
+
+        assert eventually(counted)
+
+
 def test_ten_thousand_random_and_damaged_messages_change_nothing(
     address: str, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,6 +7,7 @@ import math
 import socket
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from tests.helpers.live_frames import frames
 from tests.helpers.poses import BACK, DOWN, FRONT, T_POSE, posed, turned_about, world_of_local
 from tests.helpers.two_views import FRAME_NS, moving
 from viewer_app.errors import UsageError
+from viewer_app.outputs import vrm as vrm_file
 from viewer_app.outputs.osc import Address
 from viewer_app.outputs.vmc import VmcEncoder, VmcOutput
 from viewer_app.outputs.vrm import read_avatar
@@ -279,6 +281,22 @@ def test_a_file_that_is_no_avatar_gives_one_line(tmp_path: Path) -> None:
             read_avatar(bad)
     with pytest.raises(UsageError, match=r"--avatar .*none\.vrm"):
         read_avatar(tmp_path / "none.vrm")
+
+
+def test_each_node_of_an_avatar_is_visited_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    visited: list[object] = []
+    own = vrm_file._matrix
+    monkeypatch.setattr(vrm_file, "_matrix", lambda node: (visited.append(node), own(node))[1])
+    count = 200
+    nodes = [{"children": [k + 1], "translation": [0, 0.01, 0]} for k in range(count - 1)] + [{}]
+    where = {"hips": {"node": 5}} | {f"bone{k}": {"node": k} for k in range(count)}
+    gltf: dict[str, Any] = {"nodes": nodes, "extensions": {"VRMC_vrm": {"humanoid": {"humanBones": where}}}}
+    avatar = vrm_file._avatar(gltf)
+    np.testing.assert_allclose(avatar.hips, [0.0, 0.06, 0.0])
+    assert len(visited) == count
+    nodes[-1]["children"] = [0]
+    with pytest.raises(ValueError, match="nodes in a circle"):
+        vrm_file._avatar(gltf)
 
 
 @pytest.mark.parametrize(
