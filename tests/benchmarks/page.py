@@ -182,8 +182,8 @@ def _latency(figures: dict[str, Any]) -> str:
     rows.append(("from S\\* to a VMC receiver", f"{vmc['median_ms']:.1f} / {vmc['p99_ms']:.1f}", "–",
                  str(vmc["frames"] - vmc["arrived"]), "–", "–"))  # fmt: skip
     columns = (
-        "sinks", "S\\* handed over, ms", "logged for the viewer, ms", "frames lost", "one processor's time",
-        "memory growth",
+        "sinks", "S\\* handed over, ms", "logged for the viewer, ms", "frames lost or skipped",
+        "one processor's time", "memory growth",
     )  # fmt: skip
     return _table(columns, rows)
 

@@ -1,4 +1,4 @@
-"""docs/architecture.md lists every folder, and the documents name modules that exist."""
+"""The documents list every folder and every long module, and name modules that exist."""
 
 from __future__ import annotations
 
@@ -48,3 +48,11 @@ def test_the_table_of_folders_is_complete() -> None:
 def test_modules_that_a_page_names_exist(page: Path) -> None:
     named = NAMED.findall(page.read_text(encoding="utf-8"))
     assert [name for name in named if not exists(name)] == []
+
+
+def test_every_long_module_has_a_reason() -> None:
+    reasons = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    for package in PACKAGES:
+        for module in (ROOT / package).rglob("*.py"):
+            if len(module.read_text(encoding="utf-8").splitlines()) > 300:
+                assert f"| `{module.relative_to(ROOT).as_posix()}` |" in reasons
