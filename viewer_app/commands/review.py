@@ -82,4 +82,5 @@ def opening_time(options: ReviewOptions, session: Session, events: Sequence[List
         chosen = opening_event(events, settled_frame(session))
     if chosen is None:
         return 0, "at the beginning: no event calls for a look"
-    return chosen.time_ns, f"at {seconds_of(chosen.time_ns)}, event {chosen.number}"
+    time_ns = chosen.event.time_ns
+    return time_ns, f"at {seconds_of(time_ns)}, event {chosen.number}"

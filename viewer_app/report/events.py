@@ -12,25 +12,17 @@ from recordings.session import Session
 
 @dataclass(frozen=True)
 class ListedEvent:
-    """An event, or a spell from its start to its end.
+    """An event in the list of a session, or a spell from its start to its end.
 
     Attributes:
         number: Its place in the list, from 1.
-        frame: The frame at which it happens or starts.
-        time_ns: The same as time since the first pair.
-        text: What happened.
-        level: INFO, WARN or ERROR.
-        lasted_ns: How long a spell lasted; None for a single event or a spell that the session cuts off.
-        spell: Whether it is a spell.
+        event: The event; of a spell, its start.
+        spell: The spell that it starts; None for a single event.
     """
 
     number: int
-    frame: int
-    time_ns: int
-    text: str
-    level: str
-    lasted_ns: int | None = None
-    spell: bool = False
+    event: Event
+    spell: Spell | None = None
 
 
 def list_events(events: Iterable[Event]) -> list[ListedEvent]:
@@ -38,8 +30,8 @@ def list_events(events: Iterable[Event]) -> list[ListedEvent]:
     ordered = sorted(events, key=lambda event: (event.time_ns, event.frame))
     spells = {id(spell.start): spell for spell in spells_of(ordered)}
     ends = {id(spell.end) for spell in spells.values()}
-    told = [event for event in ordered if id(event) not in ends]
-    return [_listed(number, event, spells.get(id(event))) for number, event in enumerate(told, start=1)]
+    listed = [event for event in ordered if id(event) not in ends]
+    return [ListedEvent(number, event, spells.get(id(event))) for number, event in enumerate(listed, start=1)]
 
 
 def opening_event(events: Sequence[ListedEvent], settled_frame: int = 0) -> ListedEvent | None:
@@ -53,12 +45,12 @@ def opening_event(events: Sequence[ListedEvent], settled_frame: int = 0) -> List
         events: Of :func:`list_events`.
         settled_frame: The frame from which the session is calibrated.
     """
-    happened = [event for event in events if event.frame > 0]
-    later = [event for event in happened if event.frame >= settled_frame]
+    happened = [each for each in events if each.event.frame > 0]
+    later = [each for each in happened if each.event.frame >= settled_frame]
     for choice in (later, happened):
         for kind in (
-            [event for event in choice if event.level != "INFO"],
-            [event for event in choice if event.spell],
+            [each for each in choice if each.event.level != "INFO"],
+            [each for each in choice if each.spell is not None],
         ):
             if kind:
                 return kind[0]
@@ -72,8 +64,8 @@ def settled_frame(session: Session) -> int:
 
 def shortest_list(events: Sequence[ListedEvent], most: int) -> list[ListedEvent]:
     """At most so many events, in order of time: warnings are kept first, then spells, then the others."""
-    by_weight = sorted(events, key=lambda event: (event.level == "INFO", not event.spell, event.number))
-    return sorted(by_weight[:most], key=lambda event: event.number)
+    by_weight = sorted(events, key=lambda each: (each.event.level == "INFO", not each.spell, each.number))
+    return sorted(by_weight[:most], key=lambda each: each.number)
 
 
 def seconds_of(time_ns: int) -> str:
@@ -81,20 +73,13 @@ def seconds_of(time_ns: int) -> str:
     return f"{time_ns * 1e-9:.2f} s"
 
 
-def event_in_words(event: ListedEvent) -> str:
+def event_in_words(listed: ListedEvent) -> str:
     """The text of an event, with its duration, marked where it is a warning."""
+    event, spell = listed.event, listed.spell
     text = event.text[:1].upper() + event.text[1:]
     text += "" if text.endswith((".", "!", "?")) else "."
-    if event.lasted_ns is not None:
-        text += f" It lasted {event.lasted_ns * 1e-9:.1f} s."
-    elif event.spell:
-        text += " It lasted to the end."
+    if spell is not None:
+        lasted = "to the end" if spell.end is None else f"{(spell.end.time_ns - event.time_ns) * 1e-9:.1f} s"
+        text += f" It lasted {lasted}."
     marks = {"INFO": "", "WARN": "Warning: ", "ERROR": "Error: "}
-    return f"{marks.get(event.level, '')}{text}"
-
-
-def _listed(number: int, event: Event, spell: Spell | None) -> ListedEvent:
-    if spell is None:
-        return ListedEvent(number, event.frame, event.time_ns, event.text, event.level)
-    lasted_ns = None if spell.end is None else spell.end.time_ns - event.time_ns
-    return ListedEvent(number, event.frame, event.time_ns, event.text, event.level, lasted_ns, True)
+    return f"{marks[event.level]}{text}"

@@ -118,7 +118,7 @@ def _timing_plots(session: Session) -> Markup:
 
 
 def _event_rows(events: Sequence[ListedEvent]) -> list[tuple[str, str, str]]:
-    return [(str(event.number), seconds_of(event.time_ns), event_in_words(event)) for event in events]
+    return [(str(each.number), seconds_of(each.event.time_ns), event_in_words(each)) for each in events]
 
 
 def _without_folders(sources: tuple[str, str]) -> tuple[str, str]:

@@ -45,7 +45,7 @@ def print_summary(
         verbose: Whether all figures follow.
     """
     print_lines(console, lead_lines(figures))
-    warned = [event for event in list_events(events) if event.level != "INFO"]
+    warned = [each.event for each in list_events(events) if each.event.level != "INFO"]
     if warned:
         more = f" ({len(warned) - 1} more)" if len(warned) > 1 else ""
         text = f"{seconds_of(warned[0].time_ns)}: {warned[0].text}{more}"
@@ -158,9 +158,9 @@ def print_events(console: Console, events: Sequence[ListedEvent], all_of_them: b
     grid.add_column(justify="right", no_wrap=True)
     grid.add_column(justify="right", no_wrap=True)
     grid.add_column(overflow="fold")
-    for event in shown:
-        style = "" if event.level == "INFO" else "yellow"
-        grid.add_row(str(event.number), seconds_of(event.time_ns), Text(event_in_words(event), style))
+    for each in shown:
+        style = "" if each.event.level == "INFO" else "yellow"
+        grid.add_row(str(each.number), seconds_of(each.event.time_ns), Text(event_in_words(each), style))
     console.print("[bold]Events[/]")
     console.print(grid, highlight=False)
     if len(shown) < len(events):

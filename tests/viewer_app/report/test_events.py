@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from devices.events import Event
+from devices.events import Event, Spell
 from fusion.body import KINECT_V2
 from recordings.testing import FusedRun, fused_run
 from tests.helpers.frame_pairs import frame_pairs
@@ -39,14 +39,13 @@ ALL = [CALIBRATED, CUT_OFF, EARLY, A_FROM, B_FROM, A_TO, MOVED]
 
 def test_events_are_numbered_in_order_of_time_and_a_spell_is_one_of_them() -> None:
     listed = list_events([MOVED, A_FROM, B_FROM, A_TO, CALIBRATED])  # a fused session has them in two parts
-    assert [(event.number, event.text) for event in listed] == [
+    assert [(each.number, each.event.text) for each in listed] == [
         (1, CALIBRATED.text),
         (2, A_FROM.text),
         (3, B_FROM.text),
         (4, MOVED.text),
     ]
-    assert [event.lasted_ns for event in listed] == [None, 700_000_000, None, None]
-    assert [event.spell for event in listed] == [False, True, True, False]
+    assert [each.spell for each in listed] == [None, Spell(A_FROM, A_TO), Spell(B_FROM, None), None]
 
 
 def test_words_say_how_long_and_how_grave_without_colour() -> None:
@@ -73,7 +72,7 @@ def test_a_review_opens_at_a_warning_then_at_a_spell(
     events: list[Event], settled: int, expected: Event | None
 ) -> None:
     opened = opening_event(list_events(events), settled)
-    assert (None if opened is None else opened.text) == (None if expected is None else expected.text)
+    assert (None if opened is None else opened.event.text) == (None if expected is None else expected.text)
 
 
 def test_a_session_is_settled_with_its_first_calibration_that_is_not_provisional(fused_run: FusedRun) -> None:
@@ -87,7 +86,7 @@ def test_a_session_is_settled_with_its_first_calibration_that_is_not_provisional
 
 def test_a_short_list_keeps_warnings_then_spells_in_order_of_time() -> None:
     listed = list_events(ALL)
-    assert [event.text for event in shortest_list(listed, 4)] == [
+    assert [each.event.text for each in shortest_list(listed, 4)] == [
         CUT_OFF.text,
         EARLY.text,
         A_FROM.text,
