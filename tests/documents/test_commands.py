@@ -4,31 +4,22 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from recordings import Session
-from tests.helpers.command_line import duplex
+from tests.helpers.command_line import duplex, parsed
 from tests.helpers.documents import ROOT, commands_of, documents, mentions_of
 from tests.helpers.written_recordings import write_recordings
-from viewer_app import cli
 from viewer_app.options.command_line import COMMANDS
+
+__all__ = ["parsed"]  # a fixture
 
 NAMES = [document.relative_to(ROOT).as_posix() for document in documents()]
 RUN = ("demo", "fuse", "review", "info", "export", "trim", "replay", "compare")
 """Commands of the start page that are run; the others need sensors."""
 WITH_VIEWER = ("demo", "fuse", "review", "replay", "compare")
-
-
-@pytest.fixture
-def parsed(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Options of the commands that were given; nothing is carried out."""
-    seen: list[Any] = []
-    stand_in = SimpleNamespace(import_module=lambda _: SimpleNamespace(run=seen.append))
-    monkeypatch.setattr(cli, "importlib", stand_in)
-    return seen
 
 
 @pytest.mark.parametrize("name", NAMES)

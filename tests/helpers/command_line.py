@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
-from viewer_app.cli import main
+from viewer_app import cli
+
+
+@pytest.fixture
+def parsed(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Options of the commands that were accepted; nothing is carried out."""
+    seen: list[Any] = []
+    stand_in = SimpleNamespace(import_module=lambda _: SimpleNamespace(run=seen.append))
+    monkeypatch.setattr(cli, "importlib", stand_in)
+    return seen
 
 
 def duplex(*arguments: object) -> int:
     """Runs a command in this process and returns its exit code."""
     try:
-        main([str(argument) for argument in arguments])
+        cli.main([str(argument) for argument in arguments])
     except SystemExit as stop:
         return int(stop.code or 0)
     return 0

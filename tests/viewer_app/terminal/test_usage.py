@@ -6,26 +6,17 @@ import re
 import shlex
 import tomllib
 from dataclasses import fields
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.helpers.command_line import duplex, one_line
+from tests.helpers.command_line import duplex, one_line, parsed
 from tests.helpers.documents import ROOT
-from viewer_app import cli
 from viewer_app.options.command_line import COMMANDS
 
-
-@pytest.fixture
-def parsed(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Options of the commands that were accepted; nothing is carried out."""
-    seen: list[Any] = []
-    stand_in = SimpleNamespace(import_module=lambda _: SimpleNamespace(run=seen.append))
-    monkeypatch.setattr(cli, "importlib", stand_in)
-    return seen
+__all__ = ["parsed"]  # a fixture
 
 
 @pytest.mark.parametrize(
