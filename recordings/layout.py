@@ -38,10 +38,8 @@ CAPSULE_LENGTHS, CAPSULE_ROTATIONS = "capsule_lengths", "capsule_rotations"
 BONE_VECTORS = "bone_vectors"
 """Component of S_A and S_B: from each joint to its parent, metres."""
 EVENTS = "/events"
-TRUST_MATRIX = "/trust_matrix"
-"""Picture, joint × time: the view that each joint of S* followed, in pages of half a minute."""
-MATRIX_FRAME = f"{TRUST_MATRIX}/frame"
-"""The background of every page: the names of the joints, and a legend."""
+TRUST_LANES = "/trust"
+"""Which view each limb of S* follows: changes, one entity per limb."""
 STATE_LANES = "/lanes"
 COACH = "/coach"
 """Text of the setup coach. Child entities are its drawings in the scene."""
@@ -69,6 +67,11 @@ def kinect(side: str) -> str:
 def skeleton(side: str) -> str:
     """S_A or S_B as the sensor gave it, in the sensor's own frame."""
     return f"/kinect_{side}/skeleton"
+
+
+def trust_lane(limb: str) -> str:
+    """Changes of the view that a limb of S* follows."""
+    return f"{TRUST_LANES}/{limb.replace(' ', '_')}"
 
 
 def state_lane(side: str, joint: str) -> str:

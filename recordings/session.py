@@ -204,7 +204,10 @@ class Session(SessionData):
 
     @property
     def translation(self) -> NDArray[np.float64]:
-        """(T, 3) t, K_A ← K_B, metres: the position of K_B in K_A's frame, updated every frame."""
+        """(T, 3) t, K_A ← K_B, metres: the position of K_B in K_A's frame.
+
+        It changes with a calibration; with the method ``paper`` in every frame.
+        """
         return self.rows.translation
 
     @property

@@ -21,6 +21,7 @@ from recordings.appearance.colors import (
     TARGET_COLOR,
     Color,
 )
+from recordings.appearance.joint_trust import SOURCE_COLORS, SOURCES
 
 _CLOUD_RADIUS = rr.components.Radius.ui_points(0.5)  # metres would hide the person behind points near the eye
 _BONE_RADIUS = 1.2  # points on the screen: seen beside the body from where the eye stands, light and dark
@@ -138,6 +139,7 @@ def weight_lines(body: Body, side: str) -> Visualizer:
 DEPTH = rr.EncodedDepthImage.from_fields(colormap=rr.components.Colormap.Grayscale)
 """Grey, so that a skeleton's colour stands out over it."""
 
+TRUST_LANES = rr.StateConfiguration(values=SOURCES, labels=SOURCES, colors=SOURCE_COLORS)
 STATE_LANES = rr.StateConfiguration(values=layout.STATE_NAMES, labels=layout.STATE_NAMES, colors=STATE_COLORS)
 
 

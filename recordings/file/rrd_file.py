@@ -1,9 +1,8 @@
 """Reads an ``.rrd`` file into columns of numbers, even if it is cut off, damaged or still growing.
 
-Rerun's own reader is not used, because a wrong byte makes it abort the process. The file is a sequence of
-messages, each preceded by its kind and length. A message of kind 2 holds one chunk of one entity as an Arrow
-stream compressed with LZ4. A message that cannot be decompressed is skipped, and the rest is read. The module
-is long because it implements the whole file format.
+Rerun's own reader reads nothing of a file that is cut off or damaged. The file is a sequence of messages,
+each preceded by its kind and length. A message of kind 2 holds one chunk of one entity as an Arrow stream
+compressed with LZ4. A message that cannot be decompressed is skipped, and the rest is read.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ def write_session(
         about["tracker"] = session.tracker
     with whole_recording(path, blueprint) as stream:
         segments = [(setup, own) for setup, own in session.setups() if own.stop > first and own.start < end]
-        recorder = Recorder(stream, segments[0][0], session.sources, about=about, drafts=False)
+        recorder = Recorder(stream, segments[0][0], session.sources, about=about)
         start_ns = int(session.rows.time_ns[first])
         if page is not None:  # before the frames, so that it is seen from the beginning
             recorder.coach(page)

@@ -1,4 +1,4 @@
-"""Logs what is not logged with every pair: poses, quality over some frames, and figures of the streams.
+"""Logs what is not logged with every pair: poses, quality over some frames, states, figures of the streams.
 
 Sensors, floor and person are coordinate frames. A recalibration is one message: the new pose of
 ``/kinect_b``, whose children move with it.
@@ -6,6 +6,7 @@ Sensors, floor and person are coordinate frames. A recalibration is one message:
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -165,3 +166,38 @@ def jitter(positions: NDArray[np.float32]) -> float:
     bends = np.linalg.norm(positions[:-2] - 2.0 * positions[1:-1] + positions[2:], axis=2)
     bends = bends[np.isfinite(bends)]
     return float(np.median(bends)) if bends.size else float("nan")
+
+
+class Lanes:
+    """Finds the changes of states over time.
+
+    Args:
+        steady: Whether a state that never changes has a lane, too.
+    """
+
+    def __init__(self, steady: bool = False) -> None:
+        self._steady = steady
+        self._before: NDArray[np.integer] | None = None
+        self._open: set[int] = set()
+
+    def add(self, states: NDArray[np.integer]) -> Iterator[tuple[int, list[tuple[int | None, int]]]]:
+        """Adds (T, n) states in time order.
+
+        Returns:
+            (column, changes) of each column that changed; a change is (index of the frame, state). The first
+            change of a column is preceded by its initial state, at index None.
+        """
+        begins = self._before is None
+        before = states[0] if self._before is None else self._before
+        whole = np.concatenate((before[None], states))
+        changed = (whole[1:] != whole[:-1]).any(axis=0)
+        for column in range(states.shape[1]) if begins and self._steady else np.flatnonzero(changed).tolist():
+            lane = whole[:, column]
+            changes: list[tuple[int | None, int]] = [
+                (int(t), int(states[t, column])) for t in np.flatnonzero(lane[1:] != lane[:-1])
+            ]
+            if column not in self._open:
+                self._open.add(column)
+                changes.insert(0, (None, int(lane[0])))
+            yield column, changes
+        self._before = states[-1].copy()  # a view would keep the whole block in memory

@@ -17,18 +17,14 @@ from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.coach_page import CoachPage
-from recordings.appearance.joint_trust import StateLanes, TrustMatrix, matrix_frame
+from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.arrow_columns import Times, depth_image, points
-from recordings.writing.changes import PlacementLog, QualityLog, StreamFiguresLog
+from recordings.writing.changes import Lanes, PlacementLog, QualityLog, StreamFiguresLog
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.writing.frame_columns import frame_columns
 from recordings.writing.properties import session_properties
 from recordings.writing.shown_images import ColorLog, prepare_points, show_infrared, thin_points
-
-_MATRIX_LIVE_NS, _MATRIX_KEPT_NS = 1_000_000_000, 5_000_000_000
-"""Interval between drawings of an incomplete page of the trust matrix: live, and in files."""
-_STATE_CHANGES = tuple(rr.StateChange(state=name) for name in layout.STATE_NAMES)
 
 
 class Recorder:
@@ -45,8 +41,6 @@ class Recorder:
         plots_every: Of how many frames the figures that are plotted are logged together; those that are drawn
             into the scene are logged with each frame. Each message costs as much as many numbers.
         pause: Called between two messages of a block of frames, so that threads in a hurry go first.
-        drafts: Whether to log incomplete pages of the trust matrix, too. A stream that is written as a whole
-            does not need them, and drawing them takes a tenth of the time.
     """
 
     def __init__(
@@ -59,7 +53,6 @@ class Recorder:
         *,
         start_ns: int | None = None,
         points: bool = False,
-        drafts: bool = True,
         plots_every: int = 1,
         pause: Callable[[], object] | None = None,
     ) -> None:
@@ -75,9 +68,8 @@ class Recorder:
         if points:
             prepare_points(*self._cameras.values())
         self._color, self._figures = ColorLog(stream), StreamFiguresLog(stream)
-        draft_ns = (_MATRIX_LIVE_NS if points else _MATRIX_KEPT_NS) if drafts else None
-        self._matrix = TrustMatrix(setup.calibration.body, draft_ns)
-        self._lanes = StateLanes()
+        self._limb_sources, self._trust = LimbSources(setup.body), Lanes(steady=True)
+        self._states = {side: Lanes() for side in layout.SIDES}
         self._placement, self._quality = PlacementLog(stream, setup, points), QualityLog(stream)
         self._log_static(setup)
         properties = session_properties(setup, sources, about or {})
@@ -224,7 +216,6 @@ class Recorder:
     def finish(self) -> None:
         """Marks the session as complete; a reader treats a session without this mark as cut off."""
         self.plot()
-        self._log_matrix(self._matrix.rest())
         self._stream.send_property("end", rr.AnyValues(frames=self._frames))
 
     def _log_sensors(self, frames: Sequence[RecordedFrame], rows: SessionArrays) -> None:
@@ -257,37 +248,44 @@ class Recorder:
         return self._start_ns
 
     def _explain(self, rows: SessionArrays) -> None:
-        """Logs data that is not logged every frame: the trust matrix, and changes of tracking states."""
+        """Logs data that is not logged every frame: quality, and changes of sources and tracking states."""
         self._quality.record(rows)
-        self._log_matrix(self._matrix.add(rows))
-        for side, joint, changes in self._lanes.add(rows):
-            self._pause()
-            lane = layout.state_lane(side, rows.body.joints[joint])
-            t, state = changes[0]
-            few = len(rows) == 1 or self._plots_every > 1
-            if few and len(changes) == 1 and t is not None:
-                # columns would take three times as long
-                self._set_time(int(rows.frame[t]), int(rows.time_ns[t]))
-                self._stream.log(lane, _STATE_CHANGES[state])
-                continue
-            places = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
-            self._stream.send_columns(
-                lane,
-                [
-                    rr.TimeColumn(layout.FRAME, sequence=[frame for frame, _ in places]),
-                    rr.TimeColumn(
-                        layout.TIME, duration=np.array([ns for _, ns in places], "timedelta64[ns]")
-                    ),
-                ],
-                rr.StateChange.columns(state=[layout.STATE_NAMES[state] for _, state in changes]),
-            )
-            if changes[0][0] is None:
-                self._stream.log(lane, entity_styles.STATE_LANES, static=True)
+        for limb, changes in self._trust.add(self._limb_sources.add(rows)):
+            lane = layout.trust_lane(LIMBS[limb])
+            self._log_changes(rows, lane, SOURCES, changes, entity_styles.TRUST_LANES)
+        for side, states in (("a", rows.states_a), ("b", rows.states_b)):
+            for joint, changes in self._states[side].add(states):
+                lane = layout.state_lane(side, rows.body.joints[joint])
+                self._log_changes(rows, lane, layout.STATE_NAMES, changes, entity_styles.STATE_LANES)
 
-    def _log_matrix(self, pages: Iterable[tuple[int, int, bytes]]) -> None:
-        for frame, time_ns, png in pages:
-            self._set_time(frame, time_ns)
-            self._stream.log(layout.TRUST_MATRIX, rr.EncodedImage(contents=png, media_type="image/png"))
+    def _log_changes(
+        self,
+        rows: SessionArrays,
+        lane: str,
+        names: Sequence[str],
+        changes: list[tuple[int | None, int]],
+        look: rr.StateConfiguration,
+    ) -> None:
+        self._pause()
+        t, state = changes[0]
+        few = len(rows) == 1 or self._plots_every > 1
+        if few and len(changes) == 1 and t is not None:
+            # columns would take three times as long
+            self._set_time(int(rows.frame[t]), int(rows.time_ns[t]))
+            self._stream.log(lane, rr.StateChange(state=names[state]))
+            return
+        places = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
+        times = np.array([ns for _, ns in places], "timedelta64[ns]")
+        self._stream.send_columns(
+            lane,
+            [
+                rr.TimeColumn(layout.FRAME, sequence=[frame for frame, _ in places]),
+                rr.TimeColumn(layout.TIME, duration=times),
+            ],
+            rr.StateChange.columns(state=[names[state] for _, state in changes]),
+        )
+        if t is None:
+            self._stream.log(lane, look, static=True)
 
     def _log_static(self, setup: FusionSetup) -> None:
         body = self._calibration.body
@@ -298,9 +296,6 @@ class Recorder:
             once(layout.depth(side), entity_styles.camera(intrinsics, side), entity_styles.DEPTH)
             once(layout.image_edge(side), entity_styles.image_edge(intrinsics))
             once(layout.points(side), entity_styles.cloud_look(side))
-        beneath = rr.EncodedImage(contents=matrix_frame(body), media_type="image/png", draw_order=-20.0)
-        once(layout.MATRIX_FRAME, beneath)
-        self._log_matrix([self._matrix.blank()])  # the viewer draws a single image opaque, black where clear
         once(layout.FUSED_SKELETON, entity_styles.joint_look(body, "fused"))
         once(layout.TRUTH_SKELETON, entity_styles.joint_look(body, "truth"))
 

@@ -57,6 +57,7 @@ def test_wide_csv_has_a_row_a_frame(session: Session) -> None:
     table = pandas.read_csv(exported(session, "s.csv", table="wide"))
     joint = session.body.joints[5]
     np.testing.assert_allclose(table[f"{joint}_y"].to_numpy(), session.rows.fused[:, 5, 1], atol=1e-9)
+    np.testing.assert_allclose(table.time_s.to_numpy(), session.rows.time_ns * 1e-9, atol=1e-9)
     assert len(table.columns) == 2 + 3 * len(session.body)
 
 

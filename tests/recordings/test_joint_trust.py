@@ -1,15 +1,13 @@
-"""Where a joint of S* came from, as colours, data, a matrix and lanes."""
+"""Where a joint of S* came from, as colours, data and lanes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import rerun as rr
-from numpy.typing import NDArray
 
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration
@@ -18,13 +16,14 @@ from fusion.setup import FusionSetup
 from fusion.skeleton import TrackingState
 from recordings import layout
 from recordings.appearance.colors import PREDICTED_COLOR, SKELETON_COLORS
-from recordings.appearance.joint_trust import StateLanes, TrustMatrix, trust_colors
+from recordings.appearance.joint_trust import LIMBS, LimbSources, trust_colors
 from recordings.file.rrd_file import RrdFile
+from recordings.file.session_writer import whole_recording
 from recordings.session_arrays import SessionArrays
+from recordings.writing.changes import Lanes
 from recordings.writing.frame_columns import frame_columns
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames
-from tests.helpers.pictures import pixels_near
 from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import A_FROM_B
 
@@ -42,12 +41,6 @@ def rows() -> SessionArrays:
 def trusting(rows: SessionArrays, in_a: float) -> SessionArrays:
     weights = np.full_like(rows.weights_a, in_a)
     return replace(rows, weights_a=weights, weights_b=1.0 - weights)
-
-
-def decoded(png: bytes) -> NDArray[np.uint8]:
-    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-    assert picture is not None
-    return np.asarray(picture[..., ::-1])
 
 
 def test_a_joint_has_the_colour_of_the_sensor_it_came_from(rows: SessionArrays) -> None:
@@ -84,102 +77,38 @@ def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows: Ses
     assert said["weight_a"][3, ELBOW] == np.float16(rows.weights_a[3, ELBOW])
 
 
-SECOND = 10**9
-
-
-def pages_of(matrix: TrustMatrix, *blocks: SessionArrays) -> dict[int, bytes]:
-    """The pages by the time from which on each is shown, as a reader of the whole file finds them."""
-    drawn = [page for block in blocks for page in matrix.add(block)]
-    return {time_ns: png for _, time_ns, png in (*drawn, *matrix.rest())}
-
-
-def column(png: bytes, first_s: float, at_s: float) -> NDArray[np.uint8]:
-    """(height, 3) RGB of a moment in a page that begins at `first_s`: 25 pixels a second."""
-    return decoded(png)[: 25 * 20, int((at_s - first_s) * 25.0)]
-
-
-def seconds_of(rows: SessionArrays, seconds: int) -> SessionArrays:
-    """A trust history of this length with a frame every 100 ms, all from A."""
-    count = seconds * 10
-    picked = trusting(rows[np.arange(count) % len(rows)], 1.0)
-    index = np.arange(count)
-    return replace(picked, frame=index, time_ns=index * (SECOND // 10))
-
-
-def test_each_moment_of_a_file_is_in_the_page_that_is_shown_at_that_time(rows: SessionArrays) -> None:
-    pages = pages_of(TrustMatrix(BODY, 5 * SECOND), seconds_of(rows, 70))
-    assert list(pages) == [0, 15 * SECOND, 30 * SECOND, 45 * SECOND, 60 * SECOND]
-    for at in range(70):
-        shown_from = max(t for t in pages if t <= at * SECOND)
-        first = max(0, shown_from // SECOND - 10)
-        seen = column(pages[shown_from], first, at + 0.1)
-        assert (seen[5] == SKELETON_COLORS["a"]).all(), at
-        if first:  # and the ten seconds before the page
-            assert (column(pages[shown_from], first, first + 0.1)[5] == SKELETON_COLORS["a"]).all()
-
-
-def test_pages_are_drawn_while_they_grow(rows: SessionArrays) -> None:
-    drawn = list(TrustMatrix(BODY, 5 * SECOND).add(seconds_of(rows, 28)))
-    # page 0 after 5, 10, 15 and 20 s, when it still lacks 10 s; the next after 20 and 25 s
-    assert [t // SECOND for _, t, _ in drawn] == [0, 0, 0, 15, 15]
-    amber = [pixels_near(decoded(png), SKELETON_COLORS["a"], 2) for _, _, png in drawn]
-    assert amber[0] < amber[1] < amber[2]
-
-
-def test_without_drafts_each_page_is_drawn_once_and_is_the_last_draft(rows: SessionArrays) -> None:
-    minute = seconds_of(rows, 60)
-    sparing = TrustMatrix(rows.body, None)
-    once = [*sparing.add(minute), *sparing.rest()]
-    drawn = {time_ns: png for _, time_ns, png in once}
-    assert len(drawn) == len(once) == 4  # a page begins every 15 s
-    assert drawn == pages_of(TrustMatrix(rows.body, 1_000_000_000), minute)
-
-
-def test_the_matrix_shows_who_was_trusted(rows: SessionArrays) -> None:
-    (page,) = pages_of(TrustMatrix(BODY, SECOND), trusting(rows, 1.0)).values()
-    a, b = (SKELETON_COLORS[side] for side in layout.SIDES)
-    assert pixels_near(decoded(page), a, 2) > 25 * 95 * 15  # 4 s of 25 joints, less the lines between them
-    assert pixels_near(decoded(page), b, 2) == 0
-
-
-def test_a_gap_stays_empty(rows: SessionArrays) -> None:
-    all_of = seconds_of(rows, 100)
-    with_gap = all_of[np.flatnonzero((all_of.frame < 120) | (all_of.frame >= 800))]
-    pages = pages_of(TrustMatrix(BODY, SECOND), with_gap)
-    assert list(pages) == [0, 80 * SECOND, 90 * SECOND]
-    assert not (column(pages[80 * SECOND], 65, 70.0)[5] == SKELETON_COLORS["a"]).all()
-    assert (column(pages[80 * SECOND], 65, 81.0)[5] == SKELETON_COLORS["a"]).all()
-
-
-def test_the_matrix_is_the_same_frame_by_frame_and_at_once(rows: SessionArrays) -> None:
-    at_once = pages_of(TrustMatrix(BODY, SECOND), rows)
-    assert pages_of(TrustMatrix(BODY, SECOND), *(rows[[t]] for t in range(len(rows)))) == at_once
-
-
-def test_a_file_of_ten_seconds_has_lanes_and_a_matrix_to_its_end(rows: SessionArrays, tmp_path: Path) -> None:
-    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
-    ten = seconds_of(rows, 10)
-    ten.states_a[90:, ELBOW] = TrackingState.INFERRED
-    file = tmp_path / "s.rrd"
-    stream = rr.RecordingStream(layout.APPLICATION_ID)
-    stream.save(file)
-    recorder = Recorder(stream, fuser.setup, ("a", "b"))
-    recorder.record_rows(ten)
-    recorder.finish()
-    stream.flush()
-    stream.disconnect()
-    assert rows_of(file, layout.state_lane("a", BODY.joints[ELBOW])) == 2
-    with RrdFile(file) as read:
-        drawn = [
-            bytes(blob[0])
-            for entity, batch in read.chunks(images=True)
-            if entity == layout.TRUST_MATRIX
-            for blob in batch.column("EncodedImage:blob").to_pylist()
-        ]
-    filled = [
-        (column(drawn[-1], 0, tenth / 10 + 0.05)[5] == SKELETON_COLORS["a"]).all() for tenth in range(100)
+def test_a_limb_follows_the_view_that_most_of_its_weight_comes_from(rows: SessionArrays) -> None:
+    for in_a, source in ((1.0, 0), (0.0, 1), (0.5, 2)):
+        assert (LimbSources(BODY).add(trusting(rows, in_a)) == source).all()
+    arm = [
+        BODY.joint(f"{name}_RIGHT") for name in ("SHOULDER", "ELBOW", "WRIST", "HAND", "HAND_TIP", "THUMB")
     ]
-    assert sum(filled) / 10 > 9.0
+    predicted = np.zeros_like(rows.predicted)
+    predicted[60:, arm] = True
+    sources = LimbSources(BODY).add(replace(trusting(rows, 1.0), predicted=predicted))
+    assert (np.delete(sources, LIMBS.index("right arm"), axis=1) == 0).all()
+    lane = sources[:, LIMBS.index("right arm")]
+    assert lane[59] == 0
+    assert (lane[75:] == 3).all()
+    changes = np.flatnonzero(np.diff(lane))
+    assert changes.tolist() == [65]  # 1 - 0.9^7 is the first share above a half
+
+
+def test_sources_of_limbs_are_the_same_frame_by_frame_and_at_once(rows: SessionArrays) -> None:
+    at_once, each = LimbSources(BODY), LimbSources(BODY)
+    by_frame = np.concatenate([each.add(rows[[t]]) for t in range(len(rows))])
+    np.testing.assert_array_equal(at_once.add(rows), by_frame)
+
+
+def test_every_limb_has_a_lane_in_a_file(rows: SessionArrays, tmp_path: Path) -> None:
+    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
+    file = tmp_path / "s.rrd"
+    with whole_recording(file) as stream:
+        recorder = Recorder(stream, fuser.setup, ("a", "b"))
+        recorder.record_rows(trusting(rows, 1.0))
+        recorder.finish()
+    for limb in LIMBS:
+        assert rows_of(file, layout.trust_lane(limb)) == 1
 
 
 def test_lanes_are_the_same_frame_by_frame_and_at_once(rows: SessionArrays, tmp_path: Path) -> None:
@@ -212,9 +141,11 @@ def test_lanes_are_the_same_frame_by_frame_and_at_once(rows: SessionArrays, tmp_
 def test_only_joints_that_change_have_a_lane_and_it_begins_at_the_beginning(rows: SessionArrays) -> None:
     states = rows.states_a.copy()
     states[40:50, ELBOW] = TrackingState.INFERRED
-    lanes = StateLanes()
-    news = list(lanes.add(replace(rows, states_a=states)))
-    assert news == [("a", ELBOW, [(None, 2), (40, 1), (50, 2)])]
+    lanes = Lanes()
+    assert list(lanes.add(states)) == [(ELBOW, [(None, 2), (40, 1), (50, 2)])]
     states[:, ELBOW] = TrackingState.NOT_TRACKED
-    assert list(lanes.add(replace(rows, states_a=states))) == [("a", ELBOW, [(0, 0)])]
-    assert list(lanes.add(replace(rows, states_a=states))) == []
+    assert list(lanes.add(states)) == [(ELBOW, [(0, 0)])]
+    assert list(lanes.add(states)) == []
+    steady = Lanes(steady=True)
+    assert dict(steady.add(states))[ELBOW] == [(None, 0)]
+    assert list(steady.add(states)) == []

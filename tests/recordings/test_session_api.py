@@ -56,6 +56,11 @@ def test_everything_over_time_has_a_name(session: Session) -> None:
         np.testing.assert_array_equal(values, expected)
 
 
+def test_a_session_counts_the_frames_of_each_sensor(session: Session) -> None:
+    pairing = session.pairing
+    assert (len(pairing.pairs), pairing.frames_a, pairing.frames_b) == (T, T, T - 1)
+
+
 def test_a_session_introduces_itself_in_a_line(session: Session) -> None:
     assert repr(session) == f"<Session {session.path.name}: {T} frames, 0.4 s, kinect_v1>"
 

@@ -18,7 +18,7 @@ from viewer_app.sinks.queued_sink import DepthImage
 _EARLY = 0.9  # share of the interval: a frame that arrives slightly early still counts
 _HALF_NS = 16_000_000
 """Half a frame. A's images start with the second frame, B's with the third. Sending them together,
-or with the trust matrix at the first frame, would add latency."""
+would add latency."""
 _SHOWN_EVERY = 3  # depth images of a recording
 
 

@@ -201,7 +201,7 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
             row_shares=[5, 2],
         ),
         rrb.Vertical(
-            rrb.Spatial2DView(origin=layout.TRUST_MATRIX, name="which sensor each joint follows"),
+            rrb.StateTimelineView(origin=layout.TRUST_LANES, name="which sensor each limb follows"),
             rrb.Grid(*(_bone_plot(f"{bone}_left", title) for bone, title in _LIMBS.items()), grid_columns=2),
             row_shares=[1, 1],
         ),
@@ -295,7 +295,7 @@ def _scene(
     With `sigma`, a sphere of one standard deviation is drawn about each joint of S*.
     """
     infrared = [layout.infrared(side) for side in layout.SIDES]
-    left_out = [layout.TRUTH_SKELETON, f"{layout.TRUST_MATRIX}/**", *infrared, *hidden]
+    left_out = [layout.TRUTH_SKELETON, *infrared, *hidden]
     return rrb.Spatial3DView(
         origin="/",
         contents=["$origin/**", *(f"- {entity}" for entity in left_out)],
