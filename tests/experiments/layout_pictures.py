@@ -233,7 +233,7 @@ def of_own_tracker(out: Path, folder: Path) -> None:
     thread = threading.Thread(target=show, daemon=True)
     thread.start()
     options = ["--tracker", "blazepose", "--layout", "setup", "--seconds", "8", "--quiet"]
-    with mock.patch("viewer_app.running.runner.viewing_of", return_value=Viewing(hub=hub)):
+    with mock.patch("viewer_app.running.runner.choose_viewing", return_value=Viewing(hub=hub)):
         main(["demo", *options, "--save", str(folder / "own.rrd")])
     thread.join()
     try:

@@ -67,9 +67,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     Raises:
         DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
     """
-    viewing = choose_viewing(
-        no_viewer=options.no_viewer, web=options.web, listen=options.listen, save=options.save, live=False
-    )
+    viewing = choose_viewing(options, options.save, live=False)
     outputs = (options.report, options.save_calibration)
     inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
     check_outputs(outputs, filter(None, inputs), options.force, options.save)

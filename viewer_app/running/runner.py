@@ -24,7 +24,7 @@ from viewer_app.report.terminal import print_details, print_summary, say_more, s
 from viewer_app.running.status import LiveDisplay
 from viewer_app.running.summary import session_report
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.viewer.viewer_choice import announce, viewing_of
+from viewer_app.viewer.viewer_choice import announce, choose_viewing
 
 
 class Runner:
@@ -53,7 +53,7 @@ class Runner:
         save: Path | None,
         remote_sensors: bool = False,
     ) -> None:
-        self.viewing = viewing_of(options, save, live=True, served=options.listens)
+        self.viewing = choose_viewing(options, save, live=True, served=options.listens)
         self._plan = plan_outputs(options, options.listen, remote_sensors)
         self._options, self._console, self._save = options, console, save
         self._outputs: Sequence[LiveOutput] = ()

@@ -43,29 +43,30 @@ class Viewing:
 
 
 def choose_viewing(
-    *, no_viewer: bool, web: bool, listen: str | None, save: Path | None, live: bool, served: bool = False
+    options: ViewerOptions, save: Path | None, *, live: bool, served: bool = False
 ) -> Viewing | None:
     """The viewer that the options ask for.
 
     Args:
-        no_viewer, web, listen, save: As the options of that name.
+        options: The options of the command.
+        save: The file of the session; None for none.
         live: Whether a loop runs at its own pace; then a window that is closed can be opened again.
         served: Whether an output listens on the address, too.
 
     Returns:
-    None if no viewer is wanted. If none can open, a value that states the reason.
+        None if no viewer is wanted. If none can open, a value that states the reason.
 
     Raises:
         UsageError: The options contradict each other, or there is neither a display nor a file.
     """
-    if listen is not None and not (web or served):
-        raise UsageError(f"--listen {listen} is the address of --web; give both.")
-    if no_viewer:
-        if web:
+    if options.listen is not None and not (options.web or served):
+        raise UsageError(f"--listen {options.listen} is the address of --web; give both.")
+    if options.no_viewer:
+        if options.web:
             raise UsageError("--web and --no-viewer contradict each other.")
         return None
-    if web:
-        return Viewing(hub=Hub.on_free_ports(web=True, address=listen))
+    if options.web:
+        return Viewing(hub=Hub.on_free_ports(web=True, address=options.listen))
     why_not = why_no_window()
     if why_not is None:
         return Viewing(window=True, hub=Hub.on_free_ports(web=False) if live else None)
@@ -75,20 +76,6 @@ def choose_viewing(
             "it in a browser, or --no-viewer for the summary alone."
         )
     return Viewing(why_not=why_not)
-
-
-def viewing_of(
-    options: ViewerOptions, save: Path | None, *, live: bool, served: bool = False
-) -> Viewing | None:
-    """:func:`choose_viewing` with a command's options."""
-    return choose_viewing(
-        no_viewer=options.no_viewer,
-        web=options.web,
-        listen=options.listen,
-        save=save,
-        live=live,
-        served=served,
-    )
 
 
 def announce(viewing: Viewing | None, console: Console) -> None:

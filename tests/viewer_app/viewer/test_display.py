@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import pytest
 
 from viewer_app.errors import UsageError
+from viewer_app.options.shared import ViewerOptions
 from viewer_app.viewer import display
 from viewer_app.viewer.viewer_choice import Viewing, choose_viewing
 
@@ -100,7 +101,7 @@ def test_a_session_that_is_saved_goes_on_without_a_window(
     monkeypatch.setenv("DISPLAY", ":48731")
 
     def chosen(save: object) -> Viewing | None:
-        return choose_viewing(no_viewer=False, web=False, listen=None, save=save, live=True)  # type: ignore[arg-type]
+        return choose_viewing(ViewerOptions(), save, live=True)  # type: ignore[arg-type]
 
     viewing = chosen(tmp_path)
     assert viewing is not None

@@ -21,6 +21,7 @@ from tests.helpers.machine import need_browser, need_viewer
 from tests.helpers.pictures import pixels_near
 from tests.helpers.waiting import eventually
 from viewer_app.errors import UsageError
+from viewer_app.options.shared import ViewerOptions
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
 from viewer_app.viewer.viewer_choice import Viewing, announce, choose_viewing
@@ -110,9 +111,8 @@ def test_contradicting_options_give_one_line(
     options: dict[str, object], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")
-    every = {"no_viewer": False, "web": False, "listen": None, "save": None, "live": True} | options
     with pytest.raises(UsageError, match=words):
-        choose_viewing(**every)  # type: ignore[arg-type]
+        choose_viewing(ViewerOptions(**options), None, live=True)  # type: ignore[arg-type]
 
 
 @contextmanager
