@@ -27,8 +27,6 @@ class Advice:
         topic: The subject; new advice replaces earlier advice on the same topic.
         text: What to do, with the figure and the threshold.
         level: Severity.
-        figure: The measured value; NaN if there is none.
-        threshold: The limit for the figure; NaN if there is none.
         sensors: The sensors of ``AB`` concerned; empty if none.
         label: A short form of the text, shown beside the sensor.
     """
@@ -36,8 +34,6 @@ class Advice:
     topic: str
     text: str
     level: Level = "INFO"
-    figure: float = math.nan
-    threshold: float = math.nan
     sensors: str = ""
     label: str = ""
 
@@ -55,8 +51,6 @@ def placement(calibration: Calibration) -> Iterator[Advice]:
             f"The sensors look {angle:.0f}° apart; between {low:.0f}° and {high:.0f}° (best: 90°) each "
             f"sees what the other cannot. Move them further {wider} round the person.",
             "WARN",
-            angle,
-            low if angle < low else high,
         )
     yield verdict(calibration)
 
@@ -85,8 +79,6 @@ def verdict(calibration: Calibration) -> Advice:
         f"Calibration {word}: the views differ by {apart:.0f} mm (good below {GOOD:.0f}, usable below "
         f"{USABLE:.0f}); {limit}.",
         "WARN" if word == "poor" else "INFO",
-        apart,
-        GOOD if word == "good" else USABLE,
     )
 
 

@@ -1,8 +1,7 @@
 """Advice while two sensors are set up. Each advice names its figure and its threshold.
 
 The coach is pure: its input is the loop's data, its clock is the pairs' time, and it neither waits nor
-    prints.
-The module is long because it contains the text of every advice.
+prints.
 """
 
 from __future__ import annotations
@@ -195,8 +194,6 @@ class Coach:
                     f"Sensor {side} gives {few} frames per second; below {least:.3g} "
                     f"movements are missed. {remedy}",
                     "WARN",
-                    came,
-                    least,
                     side,
                     f"{few} frames per second",
                 )
@@ -206,8 +203,6 @@ class Coach:
                     f"{dropped} frames of {side} came too fast for this machine in {_RATE_WINDOW:g} s (limit "
                     f"{most}). Close other programs.",
                     "WARN",
-                    dropped,
-                    most,
                     side,
                     "drops frames",
                 )
@@ -219,8 +214,6 @@ class Coach:
                     f"A and B are captured {skew:.0f} ms apart; half a frame is {limit:.0f} ms. "
                     "Connect the sync cable, or move slowly.",
                     "WARN",
-                    skew,
-                    limit,
                 )
         run = time - self._began
         if run < self._warm_up:
@@ -229,8 +222,6 @@ class Coach:
                 f"The sensors have run for {run / 60.0:.0f} min; for the first {self._warm_up / 60.0:.0f} "
                 "their distances drift by millimetres. Calibrate again after that if you need them.",
                 "INFO",
-                run,
-                self._warm_up,
             )
 
     def _people(self, frame: RecordedFrame, time: float) -> Iterator[Advice]:
@@ -245,8 +236,6 @@ class Coach:
                         f"Sensor {side} has seen no one for {since:.0f} s (more than {UNSEEN:g} s). "
                         "Step into its view, and turn off what stands in the way.",
                         "WARN",
-                        since,
-                        UNSEEN,
                         side,
                         "sees no one",
                     )
@@ -260,8 +249,6 @@ class Coach:
                     f"Sensor {side} does not see both feet in {100 * gone:.0f} % of frames (limit "
                     f"{100 * CUT_OFF:.0f} %). Step back, or tilt the sensor down.",
                     "WARN",
-                    gone,
-                    CUT_OFF,
                     side,
                     "feet cut off",
                 )
@@ -278,8 +265,6 @@ class Coach:
                 f"Too close to sensor {side}: {away:.1f} m; a whole person fits from "
                 f"{near:.1f} m on. Step back.",
                 "WARN",
-                away,
-                near,
                 side,
                 f"too close, {away:.1f} m",
             )
@@ -288,8 +273,6 @@ class Coach:
                 f"distance {side}",
                 f"Too far from sensor {side}: {away:.1f} m; it measures well up to {far:.1f} m. Come closer.",
                 "WARN",
-                away,
-                far,
                 side,
                 f"too far, {away:.1f} m",
             )
@@ -307,8 +290,6 @@ class Coach:
                 f"Nowhere do both sensors see a whole person with arms out: the best place lacks "
                 f"{-room:.1f} m (0 is enough). Turn both to the same place, 2.5 m from each.",
                 "WARN",
-                room,
-                0.0,
             )
 
     def _pose(self, now: Situation) -> Iterator[Advice]:
@@ -316,15 +297,13 @@ class Coach:
             return
         if now.held > 0.0:
             left = max(0.0, HOLD - now.held)
-            yield Advice("pose", f"Hold still: {math.ceil(left)} s more.", "INFO", now.held, HOLD)
+            yield Advice("pose", f"Hold still: {math.ceil(left)} s more.", "INFO")
         else:
             yield Advice(
                 "pose",
                 f"Stand where both sensors see all of you, turned half to each; arms out, legs apart, and "
                 f"hold still for {HOLD:.0f} s.",
                 "INFO",
-                0.0,
-                HOLD,
             )
 
     def _moved(self, now: Situation, time: float) -> Iterator[Advice]:
@@ -337,8 +316,6 @@ class Coach:
                 f"One sensor was moved: the views fit {1e3 * shift:.0f} mm off their calibration (limit "
                 f"{1e3 * MOVED:.0f} mm). Calibrate again: hold the start-up pose after a restart.",
                 "WARN",
-                shift,
-                MOVED,
                 "AB",
                 "moved? calibrate again",
             )

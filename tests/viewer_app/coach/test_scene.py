@@ -98,7 +98,7 @@ def test_before_the_first_person_a_circle_is_shown_in_front_of_a() -> None:
 
 
 def test_a_sensor_with_a_problem_is_marked_where_it_stands() -> None:
-    problem = Advice("person B", "…", "WARN", 2.0, 1.0, "B", "sees no one")
+    problem = Advice("person B", "…", "WARN", "B", "sees no one")
     drawn = marks(None, None, problem, replace(problem, topic="x", level="INFO", sensors="A"))
     assert "sensor_a" not in drawn
     assert drawn["sensor_b"].words == "B: sees no one"
@@ -110,7 +110,7 @@ def test_a_sensor_with_a_problem_is_marked_where_it_stands() -> None:
 
 
 def test_labels_of_two_sensors_side_by_side_do_not_overlap() -> None:
-    drawn = marks(None, None, Advice("moved", "…", "WARN", 0.3, 0.25, "AB", "moved?"))
+    drawn = marks(None, None, Advice("moved", "…", "WARN", "AB", "moved?"))
     below = [
         drawn[f"sensor_{side}"].lines[0][0][1] - at
         for side, at in (("a", 0.0), ("b", A_FROM_B.translation[1]))
@@ -119,7 +119,7 @@ def test_labels_of_two_sensors_side_by_side_do_not_overlap() -> None:
 
 
 def test_a_moved_sensor_marks_both_because_either_may_have_moved() -> None:
-    moved = Advice("moved", "…", "WARN", 0.3, 0.25, "AB", "moved? calibrate again")
+    moved = Advice("moved", "…", "WARN", "AB", "moved? calibrate again")
     assert {"sensor_a", "sensor_b"} <= marks(None, None, moved).keys()
 
 
