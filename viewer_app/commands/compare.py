@@ -16,7 +16,7 @@ from recordings.session_comparison import DIFFERENCE, LARGEST, Comparison, recor
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import CompareOptions
 from viewer_app.output_files import check_outputs
-from viewer_app.report.terminal import print_damage, print_lines
+from viewer_app.report.terminal import figure_table, print_damage, print_lines
 from viewer_app.report.words import Line, in_mm
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
@@ -92,27 +92,25 @@ def _lead(comparison: Comparison) -> Iterator[Line]:
 
 
 def _joint_table(comparison: Comparison) -> Table:
-    table = Table(title="Joints, mm: distance of the two S*, and noise of each", title_justify="left")
-    for column in ("joint", "median", "95 %", "max", "noise 1", "noise 2", "swapped"):
-        table.add_column(column, justify="left" if column == "joint" else "right")
     apart, noise = comparison.apart * 1e3, comparison.frame_noise * 1e3
+    rows = []
     for j, name in enumerate(comparison.body.joints):
         distances = apart[:, j][np.isfinite(apart[:, j])]
         figures = [_mm(np.percentile(distances, p)) if len(distances) else "–" for p in (50, 95, 100)]
         swapped = int(comparison.swapped[:, j].sum())
-        table.add_row(name, *figures, _mm(noise[0, j]), _mm(noise[1, j]), str(swapped) if swapped else "")
-    return table
+        rows.append([name, *figures, _mm(noise[0, j]), _mm(noise[1, j]), str(swapped) if swapped else ""])
+    head = ("joint", "median", "95 %", "max", "noise 1", "noise 2", "swapped")
+    return figure_table("Joints, mm: distance of the two S*, and noise of each", head, rows)
 
 
 def _bone_table(comparison: Comparison) -> Table:
-    table = Table(title="Bones, mm: length, and largest deviation from it", title_justify="left")
-    for column in ("bone", "length 1", "length 2", "deviation 1", "deviation 2"):
-        table.add_column(column, justify="left" if column == "bone" else "right")
     target, deviation = comparison.target * 1e3, comparison.bone_deviation * 1e3
-    for j in comparison.body.bone_joints:
-        name = comparison.body.bones[j].replace("_", " ")
-        table.add_row(name, *(_mm(v) for v in (*target[:, j], *deviation[:, j])))
-    return table
+    head = ("bone", "length 1", "length 2", "deviation 1", "deviation 2")
+    rows = [
+        [comparison.body.bones[j].replace("_", " "), *map(_mm, (*target[:, j], *deviation[:, j]))]
+        for j in comparison.body.bone_joints
+    ]
+    return figure_table("Bones, mm: length, and largest deviation from it", head, rows)
 
 
 def _mm(value: float | np.float64) -> str:

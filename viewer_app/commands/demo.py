@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from devices.capture.sensor_pair import TwoSensors
 from devices.real_time import paced_together
@@ -35,8 +34,9 @@ from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions
+from viewer_app.options.shared import check_seconds
 from viewer_app.output_files import check_outputs, free_name
-from viewer_app.report.terminal import print_lines
+from viewer_app.report.terminal import figure_table, print_lines
 from viewer_app.report.words import Line
 from viewer_app.running.interruption import CtrlC
 from viewer_app.running.loop import run_live, warm_up
@@ -64,8 +64,7 @@ def run(options: DemoOptions) -> None:
     if options.motion == "list":
         console.print("\n".join(MOTIONS))
         return
-    if not 0.0 < options.seconds < float("inf"):
-        raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
+    check_seconds(options.seconds)
     save = options.save
     if save is None and not (options.no_viewer or options.web or has_display()):
         save = free_name(_SAVED_WITHOUT_DISPLAY)
@@ -224,10 +223,10 @@ def _print_truth(
     if not verbose:
         return
     console.print(f"The sensors' true rotation lies {angle:.1f}° from the one found.")
-    table = Table(min_width=44, title="Distance from the true joints, after the start", title_justify="left")
-    for column in ("skeleton", "mean", "95 %"):
-        table.add_column(column, justify="left" if column == "skeleton" else "right")
-    for name, off in off_mm.items():
-        if off.size:
-            table.add_row(name, f"{off.mean():.0f} mm", f"{np.percentile(off, 95):.0f} mm")
-    console.print(table)
+    table = [
+        [name, f"{off.mean():.0f} mm", f"{np.percentile(off, 95):.0f} mm"]
+        for name, off in off_mm.items()
+        if off.size
+    ]
+    title = "Distance from the true joints, after the start"
+    console.print(figure_table(title, ("skeleton", "mean", "95 %"), table))

@@ -26,7 +26,7 @@ from recordings.calibration_file import calibration_to_json, read_calibration
 from viewer_app.coach.setup_coach import WARM_UP, Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import LiveOptions
-from viewer_app.options.shared import check_paper_options
+from viewer_app.options.shared import check_paper_options, check_seconds
 from viewer_app.output_files import check_outputs, write_text
 from viewer_app.running.interruption import CtrlC
 from viewer_app.running.loop import Status, run_live, warm_up
@@ -65,8 +65,7 @@ def _check(options: LiveOptions) -> None:
     check_smoothing(options.smoothing)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
     check_outputs((options.report, options.save_calibration), read, options.force, options.save)
-    if options.seconds is not None and not 0.0 < options.seconds < float("inf"):
-        raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
+    check_seconds(options.seconds)
     if options.calibrate != "auto" and not Path(options.calibrate).exists():
         raise UsageError(
             f"--calibrate {options.calibrate}: neither auto nor an existing file. Make one with "

@@ -20,6 +20,7 @@ from devices.simulated.demonstration import demonstrated
 from fusion.body import BODIES
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import PublishOptions
+from viewer_app.options.shared import check_seconds
 from viewer_app.running.interruption import CtrlC
 from viewer_app.sensors.local import one_sensor
 from viewer_app.sensors.remote import teller
@@ -38,8 +39,7 @@ def run(options: PublishOptions) -> None:
     addresses = ZenohAddresses.of_visitor(options.zenoh_listen, options.zenoh_connect)
     checked_key(options.publish)
     load_zenoh()
-    if options.seconds is not None and not 0.0 < options.seconds < float("inf"):
-        raise UsageError(f"--seconds must be a positive number; got {options.seconds}.")
+    check_seconds(options.seconds)
     sensor = _sensor(options, console)
     tell = teller(console)
     stopped = threading.Event()

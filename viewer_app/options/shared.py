@@ -194,3 +194,13 @@ def check_paper_options(settings: FuserSettings) -> None:
     """
     if settings.method == "duplex" and (settings.h != PAPER_H or settings.weights != "paper"):
         raise UsageError("--h and --weights apply to the paper's methods: add --method paper or published.")
+
+
+def check_seconds(seconds: float | None) -> None:
+    """Rejects a duration that is not positive or not finite.
+
+    Raises:
+        UsageError: With one line for the person who asked.
+    """
+    if seconds is not None and not 0.0 < seconds < float("inf"):
+        raise UsageError(f"--seconds must be a positive number; got {seconds}.")

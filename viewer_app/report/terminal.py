@@ -59,7 +59,7 @@ def print_details(console: Console, figures: Figures) -> None:
     print_lines(console, detail_lines(figures))
     if "bones" in figures:
         title = "Bones: target, and mean ± deviation in mm"
-        console.print(_table(title, BONE_HEAD, bone_rows(figures)))
+        console.print(figure_table(title, BONE_HEAD, bone_rows(figures)))
     if "compared_with_exact" in figures:
         console.print(_comparison_table(figures["compared_with_exact"]))
 
@@ -78,14 +78,14 @@ def _comparison_table(figures: Figures) -> Table:
             ]
         )
     head = ("solver", "largest bone error", "iterations (median)", "at the limit", "ms per frame")
-    table = _table("The paper's scheme beside the exact solver, same frames and weights", head, rows)
+    table = figure_table("The paper's scheme beside the exact solver, same frames and weights", head, rows)
     table.caption = f"Joints differ by {in_mm(apart['median'])} (median), {in_mm(apart['max'])} at most."
     table.caption_justify = "left"
     return table
 
 
-def _table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
-    """A table of figures; the first column has names."""
+def figure_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
+    """A table of figures, on the right; the first column has names."""
     table = Table(title=title, title_justify="left")
     for k, column in enumerate(head):
         table.add_column(column, justify="right" if k else "left")
