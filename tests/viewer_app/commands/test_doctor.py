@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from devices.azure import checks as device_doctor
+from devices import live_checks as device_doctor
 from tests.helpers.command_line import duplex
 from tests.helpers.live_program import live
 from tests.helpers.standin_library import Standin
