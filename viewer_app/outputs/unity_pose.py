@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,10 +130,8 @@ class UnitySkeleton:
         pose = UnityPose(
             np.empty((count, 3)), np.empty((count, 4)), np.empty((count, 7)), self._leg_length(positions)
         )
-        _pose(
-            *(self.begins, self.bones, self.parents, self._unturned, self._origin, positions, rotations),
-            *(pose.positions, pose.rotations, pose.local),
-        )
+        bones = _Bones(self.begins, self.bones, self.parents, self._unturned)
+        _pose(bones, self._origin, positions, rotations, pose.positions, pose.rotations, pose.local)
         return pose
 
     def _leg_length(self, positions: Array) -> float:
@@ -162,21 +161,30 @@ def _from_t_pose(name: str) -> Array:
     return _IDENTITY
 
 
+class _Bones(NamedTuple):
+    """The bones of a humanoid: joint where each begins, bone of S*, parent, rotation from T-pose to rest."""
+
+    begins: NDArray[np.int64]
+    bones: NDArray[np.int64]
+    parents: NDArray[np.int64]
+    unturned: Array
+
+
 @njit()
-def _pose(begins, bones, parents, unturned, origin, at, turns, positions, rotations, local):  # type: ignore[no-untyped-def]
+def _pose(body, origin, joints, turns, positions, rotations, local):  # type: ignore[no-untyped-def]
     """Fills positions, rotations and local; a bone's parent comes before it."""
     back, offset, product = np.empty(4), np.zeros(4), np.empty(4)
-    for n in range(begins.shape[0]):
-        above = parents[n]
+    for n in range(body.begins.shape[0]):
+        above = body.parents[n]
         for c in range(4):
             back[c] = 0.0
             if above >= 0:
                 back[c] = rotations[above, c] if c == 3 else -rotations[above, c]
         if above < 0:
             back[3] = 1.0
-        _times(turns[bones[n]], unturned[n], rotations[n])
+        _times(turns[body.bones[n]], body.unturned[n], rotations[n])
         for c in range(3):
-            positions[n, c] = origin[c] - at[begins[n], c]
+            positions[n, c] = origin[c] - joints[body.begins[n], c]
             offset[c] = positions[n, c] - (positions[above, c] if above >= 0 else 0.0)
         _times(back, rotations[n], product)
         for c in range(4):
