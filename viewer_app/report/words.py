@@ -267,12 +267,11 @@ def _without_truth(figures: Figures) -> Iterator[Line]:
         "Facing",
         f"against the motion: S* {fused}, S_A {a}, S_B {b} of fast frames; {flips:.1f} flips per minute.",
     )
-    turn, halves = (math.degrees(figures[name]) for name in ("rotation_off", "halves_rotation_off"))
-    shift = in_mm(_times_1000(figures["halves_position_off"]))
-    yield Line(
-        "Registration",
-        f"R is {turn:.1f}° from a robust fit; the fits of both halves differ by {halves:.1f}° and {shift}.",
-    )
+    text = f"R is {math.degrees(figures['rotation_off']):.1f}° from a robust fit"
+    if figures["halves_rotation_off"] is not None:
+        halves, shift = figures["halves_rotation_off"], in_mm(1e3 * figures["halves_position_off"])
+        text += f"; the fits of both halves differ by {math.degrees(halves):.1f}° and {shift}"
+    yield Line("Registration", f"{text}.")
 
 
 def _times(ms: Figures, digits: int, unit: str) -> str:

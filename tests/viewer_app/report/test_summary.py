@@ -158,6 +158,8 @@ def test_figures_without_truth_follow_where_they_were_computed(session: Session,
     halves = math.degrees(found["halves_rotation_off"] or 0.0)
     assert f"the fits of both halves differ by {halves:.1f}°" in lines["Registration"]
     assert halves < 1.0
+    figures["without_truth"] = found | {"halves_rotation_off": None, "halves_position_off": None}
+    assert "from a robust fit. " in f"{said(figures, verbose=True)} ".replace("\n", " ")
     short = replace(session, rows=session.rows[slice(0, 20)])
     assert set(truth_free_figures(short).values()) == {None}
     figures["without_truth"] = truth_free_figures(short)
