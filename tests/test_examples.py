@@ -21,7 +21,7 @@ from recordings import Session, fuse
 from tests.helpers.command_line import duplex
 from tests.helpers.machine import need_networks
 from tests.helpers.notebooks import code_cells, read_notebook, run_cells
-from tests.helpers.written_recordings import write_recordings
+from tests.helpers.recorded_pairs import write_recordings
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"

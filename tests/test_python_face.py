@@ -18,6 +18,7 @@ import recordings
 from devices import Sensor, SensorFrame
 from fusion import KINECT_V2, Fuser, FusionSetup, Skeleton, SkeletonPair, calibrate
 from recordings import RecordingError, Session, fuse, fuse_live
+from tests.helpers.recorded_pairs import write_recordings
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, pair_of
 
 PACKAGES = (fusion, devices, recordings)
@@ -58,21 +59,9 @@ print(dict(os.environ) == before, deleted)
     assert said.stdout == "True []\n", said.stderr
 
 
-def write_csv(path: Path, skeletons: list[Skeleton]) -> Path:
-    rows = ["time_us,body,joint,x,y,z"]
-    for skeleton in skeletons:
-        for joint, (x, y, z) in zip(KINECT_V2.joints, skeleton.positions, strict=True):
-            rows.append(f"{skeleton.time_ns // 1000},1,{joint},{x:.6f},{y:.6f},{z:.6f}")
-    path.write_text("\n".join(rows) + "\n")
-    return path
-
-
 def test_three_lines_fuse_two_files_in_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pairs = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 60))]
-    a = write_csv(tmp_path / "a.csv", [pair.a for pair in pairs])
-    b = write_csv(tmp_path / "b.csv", [pair.b for pair in pairs])
-    session = fuse(a, b)
-    assert session.fused.shape == (60, len(KINECT_V2), 3)
+    session = fuse(*write_recordings(tmp_path))
+    assert session.fused.shape == (70, len(KINECT_V2), 3)
     assert session.path is None
     assert {path.name for path in tmp_path.iterdir()} == {"a.csv", "b.csv"}
     assert capsys.readouterr() == ("", "")

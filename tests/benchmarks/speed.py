@@ -30,7 +30,7 @@ from fusion.solvers.published import PaperSolver
 from fusion.solvers.solver import Solver
 from recordings.session import Session
 from tests.benchmarks import results
-from tests.helpers.skeleton_views import write_view
+from tests.helpers.recorded_pairs import write_view
 from tests.helpers.solver_problems import ordinary_problem, solver_of
 
 FRAME_NS = 33_333_333

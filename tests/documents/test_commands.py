@@ -11,7 +11,7 @@ import pytest
 from recordings import Session
 from tests.helpers.command_line import duplex, parsed
 from tests.helpers.documents import ROOT, commands_of, documents, mentions_of
-from tests.helpers.written_recordings import write_recordings
+from tests.helpers.recorded_pairs import write_recordings
 from viewer_app.options.command_line import COMMANDS
 
 __all__ = ["parsed"]  # a fixture

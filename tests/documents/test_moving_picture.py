@@ -16,7 +16,7 @@ from tests.experiments.moving_picture import (
     write_animation,
 )
 from tests.helpers.machine import need_viewer
-from tests.helpers.written_recordings import write_recordings
+from tests.helpers.recorded_pairs import write_recordings
 
 
 def test_the_hardest_moment_is_where_the_views_disagree_most() -> None:

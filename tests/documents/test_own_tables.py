@@ -14,9 +14,8 @@ from fusion.body import BODIES
 from recordings import Session, fuse
 from tests.helpers.command_line import duplex
 from tests.helpers.documents import ROOT, python_of
-from tests.helpers.skeleton_views import write_view
+from tests.helpers.recorded_pairs import write_recordings, write_view
 from tests.helpers.two_views import A_FROM_B, moving
-from tests.helpers.written_recordings import write_recordings
 
 START = ROOT / "docs" / "start.md"
 FROM_TABLE, FROM_ARRAYS = python_of(START)

@@ -1,18 +1,42 @@
-"""Folders of small pairs of recordings, and sessions compared bit for bit."""
+"""Recordings of one person that tests write, names of the real ones, and sessions compared bit for bit."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fusion.body import KINECT_V2
+from fusion.body import KINECT_V2, Body
 from recordings.session import Session
-from tests.helpers.skeleton_views import write_view
-from tests.helpers.two_views import A_FROM_B, moving
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
+
+REAL = ("stationary", "steps", "walk")
+"""``real/kinect_v2_90deg_…`` in the folder of reference recordings."""
 
 FRAMES = 75
 """Long enough for a start-up pose of 1.5 s."""
+
+
+def write_view(path: Path, body: Body, positions: NDArray[np.float64], start_us: int = 0) -> Path:
+    """Writes (T, J, 3) positions of one person as .csv, to the micrometre."""
+    rows = ["time_us,body,joint,x,y,z,state"]
+    for t, at in enumerate(positions):
+        rows += [
+            f"{start_us + t * FRAME_NS // 1000},0,{joint},{x:.6f},{y:.6f},{z:.6f},tracked"
+            for joint, (x, y, z) in zip(body.joints, at, strict=True)
+        ]
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+def write_recordings(folder: Path, noise_m: float = 0.01) -> tuple[Path, Path]:
+    """Two noisy views of a person, ``a.csv`` and ``b.csv``."""
+    rng = np.random.default_rng(0)
+    truth = moving(KINECT_V2, 70)
+    a = truth + rng.normal(0.0, noise_m, truth.shape)
+    b = A_FROM_B.inverse().apply(truth) + rng.normal(0.0, noise_m, truth.shape)
+    return write_view(folder / "a.csv", KINECT_V2, a), write_view(folder / "b.csv", KINECT_V2, b)
 
 
 def write_pair(folder: Path, a: str = "a.csv", b: str = "b.csv", seed: int = 0) -> Path:

@@ -9,7 +9,7 @@ import pytest
 from devices.sensor import DeviceError, SensorFrame
 from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2, Body
-from tests.helpers.skeleton_views import write_view
+from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import FRAME_NS, standing
 
 HEADER = "time_us,body,joint,x,y,z,state"

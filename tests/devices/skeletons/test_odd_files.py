@@ -17,9 +17,8 @@ from devices.skeletons.conventions import METRES
 from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2, Body
 from tests.helpers.command_line import duplex, one_line
-from tests.helpers.skeleton_views import REAL, write_view
+from tests.helpers.recorded_pairs import REAL, write_recordings, write_view
 from tests.helpers.two_views import moving, standing
-from tests.helpers.written_recordings import write_recordings
 
 Cells = list[str]
 

@@ -12,7 +12,7 @@ from recordings import Session, fuse
 from recordings.errors import RecordingError
 from recordings.file.session_writer import write_session
 from tests.helpers.command_line import duplex
-from tests.helpers.written_recordings import write_recordings
+from tests.helpers.recorded_pairs import write_recordings
 
 _BLOCK = 10
 

@@ -14,8 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.helpers.command_line import duplex, one_line
-from tests.helpers.recorded_pairs import assert_same_session, write_pair
-from tests.helpers.skeleton_views import REAL
+from tests.helpers.recorded_pairs import REAL, assert_same_session, write_pair
 from tests.helpers.waiting import eventually
 from viewer_app.batch import cluster
 

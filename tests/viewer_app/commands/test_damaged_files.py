@@ -16,7 +16,7 @@ from fusion.calibration.calibration import nominal_calibration
 from recordings.calibration_file import calibration_to_json
 from tests.helpers.command_line import duplex
 from tests.helpers.mkv_writer import write_mkv
-from tests.helpers.skeleton_views import write_view
+from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
 FRAMES = 12

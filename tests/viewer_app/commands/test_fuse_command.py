@@ -13,7 +13,7 @@ import rerun as rr
 from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
 from tests.helpers.command_line import duplex, one_line
-from tests.helpers.skeleton_views import REAL, write_view
+from tests.helpers.recorded_pairs import REAL, write_view
 from tests.helpers.two_views import A_FROM_B, moving
 
 

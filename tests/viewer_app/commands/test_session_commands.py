@@ -19,8 +19,8 @@ from recordings.testing import FusedRun, fused_run
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.recalibrated import record_recalibrated
+from tests.helpers.recorded_pairs import REAL
 from tests.helpers.session_text import rows_of
-from tests.helpers.skeleton_views import REAL
 from tests.helpers.two_views import calibration_of
 from viewer_app.commands.replay import verify
 
