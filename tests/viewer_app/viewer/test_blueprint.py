@@ -64,7 +64,7 @@ def expected(active: Layout) -> set[str]:
     if active == "setup":
         return {"Kinect A", "Kinect B", "where to stand", "what to do next"}
     limbs = {"upper arms (m)", "forearms (m)", "thighs (m)", "shins (m)"}
-    return limbs | {SCENE, "which sensor each joint follows", "views differ (mm)"}
+    return limbs | {SCENE, "which sensor each limb follows", "views differ (mm)"}
 
 
 def ink(picture: NDArray[np.uint8]) -> float:
@@ -165,7 +165,7 @@ def test_inspect_has_one_subject() -> None:
     scene, figure, trust, *limbs = panes(layouts(KINECT_V2)["inspect"])
     assert isinstance(scene, rrb.Spatial3DView)
     assert isinstance(figure, rrb.TimeSeriesView)
-    assert isinstance(trust, rrb.Spatial2DView)
+    assert isinstance(trust, rrb.StateTimelineView)
     assert len(limbs) == 4
 
 
