@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 FOLDER = Path(__file__).parent / "results"
+_LOAD = round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None  # before the benchmark adds to it
 
 
 def write(name: str, figures: dict[str, Any]) -> None:
@@ -35,7 +36,7 @@ def write(name: str, figures: dict[str, Any]) -> None:
             "system": platform.system(),
             "architecture": platform.machine(),
             "processors": os.cpu_count(),
-            "load": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None,
+            "load": _LOAD,
             "python": platform.python_version(),
             **{package: version(package) for package in ("numpy", "numba", "rerun-sdk")},
         },
@@ -50,6 +51,12 @@ def read(name: str) -> dict[str, Any]:
     """Returns the document that :func:`write` wrote."""
     document: dict[str, Any] = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
     return document
+
+
+def quiet(document: dict[str, Any]) -> bool:
+    """Whether a benchmark began on a machine with an idle processor, so that its wall-clock times count."""
+    load = document["machine"]["load"]
+    return load is None or load < 0.5 * document["machine"]["processors"]
 
 
 def _plain(value: Any) -> Any:
