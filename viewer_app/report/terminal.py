@@ -86,7 +86,7 @@ def _comparison_table(figures: Figures) -> Table:
 
 def figure_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
     """A table of figures, on the right; the first column has names."""
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", min_width=len(title))
     for k, column in enumerate(head):
         table.add_column(column, justify="right" if k else "left")
     for row in rows:

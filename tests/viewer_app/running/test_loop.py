@@ -5,21 +5,15 @@ A little over 300 lines: pacing, pairing and latency settings are tested on the 
 
 import gc
 import sys
-import threading
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from devices.pairing import FramePair
-from devices.real_time import PacedSensor, paced_together
 from devices.sensor import SensorFrame
-from devices.simulated.kinect import simulated_pair
-from devices.simulated.tracking.tracker import TrackerErrors
 from fusion.body import KINECT_V1, KINECT_V2
 from fusion.calibration.calibration import calibrate, nominal_calibration
 from fusion.calibration.calibrator import Calibrator
@@ -36,141 +30,6 @@ from viewer_app.running.loop import low_latency, run_live
 from viewer_app.sinks.sink import Sink
 
 NOMINAL = FusionSetup(nominal_calibration(KINECT_V1))
-
-
-class Clock:
-    """Time that passes only when someone waits."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-        self.waits: list[float] = []
-
-    def __call__(self) -> float:
-        return self.now
-
-    def wait(self, stopping: object, seconds: float) -> bool:
-        self.waits.append(seconds)
-        self.now += seconds
-        return stopping.is_set()
-
-
-def test_a_paced_sensor_gives_each_frame_when_it_is_due() -> None:
-    clock = Clock()
-    a, _, _ = simulated_pair(motion="still", seconds=0.5, body=KINECT_V1, errors=TrackerErrors.none())
-    with PacedSensor(a, clock=clock, wait=clock.wait) as paced:
-        begun, frames = clock.now, []
-        for frame in paced.frames():
-            frames.append(frame)
-            assert clock.now - begun == pytest.approx((frame.time_ns - frames[0].time_ns) * 1e-9, abs=1e-9)
-            assert frame.host_ns == round(clock.now * 1e9)
-            clock.now += 0.001  # the reader's work does not accumulate
-    assert len(frames) == 15
-
-
-def test_a_paced_sensor_that_is_late_leaves_images_out_and_no_skeleton(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    clock, takes = Clock(), 0.08
-
-    def slow(z: NDArray[np.float32], *_: object) -> NDArray[np.uint16]:
-        clock.now += takes
-        return np.zeros(z.shape, dtype=np.uint16)
-
-    a, _, _ = simulated_pair(motion="still", seconds=3.0, body=KINECT_V1, depth="half")
-    without, _, _ = simulated_pair(motion="still", seconds=3.0, body=KINECT_V1)
-    monkeypatch.setattr("devices.simulated.kinect.depth_image", slow)
-    with PacedSensor(a, clock=clock, wait=clock.wait) as paced:
-        begun, frames = clock.now + takes, []
-        for frame in paced.frames():
-            frames.append(frame)
-            late = clock.now - begun - (frame.time_ns - frames[0].time_ns) * 1e-9
-            assert late < 1.0 / 30.0 + takes  # what is tolerated, and one image more
-    for frame, alone in zip(frames, without.frames(), strict=True):
-        assert all(frame.people[who].repeats(alone.people[who]) for who in alone.people)
-    assert sum(frame.depth is None for frame in frames) == a.images_left_out
-    assert 0 < a.images_left_out < a.images_wanted == len(frames)
-
-
-def test_a_paced_sensor_works_late_so_that_others_can_work_early(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, begins, takes = Clock(), [], 0.0
-
-    def rendered(z: NDArray[np.float32], *_: object) -> NDArray[np.uint16]:
-        begins.append(clock.now)
-        clock.now += takes
-        return np.zeros(z.shape, dtype=np.uint16)
-
-    monkeypatch.setattr("devices.simulated.kinect.depth_image", rendered)
-    for lasts, ahead in ((0.004, 1.0 / 60.0), (0.02, 0.03)):  # half a frame; more than it takes
-        takes = lasts
-        a, _, _ = simulated_pair(motion="still", seconds=0.5, body=KINECT_V1, depth="half")
-        begins.clear()
-        with PacedSensor(a, clock=clock, wait=clock.wait) as paced:
-            given = [clock.now for _ in paced.frames()]
-        assert np.array(given[1:]) - begins[1:] == pytest.approx(ahead)
-
-
-def test_a_slow_frame_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, begins = Clock(), []
-
-    def rendered(z: NDArray[np.float32], *_: object) -> NDArray[np.uint16]:
-        begins.append(clock.now)
-        clock.now += 0.03 if len(begins) == 1 else 0.004
-        return np.zeros(z.shape, dtype=np.uint16)
-
-    monkeypatch.setattr("devices.simulated.kinect.depth_image", rendered)
-    a, _, _ = simulated_pair(motion="still", seconds=2.0, body=KINECT_V1, depth="half")
-    with PacedSensor(a, clock=clock, wait=clock.wait) as paced:
-        given = [clock.now for _ in paced.frames()]
-    ahead = np.array(given) - begins
-    assert ahead[1] > 0.03
-    assert ahead[30:] == pytest.approx(1.0 / 60.0)
-
-
-def test_paced_sensors_begin_together() -> None:
-    a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
-    given: dict[str, list[SensorFrame]] = {}
-
-    def read(sensor: PacedSensor) -> None:
-        given[sensor.name] = list(sensor.frames())
-
-    first, second = paced_together(a, b)
-    threads = [threading.Thread(target=read, args=(sensor,)) for sensor in (first, second)]
-    threads[0].start()
-    time.sleep(0.4)  # the stimulus: without a common clock the sensors would keep this offset
-    threads[1].start()
-    for thread in threads:
-        thread.join()
-    apart = [b.host_ns - a.host_ns for a, b in zip(given[a.name], given[b.name], strict=True)]
-    assert len(apart) == 6
-    assert abs(np.median(apart) - 0.96e6) < 0.2e9  # B captures so much later
-
-
-def test_a_paced_sensor_whose_fellow_never_comes_begins_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.real_time._TOGETHER", 0.3)
-    a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
-    frames = list(paced_together(a, b)[0].frames())
-    assert len(frames) == 6
-    assert frames[-1].host_ns - frames[0].host_ns > 0.12e9  # at its pace, without catching up
-
-
-def test_a_paced_sensor_ends_while_it_waits_for_its_fellow(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.real_time._TOGETHER", 60.0)
-    a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
-    waiting, _ = paced_together(a, b)
-    threading.Timer(0.2, waiting.interrupt).start()
-    begun = time.monotonic()
-    assert list(waiting.frames()) == []
-    assert time.monotonic() - begun < 30.0
-
-
-def test_a_paced_sensor_ends_when_it_is_interrupted() -> None:
-    clock = Clock()
-    a, _, _ = simulated_pair(motion="still", seconds=10.0, body=KINECT_V1)
-    with PacedSensor(a, clock=clock, wait=clock.wait) as paced:
-        frames = paced.frames()
-        next(frames)
-        paced.interrupt()
-        assert list(frames) == []
 
 
 def test_calibration_is_provisional_at_first_and_settles_on_the_start_up_pose() -> None:

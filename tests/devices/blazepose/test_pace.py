@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from devices.blazepose.networks.files import DETECTOR, LANDMARKS
 from devices.blazepose.pace import TrackingPace
@@ -17,27 +15,12 @@ from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_pair import TwoSensors
-from devices.real_time import PacedSensor
 from devices.sensor import Sensor, SensorFrame
 from devices.simulated.kinect import SimulatedKinect, simulated_pair
 from fusion.body import BLAZEPOSE
 from tests.helpers.machine import need_networks
 
 MS = 1_000_000
-
-
-class Clock:
-    """Time that passes only when someone waits or works."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-    def wait(self, stopping: threading.Event, seconds: float) -> bool:
-        self.now += seconds
-        return stopping.is_set()
 
 
 @pytest.fixture
@@ -107,32 +90,6 @@ def simulated(seconds: float) -> SimulatedKinect:
         motion="still", seconds=seconds, body=BLAZEPOSE, depth="half", infrared=True, seed=1
     )
     return a
-
-
-@pytest.mark.parametrize("step", [1, 2, 3])
-def test_a_paced_sensor_makes_and_gives_the_images_of_the_kept_moments_only(
-    step: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    clock, made = Clock(), []
-
-    def rendered(z: NDArray[np.float32], *_: object) -> NDArray[np.uint16]:
-        made.append(clock.now)
-        return np.zeros(z.shape, dtype=np.uint16)
-
-    monkeypatch.setattr("devices.simulated.kinect.depth_image", rendered)
-    decimation = FrameDecimation(30.0)
-    if step > 1:
-        work(decimation, 10, 33 * step - 5)
-    assert decimation.step == step
-    source = simulated(1.0)
-    with PacedSensor(source, None, decimation, clock=clock, wait=clock.wait) as paced:
-        frames = list(paced.frames())
-    gaps = np.diff([frame.time_ns for frame in frames]) / 1e9 * 30.0
-    np.testing.assert_allclose(gaps, step, atol=1e-6)
-    assert all(frame.depth is not None and frame.ir is not None for frame in frames)
-    # The first image is made before the sensor knows its moment.
-    assert len(frames) <= len(made) <= len(frames) + 1
-    assert source.images_left_out == 0, "they were not wanted"
 
 
 class Source(Sensor):

@@ -1,0 +1,173 @@
+"""Simulated sensors in real time: each frame when it is due."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from devices.capture.frame_decimation import FrameDecimation
+from devices.real_time import PacedSensor, paced_together
+from devices.sensor import SensorFrame
+from devices.simulated.kinect import SimulatedKinect, simulated_pair
+from fusion.body import KINECT_V1
+
+
+class Clock:
+    """Time that passes only when someone waits or works."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def wait(self, stopping: threading.Event, seconds: float) -> bool:
+        self.now += seconds
+        return stopping.is_set()
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def images_take(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[float]]:
+    """Sets how many seconds an image takes, and the first one; returns when the images were begun."""
+
+    def set_seconds(seconds: float, first: float | None = None) -> list[float]:
+        begins: list[float] = []
+
+        def rendered(z: NDArray[np.float32], *_: object) -> NDArray[np.uint16]:
+            takes = seconds if begins or first is None else first
+            begins.append(clock.now)
+            clock.now += takes
+            return np.zeros(z.shape, dtype=np.uint16)
+
+        monkeypatch.setattr("devices.simulated.kinect.depth_image", rendered)
+        return begins
+
+    return set_seconds
+
+
+def simulated(seconds: float, **more: object) -> SimulatedKinect:
+    return simulated_pair(motion="still", seconds=seconds, body=KINECT_V1, **more)[0]  # type: ignore[arg-type]
+
+
+def paced(sensor: SimulatedKinect, clock: Clock, decimation: FrameDecimation | None = None) -> PacedSensor:
+    return PacedSensor(sensor, None, decimation, clock=clock, wait=clock.wait)
+
+
+def test_each_frame_is_given_when_it_is_due(clock: Clock) -> None:
+    begun, frames = clock.now, []
+    for frame in paced(simulated(0.5), clock).frames():
+        frames.append(frame)
+        assert clock.now - begun == pytest.approx((frame.time_ns - frames[0].time_ns) * 1e-9, abs=1e-9)
+        assert frame.host_ns == round(clock.now * 1e9)
+        clock.now += 0.001  # the reader's work does not accumulate
+    assert len(frames) == 15
+
+
+def test_a_sensor_that_is_late_leaves_images_out_and_no_skeleton(
+    clock: Clock, images_take: Callable[..., list[float]]
+) -> None:
+    takes = 0.08
+    images_take(takes)
+    sensor = simulated(3.0, depth="half")
+    begun, frames = clock.now + takes, []
+    for frame in paced(sensor, clock).frames():
+        frames.append(frame)
+        late = clock.now - begun - (frame.time_ns - frames[0].time_ns) * 1e-9
+        assert late < 1.0 / 30.0 + takes  # what is tolerated, and one image more
+    for frame, alone in zip(frames, simulated(3.0).frames(), strict=True):
+        assert all(frame.people[who].repeats(alone.people[who]) for who in alone.people)
+    assert sum(frame.depth is None for frame in frames) == sensor.images_left_out
+    assert 0 < sensor.images_left_out < sensor.images_wanted == len(frames)
+
+
+@pytest.mark.parametrize(
+    ("takes", "ahead"), [(0.004, 1.0 / 60.0), (0.02, 0.03)], ids=["half a frame", "more than it takes"]
+)
+def test_a_frame_is_made_late_so_that_others_can_work_early(
+    clock: Clock, images_take: Callable[..., list[float]], takes: float, ahead: float
+) -> None:
+    begins = images_take(takes)
+    given = [clock.now for _ in paced(simulated(0.5, depth="half"), clock).frames()]
+    assert np.array(given[1:]) - begins[1:] == pytest.approx(ahead)
+
+
+def test_a_slow_frame_is_forgotten(clock: Clock, images_take: Callable[..., list[float]]) -> None:
+    begins = images_take(0.004, first=0.03)
+    given = [clock.now for _ in paced(simulated(2.0, depth="half"), clock).frames()]
+    ahead = np.array(given) - begins
+    assert ahead[1] > 0.03
+    assert ahead[30:] == pytest.approx(1.0 / 60.0)
+
+
+@pytest.mark.parametrize("step", [1, 2, 3])
+def test_images_are_made_and_given_of_the_kept_moments_only(
+    clock: Clock, images_take: Callable[..., list[float]], step: int
+) -> None:
+    made = images_take(0.0)
+    decimation = FrameDecimation(30.0)
+    for _ in range(10 if step > 1 else 0):
+        for name in ("a", "b"):
+            decimation.tracked(name, (33 * step - 5) * 1_000_000)
+    assert decimation.step == step
+    source = simulated(1.0, depth="half", infrared=True)
+    frames = list(paced(source, clock, decimation).frames())
+    gaps = np.diff([frame.time_ns for frame in frames]) / 1e9 * 30.0
+    np.testing.assert_allclose(gaps, step, atol=1e-6)
+    assert all(frame.depth is not None and frame.ir is not None for frame in frames)
+    # The first image is made before the sensor knows its moment.
+    assert len(frames) <= len(made) <= len(frames) + 1
+    assert source.images_left_out == 0, "they were not wanted"
+
+
+def test_sensors_begin_together() -> None:
+    a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
+    given: dict[str, list[SensorFrame]] = {}
+
+    def read(sensor: PacedSensor) -> None:
+        given[sensor.name] = list(sensor.frames())
+
+    threads = [threading.Thread(target=read, args=(sensor,)) for sensor in paced_together(a, b)]
+    threads[0].start()
+    time.sleep(0.4)  # the stimulus: without a common clock the sensors would keep this offset
+    threads[1].start()
+    for thread in threads:
+        thread.join()
+    apart = [b.host_ns - a.host_ns for a, b in zip(given[a.name], given[b.name], strict=True)]
+    assert len(apart) == 6
+    assert abs(np.median(apart) - 0.96e6) < 0.2e9  # B captures so much later
+
+
+def test_a_sensor_whose_fellow_never_comes_begins_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("devices.real_time._TOGETHER", 0.3)
+    a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
+    frames = list(paced_together(a, b)[0].frames())
+    assert len(frames) == 6
+    assert frames[-1].host_ns - frames[0].host_ns > 0.12e9  # at its pace, without catching up
+
+
+def test_a_sensor_ends_while_it_waits_for_its_fellow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("devices.real_time._TOGETHER", 60.0)
+    a, b, _ = simulated_pair(motion="still", seconds=0.2, body=KINECT_V1)
+    waiting, _ = paced_together(a, b)
+    threading.Timer(0.2, waiting.interrupt).start()
+    begun = time.monotonic()
+    assert list(waiting.frames()) == []
+    assert time.monotonic() - begun < 30.0
+
+
+def test_a_sensor_ends_when_it_is_interrupted(clock: Clock) -> None:
+    sensor = paced(simulated(10.0), clock)
+    frames = sensor.frames()
+    next(frames)
+    sensor.interrupt()
+    assert list(frames) == []
