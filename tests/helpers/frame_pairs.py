@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -11,6 +11,21 @@ from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.skeleton import Skeleton
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
+
+
+class KnownSensors:
+    """Two sensors of the live loop that give these pairs; with `waiting`, the next frame is there already."""
+
+    stream_figures = None
+
+    def __init__(self, pairs: Iterable[FramePair], waiting: bool = False) -> None:
+        self._pairs, self.waiting = pairs, waiting
+
+    def pairs(self) -> Iterator[FramePair]:
+        return iter(self._pairs)
+
+    def events(self) -> tuple[()]:
+        return ()
 
 
 def frame_pairs(

@@ -27,3 +27,21 @@ def test_disagreement_is_the_median_over_the_joints_that_both_see() -> None:
     assert {len(d) for d in seen} >= {0, 1, 2, 3, 4}
     wanted = [np.median(d) if len(d) else np.nan for d in seen]
     np.testing.assert_array_equal(some.disagreement, wanted)
+
+
+def test_stacking_keeps_what_the_loop_gave() -> None:
+    fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
+    frames = [fuse_one(fuser, pair) for pair in frame_pairs(KINECT_V1, 20, only_a=(0,), noise=0.0)]
+    rows = SessionArrays.stack(KINECT_V1, KINECT_V1.nominal_lengths, frames)
+    assert len(rows) == 20
+    assert np.isnan(rows.positions_b[0]).all()
+    assert (rows.states_b[0] == 0).all()
+    assert (rows.fused[3] == frames[3].fused.positions).all()
+    assert rows.time_ns[-1] == frames[-1].pair.time_ns
+    # without noise S_B in A's frame equals S_A, to float32
+    both = np.isfinite(rows.b_in_a) & np.isfinite(rows.positions_a)
+    assert both[1:].mean() > 0.9
+    np.testing.assert_allclose(rows.b_in_a[both], rows.positions_a[both], atol=3e-6)
+    assert rows.disagreement[1:].max() < 3e-6
+    assert np.isnan(rows.disagreement[0])
+    assert rows.bone_error.max() < 1e-9

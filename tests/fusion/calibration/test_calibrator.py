@@ -16,6 +16,7 @@ from fusion.calibration.calibrator import Calibrator
 from fusion.registration.robust_fit import RobustFit
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
+from tests.helpers.two_views import FRAME_NS, calibration_of, moving, pair_of
 
 
 def watched(
@@ -103,3 +104,24 @@ def test_no_pair_waits_for_more_than_one_start_of_the_fit(monkeypatch: pytest.Mo
     watched(KINECT_V2, "walk", 90.0, 12.0, from_second=5.0)
     assert sum(of_pairs) >= 4
     assert max(of_pairs) <= 2
+
+
+def test_calibration_is_provisional_at_first_and_settles_on_the_start_up_pose() -> None:
+    calibrator = Calibrator(KINECT_V2)
+    found = []
+    for t, joints in enumerate(moving(KINECT_V2, 120)):
+        calibration = calibrator.watch(pair_of(KINECT_V2, joints, t * FRAME_NS))
+        if calibration is not None:
+            found.append((t, calibration.how.split(",")[0]))
+    assert [how for _, how in found] == ["provisional", "provisional", "start-up pose"]
+    assert found[0][0] == 0
+    assert calibrator.settled
+    np.testing.assert_allclose(calibrator.calibration.bone_lengths, KINECT_V2.nominal_lengths, atol=1e-5)
+
+
+def test_an_earlier_calibration_is_kept() -> None:
+    before = calibration_of(KINECT_V2)
+    calibrator = Calibrator(KINECT_V2, before)
+    for t, joints in enumerate(moving(KINECT_V2, 60)):
+        assert calibrator.watch(pair_of(KINECT_V2, joints, t * FRAME_NS)) is None
+    assert calibrator.calibration is before

@@ -320,7 +320,10 @@ def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     saved, part = tmp_path / "demo.rrd", tmp_path / "part.rrd"
-    assert duplex("demo", "--no-viewer", "--seconds", "5", "--depth", "none", "--save", saved) == 0
+    options = ("--no-viewer", "--seconds", "5", "--depth", "none", "--verbose")
+    assert duplex("demo", *options, "--save", saved) == 0
+    assert "Distance from the true joints" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["demo.rrd"]
     session = Session.open(saved)
     assert session.damage is None
     assert session.rows.truth is not None

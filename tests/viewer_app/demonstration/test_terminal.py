@@ -8,6 +8,8 @@ import pytest
 
 from recordings import Session
 from tests.helpers.command_line import duplex, one_line
+from tests.helpers.session_text import rows_of
+from viewer_app.commands import demo
 
 QUICK = ("--depth", "none", "--no-viewer")
 
@@ -36,6 +38,36 @@ def test_a_badly_placed_demo_is_told_what_to_mend(tmp_path: Path, capsys: pytest
         assert word in said
 
 
-def test_a_bad_set_up_has_an_angle_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
-    assert duplex("demo", *QUICK, "--bad-setup", "--angle", 60) == 2
-    assert "--bad-setup has an angle of its own, 30°" in one_line(capsys)
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--motion", "flying"), "No movement 'flying'"),
+        (("--motion", "nowhere.bvh"), "nowhere.bvh"),
+        (("--seconds", -1), "--seconds must be a positive number"),
+        (("--bad-setup", "--angle", 60), "--bad-setup has an angle of its own, 30°"),
+        (("--tracker", "blazepose", "--depth", "none"), "works on images"),
+        (("--tracker", "blazepose", "--body", "kinect_v2"), "not kinect_v2"),
+        (("--tracker", "blazepose", "--tracker-model", "nowhere"), "nowhere"),
+        (("--tracker-network", "lite"), "--tracker-network is of the program's own tracker"),
+        (("--tracker-model", "networks"), "--tracker-model is of the program's own tracker"),
+    ],
+)
+def test_a_mistake_gives_one_line(
+    arguments: tuple[object, ...], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert duplex("demo", "--no-viewer", *arguments) == 2
+    assert words in one_line(capsys)
+
+
+def test_a_demo_replaces_no_existing_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(demo, "has_display", lambda: False)
+    precious = tmp_path / "demo.rrd"
+    precious.write_text("precious")
+    assert duplex("demo", *QUICK, "--seconds", 0.3, "--save", "demo.rrd") == 2
+    assert "demo.rrd exists already" in one_line(capsys)
+    assert duplex("demo", "--seconds", 0.3, "--depth", "none") == 0
+    assert precious.read_text() == "precious"
+    assert rows_of(tmp_path / "demo-2.rrd", "/fused/skeleton") > 0

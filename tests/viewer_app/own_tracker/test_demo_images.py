@@ -10,7 +10,7 @@ import pytest
 
 from fusion.body import BLAZEPOSE
 from recordings.session import Session
-from tests.helpers.command_line import duplex, one_line
+from tests.helpers.command_line import duplex
 from tests.helpers.machine import need_networks
 from tests.helpers.session_text import rows_of
 
@@ -40,26 +40,3 @@ def test_the_demo_runs_the_own_tracker_on_images_of_a_person(
     assert both.mean() > 0.5
     assert rows_of(saved, "/kinect_a/depth") > 0
     assert rows_of(saved, "/kinect_a/depth/infrared") == 0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--depth", "none"), "works on images"),
-        (("--body", "kinect_v2"), "not kinect_v2"),
-        (("--tracker-model", "nowhere"), "nowhere"),
-    ],
-)
-def test_the_demo_refuses_what_the_own_tracker_cannot_do(
-    arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert duplex("demo", "--tracker", "blazepose", "--no-viewer", *arguments) == 2
-    assert words in one_line(capsys)
-
-
-@pytest.mark.parametrize("option", [("--tracker-network", "lite"), ("--tracker-model", "networks")])
-def test_options_of_the_own_tracker_are_refused_without_it(
-    option: tuple[str, str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert duplex("demo", "--no-viewer", *option) == 2
-    assert f"{option[0]} is of the program's own tracker" in one_line(capsys)

@@ -13,8 +13,6 @@ from fusion.body import KINECT_V1
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from viewer_app import cli
-from viewer_app.commands import demo
 from viewer_app.running import loop
 
 
@@ -46,16 +44,3 @@ def test_compiling_that_takes_its_time_is_announced(long: bool, monkeypatch: pyt
     assert ("Compiling" in out.getvalue()) == long
     assert timers[0].seconds == 1.0
     assert not timers[0].running
-
-
-def test_the_demo_warms_up_before_its_first_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    class WarmedUpError(Exception):
-        pass
-
-    def warm_up(*_: object) -> None:
-        raise WarmedUpError
-
-    monkeypatch.setattr(demo, "warm_up", warm_up)
-    monkeypatch.setattr(Fuser, "update", lambda *_: pytest.fail("a frame"))
-    with pytest.raises(WarmedUpError):
-        cli.main(["demo", "--no-viewer", "--seconds", "1", "--depth", "none"])

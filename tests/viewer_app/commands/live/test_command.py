@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from types import ModuleType
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from tests.helpers.live_program import live
 from tests.helpers.session_text import rows_of
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import JPEG, Bus
+from viewer_app.commands import demo as demo_command
 from viewer_app.commands import live as live_command
 from viewer_app.report.figures import fusion_figures
 
@@ -44,19 +47,18 @@ def test_two_sensors_become_a_session_and_a_summary(
 
 
 @pytest.mark.usefixtures("kinects")
-def test_it_warms_up_before_the_first_frame(
-    standin: Standin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("command", [live_command, demo_command])
+def test_kernels_are_compiled_before_the_first_frame(
+    command: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class WarmedUpError(Exception):
         pass
 
-    def warm_up(*_: object) -> None:
-        raise WarmedUpError
-
-    monkeypatch.setattr(live_command, "warm_up", warm_up)
+    monkeypatch.setattr(command, "warm_up", MagicMock(side_effect=WarmedUpError))
     monkeypatch.setattr(Fuser, "update", lambda *_: pytest.fail("a frame"))
+    sensors = ("--kinect-a", "000123", "--kinect-b", "000456") if command is live_command else ()
     with pytest.raises(WarmedUpError):
-        live(standin, tmp_path / "x.rrd")
+        duplex(command.__name__.rpartition(".")[2], *sensors, "--no-viewer", "--seconds", 1)
 
 
 def test_options_reach_the_sensors_and_the_tracker(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
