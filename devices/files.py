@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.azure.recording.mkv import MkvInfo, MkvRecording
+from devices.azure.mkv import MkvInfo, MkvRecording
 from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
 from devices.blazepose.tracked_images import TrackedImages
 from devices.depth.image_thinning import Depth, thinned, thinned_camera
@@ -90,7 +90,7 @@ def not_of_libk4a(*paths: Path) -> list[str]:
 
 def open_images(path: Path) -> MkvRecording | OrbbecRecording:
     """Creates the sensor for a recording's images, without people; opens nothing."""
-    return OrbbecRecording(path) if path.suffix.lower() == BAG else MkvRecording(path, color=False)
+    return OrbbecRecording(path) if path.suffix.lower() == BAG else MkvRecording(path)
 
 
 def frame_count(source: Sensor) -> int | None:

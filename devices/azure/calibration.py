@@ -1,9 +1,9 @@
-"""Reads the factory calibration of an Azure Kinect and converts it to the mode of each camera.
+"""Reads the factory calibration of an Azure Kinect's depth camera and converts it to the camera's mode.
 
 The sensor stores one calibration of the whole image sensor, in units of the image's size, with (0, 0) at the
 corner of the first pixel. A camera mode bins and crops that image. The intrinsics in pixels therefore follow
 from the binned size and the corner of the crop. Both are those of the Sensor SDK (its ``transformation``
-source). NFOV_UNBINNED and 720p are tested against the output of the SDK.
+source); tested against the output of the SDK.
 """
 
 from __future__ import annotations
@@ -13,10 +13,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from devices.sensor import ColorCamera, DeviceError
-from fusion.errors import FusionError
+from devices.sensor import DeviceError
 from fusion.intrinsics import Intrinsics
-from fusion.rigid import RigidTransform
 
 
 @dataclass(frozen=True)
@@ -41,27 +39,15 @@ DEPTH_MODES = {
     "WFOV_2X2BINNED": CameraMode((512, 512), (0, 0), 512, 512),
     "WFOV_UNBINNED": CameraMode((1024, 1024), (0, 0), 1024, 1024),
 }
-COLOR_MODES = {
-    "720P": CameraMode((1280, 960), (0, 120), 1280, 720),
-    "1080P": CameraMode((1920, 1440), (0, 180), 1920, 1080),
-    "1440P": CameraMode((2560, 1920), (0, 240), 2560, 1440),
-    "1536P": CameraMode((2048, 1536), (0, 0), 2048, 1536),
-    "2160P": CameraMode((3840, 2880), (0, 360), 3840, 2160),
-    "3072P": CameraMode((4096, 3072), (0, 0), 4096, 3072),
+COLOR_SIZES = {
+    "720P": (1280, 720),
+    "1080P": (1920, 1080),
+    "1440P": (2560, 1440),
+    "1536P": (2048, 1536),
+    "2160P": (3840, 2160),
+    "3072P": (4096, 3072),
 }
-
-
-@dataclass(frozen=True)
-class AzureCalibration:
-    """The calibrated cameras of one sensor.
-
-    Attributes:
-        depth: Intrinsics of the depth camera, pixels.
-        color: Intrinsics and pose of the colour camera; None if it is off.
-    """
-
-    depth: Intrinsics
-    color: ColorCamera | None
+"""Width and height of each colour mode, pixels."""
 
 
 def depth_mode(name: str) -> CameraMode:
@@ -79,46 +65,30 @@ def depth_mode(name: str) -> CameraMode:
     return mode
 
 
-def read_calibration(text: str | bytes, depth: str, color: str | None = None) -> AzureCalibration:
-    """Reads the calibration that a sensor stores as JSON, for the given camera modes.
+def depth_intrinsics(text: bytes, mode: str) -> Intrinsics:
+    """Reads the depth camera from the calibration that a sensor stores as JSON.
 
     Args:
         text: The JSON text, as in a recording's ``calibration.json``.
-        depth: Depth mode, a key of ``DEPTH_MODES``.
-        color: Colour resolution, a key of ``COLOR_MODES``; None for off.
+        mode: Depth mode, a key of ``DEPTH_MODES``.
 
     Raises:
-        DeviceError: The JSON is damaged or lacks a camera, or a mode is not supported.
+        DeviceError: The JSON is damaged or lacks the camera, or the mode is not supported.
     """
-    depth_as = depth_mode(depth)
-    if color is not None and color not in COLOR_MODES:
-        raise DeviceError(f"Colour mode {color} is not supported. Supported: {', '.join(COLOR_MODES)}.")
+    camera_mode = depth_mode(mode)
     try:
-        cameras = {
-            camera["Purpose"]: camera
-            for camera in json.loads(text.strip(b"\0") if isinstance(text, bytes) else text)[
-                "CalibrationInformation"
-            ]["Cameras"]
-        }
-        depth_camera = cameras["CALIBRATION_CameraPurposeDepth"]
-        color_camera = cameras["CALIBRATION_CameraPurposePhotoVideo"]
-        pose = color_camera["Rt"]
-        rotation = [pose["Rotation"][row : row + 3] for row in (0, 3, 6)]
-        color_from_depth = RigidTransform.of(rotation, pose["Translation"])
-        return AzureCalibration(
-            depth=_intrinsics(depth_camera, depth_as),
-            color=None
-            if color is None
-            else ColorCamera(_intrinsics(color_camera, COLOR_MODES[color]), color_from_depth),
-        )
-    except (ValueError, KeyError, IndexError, TypeError, FusionError) as fault:
+        cameras = json.loads(text.strip(b"\0"))["CalibrationInformation"]["Cameras"]
+        by_purpose = {camera["Purpose"]: camera for camera in cameras}
+        return intrinsics_of(by_purpose["CALIBRATION_CameraPurposeDepth"], camera_mode)
+    except (ValueError, KeyError, IndexError, TypeError) as fault:
         raise DeviceError(
             f"The sensor's calibration cannot be read ({type(fault).__name__}: {fault}). "
             f"Record again, or read the calibration from the sensor with k4arecorder."
         ) from fault
 
 
-def _intrinsics(camera: dict[str, Any], mode: CameraMode) -> Intrinsics:
+def intrinsics_of(camera: dict[str, Any], mode: CameraMode) -> Intrinsics:
+    """The lens of one camera of the JSON, in pixels of a mode."""
     parameters = [float(value) for value in camera["Intrinsics"]["ModelParameters"]]
     if not all(math.isfinite(value) for value in parameters) or min(parameters[2:4]) <= 0:
         raise ValueError("a model parameter is out of range")

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from devices.azure.calibration import COLOR_MODES, CameraMode, depth_mode
+from devices.azure.calibration import COLOR_SIZES, depth_mode
 from devices.azure.pyk4a_access import (
     close_kinect,
     is_connected,
@@ -125,11 +125,11 @@ class KinectSensor(LiveSensor):
             self._call(self._device.start, "did not start its cameras", advice)
             calibration = self._call(lambda: self._device.calibration, "gives no calibration", _START_ADVICE)
             cameras, mode = self._sdk.CalibrationType, depth_mode(self.settings.depth_mode)
-            self.intrinsics = _intrinsics(calibration, cameras.DEPTH, mode)
+            self.intrinsics = _intrinsics(calibration, cameras.DEPTH, (mode.width, mode.height))
             if self.settings.color is not None:
                 rotation, translation = calibration.get_extrinsic_parameters(cameras.DEPTH, cameras.COLOR)
                 self._color = ColorCamera(
-                    _intrinsics(calibration, cameras.COLOR, COLOR_MODES[self.settings.color]),
+                    _intrinsics(calibration, cameras.COLOR, COLOR_SIZES[self.settings.color]),
                     RigidTransform.of(rotation, np.ravel(translation)),  # pyk4a's is (1, 3)
                 )
             if self._tracker is not None:
@@ -225,8 +225,8 @@ _START_ADVICE = (
 _SYNC_ADVICE = "Check that the sync cable leads from the master's sync out to the subordinate's sync in. "
 
 
-def _intrinsics(calibration: Any, camera: Any, mode: CameraMode) -> Intrinsics:
+def _intrinsics(calibration: Any, camera: Any, size: tuple[int, int]) -> Intrinsics:
     matrix = np.asarray(calibration.get_camera_matrix(camera), dtype=np.float64)
     lens = np.asarray(calibration.get_distortion_coefficients(camera), dtype=np.float64).ravel()
     (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
-    return Intrinsics(mode.width, mode.height, fx, fy, cx, cy, tuple(lens.tolist()))
+    return Intrinsics(*size, fx, fy, cx, cy, tuple(lens.tolist()))

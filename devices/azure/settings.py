@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from devices.azure.calibration import COLOR_MODES, depth_mode
+from devices.azure.calibration import COLOR_SIZES, depth_mode
 from devices.capture.settings import CaptureSettings
 from devices.sensor import DeviceError
 
@@ -47,8 +47,8 @@ def check_modes(settings: KinectSettings) -> None:
     """
     depth_mode(settings.depth_mode)
     color = settings.camera_color
-    if color is not None and color not in COLOR_MODES:
-        raise DeviceError(f"No colour mode {color}. There are {', '.join(COLOR_MODES)}.")
+    if color is not None and color not in COLOR_SIZES:
+        raise DeviceError(f"No colour mode {color}. There are {', '.join(COLOR_SIZES)}.")
     if settings.fps == 30 and (settings.depth_mode == "WFOV_UNBINNED" or color == "3072P"):
         mode = "WFOV_UNBINNED" if settings.depth_mode == "WFOV_UNBINNED" else "Colour 3072P"
         raise DeviceError(f"{mode} runs at 15 fps at most, not 30. Choose 15 fps or another mode.")

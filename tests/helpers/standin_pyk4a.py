@@ -12,12 +12,13 @@ import time
 import types
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 
 from devices.azure import pyk4a_internals
 from devices.azure.calibration import DEPTH_MODES
-from devices.azure.recording.mkv import MkvRecording
+from devices.azure.mkv import MkvRecording
 from tests.helpers.standin_camera import Device, Shot, refused
 from tests.helpers.standin_values import (
     DEVICE_NAME,
@@ -208,6 +209,10 @@ def make_module(bus: Bus) -> types.ModuleType:
                 raise K4AException(f"Cannot open file {self._recording.path}")
             self._recording.__enter__()
             self._frames = self._recording.frames()
+            with av.open(str(self._recording.path)) as container:
+                color = next(s for s in container.streams if s.metadata.get("title") == "COLOR")
+                self._jpegs = [bytes(packet) for packet in container.demux(color) if packet.size]
+                self._color_mode = color.metadata["K4A_COLOR_MODE"].removeprefix("MJPG_")
 
         def close(self) -> None:
             self._recording.__exit__()
@@ -222,7 +227,7 @@ def make_module(bus: Bus) -> types.ModuleType:
         def configuration(self) -> dict[str, object]:
             info = self._info
             return {
-                "color_resolution": module.ColorResolution[f"RES_{info.color_mode}"],
+                "color_resolution": module.ColorResolution[f"RES_{self._color_mode}"],
                 "depth_mode": module.DepthMode[info.depth_mode],
                 "camera_fps": module.FPS[f"FPS_{round(1e9 / info.interval_ns)}"],
                 "color_format": module.ImageFormat.COLOR_MJPG,
@@ -244,7 +249,7 @@ def make_module(bus: Bus) -> types.ModuleType:
             frame = next(self._frames, None)
             if frame is None:
                 raise EOFError
-            jpeg = None if frame.color is None else np.frombuffer(frame.color.jpeg, np.uint8)
+            jpeg = np.frombuffer(self._jpegs.pop(0), np.uint8)
             images = (None if image is None else borrowed(image) for image in (frame.depth, frame.ir, jpeg))
             return PyK4ACapture(None, *images, frame.time_ns // 1000, 0)  # no host time in a recording
 

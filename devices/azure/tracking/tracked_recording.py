@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
-from devices.azure.recording.mkv import MkvRecording
+from devices.azure.mkv import MkvRecording
 from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
 from devices.azure.tracking.recorded_captures import CaptureMaker
 from devices.azure.tracking.tracker_queue import TrackerQueue

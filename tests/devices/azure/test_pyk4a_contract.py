@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.azure.calibration import read_calibration
-from devices.azure.recording.mkv import MkvRecording
+from devices.azure.calibration import depth_intrinsics
+from devices.azure.mkv import MkvRecording
 from tests.helpers import pyk4a_contract
 from tests.helpers.pyk4a_contract import CLAUSES, CRASHES
 from tests.helpers.standin_pyk4a import Bus, WouldCrashError
+from tests.helpers.standin_values import color_calibration
 
 Clause = Callable[[object, str], object]
 NAMES = [clause.__name__ for clause in CLAUSES]
@@ -55,14 +56,13 @@ def test_our_calibration_is_the_real_librarys_in_every_mode(
 ) -> None:
     with MkvRecording(recording) as opened:
         assert opened.info is not None
-        ours = read_calibration(opened.info.calibration_json, depth, color)
-    assert ours.color is not None
+        text = opened.info.calibration_json
+    color_lens, place = color_calibration(text, color)
     found = real_pyk4a["calibration"]["said"][f"{depth} {color}"]  # type: ignore[index]
-    for lens, values in ((ours.depth, found[0]), (ours.color.intrinsics, found[1])):
+    for lens, values in ((depth_intrinsics(text, depth), found[0]), (color_lens, found[1])):
         (fx, _, cx, _, fy, cy), distortion = values[:6], values[9:]
         # libk4a computes in single precision: 24 bits of a focal length of up to 4096 px, a few steps
         assert np.allclose([lens.fx, lens.fy, lens.cx, lens.cy], [fx, fy, cx, cy], rtol=0, atol=2e-3)
         assert np.allclose(lens.distortion, distortion, rtol=1e-6, atol=0)
-    place = ours.color.color_from_depth
     assert np.allclose(place.rotation.ravel(), found[2], rtol=0, atol=1e-6)
     assert np.allclose(place.translation, found[3], rtol=0, atol=1e-8)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.azure.recording.mkv import MkvRecording
+from devices.azure.mkv import MkvRecording
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.azure.tracking.tracked_recording import RecordingWithSkeletons, TrackedRecording
 from devices.sensor import DeviceError, Sensor, SensorFrame
@@ -45,7 +45,7 @@ def test_every_recorded_frame_is_tracked(standin: Standin, path: Path) -> None:
 
 
 def test_the_real_recording_goes_through_the_tracker(standin: Standin, shared: Path) -> None:
-    recording = MkvRecording(shared / "azure" / "recording.mkv", color=False)
+    recording = MkvRecording(shared / "azure" / "recording.mkv")
     with TrackedRecording(recording, TrackerSettings(library=standin.path), standin.path) as source:
         (frame,) = source.frames()
     assert list(frame.people) == ["7"]

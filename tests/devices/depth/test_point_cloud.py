@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.azure.recording.mkv import MkvRecording
+from devices.azure.mkv import MkvRecording
 from devices.depth.point_cloud import depth_to_points, ray_table
 from devices.sensor import DeviceError
 from fusion.intrinsics import Intrinsics
@@ -27,7 +27,7 @@ def _project(points: np.ndarray, lens: Intrinsics) -> np.ndarray:
 
 
 def test_real_points_project_back_onto_their_pixels(shared: Path) -> None:
-    with MkvRecording(shared / "azure" / "recording.mkv", color=False) as recording:
+    with MkvRecording(shared / "azure" / "recording.mkv") as recording:
         (frame,) = recording.frames()
         lens = recording.intrinsics
     assert frame.depth is not None

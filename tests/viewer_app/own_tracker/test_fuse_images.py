@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.azure.recording.mkv import MkvRecording
+from devices.azure.mkv import MkvRecording
 from devices.simulated.kinect import Truth, simulated_pair
 from devices.simulated.rig import Rig
 from fusion.body import BLAZEPOSE

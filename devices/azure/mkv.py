@@ -1,13 +1,13 @@
 """Reads Azure Kinect recordings (.mkv) without an SDK.
 
-A recording is a Matroska file with the streams COLOR (JPEG), DEPTH and IR (raw 16 bit, big-endian) and IMU
-(one sample per packet). The factory calibration is an attachment. Device time is the packet's time plus the
-start offset in the file's metadata.
+A recording is a Matroska file with the streams DEPTH and IR (raw 16 bit, big-endian); those of colour and
+inertial measurements are not read. The factory calibration is an attachment. Device time is the packet's time
+plus the start offset in the file's metadata.
 """
 
 from __future__ import annotations
 
-import struct
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,30 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.azure.calibration import COLOR_MODES, AzureCalibration, depth_mode, read_calibration
-from devices.azure.recording.capture_groups import Capture, Captures
-from devices.sensor import ColorImage, DeviceError, Sensor, SensorFrame
+from devices.azure.calibration import depth_intrinsics, depth_mode
+from devices.sensor import DeviceError, Sensor, SensorFrame
 from fusion.body import AZURE_KINECT, Body
 from fusion.intrinsics import Intrinsics
-
-_IMU_SAMPLE = struct.Struct("<Q3fQ3f")
-
-
-@dataclass(frozen=True)
-class ImuSample:
-    """One sample of the inertial measurement unit (IMU), in its own axes.
-
-    Attributes:
-        time_ns: Time of the acceleration, on the sensor's clock.
-        acceleration: x, y, z in m/s².
-        gyro_time_ns: Time of the angular velocity, on the sensor's clock.
-        angular_velocity: x, y, z in rad/s.
-    """
-
-    time_ns: int
-    acceleration: tuple[float, float, float]
-    gyro_time_ns: int
-    angular_velocity: tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,25 +29,23 @@ class MkvInfo:
     Attributes:
         serial: The sensor's serial number; empty if the file has none.
         depth_mode: A key of ``DEPTH_MODES``.
-        color_mode: A key of ``COLOR_MODES``; None if the recording has no colour in a supported mode.
         sync_mode: ``STANDALONE``, ``MASTER`` or ``SUBORDINATE``.
         subordinate_delay_ns: Delay of a subordinate's captures after the master's.
         start_offset_ns: Device time of the file's time 0.
         interval_ns: Time between two frames.
         duration_ns: Time from the start of the file to its last frame; 0 if the file was never closed.
-        calibration: Calibration of the cameras in these modes.
+        intrinsics: Intrinsics of the depth camera in this mode.
         calibration_json: The JSON that the sensor stores, for the SDK.
     """
 
     serial: str
     depth_mode: str
-    color_mode: str | None
     sync_mode: str
     subordinate_delay_ns: int
     start_offset_ns: int
     interval_ns: int
     duration_ns: int
-    calibration: AzureCalibration
+    intrinsics: Intrinsics
     calibration_json: bytes
 
 
@@ -82,20 +60,14 @@ class MkvRecording(Sensor):
         warnings: Faults of a file that is still readable: cut off, damaged frames.
     """
 
-    def __init__(self, path: Path | str, color: bool = True) -> None:
-        """Stores the path without opening the file.
-
-        Args:
-            path: Path of the recording.
-            color: Whether frames include colour images.
-        """
+    def __init__(self, path: Path | str) -> None:
+        """Stores the path without opening the file."""
         self.path = Path(path)
         self.name = self.path.name
         self.body: Body = AZURE_KINECT
         self.intrinsics: Intrinsics | None = None
         self.info: MkvInfo | None = None
         self.warnings: list[str] = []
-        self._color = color
         self._container: Any = None
         self._begun, self._described = False, 0
 
@@ -113,7 +85,7 @@ class MkvRecording(Sensor):
         except BaseException:
             self.__exit__()
             raise
-        self.intrinsics, self._described = self.info.calibration.depth, len(self.warnings)
+        self.intrinsics, self._described = self.info.intrinsics, len(self.warnings)
         return self
 
     def __exit__(self, *exc_info: object) -> None:
@@ -123,7 +95,7 @@ class MkvRecording(Sensor):
             self._container = None
 
     def frames(self) -> Iterator[SensorFrame]:
-        """Yields the recorded frames in capture order: depth, infrared and the nearest colour image.
+        """Yields the recorded frames in capture order: depth and infrared.
 
         If a crash cut the file off, its complete frames are yielded and ``warnings`` states what is missing.
         Each call starts at the first frame.
@@ -137,24 +109,17 @@ class MkvRecording(Sensor):
             self._container = self._open()
             del self.warnings[self._described :]
         self._begun = True
-        info, captures = self.info, Captures(self.info.interval_ns // 2)
+        info, mode = self.info, depth_mode(self.info.depth_mode)
         given = missing = last_ns = 0
-        for capture in captures.gather(self._images(info)):
-            given, last_ns = given + 1, capture.at_ns
-            missing += capture.ir is None
-            yield self._frame(capture, info)
+        for last_ns, depth, infrared in _exposures(self._images(info), info.interval_ns // 2):
+            given += 1
+            missing += infrared is None
+            yield SensorFrame(
+                time_ns=info.start_offset_ns + last_ns,
+                depth=_image16(depth, mode.width, mode.height),
+                ir=None if infrared is None else _image16(infrared, mode.width, mode.height),
+            )
         self._judge(given, last_ns, missing, info)
-
-    def imu(self) -> Iterator[ImuSample]:
-        """Yields the IMU samples in a separate pass over the file; none if the IMU was off."""
-        container = self._open()
-        try:
-            for _, _, data in self._packets({"IMU"}, container):
-                if len(data) >= _IMU_SAMPLE.size:
-                    time_ns, ax, ay, az, gyro_time_ns, gx, gy, gz = _IMU_SAMPLE.unpack_from(data)
-                    yield ImuSample(time_ns, (ax, ay, az), gyro_time_ns, (gx, gy, gz))
-        finally:
-            container.close()
 
     def _open(self) -> Any:
         import av
@@ -191,24 +156,16 @@ class MkvRecording(Sensor):
                 f"{width} x {height}. The file is damaged; record it again."
             )
         calibration = self._attachment(container)
-        color = tags.get("K4A_COLOR_MODE", "").removeprefix("MJPG_")
-        color_mode = color if self._color and "COLOR" in streams and color in COLOR_MODES else None
-        if self._color and "COLOR" in streams and color_mode is None:
-            self.warnings.append(
-                f"{self.name}: colour in mode {tags.get('K4A_COLOR_MODE', 'unnamed')} is left out; "
-                f"MJPG in {', '.join(COLOR_MODES)} can be read."
-            )
         rate = stream.average_rate or 30
         return MkvInfo(
             serial=tags.get("K4A_DEVICE_SERIAL_NUMBER", ""),
             depth_mode=depth,
-            color_mode=color_mode,
             sync_mode=tags.get("K4A_WIRED_SYNC_MODE", "STANDALONE"),
             subordinate_delay_ns=_whole(tags.get("K4A_SUBORDINATE_DELAY_NS")),
             start_offset_ns=_whole(tags.get("K4A_START_OFFSET_NS")),
             interval_ns=int(1e9 / rate),
             duration_ns=int(container.duration or 0) * 1000,
-            calibration=read_calibration(calibration, depth, color_mode),
+            intrinsics=depth_intrinsics(calibration, depth),
             calibration_json=calibration,
         )
 
@@ -222,40 +179,20 @@ class MkvRecording(Sensor):
         )
 
     def _images(self, info: MkvInfo) -> Iterator[tuple[str, int, bytes]]:
-        """Yields the packets of the cameras that contain a whole image."""
-        mode = depth_mode(info.depth_mode)
-        whole = 2 * mode.width * mode.height
-        wanted = {"COLOR", "DEPTH", "IR"} if info.color_mode is not None else {"DEPTH", "IR"}
-        for title, at_ns, data in self._packets(wanted):
-            if data and (title == "COLOR" or len(data) == whole):
-                yield title, at_ns, data
-
-    def _packets(self, titles: set[str], container: Any = None) -> Iterator[tuple[str, int, bytes]]:
-        """Yields (stream title, ns from the file's start, content) up to the first unreadable packet."""
+        """Yields (DEPTH or IR, ns from the file's start, content) of whole images, to the first fault."""
         import av
 
-        container = self._container if container is None else container
-        streams = [stream for stream in container.streams if stream.metadata.get("title") in titles]
-        if not streams:
-            return
+        mode = depth_mode(info.depth_mode)
+        whole = 2 * mode.width * mode.height
+        container = self._container
+        streams = [stream for stream in container.streams if stream.metadata.get("title") in ("DEPTH", "IR")]
         try:
             for packet in container.demux(streams):
-                if packet.size and packet.pts is not None:
+                if packet.pts is not None and packet.size == whole and not packet.is_corrupt:
                     at_ns = int(packet.pts * packet.time_base * 1_000_000_000)
-                    data = b"" if packet.is_corrupt else bytes(packet)
-                    yield packet.stream.metadata["title"], at_ns, data
+                    yield packet.stream.metadata["title"], at_ns, bytes(packet)
         except (av.FFmpegError, OSError) as fault:
             self.warnings.append(f"{self.name} cannot be read to its end ({fault}).")
-
-    def _frame(self, capture: Capture, info: MkvInfo) -> SensorFrame:
-        mode, camera = depth_mode(info.depth_mode), info.calibration.color
-        color = None if capture.color is None or camera is None else ColorImage.of(capture.color, camera)
-        return SensorFrame(
-            time_ns=info.start_offset_ns + capture.at_ns,
-            depth=_image16(capture.depth, mode.width, mode.height),
-            ir=None if capture.ir is None else _image16(capture.ir, mode.width, mode.height),
-            color=color,
-        )
 
     def _judge(self, given: int, last_ns: int, missing: int, info: MkvInfo) -> None:
         if not given:
@@ -282,3 +219,26 @@ def _whole(text: str | None) -> int:
         return int(text or 0)
     except ValueError:
         return 0
+
+
+def _exposures(
+    images: Iterator[tuple[str, int, bytes]], reach_ns: int
+) -> Iterator[tuple[int, bytes, bytes | None]]:
+    """Joins each depth image with the infrared image at most ``reach_ns`` away, in any order in the file."""
+    waiting: dict[str, dict[int, bytes]] = {"DEPTH": {}, "IR": {}}
+    depths, infrareds = waiting.values()
+
+    def complete(until_ns: float) -> Iterator[tuple[int, bytes, bytes | None]]:
+        for depth_ns in sorted(time_ns for time_ns in depths if time_ns < until_ns):
+            nearest_ns = min(infrareds, key=lambda time_ns: abs(time_ns - depth_ns), default=math.inf)
+            joined = abs(nearest_ns - depth_ns) <= reach_ns
+            yield depth_ns, depths.pop(depth_ns), infrareds.pop(int(nearest_ns)) if joined else None
+        for old_ns in [time_ns for time_ns in infrareds if time_ns < until_ns - reach_ns]:
+            del infrareds[old_ns]
+
+    newest_ns = 0
+    for title, time_ns, data in images:
+        waiting[title][time_ns] = data
+        newest_ns = max(newest_ns, time_ns)
+        yield from complete(newest_ns - 2 * reach_ns)
+    yield from complete(math.inf)
