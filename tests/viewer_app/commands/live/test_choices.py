@@ -15,7 +15,7 @@ from devices.capture.stream_pairing import LivePairing
 from tests.helpers.command_line import duplex
 from tests.helpers.live_program import live
 from tests.helpers.standin_library import Standin
-from tests.helpers.standin_pyk4a import Bus, Device
+from tests.helpers.standin_pyk4a import Bus
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.sensors.local import two_kinects
 
@@ -155,15 +155,3 @@ def test_mistakes_give_one_line_before_any_sensor_opens(
         assert words in printed.err
         assert printed.err.count("\n") == 1
         assert "Opening" not in printed.out
-
-
-def test_no_device(bus: Bus, capsys: pytest.CaptureFixture[str]) -> None:
-    assert bus.devices == []
-    assert duplex("live", "--no-viewer") == 2
-    assert capsys.readouterr().err.startswith("duplex: No Kinect is connected. Plug in two")
-
-
-def test_one_device(bus: Bus, capsys: pytest.CaptureFixture[str]) -> None:
-    bus.devices = [Device("000456")]
-    assert duplex("live", "--no-viewer") == 2
-    assert "Only one Kinect is connected, 000456" in capsys.readouterr().err

@@ -107,13 +107,6 @@ def test_colour_and_depth_of_one_moment_are_in_the_session(
     assert [*dict(Session.open(again).color("b"))] == [*dict(session.color("b"))]
 
 
-def test_colour_is_off_unless_asked_for(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
-    for device in kinects.devices:
-        device.color = True
-    assert live(standin, tmp_path / "s.rrd", seconds=0.4) == 0
-    assert rows_of(tmp_path / "s.rrd", "/kinect_a/color") == 0
-
-
 def test_skew_drift_and_drops_are_on_the_timeline(kinects: Bus, standin: Standin, tmp_path: Path) -> None:
     _, b = kinects.devices
     b.interval_usec = 40_000
@@ -168,6 +161,8 @@ def test_a_missing_calibration_is_reported_and_the_session_is_kept(
 def test_a_cable_makes_both_colour_cameras_run(
     kinects: Bus, standin: Standin, tmp_path: Path, asked: bool
 ) -> None:
+    for device in kinects.devices:
+        device.color = True
     saved = tmp_path / "s.rrd"
     assert live(standin, saved, *(("--color", "1080P") if asked else ()), seconds=0.5) == 0
     module = sys.modules["pyk4a"]

@@ -43,14 +43,6 @@ def test_the_user_names_the_master_of_orbbecs_sensors(
     assert "--sync-master 000999 is neither of the two Kinects" in capsys.readouterr().err
 
 
-def test_a_busy_orbbec_is_called_busy(
-    femtos: Bus, standin: Standin, capsys: pytest.CaptureFixture[str]
-) -> None:
-    femtos.devices[1].busy = True
-    assert duplex("live", "--k4abt", standin.path, "--no-viewer", "--seconds", 0.2) == 2
-    assert "it is busy or starting up" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("arguments", [(), ("--sync-master", ORBBEC[0])])
 def test_the_doctor_explains_orbbecs_jacks(
     femtos: Bus, standin: Standin, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
