@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fusion.body import AZURE_KINECT, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.calibration.calibration import nominal_calibration
 from recordings.calibration_file import calibration_to_json
 from tests.helpers.command_line import duplex
@@ -45,10 +45,6 @@ _ODD = (
 )
 
 
-def _csv(path: Path, at: np.ndarray) -> Path:
-    return write_view(path, KINECT_V2, at)
-
-
 def _json(path: Path, at: np.ndarray) -> Path:
     frames = [
         {
@@ -70,7 +66,11 @@ def _ntu(path: Path, at: np.ndarray) -> Path:
     return path
 
 
-WRITERS: dict[str, Callable[[Path, np.ndarray], Path]] = {".csv": _csv, ".json": _json, ".skeleton": _ntu}
+WRITERS: dict[str, Callable[[Path, np.ndarray], Path]] = {
+    ".csv": lambda path, at: write_view(path, KINECT_V2, at),
+    ".json": _json,
+    ".skeleton": _ntu,
+}
 
 
 @st.composite
@@ -192,12 +192,9 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "b": write_mkv(folder / "b.mkv", FRAMES, sync="SUBORDINATE"),
     }
     for side, positions in (("a", offset), ("b", A_FROM_B.inverse().apply(offset))):
-        files[f"skeletons_{side}"] = _of_recording(folder / f"{side}.csv", AZURE_KINECT, positions)
+        file = folder / f"{side}.csv"
+        files[f"skeletons_{side}"] = write_view(file, AZURE_KINECT, positions, start_us=336_277)
     return files
-
-
-def _of_recording(path: Path, body: Body, at: np.ndarray) -> Path:
-    return write_view(path, body, at, start_us=336_277)
 
 
 @settings(_EXAMPLES, max_examples=15)
