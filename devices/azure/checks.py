@@ -73,9 +73,6 @@ def tracker_library_check(tracker: TrackerSettings) -> Check:
 def tracker_network_check(tracker: TrackerSettings, root: Path) -> Check:
     """Whether libk4abt finds a network."""
     name = "k4abt's network"
-    if tracker.model is not None:
-        advice = "" if tracker.model.is_file() else "Check the path, or leave it out."
-        return Check(name, tracker.model.is_file(), str(tracker.model), advice)
     folders = [root / "usr/bin", root / "usr/lib/x86_64-linux-gnu", Path.cwd()]
     beside = tracker.library or loaded_file("k4abt")
     if beside is not None:

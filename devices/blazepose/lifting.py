@@ -89,8 +89,8 @@ def lift(
     at = rays(pixels, camera)
     inside = _within(pixels, camera, 0.0)
     image = np.ascontiguousarray(depth)
-    expected = body[:, 2] - size * _BENEATH
-    reading, share = _surfaces(image, pixels, inside, camera, expected - _FRONT, expected + _BACK)
+    expected, reach = body[:, 2] - size * _BENEATH, camera.fx * _SURFACE_RADIUS
+    reading, share = _surfaces(image, pixels, inside, reach, expected - _FRONT, expected + _BACK)
     seen = inside & (share >= _OWN_SHARE) & (visibility >= _VISIBILITY) & (_outward(body) <= _TURNED)
     z = np.where(seen, reading + size * _BENEATH, np.maximum(body[:, 2], 0.1))
     points = np.column_stack((at * z[:, None], z))
@@ -120,7 +120,8 @@ def lay_body(
     trust = visibility * presence * inside
     image = np.ascontiguousarray(depth)
     body = world + _placement(at, world, trust + 1e-3)
-    reading, _ = _surfaces(image, pixels, inside, camera, np.zeros(len(at)), np.full(len(at), np.inf))
+    reach = camera.fx * _SURFACE_RADIUS
+    reading, _ = _surfaces(image, pixels, inside, reach, np.zeros(len(at)), np.full(len(at), np.inf))
     usable = np.isfinite(reading) & (trust > 0.3) & (body[:, 2] > 0.1)
     if np.count_nonzero(usable) < _FEWEST:
         return None
@@ -200,21 +201,9 @@ def _possible_bones(points: Array, size: float) -> NDArray[np.bool_]:
     return possible
 
 
-def _surfaces(
-    depth: NDArray[np.uint16],
-    pixels: Array,
-    inside: NDArray[np.bool_],
-    camera: Intrinsics,
-    near: Array,
-    far: Array,
-) -> tuple[Array, Array]:
-    """(33,) median reading between two depths around each landmark, metres or NaN; (33,) their share."""
-    reading, share = _read(depth, pixels, inside, camera.fx * _SURFACE_RADIUS, near, far)
-    return reading, share
-
-
 @kernel
-def _read(depth, pixels, inside, reach, near, far):  # type: ignore[no-untyped-def]
+def _surfaces(depth, pixels, inside, reach, near, far):  # type: ignore[no-untyped-def]
+    """(33,) median reading between two depths around each landmark, metres or NaN; (33,) their share."""
     height, width = depth.shape
     reading, share = np.full(len(pixels), np.nan), np.zeros(len(pixels))
     own = np.empty((2 * _LARGEST_WINDOW + 1) ** 2)

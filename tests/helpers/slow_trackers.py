@@ -14,11 +14,11 @@ import numpy as np
 
 from devices.azure.kinect import KinectSensor
 from devices.azure.settings import KinectSettings
-from devices.azure.tracking.body_tracker import TrackedBodies
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import LASER_GAP_US
 from devices.capture.stream_pairing import LivePairing
 from devices.pairing import FramePair
+from devices.sensor import SensorFrame
 from tests.helpers.standin_camera import DEPTH_LATENCY_NS, Device, VirtualTime
 from tests.helpers.standin_pyk4a import Bus
 
@@ -47,14 +47,14 @@ class SlowTracker:
         self._busy_until_ns = begun_ns + self._takes_ns()
         self._inside.append((capture, self._busy_until_ns))
 
-    def pop(self, wait_s: float | None = None) -> TrackedBodies | None:
+    def pop(self, wait_s: float | None = None) -> SensorFrame | None:
         until_ns = self._time.now_ns() + round(1e9 * (self.patience_s if wait_s is None else wait_s))
         if not self._inside or self._inside[0][1] > until_ns:
             self._time.wait_until(until_ns)
             return None
         capture, ready_ns = self._inside.popleft()
         self._time.wait_until(ready_ns)
-        return TrackedBodies(1000 * capture, {})
+        return SensorFrame(1000 * capture, {})
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,7 @@ _SETTINGS = {
     "first_id": ctypes.c_uint32,
     "alive": ctypes.c_int,
     "misuses": ctypes.c_int,
-    "orientation": ctypes.c_int,
     "processing": ctypes.c_int,
-    "gpu": ctypes.c_int,
     "wait_ms": ctypes.c_int32,
     "smoothing": ctypes.c_float,
     "tracking_ms": ctypes.c_int32,
@@ -39,8 +37,6 @@ class Standin:
         self.__dict__["library"] = ctypes.CDLL(str(path))
 
     def __getattr__(self, name: str) -> object:
-        if name == "model":
-            return (ctypes.c_char * 512).in_dll(self.library, "standin_model").value.decode()
         return _SETTINGS[name].in_dll(self.library, f"standin_{name}").value
 
     def __setattr__(self, name: str, value: float) -> None:

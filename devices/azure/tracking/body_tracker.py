@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from devices.azure.tracking.native_library import Prototypes, declare, load_library
-from devices.sensor import DeviceError
+from devices.sensor import DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT
 from fusion.skeleton import Skeleton, TrackingState
 
@@ -25,7 +25,7 @@ INSTALL = (
     "or name its library with --k4abt PATH."
 )
 _PROCESSING = {"gpu": 0, "cpu": 1, "cuda": 2, "tensorrt": 3, "directml": 4}
-_ORIENTATIONS = {"default": 0, "clockwise90": 1, "counterclockwise90": 2, "flip180": 3}
+_UPRIGHT = 0  # the sensor
 _SUCCEEDED, _TIMEOUT = 0, 2
 _NO_BODY = 0xFFFFFFFF
 _JOINT = np.dtype([("position", "<f4", 3), ("orientation", "<f4", 4), ("confidence", "<i4")])
@@ -41,35 +41,16 @@ class TrackerSettings:
 
     Attributes:
         processing: Where the network runs. On a CPU it processes about one frame per second.
-        gpu: Index of the GPU, if there are several.
         smoothing: Temporal smoothing 0..1. Fusion needs 0, which leaves the skeletons unchanged.
-        orientation: How the sensor is mounted.
-        model: File of the network; the tracker's default if None.
         library: File of libk4abt; found by the system if None.
         timeout_s: Longest time for one frame. The first frame may take ten times as long, because the
             network is loaded.
     """
 
     processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
-    gpu: int = 0
     smoothing: float = 0.0
-    orientation: Literal["default", "clockwise90", "counterclockwise90", "flip180"] = "default"
-    model: Path | None = None
     library: Path | None = None
     timeout_s: float = 5.0
-
-
-@dataclass(frozen=True)
-class TrackedBodies:
-    """The people that the tracker found in one capture.
-
-    Attributes:
-        time_ns: Capture time of the depth image, on the sensor's clock.
-        people: Skeletons by body id.
-    """
-
-    time_ns: int
-    people: dict[str, Skeleton]
 
 
 class _Configuration(ctypes.Structure):
@@ -118,23 +99,14 @@ class BodyTracker:
             calibration: Address of the sensor's ``k4a_calibration_t`` (1032 bytes).
 
         Raises:
-            DeviceError: The library, network or GPU is missing, or a setting is out of range.
+            DeviceError: The library, network or GPU is missing, or the smoothing is out of range.
         """
         self.close()
         settings = self.settings
         check_smoothing(settings.smoothing)
-        if settings.model is not None and not settings.model.is_file():
-            raise DeviceError(
-                f"No network at {settings.model}. It comes with the SDK: dnn_model_2_0_op11.onnx."
-            )
         library = load_library("k4abt", settings.library, INSTALL)
         declare(library, _PROTOTYPES, f"it is not libk4abt 1.1. {INSTALL}")
-        configuration = _Configuration(
-            _ORIENTATIONS[settings.orientation],
-            _PROCESSING[settings.processing],
-            settings.gpu,
-            None if settings.model is None else str(settings.model).encode(),
-        )
+        configuration = _Configuration(_UPRIGHT, _PROCESSING[settings.processing])
         tracker = c_void_p()
         status = library.k4abt_tracker_create(calibration, configuration, byref(tracker))
         if status != _SUCCEEDED or not tracker:
@@ -166,8 +138,8 @@ class BodyTracker:
                 f"libk4a: install pyk4a built on the same SDK as libk4abt, not pyk4a-bundle."
             )
 
-    def pop(self, wait_s: float | None = None) -> TrackedBodies | None:
-        """Returns the bodies of the next capture.
+    def pop(self, wait_s: float | None = None) -> SensorFrame | None:
+        """Returns the people of the next capture by body id, without images.
 
         Args:
             wait_s: Longest wait, after which None is returned. None: wait ``timeout_s``, then raise.
@@ -231,7 +203,7 @@ def check_smoothing(smoothing: float) -> None:
         raise DeviceError(f"Smoothing is 0 to 1, not {smoothing}. 0 leaves skeletons as they are.")
 
 
-def _bodies(library: ctypes.CDLL, frame: c_void_p) -> TrackedBodies:
+def _bodies(library: ctypes.CDLL, frame: c_void_p) -> SensorFrame:
     time_ns = 1000 * int(library.k4abt_frame_get_device_timestamp_usec(frame))
     people: dict[str, Skeleton] = {}
     joints = np.zeros(len(AZURE_KINECT), _JOINT)
@@ -244,4 +216,4 @@ def _bodies(library: ctypes.CDLL, frame: c_void_p) -> TrackedBodies:
         people[str(identity)] = Skeleton.of(
             AZURE_KINECT, joints["position"] / 1000.0, _STATES[confidence], time_ns
         )
-    return TrackedBodies(time_ns, people)
+    return SensorFrame(time_ns, people)
