@@ -16,7 +16,6 @@ import av
 import numpy as np
 import pytest
 
-from devices.azure import pyk4a_internals
 from devices.azure.calibration import DEPTH_MODES
 from devices.azure.mkv import MkvRecording
 from tests.helpers.standin_camera import Device, Shot, refused
@@ -295,7 +294,4 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> Bus:
     """An empty bus behind a stand-in pyk4a, without libk4a: captures carry images only."""
     result = Bus(None)
     monkeypatch.setitem(sys.modules, "pyk4a", make_module(result))
-    monkeypatch.setattr(
-        pyk4a_internals, "loaded_libk4a", lambda: None
-    )  # ignore a library loaded by another test
     return result

@@ -9,9 +9,10 @@ from rich.console import Console
 
 from devices.azure.settings import KinectSettings
 from devices.capture.connected import (
+    NO_CABLE,
     ConnectedSensor,
     NeedsChoiceError,
-    cable_notes,
+    cable_unknown,
     choose_one,
     choose_two,
     sync_master,
@@ -39,9 +40,10 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
     serials = _choose(connected, options, console)
     kinect_a, kinect_b = (next(k for k in connected if k.serial == serial) for serial in serials)
     master = sync_master(kinect_a, kinect_b, options.sync_master)
-    for note in cable_notes(kinect_a, kinect_b, master):
+    if master is None:
+        note = cable_unknown(kinect_a, kinect_b) or NO_CABLE
         console.print(note, style="yellow", highlight=False, markup=False)
-    if master is not None:
+    else:
         leads, follows = ("A", "B") if master == serials[0] else ("B", "A")
         console.print(
             f"Sync cable: {leads} leads, {follows} captures {LASER_GAP_US} µs later and is started first, to "

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from devices.azure import pyk4a_access
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
 from tests.helpers.command_line import duplex
@@ -86,23 +85,6 @@ def test_without_a_cable_it_says_what_that_costs(
     assert live(standin, tmp_path / "s.rrd", seconds=0.2) == 0
     assert "No sync cable" in capsys.readouterr().out
     assert {config.wired_sync_mode for config in kinects.configs} == {0}
-
-
-def test_old_firmware_is_reported_if_there_is_a_cable(
-    kinects: Bus,
-    standin: Standin,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setattr(pyk4a_access, "firmware_version", lambda _: (1, 6, 102))
-    assert live(standin, tmp_path / "s.rrd", seconds=0.3) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert said.count("has firmware 1.6.102. Before 1.6.110 a subordinate cannot be started again") == 2
-    for device in kinects.devices:
-        device.jacks = (False, False)
-    assert live(standin, tmp_path / "t.rrd", seconds=0.3) == 0
-    assert "has firmware" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("answer", "principal"), [("1\n", "000123"), ("x\n\n000456\n", "000456")])
