@@ -19,6 +19,7 @@ from recordings.file.rrd_file import damage_of
 from recordings.file.session_writer import whole_recording
 from tests.helpers.live_frames import frames, known_fuser, session
 from tests.helpers.machine import need_viewer
+from tests.helpers.pictures import colors_of_view
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
@@ -26,7 +27,7 @@ from viewer_app.viewer import file_window, rerun_process, stored_clouds
 from viewer_app.viewer.blueprint import SCENE
 from viewer_app.viewer.rerun_process import stop
 
-VERSION_0_1 = Path(__file__).parents[2] / "data" / "version_0_1"
+DATA = Path(__file__).parents[2] / "data"
 BLUEPRINT = rrb.Blueprint(rrb.TextDocumentView(origin="/words", name="the only view"))
 
 
@@ -125,7 +126,7 @@ def test_a_session_of_version_0_1_is_shown_in_the_layout_of_today(
     from rerun.experimental import ViewerClient
 
     old = tmp_path / "live.rrd"  # with depth images
-    old.write_bytes(lzma.decompress((VERSION_0_1 / "live.rrd.xz").read_bytes()))
+    old.write_bytes(lzma.decompress((DATA / "version_0_1" / "live.rrd.xz").read_bytes()))
     session = Session.open(old)
     with file_window.in_this_layout(session, old) as file:
         again = Session.open(file)
@@ -134,12 +135,33 @@ def test_a_session_of_version_0_1_is_shown_in_the_layout_of_today(
         assert sum(1 for _ in again.depth("a")) == sum(1 for _ in session.depth("a")) > 0
         assert file_window.show(file, 0)
     assert not file.exists()
-    assert old.read_bytes() == lzma.decompress((VERSION_0_1 / "live.rrd.xz").read_bytes())
+    assert old.read_bytes() == lzma.decompress((DATA / "version_0_1" / "live.rrd.xz").read_bytes())
     ((_, port),) = headless
     viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
     assert eventually(lambda: any(view.name == SCENE for view in viewer.get_state().views), 30.0)
     assert eventually(lambda: not viewer.get_state().loading, 30.0)
     assert [(view.name, report.summary) for view in viewer.get_state().views for report in view.reports] == []
+
+
+def test_a_session_of_version_1_0_is_shown_in_its_own_layout(
+    headless: list[tuple[subprocess.Popen[bytes], int]], tmp_path: Path
+) -> None:
+    """It holds a picture of the trust in each joint, of which later versions write lanes instead."""
+    from rerun.experimental import ViewerClient
+
+    path, picture = tmp_path / "walk.rrd", tmp_path / "trust.png"
+    path.write_bytes(lzma.decompress((DATA / "version_1_0" / "walk.rrd.xz").read_bytes()))
+    with file_window.in_this_layout(Session.open(path), path) as file:
+        file_window.show(file)
+    ((_, port),) = headless
+    viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+
+    def shown() -> bool:
+        views = {view.name: view for view in viewer.get_state().views}
+        trust = views.get("which sensor each joint follows")
+        return trust is not None and colors_of_view(viewer, trust.view_id, picture) > 100
+
+    assert eventually(shown, 30.0)
 
 
 def test_a_session_of_today_is_shown_as_it_is(tmp_path: Path) -> None:

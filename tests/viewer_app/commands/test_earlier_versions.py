@@ -1,4 +1,4 @@
-"""Sessions of version 0.1 open and replay bit for bit, and real pairs give the same results."""
+"""Sessions of versions 0.1 and 1.0 open and replay bit for bit; real pairs give the results of 0.1."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import pytest
 from recordings.session import Session
 from tests.helpers.command_line import duplex
 
-DATA = Path(__file__).parents[2] / "data" / "version_0_1"
+DATA = Path(__file__).parents[2] / "data"
 
 THE_METHOD_OF_0_1: tuple[str, ...] = ("--method", "paper")
 """The options of ``duplex fuse`` that choose what version 0.1 did."""
@@ -25,7 +25,7 @@ THE_METHOD_OF_0_1: tuple[str, ...] = ("--method", "paper")
 
 @dataclass(frozen=True)
 class Saved:
-    """The contents of a session as version 0.1 read them; the digests are SHA-256."""
+    """The contents of a session as the version that wrote it read them; the digests are SHA-256."""
 
     body: str
     frames: int
@@ -37,7 +37,7 @@ class Saved:
 
 _NOTHING = hashlib.sha256(b"").hexdigest()
 SESSIONS = {
-    "demo": Saved(
+    "version_0_1/demo": Saved(
         "azure_kinect",
         24,
         "53353ea178fba666fa88f91be25891eb5313ae913e25a51b618b3322ec311188",
@@ -45,7 +45,7 @@ SESSIONS = {
         _NOTHING,
         ("calibrated: provisional, 1 frames of any pose",),
     ),
-    "fused": Saved(
+    "version_0_1/fused": Saved(
         "kinect_v2",
         25,
         "4abdddf3a57044c766c3dececcc10cd0b95c2a6b1ffa9e7e8fb2096729509cf8",
@@ -53,7 +53,7 @@ SESSIONS = {
         _NOTHING,
         ("calibrated: start-up pose at 0.0 s, 91 frames",),
     ),
-    "live": Saved(
+    "version_0_1/live": Saved(
         "kinect_v1",
         36,
         "c892b21cd02d5962cedfe7f9dd18334151201d45772303881a7542eb0b34b27f",
@@ -61,10 +61,18 @@ SESSIONS = {
         "9bc023088aa63d814b256b60f9d6f2ae3369c17e53454339d5d410ef19fe3e69",
         ("calibrated: known truth", "calibrated: known truth, moved by 20 mm"),
     ),
-    "published": Saved(
+    "version_0_1/published": Saved(
         "kinect_v2",
         20,
         "33d8d049eaffc089004a16e8522984531cb4f85a28e6b1b26f1842106a537b12",
+        0,
+        _NOTHING,
+        ("calibrated: known truth",),
+    ),
+    "version_1_0/walk": Saved(
+        "kinect_v1",
+        19,
+        "07e1e4397c49f91cb7be55bf73417a386bf72f6c3ee6d668da1f1bd41921422b",
         0,
         _NOTHING,
         ("calibrated: known truth",),
@@ -74,12 +82,12 @@ SESSIONS = {
 
 @pytest.fixture(params=SESSIONS)
 def saved(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, Saved]:
-    path = tmp_path / f"{request.param}.rrd"
+    path = tmp_path / "session.rrd"
     path.write_bytes(lzma.decompress((DATA / f"{request.param}.rrd.xz").read_bytes()))
     return path, SESSIONS[request.param]
 
 
-def test_a_session_of_0_1_reads_as_0_1_read_it(saved: tuple[Path, Saved]) -> None:
+def test_a_session_reads_as_its_version_read_it(saved: tuple[Path, Saved]) -> None:
     path, expected = saved
     session = Session.open(path)
     assert session.damage is None
@@ -91,9 +99,7 @@ def test_a_session_of_0_1_reads_as_0_1_read_it(saved: tuple[Path, Saved]) -> Non
     assert hashlib.sha256(b"".join(image.tobytes() for image in images)).hexdigest() == expected.depth
 
 
-def test_a_session_of_0_1_replays_bit_for_bit(
-    saved: tuple[Path, Saved], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_session_replays_bit_for_bit(saved: tuple[Path, Saved], capsys: pytest.CaptureFixture[str]) -> None:
     path, expected = saved
     assert duplex("replay", path, "--verify", "--no-viewer") == 0
     said = " ".join(capsys.readouterr().out.split())
