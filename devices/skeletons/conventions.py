@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
@@ -45,20 +44,9 @@ _ALMOST_ALWAYS = 0.9
 _SAMPLES = 200
 
 
-@dataclass(frozen=True)
-class FoundUnit:
-    """The unit of a recording's positions.
-
-    Attributes:
-        metres: Metres per unit.
-        warning: A line for the user if the unit was found and is not metres; else None.
-    """
-
-    metres: float
-    warning: str | None = None
-
-
-def find_unit(name: object, body: Body, positions: NDArray[np.float64], unit: Unit = "auto") -> FoundUnit:
+def find_unit(
+    name: object, body: Body, positions: NDArray[np.float64], unit: Unit = "auto"
+) -> tuple[float, str]:
     """Finds the unit of positions from the lengths of the person's bones.
 
     Args:
@@ -67,21 +55,24 @@ def find_unit(name: object, body: Body, positions: NDArray[np.float64], unit: Un
         positions: (N, J, 3) as the file has them; NaN where there is none.
         unit: The unit if the user stated it.
 
+    Returns:
+        Metres per unit, and a line for the user if the unit was found and is not metres; else empty.
+
     Raises:
         DeviceError: The person has no human size in any unit.
     """
     if unit != "auto":
-        return FoundUnit(METRES[unit][0])
+        return METRES[unit][0], ""
     stature = _stature(body, positions)
     if stature is None or _PEOPLE_IN_METRES[0] <= stature <= _PEOPLE_IN_METRES[1]:
-        return FoundUnit(1.0)
+        return 1.0, ""
     for metres, words in METRES.values():
         if _PEOPLE[0] <= stature * metres <= _PEOPLE[1]:
-            return FoundUnit(
-                metres,
+            warning = (
                 f"{name}: the positions are taken as {words}, so that the person is {stature * metres:.2f} m "
-                "tall. State another unit with --unit.",
+                "tall. State another unit with --unit."
             )
+            return metres, warning
     raise DeviceError(
         f"{name}: the unit of the positions is unclear; in metres the person would be {stature:.3g} m tall. "
         "State the unit with --unit (m, cm, mm, ft or in)."

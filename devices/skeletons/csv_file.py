@@ -84,8 +84,8 @@ def read_csv(path: Path, unit: Unit = "auto") -> ReadFile:
     positions = np.full((len(times), len(people), len(body), 3), np.nan)
     state = np.zeros((len(times), len(people), len(body)), dtype=np.uint8)
     positions.reshape(-1, 3)[slot] = xyz
-    found = find_unit(path, body, positions.reshape(-1, len(body), 3), unit)
-    positions *= found.metres
+    metres, warning = find_unit(path, body, positions.reshape(-1, len(body), 3), unit)
+    positions *= metres
     check_metres_forward(path, positions)
     state.reshape(-1)[slot] = states
     present = np.zeros((len(times), len(people)), dtype=bool)
@@ -100,12 +100,8 @@ def read_csv(path: Path, unit: Unit = "auto") -> ReadFile:
         )
         for f, t in enumerate(times)
     ]
-    said = [
-        found.warning,
-        backward,
-        _impossible_positions(text, xyz * found.metres, states),
-    ]
-    return ReadFile(body, frames, tuple(line for line in said if line is not None))
+    warnings = warning, backward, _impossible_positions(text, xyz * metres, states)
+    return ReadFile(body, frames, tuple(filter(None, warnings)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,7 +72,7 @@ def advice_over(
 
 def _calibration(rig: Rig, body: Body) -> Calibration:
     a, b, _ = simulated_pair(
-        motion="startup", body=body, seconds=5 * rig.frame_seconds, rig=rig, errors=TrackerErrors.none()
+        motion="startup", body=body, seconds=5 * rig.frame_seconds, rig=rig, errors=TrackerErrors()
     )
     return calibrate(body, [pair.skeletons for pair in pairs_of(a, b)], "start-up pose")
 

@@ -164,7 +164,7 @@ def simulated_views(
     """
     which = BODIES[body]
     fitted, right = TrackerErrors.of(which), replace(TrackerErrors.of(which), mirroring=Mirroring())
-    errors = {"mirroring": fitted, "right": right, "random": right, "perfect": TrackerErrors.none()}[tracker]
+    errors = {"mirroring": fitted, "right": right, "random": right, "perfect": TrackerErrors()}[tracker]
     rig = Rig(angle_deg=angle_deg, skew_seconds=0.0) if tracker == "perfect" else Rig(angle_deg=angle_deg)
     a, b, truth = simulated_pair(
         motion=movement(motion), seed=seed, body=which, seconds=seconds, errors=errors, rig=rig

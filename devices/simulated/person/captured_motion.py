@@ -23,7 +23,6 @@ from devices.simulated.person.anatomy import Array, Pose, along, length, offset,
 from devices.simulated.person.footsteps import smooth
 from devices.simulated.person.motion import STARTUP_SECONDS
 from devices.simulated.person.movements import MOTIONS
-from fusion.body import Body
 
 _BLEND_SECONDS = 1.5
 
@@ -74,10 +73,6 @@ class CapturedMotion:
         rotations = {s: along(axes[:, k, 0], axes[:, k, 1]) for k, s in enumerate(_AXES)}
         marks = Pose(pelvis, rotations).landmarks()
         return marks * (height / anatomy.REFERENCE_HEIGHT)
-
-    def joints(self, body: Body, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
-        """Returns (T, J, 3) the joints of one body in the world, metres."""
-        return self.landmarks(times, height)[:, anatomy.landmarks_of(body)]
 
 
 _AXES = anatomy.SEGMENTS

@@ -18,7 +18,6 @@ from scipy.interpolate import CubicSpline
 from devices.simulated.person import anatomy
 from devices.simulated.person.anatomy import Array, Pose, along, bow, lean, length, offset, turn, two_bones
 from devices.simulated.person.footsteps import ARRIVE_AT_EASE, Footsteps, smooth
-from fusion.body import Body
 
 STARTUP_SECONDS = 2.5
 """Duration of the start-up pose."""
@@ -124,10 +123,6 @@ class Motion:
         """Returns (T, N, 3) all landmarks in the world, metres, of a person of this stature."""
         t = np.atleast_1d(np.asarray(times, dtype=np.float64))
         return self.pose(t).landmarks() * (height / anatomy.REFERENCE_HEIGHT)
-
-    def joints(self, body: Body, times: ArrayLike, height: float = anatomy.REFERENCE_HEIGHT) -> Array:
-        """Returns (T, J, 3) the joints of one body in the world, metres."""
-        return self.landmarks(times, height)[:, anatomy.landmarks_of(body)]
 
     def pose(self, t: Array) -> Pose:
         """Converts (T,) seconds to poses at reference height."""

@@ -91,12 +91,11 @@ def _steps() -> Motion:
     return Motion("steps", period, keyframes(period, *frames), Footsteps(FEET_AT_EASE, tuple(steps)))
 
 
-def _turned(foot: int, left: float, forward: float = 0.0, out: float = 0.0) -> Stance:
+def _turned(foot: int, left: float) -> Stance:
     stance = FEET_AT_EASE[foot]
-    x, z = stance.x + (out if foot == 0 else -out), stance.z - forward
     return Stance(
-        float(x * np.cos(left) - z * np.sin(left)),
-        float(x * np.sin(left) + z * np.cos(left)),
+        float(stance.x * np.cos(left) - stance.z * np.sin(left)),
+        float(stance.x * np.sin(left) + stance.z * np.cos(left)),
         stance.yaw + left,
     )
 

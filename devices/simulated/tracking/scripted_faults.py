@@ -51,14 +51,12 @@ class ScriptedFaults:
 
     Attributes:
         body: The body that the tracker reports.
-        arm: Side of the arm that is misplaced: ``left`` or ``right``.
-        misplaced: When the arm is hidden and reported as tracked, near the joints that are in front of it in
-            the image; where there are none, nearer to the pelvis.
+        misplaced: When the left arm is hidden and reported as tracked, near the joints that are in front of
+            it in the image; where there are none, nearer to the pelvis.
         mirrored: When left and right are exchanged.
     """
 
     body: Body
-    arm: str = "left"
     misplaced: Sequence[Spells] = ()
     mirrored: Sequence[Spells] = ()
 
@@ -74,4 +72,4 @@ class ScriptedFaults:
     @cached_property
     def _joints(self) -> NDArray[np.bool_]:
         names = self.body.joints
-        return np.array([self.arm in name.lower() and JointGroups.group(name) in _ARM for name in names])
+        return np.array(["left" in name.lower() and JointGroups.group(name) in _ARM for name in names])

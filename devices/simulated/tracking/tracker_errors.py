@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -58,7 +58,7 @@ AddedErrors = Callable[[Body, float, np.random.Generator], Iterator[Array]]
 
 @dataclass(frozen=True)
 class TrackerErrors:
-    """The errors of one body tracker. Lengths are metres, times seconds; zero turns an error off.
+    """The errors of one body tracker: none by default. Lengths are metres, times seconds.
 
     The defaults of :meth:`of` are fitted to real recordings (``tests/devices/simulated/test_realism.py``).
     Those of BlazePose, of which there are no recordings, were read off the tracker itself on simulated images
@@ -116,23 +116,9 @@ class TrackerErrors:
     added: AddedErrors | None = None
 
     @staticmethod
-    def none() -> TrackerErrors:
-        """Returns the errors of a perfect tracker: every joint is tracked at its true position."""
-        return TrackerErrors()
-
-    @staticmethod
     def of(body: Body) -> TrackerErrors:
         """Returns the errors of the tracker that reports this body."""
         return _OF.get(body.name, _KINECT_V2)
-
-    def only(self, *knobs: str) -> TrackerErrors:
-        """Returns these errors with all but the named knobs turned off."""
-        return replace(TrackerErrors.none(), **{knob: getattr(self, knob) for knob in knobs})
-
-    @staticmethod
-    def knobs() -> tuple[str, ...]:
-        """Returns the names of all knobs."""
-        return tuple(f.name for f in fields(TrackerErrors))
 
 
 _KINECT_V2 = TrackerErrors(

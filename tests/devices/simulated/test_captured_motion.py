@@ -11,7 +11,7 @@ import pytest
 
 from devices.sensor import DeviceError
 from devices.simulated.kinect import simulated_pair
-from devices.simulated.person.anatomy import INDEX
+from devices.simulated.person.anatomy import INDEX, landmarks_of
 from devices.simulated.person.captured_motion import read_bvh
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import BODIES
@@ -83,7 +83,7 @@ def test_captured_bones_are_constant_and_scaled_by_height(tmp_path: Path) -> Non
     motion = read_bvh(write_bvh(tmp_path / "arm.bvh"))
     t = np.linspace(0.0, motion.seconds, 200)
     for body in BODIES.values():
-        joints = motion.joints(body, t)
+        joints = motion.landmarks(t)[:, landmarks_of(body)]
         for joint in body.bone_joints:
             lengths = np.linalg.norm(joints[:, joint] - joints[:, body.parents[joint]], axis=1)
             assert np.ptp(lengths) < 50 * np.finfo(float).eps
@@ -137,7 +137,7 @@ def test_real_motion_capture_plays_through_the_pair(clip: str) -> None:
     path = SHARED / "mocap" / f"{clip}.bvh"
     if not path.exists():
         pytest.skip(f"no motion capture at {path.parent}: set DUPLEX_SHARED")
-    a, _, truth = simulated_pair(motion=path, seconds=5.0, errors=TrackerErrors.none())
+    a, _, truth = simulated_pair(motion=path, seconds=5.0, errors=TrackerErrors())
     frames = list(a.frames())
     assert len(frames) == 150
     joints = np.stack([f.people["1"].positions for f in frames])

@@ -19,7 +19,7 @@ BACK = np.array((0.0, 0.0, 1.0))  # the way that a person faces whose back is tu
 def standing(body: Body = KINECT_V2) -> np.ndarray:
     """(J, 3) a person who stands with the back turned to the sensor, in its frame."""
     _, _, truth = simulated_pair(
-        motion="startup", seconds=1.0, body=body, angle_deg=0.0, errors=TrackerErrors.none()
+        motion="startup", seconds=1.0, body=body, angle_deg=0.0, errors=TrackerErrors()
     )
     joints = truth.positions_at(0)
     root = joints[body.root]
@@ -83,7 +83,7 @@ def test_a_person_who_faces_the_sensor_is_never_mirrored() -> None:
 
 
 def test_turning_round_before_a_kinect_v2_is_reported_as_facing_it() -> None:
-    errors = replace(TrackerErrors.none(), mirroring=TrackerErrors.of(KINECT_V2).mirroring)
+    errors = replace(TrackerErrors(), mirroring=TrackerErrors.of(KINECT_V2).mirroring)
     a, _, truth = simulated_pair(motion="walk", seconds=25.0, body=KINECT_V2, angle_deg=0.0, errors=errors)
     frames = list(a.frames())
     reported = np.array([frame.people[PERSON].positions for frame in frames], dtype=np.float64)

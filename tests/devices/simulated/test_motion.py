@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from devices.simulated.person import anatomy
-from devices.simulated.person.anatomy import INDEX, two_bones
+from devices.simulated.person.anatomy import INDEX, landmarks_of, two_bones
 from devices.simulated.person.motion import STARTUP_SECONDS, Motion
 from devices.simulated.person.movements import MOTIONS
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V2, Body
@@ -24,7 +24,7 @@ def times(motion: Motion, rate: float = 60.0) -> np.ndarray:
 @EVERY_MOTION
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES.keys())
 def test_every_bone_of_every_body_keeps_its_length(motion: Motion, body: Body) -> None:
-    points = motion.joints(body, times(motion))
+    points = motion.landmarks(times(motion))[:, landmarks_of(body)]
     for joint in body.bone_joints:
         lengths = np.linalg.norm(points[:, joint] - points[:, body.parents[joint]], axis=1)
         assert lengths.min() > 0.02
@@ -34,7 +34,7 @@ def test_every_bone_of_every_body_keeps_its_length(motion: Motion, body: Body) -
 
 def test_the_three_bodies_agree_where_they_share_a_joint() -> None:
     walk = MOTIONS["walk"]
-    azure, v2 = walk.joints(AZURE_KINECT, [9.0])[0], walk.joints(KINECT_V2, [9.0])[0]
+    azure, v2 = (walk.landmarks([9.0])[0, landmarks_of(body)] for body in (AZURE_KINECT, KINECT_V2))
     for name in ("ShoulderLeft", "ElbowRight", "HandTipLeft", "KneeRight", "Neck"):
         assert np.array_equal(azure[AZURE_KINECT.joint(name)], v2[KINECT_V2.joint(name)])
 

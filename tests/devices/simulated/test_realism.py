@@ -68,7 +68,7 @@ UNTOLD = {"inferred", "not_tracked", "hands_unsure", "feet_unsure", "inferred_ch
 """What the real recordings do not tell: their source kept no tracking states."""
 LARGEST_IF_NONE = {"swapped": 0.01, "stale": 0.01}
 """Largest simulated share where the real recording has none."""
-NONE = TrackerErrors.none()
+NONE = TrackerErrors()
 SYNCHRONOUS = Rig(skew_seconds=0.0)
 
 

@@ -45,7 +45,7 @@ def test_a_misplaced_arm_is_tracked_at_a_wrong_place_and_nothing_else_changes(bo
     }
     assert not any("right" in body.joints[j].lower() for j in np.flatnonzero(arm))
     # A perfect tracker but for the snap: what differs is what the script does.
-    perfect = replace(TrackerErrors.none(), snap=0.6)
+    perfect = replace(TrackerErrors(), snap=0.6)
     plain, told = frames(None, body, perfect), frames(script, body, perfect)
     off = np.array(
         [np.linalg.norm(t.positions - p.positions, axis=1) for t, p in zip(told, plain, strict=True)]
@@ -62,7 +62,7 @@ def test_a_misplaced_arm_is_tracked_at_a_wrong_place_and_nothing_else_changes(bo
 
 def test_a_mirrored_person_has_left_and_right_exchanged_for_the_spell() -> None:
     body = KINECT_V2
-    perfect = TrackerErrors.none()
+    perfect = TrackerErrors()
     plain = frames(None, body, perfect)
     told = frames(ScriptedFaults(body, mirrored=(ONCE,)), body, perfect)
     knees = [body.joint("KNEE_LEFT"), body.joint("KNEE_RIGHT")]

@@ -27,7 +27,7 @@ def frames_and_truth(
         motion=motion,
         body=body,
         seconds=8.0,
-        errors=TrackerErrors.none(),
+        errors=TrackerErrors(),
         depth_errors=DepthErrors.none(),
         depth=depth,  # type: ignore[arg-type]
         rig=rig,

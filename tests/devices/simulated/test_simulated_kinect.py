@@ -35,7 +35,7 @@ def same(one: SensorFrame, other: SensorFrame) -> bool:
 def test_without_errors_both_views_are_the_truth(body: Body, angle_deg: float) -> None:
     rig = Rig(angle_deg=angle_deg, skew_seconds=0.004, clock_offset_seconds=2.0, drift_ppm=40.0)
     a, b, truth = simulated_pair(
-        motion="walk", body=body, seconds=8.0, rig=rig, height=1.6, errors=TrackerErrors.none()
+        motion="walk", body=body, seconds=8.0, rig=rig, height=1.6, errors=TrackerErrors()
     )
     for which, sensor in enumerate((a, b)):
         skeletons = [frame.people[PERSON] for frame in sensor.frames()]
@@ -124,7 +124,7 @@ def test_depth_images_show_the_person_where_the_joints_are(depth: str, size: tup
         motion="startup",
         seconds=0.1,
         depth=depth,  # type: ignore[arg-type]
-        errors=TrackerErrors.none(),
+        errors=TrackerErrors(),
         depth_errors=DepthErrors.none(),
     )
     frame = next(a.frames())

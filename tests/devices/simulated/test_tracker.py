@@ -5,7 +5,7 @@ A little over 300 lines: one test per parameter.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,7 +19,7 @@ from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.skeleton import Skeleton, TrackingState
 from tests.helpers.pair_statistics import run_lengths
 
-NONE = TrackerErrors.none()
+NONE = TrackerErrors()
 LENS = NOMINAL_INTRINSICS["azure_kinect"]
 FLOAT32 = 2.0**-23
 FRAME = 1 / 30
@@ -69,7 +69,7 @@ def test_knobs_that_shape_other_errors_do_nothing_alone() -> None:
     real = TrackerErrors.of(KINECT_V2)
     shapes = ("inferred_error", "inferred_jitter", "mistracked", "snap", "not_tracked", "outlier_size",
               "rescale_seconds", "jitter_memory", "lost_seconds")  # fmt: skip
-    skeletons, true = watch("walk", real.only(*shapes), 6.0)
+    skeletons, true = watch("walk", TrackerErrors(**{shape: getattr(real, shape) for shape in shapes}), 6.0)
     assert np.abs(errors_of(skeletons, true)).max() <= 4 * FLOAT32
 
 
@@ -286,7 +286,7 @@ def test_every_joint_of_every_body_has_a_kind(body: Body) -> None:
 def test_the_real_defaults_have_every_error_turned_on() -> None:
     for body in BODIES.values():
         errors = TrackerErrors.of(body)
-        for knob in TrackerErrors.knobs():
+        for knob in (field.name for field in fields(TrackerErrors)):
             off = {"lost_seconds", "added"}
             if body is BLAZEPOSE:  # it gives one skeleton per image, places all joints, and lost nobody
                 off |= {"not_tracked", "stale", "lost", "skin"}
