@@ -13,9 +13,11 @@ from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from recordings import layout
 from recordings.appearance.colors import SKELETON_COLORS
+from recordings.appearance.entity_styles import skeleton_class
 from recordings.errors import RecordingError
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
+from recordings.writing.changes import set_time
 
 SECOND_SKELETON = "/second/skeleton"
 DIFFERENCE = "/difference/joints"
@@ -145,20 +147,11 @@ def record_comparison(
 ) -> None:
     """Logs both S* to one scene, the distance of each joint, and the worst moments as events."""
     body = comparison.body
-    joints = [rr.AnnotationInfo(id=j, label=name) for j, name in enumerate(body.joints)]
-    bones = [(int(body.parents[joint]), int(joint)) for joint in body.bone_joints]
     both = (
         (layout.FUSED_SKELETON, 1, "first S*", SKELETON_COLORS["fused"], comparison.first),
         (SECOND_SKELETON, 2, "second S*", _SECOND_COLOR, comparison.second),
     )
-    classes = [
-        rr.ClassDescription(
-            info=rr.AnnotationInfo(id=number, label=label, color=color),
-            keypoint_annotations=joints,
-            keypoint_connections=bones,
-        )
-        for _, number, label, color, _ in both
-    ]
+    classes = [skeleton_class(body, number, label, color) for _, number, label, color, _ in both]
     stream.log(layout.ROOT, rr.ViewCoordinates.RDF, rr.AnnotationContext(classes), static=True)
     stream.log(DIFFERENCE, rr.SeriesLines(names=body.joints), static=True)
     stream.log(LARGEST, rr.SeriesLines(names="largest (mm)"), static=True)
@@ -180,8 +173,7 @@ def record_comparison(
     )
     stream.send_columns(LARGEST, times, rr.Scalars.columns(scalars=largest(comparison.apart, axis=1) * 1e3))
     for t, j in worst:
-        stream.set_time(layout.FRAME, sequence=int(first.frame[t]))
-        stream.set_time(layout.TIME, duration=np.timedelta64(int(first.time_ns[t]), "ns"))
+        set_time(stream, first.frame[t], first.time_ns[t])
         text = f"{body.joints[j]} differs by {comparison.apart[t, j] * 1e3:.0f} mm"
         stream.log(layout.EVENTS, rr.TextLog(text, level="WARN"))
 

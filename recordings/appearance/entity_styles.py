@@ -35,27 +35,26 @@ _SPHERE_OPACITY = 110  # of 255: the skeleton inside stays visible
 
 def annotation_context(body: Body) -> rr.AnnotationContext:
     """One class per skeleton, with the names of the joints and the bones between them."""
-    joints = [rr.AnnotationInfo(id=j, label=name) for j, name in enumerate(body.joints)]
-    bones = [(int(body.parents[joint]), int(joint)) for joint in body.bone_joints]
-    return rr.AnnotationContext(
-        [
-            rr.ClassDescription(
-                info=rr.AnnotationInfo(
-                    id=layout.CLASS_IDS[key],
-                    label=layout.SKELETON_NAMES[key],
-                    color=SKELETON_COLORS[key],
-                ),
-                keypoint_annotations=joints,
-                keypoint_connections=bones,
-            )
-            for key in layout.CLASS_IDS
-        ]
-        + [
-            rr.ClassDescription(
-                info=rr.AnnotationInfo(id=layout.LINELESS_CLASS, label="joint"), keypoint_annotations=joints
-            )
-        ]
+    classes = [
+        skeleton_class(body, number, layout.SKELETON_NAMES[key], SKELETON_COLORS[key])
+        for key, number in layout.CLASS_IDS.items()
+    ]
+    lone = rr.AnnotationInfo(id=layout.LINELESS_CLASS, label="joint")
+    classes.append(rr.ClassDescription(info=lone, keypoint_annotations=_joints(body)))
+    return rr.AnnotationContext(classes)
+
+
+def skeleton_class(body: Body, number: int, label: str, color: Color) -> rr.ClassDescription:
+    """A class whose keypoints are the joints of a body, with the bones between them."""
+    return rr.ClassDescription(
+        info=rr.AnnotationInfo(id=number, label=label, color=color),
+        keypoint_annotations=_joints(body),
+        keypoint_connections=[(int(body.parents[joint]), int(joint)) for joint in body.bone_joints],
     )
+
+
+def _joints(body: Body) -> list[rr.AnnotationInfo]:
+    return [rr.AnnotationInfo(id=j, label=name) for j, name in enumerate(body.joints)]
 
 
 def joint_look(body: Body, key: str) -> rr.Points3D:
@@ -195,14 +194,8 @@ def sigma_spheres() -> Visualizer:
         colors=(*SKELETON_COLORS["fused"], _SPHERE_OPACITY),
         line_radii=rr.components.Radius.ui_points(0.5),
     )
-    sources = {"half_sizes": layout.SIGMA_SPHERES, "centers": "Points3D:positions"}
     return look.visualizer(
-        mappings=[
-            VisualizerComponentMapping(
-                f"Ellipsoids3D:{name}", ComponentSourceKind.SourceComponent, source_component=component
-            )
-            for name, component in sources.items()
-        ]
+        mappings=_mapped("Ellipsoids3D", half_sizes=layout.SIGMA_SPHERES, centers="Points3D:positions")
     )
 
 

@@ -7,7 +7,6 @@ Sensors, floor and person are coordinate frames. A recalibration is one message:
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -26,6 +25,12 @@ _QUALITY_EVERY = 15
 """Frames between two values, half a second."""
 _FIGURE_AGAIN_NS = 1_000_000_000
 """Longest interval between two values of an unchanged figure of a stream, so that its plot line continues."""
+
+
+def set_time(stream: rr.RecordingStream, frame: int | np.integer, time_ns: int | np.integer) -> None:
+    """Sets both timelines of a session for what is logged next."""
+    stream.set_time(layout.FRAME, sequence=int(frame))
+    stream.set_time(layout.TIME, duration=np.timedelta64(int(time_ns), "ns"))
 
 
 class PlacementLog:
@@ -55,25 +60,20 @@ class PlacementLog:
         self._b = placement[-1].copy()
         for t in np.flatnonzero(changed):
             pose = rr.Transform3D(mat3x3=rows.rotation[t], translation=rows.translation[t])
-            self._log(rows, int(t), layout.kinect("b"), pose)
+            set_time(self._stream, rows.frame[t], rows.time_ns[t])
+            self._stream.log(layout.kinect("b"), pose)
         if self._floor.add(rows.fused) or again:
-            self._log_floor(rows)
+            self._log_floor(rows.frame[0], rows.time_ns[0])
         if again:
             self._since = 0
         if len(rows) > 1:  # before the columns that follow: a browser draws what it has loaded so far
             self._stream.flush(timeout_sec=0.0)
 
-    def _log_floor(self, rows: SessionArrays | None) -> None:
+    def _log_floor(self, frame: int, time_ns: int) -> None:
         """At the first of the frames: in a recording, the floor is the same from its beginning."""
         floor = self._floor.a_from_floor
-        pose = rr.Transform3D(mat3x3=floor.rotation, translation=floor.translation)
-        self._log(rows, 0, layout.FLOOR, pose)
-
-    def _log(self, rows: SessionArrays | None, t: int, entity: str, what: Any) -> None:
-        self._stream.set_time(layout.FRAME, sequence=0 if rows is None else int(rows.frame[t]))
-        time_ns = 0 if rows is None else int(rows.time_ns[t])
-        self._stream.set_time(layout.TIME, duration=np.timedelta64(time_ns, "ns"))
-        self._stream.log(entity, what)
+        set_time(self._stream, frame, time_ns)
+        self._stream.log(layout.FLOOR, rr.Transform3D(mat3x3=floor.rotation, translation=floor.translation))
 
     def _log_static(self) -> None:
         once = self._stream.log
@@ -81,7 +81,7 @@ class PlacementLog:
         for side in layout.SIDES:
             once(layout.sensor_label(side), entity_styles.sensor_label(side), static=True)
         once(layout.FLOOR, entity_styles.floor_grid(), static=True)
-        self._log_floor(None)
+        self._log_floor(0, 0)
         for name, entity in layout.FRAME_NAMES.items():
             same = rr.Transform3D.from_fields(
                 translation=(0.0, 0.0, 0.0), parent_frame=f"tf#{entity}", child_frame=name
@@ -114,8 +114,7 @@ class QualityLog:
                 continue
             jitters = [1e3 * jitter(np.array(of)) for of in zip(*self._kept, strict=True)]
             self._kept = self._kept[-2:]
-            self._stream.set_time(layout.FRAME, sequence=int(rows.frame[t]))
-            self._stream.set_time(layout.TIME, duration=np.timedelta64(int(rows.time_ns[t]), "ns"))
+            set_time(self._stream, rows.frame[t], rows.time_ns[t])
             self._stream.log(layout.stream_figure("jitter_mm"), rr.Scalars(jitters))
             moved = self._moved(rows.rotation[t], rows.translation[t])
             self._stream.log(layout.stream_figure("placement"), rr.Scalars(moved))
@@ -150,8 +149,7 @@ class StreamFiguresLog:
             elif time_ns - before[0] < _FIGURE_AGAIN_NS and (values == before[1] or name == "drift_ppm"):
                 continue  # drift changes a little with every frame
             self._last[name] = time_ns, values
-            self._stream.set_time(layout.FRAME, sequence=frame)
-            self._stream.set_time(layout.TIME, duration=np.timedelta64(time_ns, "ns"))
+            set_time(self._stream, frame, time_ns)
             self._stream.log(layout.stream_figure(name), rr.Scalars(values))
 
 

@@ -20,7 +20,7 @@ from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.arrow_columns import Times, depth_image, points
-from recordings.writing.changes import Lanes, PlacementLog, QualityLog, StreamFiguresLog
+from recordings.writing.changes import Lanes, PlacementLog, QualityLog, StreamFiguresLog, set_time
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
 from recordings.writing.frame_columns import frame_columns
 from recordings.writing.properties import session_properties
@@ -98,7 +98,7 @@ class Recorder:
             if registration is None
             else registration.joint_residuals,
         }
-        self._set_time(self._frames, self._last[1] if self._last else 0)
+        set_time(self._stream, self._frames, self._last[1] if self._last else 0)
         check = properties_checksum({"calibration": {"frame": self._frames, **values}})
         self._stream.log(layout.CALIBRATION, rr.AnyValues(**values, calibration_crc32=check))
 
@@ -178,7 +178,7 @@ class Recorder:
     def record_depth(self, side: str, frame: int, time_ns: int, depth: NDArray[np.uint16]) -> None:
         """Logs a depth image losslessly: (height, width) millimetres."""
         blob = encode_depth(depth)
-        self._set_time(frame, time_ns)
+        set_time(self._stream, frame, time_ns)
         self._stream.log(
             layout.depth(side),
             depth_image(blob, MEDIA_TYPE, meter=1000.0),
@@ -190,7 +190,7 @@ class Recorder:
 
     def record_color(self, side: str, frame: int, time_ns: int, color: ColorImage) -> None:
         """Logs a colour image."""
-        self._set_time(frame, time_ns)
+        set_time(self._stream, frame, time_ns)
         self._color.record(side, frame, color)
 
     def event(self, event: Event, placed: bool = False) -> None:
@@ -202,14 +202,14 @@ class Recorder:
         """
         if not placed:
             event = event.placed(*(self._last or (self._frames, 0)))
-        self._set_time(event.frame, event.time_ns)
+        set_time(self._stream, event.frame, event.time_ns)
         # all events have all components, so that they share chunks
         values = rr.AnyValues(crc32=event_checksum(event), topic=event.topic, phase=event.phase)
         self._stream.log(layout.EVENTS, rr.TextLog(event.text, level=event.level), values)
 
     def coach(self, page: CoachPage) -> None:
         """Logs the coach's page at the time of the last frame."""
-        self._set_time(*(self._last or (0, 0)))
+        set_time(self._stream, *(self._last or (0, 0)))
         for entity, what in page.entities():
             self._stream.log(entity, what)
 
@@ -224,10 +224,6 @@ class Recorder:
             if frame.streams is not None:
                 self._figures.record(number, time_ns, frame.streams)
             self.record_images(number, frame)
-
-    def _set_time(self, frame: int, time_ns: int) -> None:
-        self._stream.set_time(layout.FRAME, sequence=frame)
-        self._stream.set_time(layout.TIME, duration=np.timedelta64(time_ns, "ns"))
 
     def _stack(self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None) -> SessionArrays:
         if numbers is None:
@@ -271,7 +267,7 @@ class Recorder:
         few = len(rows) == 1 or self._plots_every > 1
         if few and len(changes) == 1 and t is not None:
             # columns would take three times as long
-            self._set_time(int(rows.frame[t]), int(rows.time_ns[t]))
+            set_time(self._stream, rows.frame[t], rows.time_ns[t])
             self._stream.log(lane, rr.StateChange(state=names[state]))
             return
         places = [(0, 0) if t is None else (int(rows.frame[t]), int(rows.time_ns[t])) for t, _ in changes]
