@@ -189,23 +189,13 @@ class Coach:
                 few = int(came)  # rounded it might be the limit itself
                 slow = self._simulated or dropped > most
                 remedy = _BUSY if step != 1 else _SLOW if slow else _USB
-                yield Advice(
-                    f"rate {side}",
-                    f"Sensor {side} gives {few} frames per second; below {least:.3g} "
-                    f"movements are missed. {remedy}",
-                    "WARN",
-                    side,
-                    f"{few} frames per second",
-                )
+                missed = f"below {least:.3g} movements are missed. {remedy}"
+                text = f"Sensor {side} gives {few} frames per second; {missed}"
+                yield _problem("rate", side, text, f"{few} frames per second")
             elif dropped > most:
-                yield Advice(
-                    f"drops {side}",
-                    f"{dropped} frames of {side} came too fast for this machine in {_RATE_WINDOW:g} s (limit "
-                    f"{most}). Close other programs.",
-                    "WARN",
-                    side,
-                    "drops frames",
-                )
+                remedy = f"in {_RATE_WINDOW:g} s (limit {most}). Close other programs."
+                text = f"{dropped} frames of {side} came too fast for this machine {remedy}"
+                yield _problem("drops", side, text, "drops frames")
         if self._skews:
             skew, limit = float(np.median([ms for _, ms in self._skews])), SKEW * 1e3 / self._rate
             if skew > limit:
@@ -231,27 +221,17 @@ class Coach:
             since = time - (self._began if self._seen_at[k] is None else self._seen_at[k] or 0.0)
             if skeleton is None:
                 if since >= UNSEEN:
-                    yield Advice(
-                        f"person {side}",
-                        f"Sensor {side} has seen no one for {since:.0f} s (more than {UNSEEN:g} s). "
-                        "Step into its view, and turn off what stands in the way.",
-                        "WARN",
-                        side,
-                        "sees no one",
-                    )
+                    text = f"Sensor {side} has seen no one for {since:.0f} s (more than {UNSEEN:g} s)."
+                    remedy = "Step into its view, and turn off what stands in the way."
+                    yield _problem("person", side, f"{text} {remedy}", "sees no one")
                 continue
             yield from self._distance(side, skeleton, self.intrinsics[k])
             lately = [view.feet_gone for view in self._views[k] if view.seen and time - view.time <= _SECOND]
             gone = float(np.mean(lately))
             if gone > CUT_OFF:
-                yield Advice(
-                    f"feet {side}",
-                    f"Sensor {side} does not see both feet in {100 * gone:.0f} % of frames (limit "
-                    f"{100 * CUT_OFF:.0f} %). Step back, or tilt the sensor down.",
-                    "WARN",
-                    side,
-                    "feet cut off",
-                )
+                text = f"Sensor {side} does not see both feet in {100 * gone:.0f} % of frames"
+                remedy = f"(limit {100 * CUT_OFF:.0f} %). Step back, or tilt the sensor down."
+                yield _problem("feet", side, f"{text} {remedy}", "feet cut off")
 
     def _distance(self, side: str, skeleton: Skeleton, camera: Intrinsics) -> Iterator[Advice]:
         torso = skeleton.positions[list(self.body.torso), 2]
@@ -260,22 +240,14 @@ class Coach:
         away = float(np.nanmean(torso))
         near, far = nearest(camera), FARTHEST[self.body.name]
         if away < near:
-            yield Advice(
-                f"distance {side}",
-                f"Too close to sensor {side}: {away:.1f} m; a whole person fits from "
-                f"{near:.1f} m on. Step back.",
-                "WARN",
-                side,
-                f"too close, {away:.1f} m",
-            )
+            limit = f"a whole person fits from {near:.1f} m on. Step back."
+            text = f"Too close to sensor {side}: {away:.1f} m; {limit}"
+            yield _problem("distance", side, text, f"too close, {away:.1f} m")
         elif away > far:
-            yield Advice(
-                f"distance {side}",
-                f"Too far from sensor {side}: {away:.1f} m; it measures well up to {far:.1f} m. Come closer.",
-                "WARN",
-                side,
-                f"too far, {away:.1f} m",
+            text = (
+                f"Too far from sensor {side}: {away:.1f} m; it measures well up to {far:.1f} m. Come closer."
             )
+            yield _problem("distance", side, text, f"too far, {away:.1f} m")
 
     def _overlap(self, calibration: Calibration) -> Iterator[Advice]:
         if calibration is not self._overlap_of[0]:
@@ -319,3 +291,8 @@ class Coach:
                 "AB",
                 "moved? calibrate again",
             )
+
+
+def _problem(topic: str, side: str, text: str, label: str) -> Advice:
+    """A warning about one sensor."""
+    return Advice(f"{topic} {side}", text, "WARN", side, label)
