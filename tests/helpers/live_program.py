@@ -4,13 +4,26 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.helpers.command_line import duplex
 from tests.helpers.standin_library import Standin
 
 
-def live(standin: Standin, save: Path, *more: object, seconds: float = 1.0) -> int:
-    """Records a session of so many seconds without a viewer; the exit code."""
-    return duplex(
-        *("live", "--kinect-a", "000123", "--kinect-b", "000456", "--k4abt", standin.path),
-        *("--no-viewer", "--save", save, "--seconds", seconds, *more),
-    )
+class Live:
+    """Records sessions without a viewer into the file `saved`."""
+
+    def __init__(self, standin: Standin, saved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        self.saved = saved
+        self._standin, self._capsys = standin, capsys
+
+    def __call__(self, *more: object, seconds: float = 1.0, codes: tuple[int, ...] = (0,)) -> str:
+        """Runs a session and checks its exit code; returns the words that it printed."""
+        self._capsys.readouterr()
+        ended = duplex(
+            *("live", "--kinect-a", "000123", "--kinect-b", "000456", "--k4abt", self._standin.path),
+            *("--no-viewer", "--save", self.saved, "--seconds", seconds, *more),
+        )
+        printed = self._capsys.readouterr()
+        assert ended in codes, printed
+        return printed.err if ended else " ".join(printed.out.split())

@@ -14,6 +14,7 @@ from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
+from tests.helpers.live_program import Live
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import Bus, Device, make_module
 
@@ -35,3 +36,10 @@ def kinects(standin: Standin, monkeypatch: pytest.MonkeyPatch) -> Bus:
     # Compilation takes longer than these sessions.
     Fuser(FusionSetup(nominal_calibration(AZURE_KINECT))).warm_up()
     return bus
+
+
+@pytest.fixture
+def live(kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Live:
+    """``duplex live`` on both sensors."""
+    assert len(kinects.devices) == 2
+    return Live(standin, tmp_path / "s.rrd", capsys)

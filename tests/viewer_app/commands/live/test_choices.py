@@ -12,7 +12,7 @@ from rich.console import Console
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
 from tests.helpers.command_line import duplex
-from tests.helpers.live_program import live
+from tests.helpers.live_program import Live
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import Bus
 from viewer_app.options.sensing import LiveOptions
@@ -77,13 +77,10 @@ def test_tensorrt_has_time_to_build_its_engine(
     assert ("TensorRT builds its engine; minutes" in capsys.readouterr().out) == (processing == "tensorrt")
 
 
-def test_without_a_cable_it_says_what_that_costs(
-    kinects: Bus, standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_cable_it_says_what_that_costs(kinects: Bus, live: Live) -> None:
     for device in kinects.devices:
         device.jacks = (False, False)
-    assert live(standin, tmp_path / "s.rrd", seconds=0.2) == 0
-    assert "No sync cable" in capsys.readouterr().out
+    assert "No sync cable" in live(seconds=0.2)
     assert {config.wired_sync_mode for config in kinects.configs} == {0}
 
 
