@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -39,22 +40,10 @@ def path(session: Session, tmp_path: Path) -> Path:
     return tmp_path / "s.rrd"
 
 
-class Shown:
-    """Replaces the viewer and records the times at which it would open."""
-
-    def __init__(self, takes_times: bool = True) -> None:
-        self.at_ns: list[int | None] = []
-        self._takes_times = takes_times
-
-    def __call__(self, path: Path, at_ns: int | None = None) -> bool:
-        assert path.exists()
-        self.at_ns.append(at_ns)
-        return self._takes_times
-
-
 @pytest.fixture
-def shown(monkeypatch: pytest.MonkeyPatch) -> Shown:
-    viewer = Shown()
+def shown(monkeypatch: pytest.MonkeyPatch) -> MagicMock:
+    """Replaces the viewer."""
+    viewer = MagicMock(return_value=True)
     monkeypatch.setattr(review, "show", viewer)
     monkeypatch.setattr(review, "has_display", lambda: True)
     return viewer
@@ -73,11 +62,11 @@ def test_the_viewer_opens_at_the_first_warning_or_as_asked(
     at_ns: int,
     words: str,
     path: Path,
-    shown: Shown,
+    shown: MagicMock,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert duplex("review", path, *options) == 0
-    assert shown.at_ns == [at_ns]
+    shown.assert_called_once_with(path, at_ns)
     said = capsys.readouterr().out
     assert f"The viewer opens {words}." in said
     assert "2  0.50 s  A reports left and right exchanged. It lasted 1.0 s." in said
@@ -85,26 +74,26 @@ def test_the_viewer_opens_at_the_first_warning_or_as_asked(
 
 
 def test_without_a_display_it_says_where_a_viewer_would_open(
-    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    path: Path, shown: MagicMock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(review, "has_display", lambda: False)
     assert duplex("review", path, "--event", 2) == 0
     assert "There is no display; a viewer would open at 0.50 s, event 2." in capsys.readouterr().out
+    shown.assert_not_called()
 
 
 def test_without_an_event_it_opens_at_the_beginning_and_says_so(
-    session: Session, shown: Shown, capsys: pytest.CaptureFixture[str]
+    session: Session, shown: MagicMock, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert duplex("review", session.path) == 0
-    assert shown.at_ns == [0]
+    shown.assert_called_once_with(session.path, 0)
     assert "opens at the beginning: no event calls for a look" in capsys.readouterr().out
 
 
 def test_a_viewer_that_does_not_take_the_time_is_no_failure(
-    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    path: Path, shown: MagicMock, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(review, "show", Shown(takes_times=False))
-    monkeypatch.setattr(review, "has_display", lambda: True)
+    shown.return_value = False
     assert duplex("review", path) == 0
     assert "did not take the time" in capsys.readouterr().out
 
@@ -121,11 +110,11 @@ def test_a_viewer_that_does_not_take_the_time_is_no_failure(
     ],
 )
 def test_a_wrong_time_or_number_gives_one_line_and_opens_nothing(
-    options: tuple[object, ...], words: str, path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]
+    options: tuple[object, ...], words: str, path: Path, shown: MagicMock, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert duplex("review", path, *options) == 2
     assert words in one_line(capsys)
-    assert shown.at_ns == []
+    shown.assert_not_called()
 
 
 def test_the_page_has_the_same_list(path: Path, tmp_path: Path) -> None:
