@@ -28,22 +28,16 @@ class PersonChoice:
     tracker's id, as long as the id stays with the body, else by the last position of the body: trackers
     assign a new id after an occlusion, and swap the ids of two people who pass each other. A person out of
     sight is waited for; after two seconds a new person is chosen.
+
+    Attributes:
+        identity: The tracker's id of the person followed; None before the first.
+        position: (3,) where the person was when chosen last, metres; None before the first.
     """
 
     def __init__(self) -> None:
-        self._identity: str | None = None
-        self._at: NDArray[np.float64] | None = None
+        self.identity: str | None = None
+        self.position: NDArray[np.float64] | None = None
         self._time_ns = 0
-
-    @property
-    def identity(self) -> str | None:
-        """The tracker's id of the person followed; None before the first."""
-        return self._identity
-
-    @property
-    def position(self) -> NDArray[np.float64] | None:
-        """(3,) where the person was when chosen last, metres; None before the first."""
-        return self._at
 
     def choose(
         self, people: Mapping[str, Skeleton], time_ns: int, at: NDArray[np.float64] | None = None
@@ -64,21 +58,21 @@ class PersonChoice:
             chosen = self._follow(centres, time_ns)
         if chosen is None:
             return None
-        self._identity, self._at, self._time_ns = chosen, centres[chosen], time_ns
+        self.identity, self.position, self._time_ns = chosen, centres[chosen], time_ns
         return people[chosen]
 
     def _follow(self, centres: Mapping[str, NDArray[np.float64]], time_ns: int) -> str | None:
         elapsed_s = (time_ns - self._time_ns) / 1e9
-        if self._at is None or elapsed_s < 0 or elapsed_s > _HOLD_S:
+        if self.position is None or elapsed_s < 0 or elapsed_s > _HOLD_S:
             # The bearing from the optical axis: what is central in the image, near or far.
             return min(centres, key=lambda name: _bearing(centres[name]), default=None)
-        last, reach = self._at, _REACH_M + _SPEED_M_S * elapsed_s
+        last, reach = self.position, _REACH_M + _SPEED_M_S * elapsed_s
         distance = {name: float(np.linalg.norm(at - last)) for name, at in centres.items()}
         near = [name for name in distance if distance[name] <= reach]
         if not near:
             return None
         nearest = min(near, key=distance.__getitem__)
-        own = self._identity
+        own = self.identity
         # The id decides if its body is within reach of the last position. If its body has jumped and
         # another body is at the last position, the ids were swapped.
         if own in near and (distance[own] <= _REACH_M or distance[nearest] > _REACH_M / 2):

@@ -41,34 +41,25 @@ class FrameDecimation:
 
     Args:
         fps: Frames per second of the cameras.
+
+    Attributes:
+        period_ns: Time between two frames of the cameras.
+        step: Every which moment is kept; 1 keeps all.
+        slowest: The sensor whose tracker decided the step last; empty before.
+        slowest_s: Seconds per frame that this tracker took then.
     """
 
     def __init__(self, fps: float) -> None:
         self.period_ns = round(1e9 / fps)
-        self._step = 1
-        self._slowest, self._slowest_s = "", 0.0
+        self.step = 1
+        self.slowest, self.slowest_s = "", 0.0
         self._sensors: dict[str, _Sensor] = {}
         self._lock = threading.Lock()
 
     @property
-    def step(self) -> int:
-        """Every which moment is kept; 1 keeps all."""
-        return self._step
-
-    @property
     def interval_ns(self) -> int:
         """Time between two kept moments."""
-        return self._step * self.period_ns
-
-    @property
-    def slowest(self) -> str:
-        """The sensor whose tracker decided the step; empty as long as it is 1."""
-        return self._slowest if self._step > 1 else ""
-
-    @property
-    def slowest_s(self) -> float:
-        """Seconds per frame that this tracker took when the step was chosen; 0 as long as it is 1."""
-        return self._slowest_s if self._step > 1 else 0.0
+        return self.step * self.period_ns
 
     @property
     def advice(self) -> str:
@@ -118,11 +109,11 @@ class FrameDecimation:
 
     def keeps(self, moment: int) -> bool:
         """Whether this moment's frames go to the trackers."""
-        return moment % self._step == 0
+        return moment % self.step == 0
 
     def kept_before(self, moment: int, count: int) -> int:
         """How many of the ``count`` moments before one are kept."""
-        return (moment - 1) // self._step - (moment - count - 1) // self._step
+        return (moment - 1) // self.step - (moment - count - 1) // self.step
 
     def tracked(self, sensor: str, time_ns: int) -> None:
         """Records how long a sensor's tracker worked on one frame."""
@@ -145,12 +136,12 @@ class FrameDecimation:
             return
         slowest = max(enough, key=lambda name: enough[name])
         needed = math.ceil(enough[slowest] / (_USED_TO_SLOW * self.period_ns))
-        if needed < self._step:
+        if needed < self.step:
             needed = math.ceil(enough[slowest] / (_USED_TO_SPEED * self.period_ns))
-            if needed >= self._step or any(len(all_) < _ENOUGH_TO_SPEED for all_ in times.values()):
+            if needed >= self.step or any(len(all_) < _ENOUGH_TO_SPEED for all_ in times.values()):
                 return
-        if needed != self._step:
-            self._step, self._slowest = max(1, needed), slowest
-            self._slowest_s = enough[slowest] * 1e-9
+        if needed != self.step:
+            self.step, self.slowest = max(1, needed), slowest
+            self.slowest_s = enough[slowest] * 1e-9
             for all_ in times.values():
                 all_.clear()

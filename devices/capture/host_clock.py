@@ -31,26 +31,24 @@ class HostClock:
     offset is the least arrival − capture of the last ten seconds: jitter only adds and does not disturb it,
     and a clock that drifts by 50 ppm moves 0.5 ms in that time. A jump by more than half a second, confirmed
     by a second frame where it looks like lateness, is a reset.
+
+    Attributes:
+        offset_ns: Host time minus sensor time, least delay included; None before the first frame.
     """
 
     def __init__(self) -> None:
         self._minima: deque[tuple[int, int]] = deque(maxlen=_DRIFT_BLOCKS)  # (block of host time, offset)
         self._suspect: tuple[int, int] | None = None
-        self._offset_ns: int | None = None
+        self.offset_ns: int | None = None
         self._rate: tuple[int, float] = (0, 0.0)
-
-    @property
-    def offset_ns(self) -> int | None:
-        """Host time minus sensor time, least delay included; None before the first frame."""
-        return self._offset_ns
 
     def observe(self, sensor_ns: int, host_ns: int) -> Timing:
         """Adds a frame captured at ``sensor_ns`` that arrived at ``host_ns``."""
         offset_ns = host_ns - sensor_ns
-        if self._offset_ns is None:
+        if self.offset_ns is None:
             self._note(offset_ns, host_ns)
             return Timing.IN_TIME
-        excess_ns = offset_ns - self._offset_ns
+        excess_ns = offset_ns - self.offset_ns
         if -_LATE_NS <= excess_ns <= _LATE_NS:
             self._suspect = None
             self._note(offset_ns, host_ns)
@@ -67,7 +65,7 @@ class HostClock:
     def restart(self) -> None:
         """Forgets the offset: the next frame starts it anew."""
         self._minima.clear()
-        self._offset_ns, self._suspect = None, None
+        self.offset_ns, self._suspect = None, None
 
     @property
     def drift_ppm(self) -> float:
@@ -92,4 +90,4 @@ class HostClock:
         else:
             self._minima.append((block, offset_ns))
         recent = [least for at, least in self._minima if at > block - _WINDOW_BLOCKS]
-        self._offset_ns = min(recent)
+        self.offset_ns = min(recent)

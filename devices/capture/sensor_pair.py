@@ -44,6 +44,7 @@ class TwoSensors:
 
     Attributes:
         a, b: The sensors' threads, for their counts of frames and drops.
+        step: Every which frame both sensors go on with, for the slower body tracker; 1 is every one.
     """
 
     def __init__(
@@ -73,7 +74,7 @@ class TwoSensors:
             for sensor in (a, b)
         )
         self._pairing = pairing or LivePairing()
-        self._decimation, self._step = decimation, 1
+        self._decimation, self.step = decimation, 1
         self._clock, self._tell = clock, tell
         self._stopped = False
         self._returns: dict[Side, int] = {"a": 0, "b": 0}
@@ -88,11 +89,6 @@ class TwoSensors:
     def links(self) -> tuple[LinkFigures | None, LinkFigures | None]:
         """How the messages of A and of B arrive; None for a sensor of this machine."""
         return self.a.sensor.link, self.b.sensor.link
-
-    @property
-    def step(self) -> int:
-        """Every which frame both sensors go on with, for the slower body tracker; 1 is every one."""
-        return self._step
 
     @property
     def stream_figures(self) -> StreamFigures:
@@ -192,9 +188,9 @@ class TwoSensors:
             return
         for news in decimation.take_news():
             self._say(news)
-        if decimation.step == self._step:
+        if decimation.step == self.step:
             return
-        self._step = decimation.step
+        self.step = decimation.step
         self._pairing.set_interval(decimation.interval_ns)
         for _, thread in self._sides():
             thread.set_interval(decimation.interval_ns * 1e-9)
@@ -202,7 +198,7 @@ class TwoSensors:
         message = (
             f"The body tracker of {decimation.slowest} takes {1000 * decimation.slowest_s:.0f} ms per frame: "
             f"both sensors go on with {kept:.3g} of {full:.3g} frames per second. {decimation.advice}"
-            if self._step > 1
+            if self.step > 1
             else f"The body trackers keep up again: {full:.3g} frames per second."
         )
         self._say(message)

@@ -35,6 +35,8 @@ class SensorThread:
 
     Attributes:
         sensor: The sensor; its ``intrinsics`` and ``body`` may be read once ``open`` returned.
+        received: How many frames the sensor has given.
+        returns: How often a lost sensor came back.
     """
 
     def __init__(
@@ -66,7 +68,7 @@ class SensorThread:
         self._frames: deque[Arrival] = deque()
         self._events: deque[Event] = deque(maxlen=_EVENTS_KEPT)
         self._state = SensorState.CLOSED
-        self._received = self._dropped = self._returns = self._missed_before = 0
+        self.received = self._dropped = self.returns = self._missed_before = 0
         self._last_s = 0.0
         self._left_behind: threading.Thread | None = None
         self._told, self._stall_told, self._first, self._first_told = "", False, False, False
@@ -75,19 +77,9 @@ class SensorThread:
         self._thread: threading.Thread | None = None
 
     @property
-    def received(self) -> int:
-        """How many frames the sensor has given."""
-        return self._received
-
-    @property
     def dropped(self) -> int:
         """Number of dropped frames: the reader was too slow for the thread, or the thread for the sensor."""
         return self._dropped + self.sensor.missed - self._missed_before
-
-    @property
-    def returns(self) -> int:
-        """How often a lost sensor came back."""
-        return self._returns
 
     @property
     def waiting(self) -> bool:
@@ -141,7 +133,7 @@ class SensorThread:
         with self._lock:
             if self._dropped:
                 self._frames.clear()
-            self._received, self._dropped = len(self._frames), 0
+            self.received, self._dropped = len(self._frames), 0
             self._missed_before = self.sensor.missed
 
     def set_interval(self, interval_s: float) -> None:
@@ -273,7 +265,7 @@ class SensorThread:
     def _started(self, came_back: bool) -> None:
         with self._lock:
             self._state, self._last_s, self._told = SensorState.RUNNING, self._clock(), ""
-            self._returns += came_back
+            self.returns += came_back
             self._first, self._first_told = True, False
         self._retries.succeeded()
         if came_back:
@@ -287,7 +279,7 @@ class SensorThread:
             frame = replace(frame, host_ns=came_ns)
         with self._lock:
             self._last_s, self._first = now_s, False
-            self._received += 1
+            self.received += 1
             self._frames.append(Arrival(came_ns, frame))
             if len(self._frames) > self._keep:
                 self._frames.popleft()
