@@ -2,12 +2,10 @@
 
 Two kinds of constants: trackers' errors by kind of joint (:class:`JointErrors`), and the person's motion and
 the filter's behaviour (:class:`Constants`). The tables are medians over recordings, made by
-``python -m tests.experiments.fit_estimator errors FOLDER…``. The constants were set by
+``python -m tests.experiments.fit_estimator FOLDER…``. The constants were set by
 hand. A coordinate search with a prototype lowered its objective by 3 % from there; only a part of its changes
 was adopted. It ran over simulated recordings of both bodies (seeds 3000 and 3001), simulated ones with all
 errors × 1.5 (seed 3002), real pairs (``real/``, ``_2`` and ``_14`` of ``real_more/``), and injected faults.
-``python -m tests.experiments.fit_estimator constants FOLDER…`` runs such a search without the larger errors
-and the faults.
 """
 
 from __future__ import annotations
