@@ -1,4 +1,4 @@
-"""The README's moving picture: which moment it shows, its size, and that it moves."""
+"""The README's moving picture: its size, and that it moves."""
 
 from __future__ import annotations
 
@@ -9,23 +9,9 @@ import pytest
 from PIL import Image
 
 from recordings import fuse
-from tests.experiments.moving_picture import (
-    hardest_window,
-    pictures,
-    skeletons_of,
-    write_animation,
-)
+from tests.experiments.moving_picture import pictures, skeletons_of, write_animation
 from tests.helpers.machine import need_viewer
 from tests.helpers.recorded_pairs import write_recordings
-
-
-def test_the_hardest_moment_is_where_the_views_disagree_most() -> None:
-    seconds = np.arange(0.0, 10.0, 0.1)
-    apart = np.where((seconds >= 6.0) & (seconds < 8.0), 0.2, 0.02)
-    apart[3] = np.nan
-    begin, end = hardest_window(seconds, apart, 2.0)
-    assert end - begin == pytest.approx(2.0)
-    assert begin == pytest.approx(6.0, abs=0.11)  # a frame is 0.1 s
 
 
 def noise(frames: int) -> list[Image.Image]:

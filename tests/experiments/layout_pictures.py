@@ -34,7 +34,6 @@ from recordings import Session, layout
 from recordings.file.rrd_file import RrdFile
 from recordings.file.session_writer import write_session
 from recordings.images import NO_IMAGES
-from tests.experiments.moving_picture import hardest_window
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.cli import main
@@ -166,9 +165,9 @@ def write_png(path: Path, picture: Image.Image, limit: int = _LIMIT) -> None:
 
 def hard_moment(session: Session) -> float:
     """Seconds: the middle of the second in which the views differ most, after the start-up pose."""
-    later = session.time_ns * 1e-9 > 4.0
-    begin, end = hardest_window(session.time_ns[later] * 1e-9, session.quality.disagreement[later], 1.0)
-    return 0.5 * (begin + end)
+    later = session.time_ns > 4_000_000_000
+    apart = np.convolve(np.nan_to_num(session.quality.disagreement[later]), np.ones(30) / 30, "valid")
+    return float(session.time_ns[later][np.argmax(apart) + 15] * 1e-9)
 
 
 def both_see(session: Session, moment: float) -> float:

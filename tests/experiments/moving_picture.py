@@ -2,9 +2,8 @@
 
 ``python -m tests.experiments.moving_picture`` runs ``duplex demo``, draws what Kinect A, Kinect B and the
 program make of the same moments in a viewer without a screen, and writes ``docs/pictures/moving.webp``.
-Joints that are far from the truth are red; what a Kinect does not see is grey, where it really is. Of a
-session of one's own (``--session``) it shows the moment in which the two views disagree most; where the truth
-is unknown, S* stands for it. A graphics driver or Debian's mesa-vulkan-drivers is needed.
+Joints that are far from the truth are red; what a Kinect does not see is grey, where it really is. A
+graphics driver or Debian's mesa-vulkan-drivers is needed.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from rerun.experimental import ViewerClient
 
@@ -49,31 +48,12 @@ _EYE_M, _EYE_ABOVE_M, _EYE_TURNED = 3.1, 0.2, np.radians(24.0)
 """The eye: distance from the person, height above the pelvis, and turn from the middle between the sensors to
 B, so that a lunge towards the sensors is not foreshortened."""
 _BEFORE_S, _AFTER_S = 0.4, 0.6
+_RATE = 16.0
+"""Pictures per second."""
+_THIRD = (260, 420)
+"""Width and height of each skeleton's picture, pixels."""
 _FLOOR_M, _MESH_M = 1.0, 0.5
 _EDGE = 12  # pixels: the viewer's own frame round a view
-
-
-def hardest_window(seconds: ArrayLike, disagreement: ArrayLike, length: float) -> tuple[float, float]:
-    """Finds the stretch of time with the largest mean disagreement of the views.
-
-    Args:
-        seconds: (T,) ascending times.
-        disagreement: (T,) metres; NaN where there is none.
-        length: Length of the stretch, seconds; at most that of the session.
-
-    Returns:
-        Begin and end, seconds.
-    """
-    time, apart = np.asarray(seconds, dtype=np.float64), np.nan_to_num(np.asarray(disagreement, np.float64))
-    total = np.concatenate(([0.0], np.cumsum(apart)))
-    ends = np.searchsorted(time, time + length, side="right")
-    whole = time + length <= time[-1] + 1e-9
-    if not whole.any():
-        return float(time[0]), float(time[-1])
-    firsts = np.flatnonzero(whole)
-    means = (total[ends[firsts]] - total[firsts]) / (ends[firsts] - firsts)
-    begin = float(time[firsts[int(np.argmax(means))]])
-    return begin, begin + length
 
 
 @dataclass(frozen=True)
@@ -295,41 +275,25 @@ def write_animation(path: Path, frames: Sequence[Image.Image], seconds: float, l
     raise ValueError(f"{len(frames)} frames of {frames[0].size} do not fit into {limit} bytes.")
 
 
-def demo_session(file: Path, motion: str, seconds: float) -> Session:
-    """The session of ``duplex demo``, without images."""
-    options = ["--motion", motion, "--seconds", str(seconds), "--depth", "none", "--no-viewer", "--quiet"]
-    main(["demo", *options, "--save", str(file), "--force"])
-    return Session.open(file)
-
-
 def run() -> None:
-    """Makes the picture."""
+    """Makes the picture: one round of both faults."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--session", type=Path, help="a session; without it, duplex demo is run")
-    parser.add_argument("--seconds", type=float, default=4.0, help="of a session of one's own")
-    parser.add_argument("--rate", type=float, default=16.0, help="pictures per second of the session")
-    parser.add_argument("--slower", type=float, default=1.0, help="how much slower than in the session")
-    parser.add_argument("--size", type=int, nargs=2, default=(260, 420), help="width and height of a third")
     parser.add_argument("--out", type=Path, default=PICTURE)
-    options = parser.parse_args()
+    out = parser.parse_args().out
+    begin, end = MIRRORED.begins - _BEFORE_S, MISPLACED.begins + MISPLACED.seconds + _AFTER_S
     with tempfile.TemporaryDirectory() as folder:
-        if options.session is None:
-            # one round of both faults
-            begin, end = MIRRORED.begins - _BEFORE_S, MISPLACED.begins + MISPLACED.seconds + _AFTER_S
-            session = demo_session(Path(folder) / "demo.rrd", "badminton", end + 1.0)
-        else:
-            session = Session.open(options.session)
-            begin, end = hardest_window(session.time_ns * 1e-9, session.quality.disagreement, options.seconds)
-        moments = np.arange(begin, end, 1.0 / options.rate)
+        file = Path(folder) / "demo.rrd"
+        options = ["--motion", "badminton", "--seconds", str(end + 1.0), "--depth", "none"]
+        main(["demo", *options, "--no-viewer", "--quiet", "--save", str(file)])
+        session = Session.open(file)
+        moments = np.arange(begin, end, 1.0 / _RATE)
         rows = np.searchsorted(session.time_ns * 1e-9, moments).clip(max=len(session) - 1).tolist()
         skeletons = skeletons_of(session)
-        drawn = pictures(session, skeletons, rows, tuple(options.size))
+        drawn = pictures(session, skeletons, rows, _THIRD)
     frames = [with_captions(picture, skeletons, row) for picture, row in zip(drawn, rows, strict=True)]
-    quality = write_animation(options.out, frames, options.slower * (end - begin))
-    size = options.out.stat().st_size
-    print(
-        f"{options.out}: {begin:.1f} to {end:.1f} s, {len(frames)} pictures, {size / 1e6:.2f} MB, {quality=}"
-    )
+    quality = write_animation(out, frames, end - begin)
+    size = out.stat().st_size / 1e6
+    print(f"{out}: {begin:.1f} to {end:.1f} s, {len(frames)} pictures, {size:.2f} MB, {quality=}")
 
 
 if __name__ == "__main__":
