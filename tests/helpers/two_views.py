@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
-from fusion.calibration.calibration import Calibration
+from fusion.calibration.calibration import Calibration, calibrate
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
 
@@ -22,6 +22,19 @@ A_FROM_B = RigidTransform.of(
 def calibration_of(body: Body) -> Calibration:
     """The true placement and the true bone lengths."""
     return Calibration(body, A_FROM_B, body.nominal_lengths, "known truth")
+
+
+def turned_around(angle: float) -> RigidTransform:
+    """K_B turned by so many degrees round a person 2.6 m before both sensors."""
+    rotation = Rotation.from_euler("y", -angle, degrees=True).as_matrix()
+    person = np.array([0.0, 0.0, 2.6])
+    return RigidTransform.of(rotation, person - rotation @ person)
+
+
+def calibrated_on(body: Body, a_from_b: RigidTransform = A_FROM_B) -> Calibration:
+    """The calibration on a second of the start-up pose."""
+    pairs = [pair_of(body, standing(body), k * FRAME_NS, a_from_b) for k in range(30)]
+    return calibrate(body, pairs, "start-up pose")
 
 
 def standing(

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fusion.body import KINECT_V2
-from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
+from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import FusedFrame, Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage, Mark
-from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
+from tests.helpers.two_views import A_FROM_B, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.scene import CoachScene
 from viewer_app.coach.setup_coach import HOLD, Situation
@@ -125,11 +125,8 @@ def test_a_moved_sensor_marks_both_because_either_may_have_moved() -> None:
 
 @pytest.mark.parametrize("angle", [30.0, 150.0])
 def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle: float) -> None:
-    rotation = Rotation.from_euler("y", -angle, degrees=True).as_matrix()
-    person = np.array([0.0, 0.0, 2.6])
-    a_from_b = RigidTransform.of(rotation, person - rotation @ [0.0, 0.0, 2.6])
-    pairs = [pair_of(BODY, PERSON, k * FRAME_NS, a_from_b) for k in range(30)]
-    now = Situation(calibrate(BODY, pairs, "start-up pose"), settled=True, held=0.0)
+    a_from_b = turned_around(angle)
+    now = Situation(calibrated_on(BODY, a_from_b), settled=True, held=0.0)
     mark = marks(now, fused())["better_b"]
     way = np.array(mark.lines[-1])
     assert way[0] == pytest.approx(a_from_b.translation, abs=1e-3)
@@ -143,8 +140,7 @@ def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle: f
 
 
 def test_a_good_angle_needs_no_better_place() -> None:
-    pairs = [pair_of(BODY, PERSON, k * FRAME_NS) for k in range(30)]
-    now = Situation(calibrate(BODY, pairs, "start-up pose"), settled=True, held=0.0)
+    now = Situation(calibrated_on(BODY), settled=True, held=0.0)
     assert "better_b" not in marks(now, fused())
 
 

@@ -20,7 +20,7 @@ from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, TrackingState
 from recordings.fusing.pairs import fuse_one
-from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
+from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.advice import Advice, spoken, to_markdown, verdict
 from viewer_app.coach.setup_coach import HOLD, MOVED, Coach, Situation
 from viewer_app.coach.standing_spot import FARTHEST, nearest
@@ -121,11 +121,8 @@ def test_a_tall_person_fits_into_the_image_at_the_nearest_distance() -> None:
 
 @pytest.mark.parametrize(("angle", "advice"), [(30.0, "apart"), (150.0, "together"), (90.0, None)])
 def test_the_angle_between_the_sensors_is_judged(angle: float, advice: str | None) -> None:
-    rotation = Rotation.from_euler("y", -angle, degrees=True).as_matrix()
-    person = standing(BODY).mean(axis=0)
-    a_from_b = RigidTransform.of(rotation, person - rotation @ [0.0, 0.0, 2.6])
-    pairs = [pair_of(BODY, standing(BODY), k * FRAME_NS, a_from_b) for k in range(30)]
-    now = Situation(calibrate(BODY, pairs, "start-up pose"), settled=True, held=0.0)
+    a_from_b = turned_around(angle)
+    now = Situation(calibrated_on(BODY, a_from_b), settled=True, held=0.0)
     said = watched(now=now, really=a_from_b)
     if advice is None:
         assert "angle" not in said

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from devices.azure.mkv import MkvRecording
-from devices.simulated.kinect import Truth, simulated_pair
+from devices.simulated.kinect import simulated_pair
 from devices.simulated.rig import Rig
 from fusion.body import BLAZEPOSE
 from recordings.session import Session
@@ -20,18 +20,17 @@ START_NS = 336_277_000
 SECONDS = 2.5
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Truth]:
-    """Two recordings of one simulated person, with a sync cable, and the truth."""
+def test_two_files_of_images_become_a_session_near_the_truth_that_replays_bit_for_bit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     need_networks("full")
     rig = Rig(frame_seconds=INTERVAL_US * 1e-6, skew_seconds=160e-6)
     a, b, truth = simulated_pair(
         motion="arms", seed=41, body=BLAZEPOSE, seconds=SECONDS, depth="half", infrared=True, rig=rig
     )
-    folder = tmp_path_factory.mktemp("simulated")
     paths = (
-        write_simulated(folder / "a.mkv", a, START_NS, "MASTER"),
-        write_simulated(folder / "b.mkv", b, START_NS + 160_000, "SUBORDINATE"),
+        write_simulated(tmp_path / "a.mkv", a, START_NS, "MASTER"),
+        write_simulated(tmp_path / "b.mkv", b, START_NS + 160_000, "SUBORDINATE"),
     )
     with MkvRecording(paths[0]) as written:  # the lens in the file is the simulator's
         assert written.intrinsics is not None
@@ -40,15 +39,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Trut
         np.testing.assert_allclose(
             written.intrinsics.project(points), a.intrinsics.project(points), atol=1e-6
         )
-    return *paths, truth
-
-
-def test_two_files_of_images_become_a_session_near_the_truth_that_replays_bit_for_bit(
-    recorded: tuple[Path, Path, Truth], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    a, b, truth = recorded
     saved = tmp_path / "s.rrd"
-    assert duplex("fuse", a, b, "--no-viewer", "--tracker", "blazepose", "--save", saved, "--verbose") == 0
+    assert duplex("fuse", *paths, "--no-viewer", "--tracker", "blazepose", "--save", saved, "--verbose") == 0
     said = " ".join(capsys.readouterr().out.split())
     frames = round(SECONDS / (INTERVAL_US * 1e-6))
     assert f"Paired {frames} frames of {frames} (A) and {frames} (B)" in said
