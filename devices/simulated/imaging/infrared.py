@@ -12,7 +12,7 @@ around the same landmarks.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache
 from typing import NamedTuple
@@ -59,13 +59,11 @@ _REFLECTANCE = {
     Material.TROUSERS: 0.30,
     Material.SHOES: 0.20,
 }
+REFLECTANCE = np.array([_REFLECTANCE[material] for material in Material], dtype=np.float32)
+"""(M,) reflectance of each :class:`Material`."""
 
 
-def _reflectances() -> NDArray[np.float32]:
-    return np.array([_REFLECTANCE[material] for material in Material], dtype=np.float32)
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class InfraredModel:
     """The illuminator and the infrared camera.
 
@@ -78,14 +76,12 @@ class InfraredModel:
         vignetting: Power of the cosine of the angle off the optical axis.
         read_noise: Standard deviation of a dark pixel, counts.
         shot_noise: Variance per count of brightness, counts.
-        reflectance: (M,) reflectance of each :class:`Material`.
     """
 
     gain: float = 2000.0
     vignetting: float = 3.5
     read_noise: float = 8.0
     shot_noise: float = 0.65
-    reflectance: NDArray[np.float32] = field(default_factory=_reflectances)
 
     def binned(self) -> InfraredModel:
         """Returns the model of the same camera with 2 × 2 binning: the mean of four pixels has less noise."""
@@ -114,7 +110,7 @@ def infrared_image(
         z, label, cosine: (height, width) the first surfaces.
         materials: (K,) the material of each capsule.
         illumination: From :meth:`InfraredModel.illumination`.
-        model: Reflectances and noise.
+        model: The noise of the camera.
         random: Source of the noise.
 
     Returns:
@@ -122,8 +118,8 @@ def infrared_image(
     """
     # Labels are -1 nothing, -2 floor, -3 wall, then capsules: shifted by three they index one table.
     by_label = np.zeros(len(materials) + 3, dtype=np.float32)
-    by_label[:2] = model.reflectance[[Material.WALL, Material.FLOOR]]
-    by_label[3:] = model.reflectance[materials]
+    by_label[:2] = REFLECTANCE[[Material.WALL, Material.FLOOR]]
+    by_label[3:] = REFLECTANCE[materials]
     normal = random.standard_normal(z.shape, dtype=np.float32)
     counts = (by_label[label + 3] * cosine * illumination / (z * z)).astype(np.float64)
     noisy = counts + np.sqrt(model.read_noise**2 + model.shot_noise * counts) * normal

@@ -8,6 +8,7 @@ import pytest
 from devices.sensor import DeviceError
 from devices.simulated.imaging.body_surface import capsules
 from devices.simulated.imaging.infrared import (
+    REFLECTANCE,
     InfraredModel,
     Material,
     clothed_capsules,
@@ -43,12 +44,12 @@ def exposed(z: float, cosine: float, label: int, model: InfraredModel = SILENT) 
 
 def test_brightness_follows_from_material_distance_angle_and_place_in_the_image() -> None:
     middle = round(LENS.cy), round(LENS.cx)
-    gain, wall = SILENT.gain, float(SILENT.reflectance[Material.WALL])
+    gain, wall = SILENT.gain, float(REFLECTANCE[Material.WALL])
     # Rounding to whole counts; the middle pixel is half a pixel off the axis.
     assert exposed(1.0, 1.0, WALL)[middle] == pytest.approx(gain * wall, abs=0.6)
     assert exposed(2.0, 1.0, WALL)[middle] == pytest.approx(gain * wall / 4.0, abs=0.6)
     assert exposed(2.0, 0.5, WALL)[middle] == pytest.approx(gain * wall / 8.0, abs=0.6)
-    floor = float(SILENT.reflectance[Material.FLOOR])
+    floor = float(REFLECTANCE[Material.FLOOR])
     assert exposed(2.0, 1.0, FLOOR)[middle] == pytest.approx(gain * floor / 4.0, abs=0.6)
     assert not exposed(2.0, 1.0, NOTHING).any()
     # A corner is farther away than z, and the illuminator is weaker there.
