@@ -21,6 +21,8 @@ from fusion.body import BODIES, Body
 from fusion.facing.exchange import exchange
 from fusion.facing.model import new_facing_model
 from fusion.facing.sequence import Labels, relabel_sequence
+from fusion.registration.keyframes import Evidence
+from fusion.registration.rigid_fit import label_free_fit
 
 Floats = NDArray[np.float64]
 
@@ -216,35 +218,19 @@ def real_views(folder: Path) -> Views:
         pairs = [p.skeletons for p in pair_recordings(list(a.frames()), list(b.frames()), "0", "0").pairs]
     both = [(p.a, p.b, p.time_ns) for p in pairs if p.a is not None and p.b is not None]
     at_a, at_b = (np.array([pair[v].positions for pair in both], dtype=np.float64) for v in (0, 1))
-    R, t = _robust_fit(_unlabelled(body, at_a), _unlabelled(body, at_b))
+    known = np.isfinite(at_a).all(axis=2) & np.isfinite(at_b).all(axis=2)
+    times = np.array([pair[2] for pair in both])
+    no_basis = np.zeros((len(both), 3))
+    evidence = Evidence(np.nan_to_num(at_a), np.nan_to_num(at_b), known.astype(float), no_basis, times)
+    a_from_b = label_free_fit(body, evidence)
+    assert a_from_b is not None
     return Views(
         body=body,
-        time_ns=np.array([pair[2] for pair in both]),
+        time_ns=times,
         a=at_a,
         states_a=np.array([pair[0].states for pair in both]),
-        b_in_a=at_b @ R.T + t,
+        b_in_a=a_from_b.apply(at_b),
         states_b=np.array([pair[1].states for pair in both]),
-        sensor_b=t,
+        sensor_b=a_from_b.translation,
         truth=np.empty((0, len(body), 3)),
     )
-
-
-def _unlabelled(body: Body, at: Floats) -> Floats:
-    """(N, 3) midpoints of left and right joints, and middle joints."""
-    once = np.flatnonzero(np.arange(len(body)) <= body.mirror)
-    return np.asarray(0.5 * (at + at[:, body.mirror])[:, once]).reshape(-1, 3)
-
-
-def _robust_fit(a: Floats, b: Floats) -> tuple[Floats, Floats]:
-    """R, t with a ≈ R b + t: Kabsch with the weights of Geman and McClure, ten rounds."""
-    known = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
-    a, b = a[known], b[known]
-    w = np.ones((len(a), 1))
-    for _ in range(10):
-        mean_a, mean_b = (w * a).sum(axis=0) / w.sum(), (w * b).sum(axis=0) / w.sum()
-        U, _, Vt = np.linalg.svd((w * (b - mean_b)).T @ (a - mean_a))
-        R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
-        t = mean_a - R @ mean_b
-        residual = np.linalg.norm(a - b @ R.T - t, axis=1)
-        w = ((1.0 + (residual / (1.4826 * np.median(residual))) ** 2) ** -2)[:, None]
-    return R, t

@@ -133,7 +133,6 @@ def write_simulated(path: Path, sensor: SimulatedKinect, start_offset_ns: int, s
         images.append((frame.depth, frame.ir))
     # The simulator's principal point is the middle of the image, which is not the middle of the sensor.
     mode, lens = DEPTH_MODES["NFOV_2X2BINNED"], sensor.intrinsics
-    assert lens is not None
     middle = (
         (lens.cx + 0.5 + mode.crop[0]) / mode.binned[0],
         (lens.cy + 0.5 + mode.crop[1]) / mode.binned[1],

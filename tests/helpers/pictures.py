@@ -32,7 +32,6 @@ def picture_of(viewer: ViewerClient, path: Path) -> NDArray[np.uint8]:
     """(height, width, 3) RGB of the whole window."""
     viewer.save_screenshot(str(path))
     picture = cv2.imread(str(path))
-    assert picture is not None
     return np.asarray(picture[..., ::-1])
 
 

@@ -19,7 +19,6 @@ from fusion.rigid import RigidTransform
 
 CAMERA = Intrinsics(640, 576, 504.0, 504.0, 319.5, 287.5)
 """The depth camera of an Azure Kinect in the mode NFOV_UNBINNED."""
-RIG = Rig(angle_deg=90.0)
 FRAME_NS = 33_333_333
 
 Images = tuple[NDArray[np.uint16], NDArray[np.uint16]]
@@ -35,7 +34,6 @@ def landmarks_at(motion: str, seconds: float, angle_deg: float = 90.0) -> NDArra
 def images_of(
     people: Sequence[NDArray[np.float64]],
     seed: int = 0,
-    camera: Intrinsics = CAMERA,
     sizes: Sequence[float] = (),
     angle_deg: float = 90.0,
 ) -> Images:
@@ -44,7 +42,6 @@ def images_of(
     Args:
         people: (N, 3) landmarks in the sensor's frame; no one for an empty room.
         seed: Of the noise.
-        camera: The camera.
         sizes: Stature of each person, metres; 1.75 if empty.
         angle_deg: Angle between the rig's sensors, of which the images are A's.
     """
@@ -52,10 +49,10 @@ def images_of(
     shapes = [clothed_capsules(marks, size) for marks, size in zip(people, statures, strict=True)]
     capsules = np.concatenate(shapes) if shapes else np.empty((0, 7))
     sensor_from_world: RigidTransform = Rig(angle_deg=angle_deg).world_from_sensor(0).inverse()
-    z, label, cosine = surface(capsules, sensor_from_world, camera)
+    z, label, cosine = surface(capsules, sensor_from_world, CAMERA)
     model, random = InfraredModel(), np.random.default_rng(seed)
     kinds = np.tile(materials(), max(1, len(people)))
-    infrared = infrared_image(z, label, cosine, kinds, model.illumination(camera), model, random)
+    infrared = infrared_image(z, label, cosine, kinds, model.illumination(CAMERA), model, random)
     return infrared, depth_image(z, cosine, DepthErrors(), random)
 
 

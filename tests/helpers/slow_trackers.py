@@ -65,17 +65,12 @@ class Outcome:
         paired: Share of the frames that both trackers could process that came out as pairs.
         age_ns: Median of how old both frames of a pair were when it came out, since they could be had
             from libk4a.
-        since_capture_ns: The same since the exposure's depth image was on the host: what capture sync held
-            them back is in it.
         step: The decimation at the end: one of so many moments was tracked.
-        missed: Wanted frames that were lost, of both sensors.
     """
 
     paired: float
     age_ns: float
-    since_capture_ns: float
     step: int
-    missed: int
 
 
 def run_slow_trackers(
@@ -83,7 +78,6 @@ def run_slow_trackers(
     *,
     color_latency_ns: int = 0,
     tracking_ns: tuple[int, int] = (20_000_000, 20_000_000),
-    jitter_ns: int = 1_000_000,
     seconds: float = 20.0,
     cable: bool = True,
 ) -> Outcome:
@@ -104,7 +98,7 @@ def run_slow_trackers(
         for serial, role, time in zip(serials, roles, times, strict=True)
     ]
     for sensor, time, takes in zip(sensors, times, tracking_ns, strict=True):
-        sensor._tracker = SlowTracker(time, lambda takes=takes: takes + int(rng.integers(0, jitter_ns + 1)))  # type: ignore[assignment]
+        sensor._tracker = SlowTracker(time, lambda takes=takes: takes + int(rng.integers(0, 1_000_001)))  # type: ignore[assignment]
     pairing = LivePairing(round(1e9 / 30), sync_delay_ns=1000 * LASER_GAP_US if cable else None)
     pairs: list[tuple[int, FramePair]] = []
     with sensors[1], sensors[0]:
@@ -122,7 +116,6 @@ def run_slow_trackers(
                 pairing.set_interval(decimation.interval_ns)
                 came = pairing.add("ab"[side], ready, at_ns)  # type: ignore[arg-type]
                 pairs += [(at_ns, pair) for pair in came if pair.a is not None and pair.b is not None]
-        missed = sum(sensor.missed for sensor in sensors)
         for stream in streams:
             stream.close()  # type: ignore[attr-defined]
     begun_ns = 100_000_000_000 + SETTLED_NS
@@ -131,5 +124,4 @@ def run_slow_trackers(
     possible = span_ns / (PERIOD_NS * -(-max(tracking_ns) // PERIOD_NS))
     held_ns = max(0, color_latency_ns - DEPTH_LATENCY_NS) if cable else 0
     ages = [at_ns - (frame.host_ns or 0) for at_ns, pair in settled for frame in (pair.a, pair.b) if frame]
-    since_ns = float(np.median(ages)) if ages else float("nan")
-    return Outcome(len(settled) / possible, since_ns - held_ns, since_ns, decimation.step, missed)
+    return Outcome(len(settled) / possible, float(np.median(ages)) - held_ns, decimation.step)

@@ -12,11 +12,10 @@ from fusion.body import Body
 
 
 class Optimum(NamedTuple):
-    """(J, 3) joints in metres, the objective of eq. (1) there, and SLSQP's steps."""
+    """(J, 3) joints in metres, and the objective of eq. (1) there."""
 
     positions: NDArray[np.float64]
     objective: float
-    steps: int
 
 
 def slsqp_optimum(
@@ -25,9 +24,6 @@ def slsqp_optimum(
     information: NDArray[np.float64],
     lengths: NDArray[np.float64],
     start: NDArray[np.float64],
-    *,
-    analytic: bool = True,
-    max_steps: int = 1000,
 ) -> Optimum:
     """Minimises Σ (x − m)ᵀ W (x − m) over the joints x, subject to (‖e‖² − l²)/2 = 0 for each bone e.
 
@@ -37,8 +33,6 @@ def slsqp_optimum(
         information: (J,) weights w, or (J, 3, 3) symmetric matrices W.
         lengths: (J,) l, metres, of the bone that ends in each joint.
         start: (J, 3) starting point, metres.
-        analytic: Whether SLSQP gets analytic derivatives; if not, it uses finite differences.
-        max_steps: The step limit of SLSQP.
     """
     child = body.bone_joints
     parent = body.parent_indices[child]
@@ -71,9 +65,9 @@ def slsqp_optimum(
     found = minimize(
         objective,
         start.ravel(),
-        jac=gradient if analytic else None,
-        constraints={"type": "eq", "fun": constraint, **({"jac": jacobian} if analytic else {})},
+        jac=gradient,
+        constraints={"type": "eq", "fun": constraint, "jac": jacobian},
         method="SLSQP",
-        options={"maxiter": max_steps, "ftol": 1e-15},
+        options={"maxiter": 1000, "ftol": 1e-15},
     )
-    return Optimum(found.x.reshape(-1, 3), float(found.fun * scale), int(found.nit))
+    return Optimum(found.x.reshape(-1, 3), float(found.fun * scale))

@@ -37,6 +37,5 @@ def telling_demo(save: Path, *more: str) -> subprocess.Popen[bytes]:
 
 def wait_for_frames(process: subprocess.Popen[bytes], frames: int) -> None:
     """Waits until so many more frames have been recorded."""
-    assert process.stderr is not None
     told = process.stderr.read(frames)
     assert told == b"." * frames, told + process.stderr.read()

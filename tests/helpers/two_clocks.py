@@ -34,16 +34,14 @@ def shots(
     clock_ns: int = 0,
     ppm: float = 0.0,
     latency_ns: int = 20_000_000,
-    jitter_ns: int = 3_000_000,
-    start_ns: int = 5 * SECOND_NS,
     seed: int = 1,
 ) -> list[Shot]:
-    """A sensor's frames: clock = (true time)(1 + ppm) + clock_ns; delays are latency + exponential jitter."""
+    """A sensor's frames: clock = (true time)(1 + ppm) + clock_ns; delays are latency + 3 ms of jitter."""
     rng = np.random.default_rng(seed + (side == "b"))
     result = []
     for index in range(int(seconds * fps)):
-        true_ns = start_ns + phase_ns + round(index * SECOND_NS / fps)
-        delay = latency_ns + min(round(rng.exponential(jitter_ns)), 25_000_000)
+        true_ns = 5 * SECOND_NS + phase_ns + round(index * SECOND_NS / fps)
+        delay = latency_ns + min(round(rng.exponential(3_000_000)), 25_000_000)
         said_ns = round(true_ns * (1 + ppm * 1e-6)) + clock_ns
         arrives_ns = true_ns + delay
         result.append(Shot(side, true_ns, arrives_ns, SensorFrame(said_ns, host_ns=arrives_ns)))

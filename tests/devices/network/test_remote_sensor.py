@@ -71,9 +71,7 @@ def test_published_frames_arrive_in_order_with_their_capture_times(address: str)
         link = thread.sensor.link
         assert link.lost == 0
         # both programs run on one clock here: what the relation of the clocks claims can be checked
-        assert link.clock_bound_ns is not None
         for frame in came:
-            assert frame.host_ns is not None
             assert sent_from - link.clock_bound_ns <= frame.host_ns <= clock()
 
 

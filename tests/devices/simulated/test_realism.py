@@ -15,7 +15,7 @@ from devices.simulated.rig import Rig
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.skeleton import Skeleton, TrackingState
-from tests.helpers.pair_statistics import PairStatistics, run_lengths, statistics
+from tests.helpers.pair_statistics import PairStatistics, statistics
 
 SHARED = Path(os.environ.get("DUPLEX_SHARED", Path(__file__).parents[4] / "shared"))
 TUNING_SEEDS = range(1000, 1020)
@@ -26,13 +26,8 @@ TUNING_SEEDS = range(1000, 1020)
 class Setting:
     """The movement and the set-up of a simulated recording that corresponds to a real one.
 
-    Attributes:
-        motion: Name of the movement.
-        body: Body that the trackers report.
-        angle_deg: Angle between the sensors, degrees.
-        seconds: Duration.
-        standing: Share of that time in which the person stands between the sensors and faces them. On seven
-            real walks the trunk is slower than 0.2 m/s in 30 to 48 % of the frames (mean 41 %).
+    ``standing`` is the share of the time in which the person stands between the sensors and faces them. On
+    seven real walks the trunk is slower than 0.2 m/s in 30 to 48 % of the frames (mean 41 %).
     """
 
     motion: str
@@ -91,16 +86,6 @@ def read_csv(path: Path) -> list[Skeleton]:
     return [Skeleton.of(KINECT_V2, positions, time_ns=1000 * time) for time, positions in frames.items()]
 
 
-def test_perfect_views_differ_by_nothing() -> None:
-    found = statistics(*views("walk", NONE))
-    # float32 positions of some 3 m: half a micrometre.
-    assert found.view_rms < 1e-6
-    assert found.bone_deviation < 1e-6
-    assert found.swapped == found.stale == found.inferred == found.not_tracked == 0.0
-    assert np.isnan(found.swap_frames)
-    assert np.isnan(found.inferred_change)
-
-
 def test_white_jitter_is_found_with_its_size() -> None:
     size = 0.005
     jitter = JointGroups(**dict.fromkeys(JointGroups.__dataclass_fields__, size))
@@ -122,7 +107,9 @@ def test_a_common_scale_is_found_as_the_bones_deviation() -> None:
 
 def test_states_stale_frames_and_swaps_are_counted() -> None:
     a, b = views("still", NONE)
-    assert len(a) == 240
+    perfect = statistics(a, b)
+    assert max(perfect.view_rms, perfect.bone_deviation) < 1e-6  # float32 positions of some 3 m
+    assert perfect.swapped == perfect.stale == perfect.inferred == 0.0
     states = np.full(25, TrackingState.TRACKED)
     states[[KINECT_V2.joint("ThumbLeft"), KINECT_V2.joint("FootRight")]] = TrackingState.INFERRED
     a = [Skeleton.of(KINECT_V2, s.positions, states, s.time_ns) for s in a]
@@ -131,6 +118,8 @@ def test_states_stale_frames_and_swaps_are_counted() -> None:
     for k in (10, 20, 30):  # the same again
         b[k] = replace(b[k - 1], time_ns=b[k].time_ns)
     found = statistics(a, b)
+    holed = [None if 200 < k < 230 else s for k, s in enumerate(a)]
+    assert statistics(holed, b).view_rms == pytest.approx(found.view_rms, rel=0.1)
     assert found.inferred == pytest.approx(2 / 25 / 2)
     assert found.hands_unsure == pytest.approx(1 / 6 / 2)  # hands, tips and thumbs: six
     assert found.feet_unsure == pytest.approx(1 / 2 / 2)
@@ -138,18 +127,6 @@ def test_states_stale_frames_and_swaps_are_counted() -> None:
     assert found.swap_frames == pytest.approx(2.0)
     assert found.stale == pytest.approx(3 / 239 / 2)
     assert np.isfinite(found.inferred_change)
-
-
-def test_lost_frames_are_left_out() -> None:
-    a, b = views("still", NONE)
-    full = statistics(a, b)
-    holed = [None if 30 < k < 60 else s for k, s in enumerate(a)]
-    assert statistics(holed, b).view_rms == pytest.approx(full.view_rms, abs=1e-6)
-
-
-def test_runs_are_measured() -> None:
-    assert run_lengths(np.array([1, 1, 0, 1, 0, 0, 1, 1, 1], dtype=bool)) == [2, 1, 3]
-    assert run_lengths(np.zeros(4, dtype=bool)) == []
 
 
 def simulated_statistics(setting: Setting, seeds: range) -> dict[str, float]:

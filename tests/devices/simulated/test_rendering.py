@@ -149,35 +149,26 @@ def test_visibility_without_an_image_agrees_with_the_depth_image(name: str, time
     assert (seen == 1.0).sum() > 15
 
 
+def seen_from_in_front(marks: np.ndarray) -> dict[str, float]:
+    """Share of each joint that is seen of a person with these landmarks in the world."""
+    points = Rig(angle_deg=0.0).world_from_sensor(0).inverse().apply(marks)
+    joints = points[anatomy.landmarks_of(AZURE_KINECT)]
+    seen = visibility(joints, capsules(points), flesh_over(AZURE_KINECT), LENS)
+    return dict(zip(AZURE_KINECT.joints, seen, strict=True))
+
+
 def test_hands_behind_the_back_are_hidden_from_the_front_and_the_nose_from_behind() -> None:
     arms = MOTIONS["arms"]
-    front = Rig(angle_deg=0.0).world_from_sensor(0).inverse()
-    points = front.apply(arms.landmarks(arms.begins + 8.7)[0])
-    joints = points[anatomy.landmarks_of(AZURE_KINECT)]
-    seen = visibility(joints, capsules(points), flesh_over(AZURE_KINECT), LENS)
-    named = dict(zip(AZURE_KINECT.joints, seen, strict=True))
-    assert max(named["HAND_LEFT"], named["HAND_RIGHT"]) == 0.0
-    assert min(named["NOSE"], named["KNEE_LEFT"], named["SPINE_CHEST"], named["ELBOW_LEFT"]) > 0.6
-    # Half a turn about the vertical through the origin shows the back.
-    behind = RigidTransform.of(np.diag((-1.0, 1.0, -1.0)), np.zeros(3))
-    points = front.apply(behind.apply(arms.landmarks(arms.begins + 8.7)[0]))
-    joints = points[anatomy.landmarks_of(AZURE_KINECT)]
-    seen = visibility(joints, capsules(points), flesh_over(AZURE_KINECT), LENS)
-    named = dict(zip(AZURE_KINECT.joints, seen, strict=True))
-    assert max(named["NOSE"], named["EYE_LEFT"]) == 0.0
-    assert min(named["HAND_LEFT"], named["HAND_RIGHT"]) > 0.4
+    marks = arms.landmarks(arms.begins + 8.7)[0]
+    front = seen_from_in_front(marks)
+    assert max(front["HAND_LEFT"], front["HAND_RIGHT"]) == 0.0
+    assert min(front["NOSE"], front["KNEE_LEFT"], front["SPINE_CHEST"], front["ELBOW_LEFT"]) > 0.6
+    behind = seen_from_in_front(marks * (-1.0, 1.0, -1.0))  # half a turn about the vertical
+    assert max(behind["NOSE"], behind["EYE_LEFT"]) == 0.0
+    assert min(behind["HAND_LEFT"], behind["HAND_RIGHT"]) > 0.4
 
 
-def test_all_joints_are_seen_in_the_startup_pose_from_in_front() -> None:
-    points = Rig(angle_deg=0.0).world_from_sensor(0).inverse().apply(MOTIONS["startup"].landmarks(1.0)[0])
-    joints = points[anatomy.landmarks_of(AZURE_KINECT)]
-    seen = visibility(joints, capsules(points), flesh_over(AZURE_KINECT), LENS)
-    assert seen.min() > 0.5, dict(zip(AZURE_KINECT.joints, seen, strict=True))
-
-
-def test_a_joint_outside_the_image_is_not_seen() -> None:
-    points = Rig(angle_deg=0.0).world_from_sensor(0).inverse().apply(MOTIONS["startup"].landmarks(1.0)[0])
-    aside = np.add(points, (5.0, 0.0, 0.0))
-    joints = aside[anatomy.landmarks_of(AZURE_KINECT)]
-    seen = visibility(joints, capsules(aside), flesh_over(AZURE_KINECT), LENS)
-    assert not seen.any()
+def test_all_joints_are_seen_from_in_front_and_none_outside_the_image() -> None:
+    marks = MOTIONS["startup"].landmarks(1.0)[0]
+    assert min(seen_from_in_front(marks).values()) > 0.5
+    assert not any(seen_from_in_front(marks + (5.0, 0.0, 0.0)).values())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,7 +129,6 @@ def test_depth_images_show_the_person_where_the_joints_are(depth: str, size: tup
         depth_errors=DepthErrors.none(),
     )
     frame = next(a.frames())
-    assert frame.depth is not None
     assert frame.depth.shape == size == (a.intrinsics.height, a.intrinsics.width)
     joints = frame.people[PERSON].positions.astype(np.float64)
     shapes = capsules(truth.rig.world_from_sensor(0).inverse().apply(MOTIONS["startup"].landmarks(0.0)[0]))
@@ -154,17 +154,20 @@ def test_a_sensor_without_an_end_goes_on() -> None:
     assert [next(frames).time_ns for _ in range(100)][-1] == round(99 / 30 * 1e9)
 
 
-def test_senseless_options_are_refused_with_advice() -> None:
-    with pytest.raises(DeviceError, match="walk"):
-        simulated_pair(motion="flying")
-    with pytest.raises(DeviceError, match="angle"):
-        simulated_pair(angle_deg=270.0)
-    with pytest.raises(DeviceError, match="height"):
-        simulated_pair(height=17.0)
-    with pytest.raises(DeviceError, match="seed"):
-        simulated_pair(seed=-1)
-    with pytest.raises(DeviceError, match="half"):
-        simulated_pair(depth="tiny")  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"motion": "flying"}, "walk"),
+        ({"angle_deg": 270.0}, "angle"),
+        ({"height": 17.0}, "height"),
+        ({"seed": -1}, "seed"),
+        ({"depth": "tiny"}, "half"),
+        ({"depth": "none", "infrared": True}, "depth"),
+    ],
+)
+def test_senseless_options_are_refused_with_advice(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(DeviceError, match=message):
+        simulated_pair(**options)
     with pytest.raises(DeviceError, match="distance"):
         Rig(distance=0.1)
 

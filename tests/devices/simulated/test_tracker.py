@@ -115,7 +115,6 @@ def test_the_views_bias_is_constant_for_one_view_and_changes_with_it() -> None:
 def test_the_skin_pulls_joints_towards_the_sensor_along_the_ray() -> None:
     joints = standing()
     reported = tracker(replace(NONE, skin=0.5)).report(joints, np.ones(32), 0)
-    assert reported is not None
     shift = reported.positions - joints
     np.testing.assert_allclose(np.linalg.norm(shift, axis=1), 0.5 * 0.05, atol=4 * FLOAT32)
     ray = joints / np.linalg.norm(joints, axis=1, keepdims=True)
@@ -200,7 +199,6 @@ def test_a_mistracked_joint_is_reported_as_tracked_at_the_joint_in_front_of_it()
     watching = tracker(replace(NONE, seen_share=0.35, mistracked=1.0, snap=1.0))
     for _ in range(60):  # many times the time a guess takes over
         reported = watching.report(joints, visible, 0)
-    assert reported is not None
     assert reported.tracked.all()
     others = np.arange(32) != hand
     np.testing.assert_allclose(reported.positions[hand], joints[elbow], atol=1e-5)
@@ -213,7 +211,6 @@ def test_a_hidden_joint_with_nothing_before_it_is_not_snapped_away() -> None:
     visible[AZURE_KINECT.joint("FOOT_RIGHT")] = 0.0
     watching = tracker(replace(NONE, seen_share=0.35, mistracked=1.0, snap=1.0))
     reported = watching.report(joints, visible, 0)
-    assert reported is not None
     np.testing.assert_allclose(reported.positions, joints, atol=4 * FLOAT32)
 
 

@@ -121,16 +121,13 @@ def test_a_broken_csv_says_what_is_wrong(tmp_path: Path, broken: object, message
         read(write_csv(tmp_path / "a.csv", rows, header[0]))
 
 
-@pytest.mark.parametrize("cut", range(1, 45))
-def test_a_csv_cut_off_anywhere_in_its_last_row_is_refused(tmp_path: Path, cut: int) -> None:
+def test_a_csv_cut_off_anywhere_in_its_last_row_is_refused(tmp_path: Path) -> None:
     path = write_csv(tmp_path / "a.csv", csv_rows(KINECT_V1)[:-5])
     whole = path.read_bytes()
-    last_row = len(whole) - whole[:-1].rindex(b"\n") - 1
-    if cut >= last_row - 1:
-        pytest.skip("cuts more than the last row")
-    path.write_bytes(whole[:-cut])
-    with pytest.raises(DeviceError, match=r"cut off|none of tracked"):
-        read(path)
+    for end in range(whole[:-1].rindex(b"\n") + 3, len(whole)):
+        path.write_bytes(whole[:end])
+        with pytest.raises(DeviceError, match=r"cut off|none of tracked"):
+            read(path)
 
 
 @pytest.mark.parametrize("cut", range(1, 25))
@@ -147,29 +144,17 @@ def test_a_csv_without_states_cut_off_in_its_last_row_is_refused(tmp_path: Path,
 
 
 def offline_processor(body: Body, frames: int = 3) -> dict[str, object]:
-    return {
-        "k4abt_sdk_version": "1.1.2",
-        "source_file": "own.mkv",
-        "joint_names": list(body.joints),
-        "bone_list": [],
-        "frames": [
-            {
-                "timestamp_usec": 33_333 * t,
-                "frame_id": t,
-                "num_bodies": int(t > 0),
-                "bodies": []
-                if t == 0
-                else [
-                    {
-                        "body_id": 7,
-                        "joint_positions": (1000.0 * standing(body)).tolist(),
-                        "joint_orientations": [[1.0, 0.0, 0.0, 0.0]] * len(body),
-                    }
-                ],
-            }
-            for t in range(frames)
-        ],
+    person = {
+        "body_id": 7,
+        "joint_positions": (1000.0 * standing(body)).tolist(),
+        "joint_orientations": [[1.0, 0.0, 0.0, 0.0]] * len(body),
     }
+    each = [
+        {"timestamp_usec": 33_333 * t, "frame_id": t, "num_bodies": int(t > 0), "bodies": [person] * (t > 0)}
+        for t in range(frames)
+    ]
+    about = {"k4abt_sdk_version": "1.1.2", "source_file": "own.mkv", "bone_list": []}
+    return {**about, "joint_names": list(body.joints), "frames": each}
 
 
 def test_offline_processor_json_is_read_in_metres(tmp_path: Path) -> None:

@@ -44,15 +44,6 @@ def with_commas(text: str) -> str:
     return text.replace(".", ",")
 
 
-def in_other_order(text: str) -> str:
-    header, *rows = text.splitlines()
-    return "\n".join([header, *rows[250:], *rows[:250]]) + "\n"
-
-
-def one_clock_reset(text: str) -> str:
-    return rewritten(text, lambda k, c: [str(int(c[0]) - (333_333 if k >= 250 else 0)), *c[1:]])
-
-
 SAME = {
     "CRLF": lambda text: text.replace("\n", "\r\n"),
     "CR": lambda text: text.replace("\n", "\r"),
@@ -99,7 +90,10 @@ REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
         lambda text: text + text.splitlines()[1] + "\n",
         "two rows in one frame, the second in line 502. Are two",
     ),
-    "a clock reset": (one_clock_reset, "two rows in one frame, the second in line 252. Are two recordings"),
+    "a clock reset": (
+        lambda text: rewritten(text, lambda k, c: [str(int(c[0]) - 333_333 * (k >= 250)), *c[1:]]),
+        "two rows in one frame, the second in line 252. Are two recordings",
+    ),
     "empty lines, a bad state": (
         lambda text: text.replace("\n", "\n\n").replace("tracked", "seen"),
         "line 3: state 'seen'",
@@ -234,7 +228,8 @@ def test_impossible_positions_are_counted(tmp_path: Path, good: Path) -> None:
 
 def test_frames_out_of_order_are_sorted_with_a_warning(tmp_path: Path, good: Path) -> None:
     odd = tmp_path / "odd.csv"
-    odd.write_text(in_other_order(good.read_text(encoding="utf-8")), encoding="utf-8")
+    header, *rows = good.read_text(encoding="utf-8").splitlines()
+    odd.write_text("\n".join([header, *rows[250:], *rows[:250]]) + "\n", encoding="utf-8")
     with SkeletonRecording(odd) as read:
         assert read.warnings == [f"{odd}: time_us goes back in line 252; the frames were sorted by time."]
         times = [frame.time_ns for frame in read.frames()]

@@ -127,7 +127,6 @@ def our_images(sdk: Any) -> dict[str, object]:
     _push(sdk, found, 5_000_000)
     joiner = MomentJoiner(33_333_333)
     moment = joiner.add(found, 7_000_000_000)
-    assert moment is not None
     depth, infrared = depth_image(moment.depth), infrared_image(moment.infrared)
     assert (depth.dtype, depth.shape, infrared.dtype) == (np.uint16, (3, 4), np.uint16)
     assert color_image(moment.color, None) is None

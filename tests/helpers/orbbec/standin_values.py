@@ -6,6 +6,8 @@ A little over 300 lines: the enums are the list of the library's constants.
 from __future__ import annotations
 
 import enum
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +27,10 @@ def pybind_enum(title: str, **members: int) -> type[enum.Enum]:
             return int(self.value)
 
     return _Base(title, members)  # type: ignore[return-value, call-overload]
+
+
+def _getter(attribute: str) -> Callable[[object], Any]:
+    return lambda self: getattr(self, attribute)
 
 
 OBSensorType = pybind_enum("OBSensorType", IR_SENSOR=1, COLOR_SENSOR=2, DEPTH_SENSOR=3, LEFT_IR_SENSOR=6)
@@ -68,70 +74,35 @@ class OBCameraDistortion:
 
 
 class OBExtrinsic:
-    __slots__ = ("_rot", "_transform")
+    __slots__ = ("rot", "transform")
 
-    def __init__(self) -> None:
-        self._rot, self._transform = np.zeros((3, 3), np.float32), np.zeros(3, np.float32)
-
-    @property
-    def rot(self) -> np.ndarray:
-        return self._rot.copy()
-
-    @rot.setter
-    def rot(self, value: object) -> None:
-        self._rot = np.array(value, np.float32).reshape(3, 3)
-
-    @property
-    def transform(self) -> np.ndarray:
-        return self._transform.copy()
-
-    @transform.setter
-    def transform(self, value: object) -> None:
-        self._transform = np.array(value, np.float32).reshape(3)
+    def __setattr__(self, name: str, value: object) -> None:
+        shape = {"rot": (3, 3), "transform": (3,)}[name]
+        object.__setattr__(self, name, np.array(value, np.float32).reshape(shape))
 
 
 class OBMultiDeviceSyncConfig:
-    __slots__ = (
-        "color_delay_us",
-        "depth_delay_us",
-        "frames_per_trigger",
-        "mode",
-        "trigger_out_delay_us",
-        "trigger_out_enable",
-        "trigger_to_image_delay_us",
-    )
+    __slots__ = ("color_delay_us", "depth_delay_us", "mode", "trigger_out_enable")
 
     def __init__(self) -> None:
         self.mode: object = None
-        self.depth_delay_us = self.color_delay_us = self.trigger_to_image_delay_us = 0
-        self.trigger_out_delay_us = self.frames_per_trigger = 0
+        self.depth_delay_us = self.color_delay_us = 0
         self.trigger_out_enable = False
 
 
 class VideoStreamProfile:
+    get_type = _getter("_kind")
+    get_format = _getter("_format")
+    get_fps = _getter("_fps")
+    get_width = _getter("_width")
+    get_height = _getter("_height")
+
     def __init__(self, kind: object, width: int, height: int, fps: int, image_format: object) -> None:
-        self._kind, self._size, self._fps, self._format = kind, (width, height), fps, image_format
+        self._kind, self._width, self._height = kind, width, height
+        self._fps, self._format = fps, image_format
         self._lens: OBCameraIntrinsic | None = None
         self._distortion: OBCameraDistortion | None = None
         self._poses: dict[int, OBExtrinsic] = {}
-
-    def get_type(self) -> object:
-        return self._kind
-
-    def get_format(self) -> object:
-        return self._format
-
-    def get_width(self) -> int:
-        return self._size[0]
-
-    def get_height(self) -> int:
-        return self._size[1]
-
-    def get_fps(self) -> int:
-        return self._fps
-
-    def is_video_stream_profile(self) -> bool:
-        return True
 
     def as_video_stream_profile(self) -> VideoStreamProfile:
         return self
@@ -202,8 +173,13 @@ class Config:
 class Frame:
     """A newly made frame. The real one has no depth scale until it is part of a set."""
 
+    get_format = _getter("_format")
+    get_type = _getter("_kind")
+    get_timestamp_us = _getter("_device_us")
+    get_system_timestamp_us = _getter("_system_us")
+
     def __init__(self, kind: object, image_format: object, size: int, shape: tuple[int, int]) -> None:
-        self._kind, self._format, self._shape = kind, image_format, shape
+        self._kind, self._format, (self._height, self._width) = kind, image_format, shape
         self._data = np.zeros(size, np.uint8)
         self._device_us = self._system_us = 0
         self._scale = 1.0
@@ -241,30 +217,14 @@ class Frame:
     def get_data_size(self) -> int:
         return len(self._data)
 
-    def get_format(self) -> object:
-        return self._format
-
-    def get_type(self) -> object:
-        return self._kind
-
-    def get_timestamp_us(self) -> int:
-        return self._device_us
-
-    def get_system_timestamp_us(self) -> int:
-        return self._system_us
-
 
 class VideoFrame(Frame):
-    def get_width(self) -> int:
-        return self._shape[1]
-
-    def get_height(self) -> int:
-        return self._shape[0]
+    get_width = _getter("_width")
+    get_height = _getter("_height")
 
 
 class DepthFrame(VideoFrame):
-    def get_depth_scale(self) -> float:
-        return self._scale
+    get_depth_scale = _getter("_scale")
 
 
 class IRFrame(VideoFrame):
