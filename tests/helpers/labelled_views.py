@@ -223,7 +223,6 @@ def real_views(folder: Path) -> Views:
     no_basis = np.zeros((len(both), 3))
     evidence = Evidence(np.nan_to_num(at_a), np.nan_to_num(at_b), known.astype(float), no_basis, times)
     a_from_b = label_free_fit(body, evidence)
-    assert a_from_b is not None
     return Views(
         body=body,
         time_ns=times,

@@ -1,4 +1,4 @@
-"""What this program uses of pyk4a, as clauses that the stand-in and the real library are both held to.
+"""What this program uses of pyk4a, as clauses for the stand-in and the real library.
 
 Needs numpy only. ``python pyk4a_contract.py RECORDING`` holds the pyk4a of that interpreter to every clause,
 each in a process of its own, and prints the results as JSON: the library may crash in one of them.
@@ -50,8 +50,8 @@ def the_end(sdk: Any, recording: str) -> None:
     """A recording ends with EOFError; one that is not there is a K4AException."""
     playback = _open(sdk, recording)
     playback.get_next_capture()
-    _raises(EOFError, playback.get_next_capture)
-    _raises(sdk.K4AException, sdk.PyK4APlayback(recording + ".none").open)
+    fault_of(EOFError, playback.get_next_capture)
+    fault_of(sdk.K4AException, sdk.PyK4APlayback(recording + ".none").open)
 
 
 def configuration(sdk: Any, recording: str) -> dict[str, object]:
@@ -71,7 +71,7 @@ def capsules(sdk: Any, recording: str) -> None:
     capture, calibration = playback.get_next_capture(), playback.calibration
     assert _address(capture._capture_handle, b"pyk4a capture handle")
     assert _address(calibration._calibration_handle, b"pyk4a calibration handle")
-    _raises(ValueError, lambda: _address(capture._capture_handle, b"pyk4a calibration handle"))
+    fault_of(ValueError, lambda: _address(capture._capture_handle, b"pyk4a calibration handle"))
 
 
 def calibration(sdk: Any, recording: str) -> dict[str, object]:
@@ -99,8 +99,8 @@ def cameras_that_are_off(sdk: Any, recording: str) -> None:
     """A camera that is off has no lens; both off have no calibration."""
     raw = _open(sdk, recording).calibration_raw
     off = sdk.Calibration.from_raw(raw, sdk.DepthMode.NFOV_UNBINNED, sdk.ColorResolution.OFF, False)
-    _raises(ValueError, lambda: off.get_camera_matrix(sdk.CalibrationType.COLOR))
-    _raises(
+    fault_of(ValueError, lambda: off.get_camera_matrix(sdk.CalibrationType.COLOR))
+    fault_of(
         sdk.K4AException,
         lambda: sdk.Calibration.from_raw(raw, sdk.DepthMode.OFF, sdk.ColorResolution.OFF, False),
     )
@@ -124,14 +124,14 @@ def no_device(sdk: Any, recording: str) -> None:  # noqa: ARG001
     assert sdk.connected_device_count() == 0
     device = sdk.PyK4A(device_id=0, thread_safe=False)
     for action in (device.open, device.start):
-        assert str(_raises(sdk.K4AException, action)) == "", "without a word"
+        assert str(fault_of(sdk.K4AException, action)) == "", "without a word"
         assert not device.opened
         assert not device.is_running
     for question in ("serial", "sync_jack_status", "calibration"):
-        said = _raises(sdk.K4AException, lambda question=question: getattr(device, question))
+        said = fault_of(sdk.K4AException, lambda question=question: getattr(device, question))
         assert "not opened" in str(said)
-    assert "not opened" in str(_raises(sdk.K4AException, lambda: device.get_capture(timeout=10)))
-    assert "not opened" in str(_raises(sdk.K4AException, device.close))
+    assert "not opened" in str(fault_of(sdk.K4AException, lambda: device.get_capture(timeout=10)))
+    assert "not opened" in str(fault_of(sdk.K4AException, device.close))
 
 
 def errors(sdk: Any, recording: str) -> None:  # noqa: ARG001
@@ -148,7 +148,7 @@ def configurations(sdk: Any, recording: str) -> None:  # noqa: ARG001
         wired_sync_mode=sdk.WiredSyncMode.MASTER,
     )
     assert plain.synchronized_images_only is True
-    _raises(AssertionError, lambda: sdk.Config(subordinate_delay_off_master_usec=-1))
+    fault_of(AssertionError, lambda: sdk.Config(subordinate_delay_off_master_usec=-1))
 
 
 def stop_before_open(sdk: Any, recording: str) -> None:  # noqa: ARG001
@@ -163,7 +163,7 @@ def none_references(sdk: Any, recording: str) -> None:  # noqa: ARG001
     device = sdk.PyK4A(device_id=0, thread_safe=False)
     before = sys.getrefcount(None)
     for _ in range(1000):
-        _raises(sdk.K4AException, device.open)
+        fault_of(sdk.K4AException, device.open)
         increase(None)
     assert sys.getrefcount(None) >= before - 100
 
@@ -173,7 +173,7 @@ def host_clock(sdk: Any, recording: str) -> None:  # noqa: ARG001
     assert abs(time.perf_counter_ns() - time.clock_gettime_ns(time.CLOCK_MONOTONIC)) < 1_000_000_000
 
 
-CLAUSES: tuple[Callable[[Any, str], object], ...] = (
+RECORDING_CLAUSES: tuple[Callable[[Any, str], object], ...] = (
     images,
     times,
     the_end,
@@ -181,6 +181,9 @@ CLAUSES: tuple[Callable[[Any, str], object], ...] = (
     capsules,
     calibration,
     cameras_that_are_off,
+)
+"""Of recordings, which the stand-in has none of: this program reads them itself."""
+CLAUSES: tuple[Callable[[Any, str], object], ...] = (
     enums,
     no_device,
     errors,
@@ -197,7 +200,8 @@ def _open(sdk: Any, recording: str) -> Any:
     return playback
 
 
-def _raises(kind: type[BaseException], action: Callable[[], object]) -> BaseException:
+def fault_of(kind: type[BaseException], action: Callable[[], object]) -> BaseException:
+    """The exception of this kind that an action raises; an AssertionError if it raises none."""
     try:
         given = action()
     except kind as fault:
@@ -216,11 +220,11 @@ def main() -> None:
     if len(sys.argv) == 3:
         import pyk4a
 
-        (clause,) = (clause for clause in CLAUSES if clause.__name__ == sys.argv[2])
+        (clause,) = (clause for clause in RECORDING_CLAUSES + CLAUSES if clause.__name__ == sys.argv[2])
         print(json.dumps({"said": clause(pyk4a, sys.argv[1])}))
         return
     results = {}
-    for clause in CLAUSES:
+    for clause in RECORDING_CLAUSES + CLAUSES:
         command = [sys.executable, str(Path(__file__)), sys.argv[1], clause.__name__]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
         if done.returncode < 0:

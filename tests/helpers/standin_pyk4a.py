@@ -10,14 +10,11 @@ import enum
 import sys
 import time
 import types
-from pathlib import Path
 
-import av
 import numpy as np
 import pytest
 
 from devices.azure.calibration import DEPTH_MODES
-from devices.azure.mkv import MkvRecording
 from tests.helpers.standin_camera import Device, Shot, refused
 from tests.helpers.standin_values import (
     DEVICE_NAME,
@@ -28,7 +25,6 @@ from tests.helpers.standin_values import (
     LeakyCapture,
     PyK4ACapture,
     WouldCrashError,
-    borrowed,
     give_none_away,
     new_capsule,
 )
@@ -196,68 +192,12 @@ def make_module(bus: Bus) -> types.ModuleType:
                 raise K4AException
             return self._device
 
-    class PyK4APlayback:
-        """A recording, read by this project's own reader."""
-
-        def __init__(self, path: str | Path, thread_safe: bool = True) -> None:  # noqa: ARG002
-            self._recording = MkvRecording(path)
-            self._frames: object = None
-
-        def open(self) -> None:
-            if not self._recording.path.is_file():
-                raise K4AException(f"Cannot open file {self._recording.path}")
-            self._recording.__enter__()
-            self._frames = self._recording.frames()
-            with av.open(str(self._recording.path)) as container:
-                color = next(s for s in container.streams if s.metadata.get("title") == "COLOR")
-                self._jpegs = [bytes(packet) for packet in container.demux(color) if packet.size]
-                self._color_mode = color.metadata["K4A_COLOR_MODE"].removeprefix("MJPG_")
-
-        def close(self) -> None:
-            self._recording.__exit__()
-
-        @property
-        def _info(self) -> object:
-            if self._recording.info is None:
-                raise K4AException("Playback not opened.")
-            return self._recording.info
-
-        @property
-        def configuration(self) -> dict[str, object]:
-            info = self._info
-            return {
-                "color_resolution": module.ColorResolution[f"RES_{self._color_mode}"],
-                "depth_mode": module.DepthMode[info.depth_mode],
-                "camera_fps": module.FPS[f"FPS_{round(1e9 / info.interval_ns)}"],
-                "color_format": module.ImageFormat.COLOR_MJPG,
-                "wired_sync_mode": module.WiredSyncMode[info.sync_mode],
-                "subordinate_delay_off_master_usec": info.subordinate_delay_ns // 1000,
-                "start_timestamp_offset_usec": info.start_offset_ns // 1000,
-            }
-
-        @property
-        def calibration_raw(self) -> str:
-            return self._info.calibration_json.rstrip(b"\0").decode()
-
-        @property
-        def calibration(self) -> Calibration:
-            modes = self.configuration
-            return Calibration(modes["depth_mode"], modes["color_resolution"], self.calibration_raw)
-
-        def get_next_capture(self) -> PyK4ACapture:
-            frame = next(self._frames, None)
-            if frame is None:
-                raise EOFError
-            jpeg = np.frombuffer(self._jpegs.pop(0), np.uint8)
-            images = (None if image is None else borrowed(image) for image in (frame.depth, frame.ir, jpeg))
-            return PyK4ACapture(None, *images, frame.time_ns // 1000, 0)  # no host time in a recording
-
     def connected_device_count() -> int:
         bus.counts += 1
         return len(bus.plugged())
 
     module.K4AException, module.K4ATimeoutException = K4AException, K4ATimeoutException
-    module.PyK4A, module.PyK4APlayback, module.PyK4ACapture = PyK4A, PyK4APlayback, PyK4ACapture
+    module.PyK4A, module.PyK4ACapture = PyK4A, PyK4ACapture
     module.Calibration = Calibration
     module.connected_device_count = connected_device_count
     module.DepthMode = _names(

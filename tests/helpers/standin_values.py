@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-import json
 
 import cv2
 import numpy as np
-
-from devices.azure.calibration import COLOR_SIZES, DEPTH_MODES, CameraMode, depth_intrinsics, intrinsics_of
-from fusion.intrinsics import Intrinsics
-from fusion.rigid import RigidTransform
 
 _new_capsule = ctypes.pythonapi.PyCapsule_New
 _new_capsule.restype = ctypes.py_object
@@ -19,27 +14,6 @@ DEVICE_NAME = ctypes.c_char_p(b"pyk4a device handle")
 _CAPTURE_NAME = ctypes.c_char_p(b"pyk4a capture handle")
 _CALIBRATION_NAME = ctypes.c_char_p(b"pyk4a calibration handle")
 JPEG = cv2.imencode(".jpg", np.full((72, 128, 3), (40, 120, 200), np.uint8))[1].tobytes()
-
-
-# Width and height of the colour image before it is cropped; the Sensor SDK's ``transformation`` source.
-_COLOR_BINNED = {
-    "720P": (1280, 960),
-    "1080P": (1920, 1440),
-    "1440P": (2560, 1920),
-    "1536P": (2048, 1536),
-    "2160P": (3840, 2880),
-    "3072P": (4096, 3072),
-}
-
-
-def color_calibration(text: bytes, mode: str) -> tuple[Intrinsics, RigidTransform]:
-    """The lens of the colour camera in the JSON of a sensor, and its frame from the depth camera's."""
-    cameras = json.loads(text.strip(b"\0"))["CalibrationInformation"]["Cameras"]
-    (camera,) = (one for one in cameras if one["Purpose"] == "CALIBRATION_CameraPurposePhotoVideo")
-    (width, height), binned = COLOR_SIZES[mode], _COLOR_BINNED[mode]
-    lens = intrinsics_of(camera, CameraMode(binned, (0, (binned[1] - height) // 2), width, height))
-    pose = camera["Rt"]
-    return lens, RigidTransform.of(np.reshape(pose["Rotation"], (3, 3)), pose["Translation"])
 
 
 class WouldCrashError(BaseException):
@@ -119,46 +93,22 @@ class LeakyCapture(PyK4ACapture):
         return value
 
 
-def borrowed(image: np.ndarray) -> np.ndarray:
-    """An array over the SDK's memory, like that of pyk4a."""
-    return np.frombuffer(bytearray(image.tobytes()), image.dtype).reshape(image.shape)
-
-
 class Calibration:
-    """Two made-up cameras, or those of a sensor's calibration JSON."""
+    """Two made-up cameras."""
 
-    def __init__(self, depth_mode: int, color_resolution: int, raw: str | None = None) -> None:
-        self._depth_mode, self._color_resolution, self._raw = int(depth_mode), int(color_resolution), raw
+    def __init__(self, depth_mode: int, color_resolution: int) -> None:
+        self._depth_mode, self._color_resolution = int(depth_mode), int(color_resolution)
         self._struct = ctypes.create_string_buffer(1032)
         ctypes.c_int.from_buffer(self._struct, 1024).value = int(depth_mode)
         self._calibration_handle = _new_capsule(ctypes.addressof(self._struct), _CALIBRATION_NAME, None)
-
-    @classmethod
-    def from_raw(
-        cls,
-        value: str,
-        depth_mode: int,
-        color_resolution: int,
-        thread_safe: bool = True,  # noqa: ARG003
-    ) -> Calibration:
-        if (int(depth_mode) == 0 and int(color_resolution) == 0) or "CalibrationInformation" not in value:
-            raise K4AException
-        return cls(depth_mode, color_resolution, value)
 
     def _lens(self, camera: int) -> tuple[float, float, float, float, tuple[float, ...]]:
         if camera not in (0, 1):
             raise ValueError("Camera matrix only available for color and depth cameras.")
         if (self._color_resolution if camera == 1 else self._depth_mode) == 0:
             raise ValueError("Unknown camera calibration type")
-        if self._raw is None:
-            lens = (0.5, -0.02, 1e-5, -7e-5, -0.003, 0.9, 0.09, -0.01)
-            return (610.0, 611.0, 640.0, 365.0, lens) if camera == 1 else (504.0, 505.0, 332.0, 348.0, lens)
-        raw = self._raw.encode()
-        if camera == 0:
-            read = depth_intrinsics(raw, [*DEPTH_MODES][max(0, min(self._depth_mode, 4) - 1)])
-        else:
-            read, _ = color_calibration(raw, [*COLOR_SIZES][self._color_resolution - 1])
-        return read.fx, read.fy, read.cx, read.cy, read.distortion
+        lens = (0.5, -0.02, 1e-5, -7e-5, -0.003, 0.9, 0.09, -0.01)
+        return (610.0, 611.0, 640.0, 365.0, lens) if camera == 1 else (504.0, 505.0, 332.0, 348.0, lens)
 
     def get_camera_matrix(self, camera: int) -> np.ndarray:
         fx, fy, cx, cy, _ = self._lens(camera)
@@ -168,8 +118,5 @@ class Calibration:
         return np.array(self._lens(camera)[4])
 
     def get_extrinsic_parameters(self, source: int, target: int) -> tuple[np.ndarray, np.ndarray]:
-        if self._raw is None:
-            return np.eye(3), np.array([[-0.032, 0.0, 0.004]])  # (1, 3) metres, from the SDK's millimetres
         assert (source, target) == (0, 1), "depth to colour"
-        _, place = color_calibration(self._raw.encode(), "720P")
-        return place.rotation.copy(), place.translation.reshape(1, 3)
+        return np.eye(3), np.array([[-0.032, 0.0, 0.004]])  # (1, 3) metres, from the SDK's millimetres

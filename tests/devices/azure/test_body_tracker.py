@@ -40,6 +40,10 @@ class _Rig:
         with self.maker.capture(frame) as capture:
             self.tracker.enqueue(capture)
 
+    def track(self, frame: SensorFrame) -> SensorFrame:
+        self.enqueue(frame)
+        return self.tracker.pop()
+
 
 @contextmanager
 def rig(standin: Standin, **settings: object) -> Iterator[_Rig]:
@@ -53,9 +57,7 @@ def rig(standin: Standin, **settings: object) -> Iterator[_Rig]:
 
 def test_joints_come_in_metres_with_their_states_and_time(standin: Standin) -> None:
     with rig(standin) as r:
-        r.enqueue(_frame())
-        bodies = r.tracker.pop()
-    assert bodies is not None
+        bodies = r.track(_frame())
     assert bodies.time_ns == TIME_NS
     skeleton = bodies.people["7"]
     assert skeleton.time_ns == TIME_NS
@@ -69,32 +71,17 @@ def test_joints_come_in_metres_with_their_states_and_time(standin: Standin) -> N
     assert skeleton.states.tolist() == [states[j % 4] for j in joints]
 
 
-def test_every_body_comes_with_its_id(standin: Standin) -> None:
-    standin.bodies, standin.first_id = 3, 41
+@pytest.mark.parametrize(
+    ("bodies", "first_id", "ids"),
+    [(3, 41, ["41", "42", "43"]), (0, 7, []), (1, 0xFFFFFFFF, [])],
+    ids=["three people", "an empty room", "a body without an id"],
+)
+def test_every_body_with_an_id_is_given(standin: Standin, bodies: int, first_id: int, ids: list[str]) -> None:
+    standin.bodies, standin.first_id = bodies, first_id
     with rig(standin) as r:
-        r.enqueue(_frame())
-        bodies = r.tracker.pop()
-    assert bodies is not None
-    assert list(bodies.people) == ["41", "42", "43"]
-    assert [round(float(s.positions[1, 0]), 3) for s in bodies.people.values()] == [0.001, 1.001, 2.001]
-
-
-def test_a_body_without_an_id_is_left_out(standin: Standin) -> None:
-    standin.first_id = 0xFFFFFFFF
-    with rig(standin) as r:
-        r.enqueue(_frame())
-        bodies = r.tracker.pop()
-    assert bodies is not None
-    assert bodies.people == {}
-
-
-def test_an_empty_room_has_no_people(standin: Standin) -> None:
-    standin.bodies = 0
-    with rig(standin) as r:
-        r.enqueue(_frame())
-        bodies = r.tracker.pop()
-    assert bodies is not None
-    assert bodies.people == {}
+        people = r.track(_frame()).people
+    assert list(people) == ids
+    assert [round(float(s.positions[1, 0]), 3) for s in people.values()] == [0.001, 1.001, 2.001][: len(ids)]
 
 
 @pytest.mark.parametrize(
@@ -105,13 +92,10 @@ def test_the_configuration_reaches_the_library(standin: Standin, processing: str
         assert (standin.processing, standin.smoothing) == (number, 0.25)
 
 
-def test_smoothing_is_switched_off_by_default(standin: Standin) -> None:
-    with rig(standin):
-        assert standin.smoothing == 0.0
-
-
-def test_every_wait_is_finite(standin: Standin) -> None:
+def test_every_wait_is_finite_and_nothing_is_smoothed_by_default(standin: Standin) -> None:
     with rig(standin, timeout_s=2.0) as r:
+        assert standin.smoothing == 0.0
+        assert r.tracker.pop(0.0) is None, "no result yet"
         r.enqueue(_frame())
         assert standin.wait_ms == 20_000  # ten times as long until the first result
         r.tracker.pop()
@@ -122,39 +106,22 @@ def test_every_wait_is_finite(standin: Standin) -> None:
         assert standin.wait_ms == 25
 
 
-def test_no_result_yet_is_none(standin: Standin) -> None:
-    with rig(standin) as r:
-        assert r.tracker.pop(0.0) is None
-
-
-def test_tracker_stalls_when_no_result_comes(standin: Standin) -> None:
+@pytest.mark.parametrize(
+    ("step", "status", "message"),
+    [
+        ("enqueue", 2, "stalls: it took no capture"),
+        ("enqueue", 1, r"refused a capture \(status 1\).*not pyk4a-bundle"),
+        ("pop", 2, r"stalls: it gave no result for 20 s.*track later"),
+        ("pop", 1, r"failed \(status 1\).*started again"),
+    ],
+)
+def test_tracker_stalls_or_crashes_to_an_error_code(
+    standin: Standin, step: str, status: int, message: str
+) -> None:
     with rig(standin, timeout_s=2.0) as r:
-        r.enqueue(_frame())
-        standin.pop_status = 2
-        with pytest.raises(DeviceError, match=r"stalls: it gave no result for 20 s.*track later"):
-            r.tracker.pop()
-
-
-def test_tracker_stalls_when_it_takes_no_capture(standin: Standin) -> None:
-    with rig(standin) as r:
-        standin.enqueue_status = 2
-        with pytest.raises(DeviceError, match="stalls: it took no capture"):
-            r.enqueue(_frame())
-
-
-def test_tracker_crashes_to_an_error_code(standin: Standin) -> None:
-    with rig(standin) as r:
-        r.enqueue(_frame())
-        standin.pop_status = 1
-        with pytest.raises(DeviceError, match=r"failed \(status 1\).*started again"):
-            r.tracker.pop()
-
-
-def test_a_refused_capture_says_why(standin: Standin) -> None:
-    with rig(standin) as r:
-        standin.enqueue_status = 1
-        with pytest.raises(DeviceError, match=r"refused a capture \(status 1\).*not pyk4a-bundle"):
-            r.enqueue(_frame())
+        setattr(standin, f"{step}_status", status)
+        with pytest.raises(DeviceError, match=message):
+            r.track(_frame())
 
 
 def test_a_tracker_that_does_not_start_says_what_to_check(standin: Standin) -> None:

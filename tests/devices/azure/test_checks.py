@@ -50,23 +50,17 @@ def test_a_bare_machine_needs_everything_and_every_failure_has_advice(
         choose_tracker("k4abt", TrackerSettings(library=tmp_path / "libk4abt.so")), tmp_path
     )
     named = _by_name(checks)
-    for name in (
-        "pyk4a and the Sensor SDK",
-        "pyorbbecsdk2 (Orbbec's SDK v2)",
-        "k4abt",
-        "k4abt's network",
-        "USB permission",
-        "two Kinects",
-        "GPU",
-    ):
-        assert not named[name].ok, name
-        assert named[name].needed, name
+    lacking = {"pyk4a and the Sensor SDK", "pyorbbecsdk2 (Orbbec's SDK v2)", "USB permission", "two Kinects"}
+    lacking |= {"k4abt", "k4abt's network", "GPU"}
+    assert {name for name, check in named.items() if check.needed and not check.ok} >= lacking
     assert not named["depth engine"].needed, "only libk4a needs it"
     assert all(check.advice for check in checks if not check.ok)
     assert "pip install '.[kinect]'" in named["pyk4a and the Sensor SDK"].advice
-    assert named["two Kinects"].detail == "cannot be looked for without pyk4a or pyorbbecsdk2", (
-        "the way to it is said once"
-    )
+    assert named["two Kinects"].detail == "cannot be looked for without pyk4a or pyorbbecsdk2"
+    rules = tmp_path / "etc/udev/rules.d"
+    rules.mkdir(parents=True)
+    (rules / "99-obsensor-libusb.rules").touch()
+    assert _by_name(device_checks(root=tmp_path))["USB permission"].ok, "Orbbec's udev rule counts too"
 
 
 def test_a_machine_with_all_of_it_can_start(
@@ -120,27 +114,13 @@ def test_a_tracker_on_the_cpu_needs_no_gpu(monkeypatch: pytest.MonkeyPatch, tmp_
     assert "duplex fuse" in gpu.advice
 
 
-def test_an_orbbecs_udev_rule_counts_too(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(os, "geteuid", lambda: 1000)
-    monkeypatch.setitem(sys.modules, "pyk4a", None)
-    rules = tmp_path / "etc/udev/rules.d"
-    rules.mkdir(parents=True)
-    assert not _by_name(device_checks(root=tmp_path))["USB permission"].ok
-    (rules / "99-obsensor-libusb.rules").touch()
-    assert _by_name(device_checks(root=tmp_path))["USB permission"].ok
-
-
 @pytest.mark.parametrize(("vendor", "product"), [("045e", "097c"), ("2bc5", "066b"), ("2bc5", "0669")])
 def test_the_azure_kinect_and_its_successors_are_known(tmp_path: Path, vendor: str, product: str) -> None:
-    plug_in(tmp_path, product=product, vendor=vendor)
-    assert [kinect.serial for kinect in usb_kinects(tmp_path)] == ["000123"]
-
-
-def test_it_says_what_has_never_met_hardware(bus: Bus, tmp_path: Path) -> None:
-    assert bus.devices == []
-    unproven = _by_name(device_checks(root=tmp_path))["proven on hardware"]
-    assert "never a real sensor" in unproven.detail
-    assert not unproven.needed
+    plug_in(tmp_path, product=product, vendor=vendor, number=1)
+    plug_in(tmp_path, product="097d", number=2)  # the colour camera of the same Kinect
+    (kinect,) = usb_kinects(tmp_path)
+    assert (kinect.serial, kinect.megabits, kinect.allowed) == ("000123", 5000, True)
+    assert kinect.node.name == "001"
 
 
 def test_one_kinect_is_not_enough(bus: Bus, tmp_path: Path) -> None:
@@ -182,14 +162,6 @@ def test_a_usb_2_port_is_reported(tmp_path: Path) -> None:
     plug_in(tmp_path, speed=480)
     check = _by_name(device_checks(root=tmp_path))["USB speed"]
     assert (check.ok, check.detail) == (False, "000123 runs at 480 Mbit/s")
-
-
-def test_the_bus_shows_depth_cameras_only(tmp_path: Path) -> None:
-    plug_in(tmp_path, number=1)
-    plug_in(tmp_path, product="097d", number=2)  # the colour camera of the same Kinect
-    (kinect,) = usb_kinects(tmp_path)
-    assert (kinect.serial, kinect.megabits, kinect.allowed) == ("000123", 5000, True)
-    assert kinect.node.name == "001"
 
 
 def test_the_depth_engine_beside_a_wheels_library_is_found(
@@ -245,11 +217,9 @@ def test_orbbecs_software_and_our_tracker_are_enough(
     assert bolt.ok
     assert bolt.detail == "Orbbec Femto Bolt, USB3.2, firmware 1.1.3, sync jacks not known"
     assert "recommends firmware 1.4.98" in gemini.advice
-    assert (
-        "--sync-master CL8H741005K" in named["sync cable"].advice
-        or "--sync-master" in named["sync cable"].advice
-    )
+    assert "--sync-master" in named["sync cable"].advice
     assert "never a real sensor" in named["proven on hardware"].detail
+    assert not named["proven on hardware"].needed
     assert orbbecs.open_serials == [], "each is opened briefly"
 
 

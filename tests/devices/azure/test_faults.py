@@ -23,6 +23,12 @@ from tests.helpers.standin_pyk4a import Bus, Device
 from tests.helpers.usb_tree import plug_in
 
 
+@pytest.fixture
+def device(bus: Bus) -> Device:
+    bus.devices = [Device("000123")]
+    return bus.devices[0]
+
+
 def _kinect(serial: str = "000123", **settings: object) -> KinectSensor:
     return KinectSensor(serial, KinectSettings(**settings), track=False)  # type: ignore[arg-type]
 
@@ -61,9 +67,7 @@ def test_no_permission(bus: Bus, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
         _kinect().__enter__()
 
 
-def test_unplugged_at_open(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
-    device = Device("000123")
-    bus.devices = [device]
+def test_unplugged_at_open(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     check_jack = KinectSensor._check_jack
 
     def pull_the_plug(self: KinectSensor) -> None:
@@ -76,9 +80,7 @@ def test_unplugged_at_open(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     assert device.opened_by is None
 
 
-def test_unplugged_mid_stream(bus: Bus) -> None:
-    device = Device("000123")
-    bus.devices = [device]
+def test_unplugged_mid_stream(device: Device) -> None:
     with _kinect() as sensor:
         frames = sensor.frames()
         next(frames)
@@ -89,10 +91,9 @@ def test_unplugged_mid_stream(bus: Bus) -> None:
 
 
 def test_unplugged_mid_stream_beside_another(
-    bus: Bus, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    bus: Bus, device: Device, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    device = Device("000123")
-    bus.devices = [device, Device("000456")]
+    bus.devices.append(Device("000456"))
     plug_in(tmp_path, "000456", number=8)
     plug_in(tmp_path, "000123", number=7)
     monkeypatch.setattr(pyk4a_access, "usb_kinects", lambda: usb_kinects(tmp_path))
@@ -106,9 +107,7 @@ def test_unplugged_mid_stream_beside_another(
 
 
 @pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
-def test_unplugged_at_close(bus: Bus) -> None:
-    device = Device("000123")
-    bus.devices = [device]
+def test_unplugged_at_close(device: Device) -> None:
     sensor = _kinect().__enter__()
     device.plugged = False
     sensor.__exit__()
@@ -121,9 +120,7 @@ def test_unplugged_at_close(bus: Bus) -> None:
 
 
 @pytest.mark.parametrize("fault", ["silent", "blind"])
-def test_stream_stalls(bus: Bus, fault: str) -> None:
-    device = Device("000123")
-    bus.devices = [device]
+def test_stream_stalls(device: Device, fault: str) -> None:
     with _kinect(stall_s=5.0) as sensor:
         frames = sensor.frames()
         next(frames)
@@ -132,9 +129,8 @@ def test_stream_stalls(bus: Bus, fault: str) -> None:
             next(frames)
 
 
-def test_stream_of_a_subordinate_stalls(bus: Bus) -> None:
-    device = Device("000123", jacks=(True, False), silent=True)
-    bus.devices = [device]
+def test_stream_of_a_subordinate_stalls(device: Device) -> None:
+    device.jacks, device.silent = (True, False), True
     with _kinect(sync="subordinate", start_s=30.0, stall_s=5.0) as sensor:
         with pytest.raises(DeviceError, match=r"no depth for 30 s.*check the master"):
             next(sensor.frames())

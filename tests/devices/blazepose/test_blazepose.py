@@ -77,7 +77,6 @@ def test_tracked_joints_are_near_the_truth_and_hidden_ones_are_not_tracked(track
 def test_a_person_is_followed_without_the_detector(tracker: BlazePose) -> None:
     marks = landmarks_at("walk", 2.0)
     only(tracker.track(*images_of([marks]), CAMERA, 0))
-    assert tracker._networks is not None
     without_detector = (None, tracker._networks[1])
     networks, tracker._networks = tracker._networks, without_detector  # type: ignore[assignment]
     try:
@@ -88,19 +87,16 @@ def test_a_person_is_followed_without_the_detector(tracker: BlazePose) -> None:
         tracker._networks = networks
 
 
-def test_a_person_who_was_covered_is_found_again_in_the_next_image(tracker: BlazePose) -> None:
+def test_a_covered_person_is_found_again_and_after_a_second_has_another_id(
+    tracker: BlazePose,
+) -> None:
     marks = landmarks_at("walk", 2.0)
     seen, empty = images_of([marks]), images_of([])
     first = tracker.track(*seen, CAMERA, 0)
     assert tracker.track(*empty, CAMERA, FRAME_NS) == {}
     again = tracker.track(*seen, CAMERA, 2 * FRAME_NS)
     assert again.keys() == first.keys()
-
-
-def test_a_person_after_a_second_without_one_has_another_id(tracker: BlazePose) -> None:
-    seen = images_of([landmarks_at("walk", 2.0)])
-    first = tracker.track(*seen, CAMERA, 0)
-    tracker.track(*images_of([]), CAMERA, FRAME_NS)
+    tracker.track(*empty, CAMERA, 3 * FRAME_NS)
     later = tracker.track(*seen, CAMERA, 2 * 10**9)
     assert len(later) == 1
     assert later.keys() != first.keys()
@@ -135,21 +131,18 @@ def test_a_person_of_impossible_size_is_no_person(tracker: BlazePose) -> None:
     assert only(tracker.track(*images_of([marks]), CAMERA, 5 * 10**9))
 
 
-@pytest.mark.parametrize("image", ["dark", "saturated", "noise", "empty room"])
+@pytest.mark.parametrize("image", ["dark", "saturated", "noise", "empty room", "a person without depth"])
 def test_images_without_a_person_have_no_people(tracker: BlazePose, image: str) -> None:
     infrared, depth = images_of([])
     if image == "dark":
         infrared = np.zeros_like(infrared)
     elif image == "saturated":
         infrared = np.full_like(infrared, 65535)
+    elif image == "a person without depth":
+        infrared, depth = images_of([landmarks_at("walk", 2.0)])[0], np.zeros_like(depth)
     elif image == "noise":
         infrared = np.random.default_rng(0).integers(0, 65536, infrared.shape, dtype=np.uint16)
     assert tracker.track(infrared, depth, CAMERA, 0) == {}
-
-
-def test_without_depth_there_is_no_person(tracker: BlazePose) -> None:
-    infrared, depth = images_of([landmarks_at("walk", 2.0)])
-    assert tracker.track(infrared, np.zeros_like(depth), CAMERA, 0) == {}
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7, 0.95])

@@ -59,13 +59,10 @@ def test_the_files_are_placed_with_licence_and_notice(tmp_path: Path, pip) -> No
     assert {path.name for path in fetched} == {"net.tflite", fetching.LICENCE}
     pip(FAILS.format(line="must not run"))
     assert fetching.fetch("full", folder) == []
-
-
-def test_a_truncated_file_is_fetched_again(tmp_path: Path, pip) -> None:
     pip(MAKES_A_WHEEL.format(content=CONTENT))
-    (tmp_path / "net.tflite").write_bytes(CONTENT[:100])
-    fetching.fetch("full", tmp_path)
-    assert (tmp_path / "net.tflite").read_bytes() == CONTENT
+    (folder / "net.tflite").write_bytes(CONTENT[:100])
+    fetching.fetch("full", folder)
+    assert (folder / "net.tflite").read_bytes() == CONTENT, "a truncated file is fetched again"
 
 
 def test_another_content_is_never_placed(tmp_path: Path, pip) -> None:
@@ -103,10 +100,6 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, pip) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(DeviceError, match="cannot be kept in"):
         fetching.fetch("full", tmp_path / "file" / "networks")
-
-
-def test_a_file_that_is_no_folder_is_told_in_one_line(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
     with pytest.raises(DeviceError, match=r"file is not a folder\. Name a folder") as told:
         fetching.fetch("full", tmp_path / "file")
     assert "Errno" not in str(told.value)

@@ -73,32 +73,24 @@ def test_frames_of_a_simulated_kinect_get_people_and_keep_their_images() -> None
     assert frames[-1].depth is not None
 
 
-def test_colour_that_is_registered_to_depth_serves_where_there_is_no_infrared() -> None:
-    ir, depth = images_of([landmarks_at("startup", 1.0)])
-    with tracked(Images(frame_of(ir, depth, color=color_of(ir)))) as sensor:
-        assert [len(frame.people) for frame in sensor.frames()] == [1]
-
-
-def test_colour_of_another_place_is_not_used() -> None:
+def test_only_images_with_depth_in_its_place_give_people() -> None:
+    """Colour serves where there is no infrared and it is registered to depth; the source's people do not."""
     ir, depth = images_of([landmarks_at("startup", 1.0)])
     moved = color_of(ir, RigidTransform.of(np.eye(3), (0.03, 0.0, 0.0)))
-    with tracked(Images(frame_of(ir, depth, color=moved))) as sensor:
-        assert [frame.people for frame in sensor.frames()] == [{}]
-
-
-def test_a_frame_without_depth_or_image_has_no_people() -> None:
-    ir, depth = images_of([landmarks_at("startup", 1.0)])
-    frames = [SensorFrame(0, ir=ir), SensorFrame(1, depth=depth), SensorFrame(2)]
-    frames.append(SensorFrame(3, depth=depth, ir=ir[::2]))
-    with tracked(Images(*frames)) as sensor:
-        assert [frame.people for frame in sensor.frames()] == [{}] * 4
-
-
-def test_the_people_of_the_source_are_replaced() -> None:
-    ir, depth = images_of([])
     a, _, _ = simulated_pair(seconds=0.05)
-    simulated = next(iter(a.frames()))
-    with tracked(Images(replace(simulated, depth=depth, ir=ir))) as sensor:
+    empty_infrared, empty_depth = images_of([])
+    frames = [
+        frame_of(ir, depth, color=color_of(ir)),
+        frame_of(ir, depth, color=moved),
+        SensorFrame(0, ir=ir),
+        SensorFrame(1, depth=depth),
+        SensorFrame(2),
+        SensorFrame(3, depth=depth, ir=ir[::2]),
+    ]
+    with tracked(Images(*frames)) as sensor:
+        assert [len(frame.people) for frame in sensor.frames()] == [1, 0, 0, 0, 0, 0]
+    people = replace(next(iter(a.frames())), depth=empty_depth, ir=empty_infrared)
+    with tracked(Images(people)) as sensor:
         assert [frame.people for frame in sensor.frames()] == [{}]
 
 

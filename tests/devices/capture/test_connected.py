@@ -55,10 +55,7 @@ def _jacks(serial: str, sync_in: bool, sync_out: bool) -> ConnectedSensor:
 def test_the_master_is_where_the_cable_leads_out() -> None:
     leads, follows = _jacks("000456", False, True), _jacks("000123", True, False)
     assert sync_master(follows, leads) == sync_master(leads, follows) == "000456"
-
-
-def test_without_a_cable_nobody_leads() -> None:
-    assert sync_master(A, B) is None
+    assert sync_master(A, B) is None, "without a cable nobody leads"
 
 
 def test_a_cable_that_joins_no_out_to_an_in_is_explained() -> None:

@@ -211,16 +211,11 @@ def _aligned(count: int = 30) -> LivePairing:
     return pairing
 
 
-def test_a_repeated_frame_is_left_out() -> None:
+def test_a_repeated_frame_and_one_whose_time_has_passed_are_left_out() -> None:
     pairing = _aligned()
     assert pairing.add("a", SensorFrame(29 * INTERVAL_NS), 30 * INTERVAL_NS) == []
-    assert (pairing.figures.repeated, pairing.figures.pairs) == (1, 30)
-
-
-def test_a_frame_whose_time_has_passed_is_left_out() -> None:
-    pairing = _aligned()
     assert pairing.add("b", SensorFrame(28 * INTERVAL_NS + 1), 30 * INTERVAL_NS) == []
-    assert (pairing.figures.late, pairing.figures.pairs) == (1, 30)
+    assert (pairing.figures.repeated, pairing.figures.late, pairing.figures.pairs) == (1, 1, 30)
 
 
 def test_frames_out_of_order_are_put_in_their_place() -> None:

@@ -37,6 +37,9 @@ def test_no_device(orbbecs: OrbbecBus) -> None:
     assert connected_orbbecs() == []
     with pytest.raises(AbsentError, match=rf"No Orbbec sensor with serial {A}\. No other is connected\."):
         _sensor().__enter__()
+    orbbecs.devices = [Orbbec(B)]
+    with pytest.raises(AbsentError, match=rf"No Orbbec sensor with serial {A}\. Connected: {B}"):
+        _sensor().__enter__()
 
 
 def test_the_search_for_sensors_fails(orbbecs: OrbbecBus) -> None:

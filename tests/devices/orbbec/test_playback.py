@@ -31,18 +31,13 @@ def test_a_recording_gives_its_frames_and_ends(orbbecs: OrbbecBus, tmp_path: Pat
     path = _bag(orbbecs, tmp_path / "a.bag")
     with OrbbecRecording(path) as recording:
         frames = list(recording.frames())
-        assert recording.intrinsics is not None
         assert (recording.intrinsics.width, recording.intrinsics.fx) == (640, 504)
         assert (recording.duration_ns, recording.interval_ns) == (166_000_000, 33_333_333)
     assert [frame.time_ns for frame in frames] == [1_000_000_000 + 33_333_000 * k for k in range(1, 6)]
     assert all(frame.depth is not None and frame.ir is not None for frame in frames)
     assert recording.warnings == []
     assert orbbecs.running == []
-
-
-def test_frames_that_are_missing_are_counted(orbbecs: OrbbecBus, tmp_path: Path) -> None:
-    path = _bag(orbbecs, tmp_path / "a.bag", skips=2)
-    with OrbbecRecording(path) as recording:
+    with OrbbecRecording(_bag(orbbecs, tmp_path / "b.bag", skips=2)) as recording:
         assert len(list(recording.frames())) == 5
     assert "frames are missing: 8;" in recording.warnings[0]
 

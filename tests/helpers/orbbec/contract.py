@@ -19,6 +19,7 @@ import numpy as np
 
 from devices.orbbec.images import MomentJoiner, color_image, depth_image, infrared_image
 from devices.orbbec.streams import color_camera, intrinsics_of
+from tests.helpers.pyk4a_contract import fault_of
 
 ENUMS = {
     "OBSensorType": ("IR_SENSOR", "COLOR_SENSOR", "DEPTH_SENSOR", "LEFT_IR_SENSOR"),
@@ -62,8 +63,8 @@ def no_device(sdk: Any) -> dict[str, object]:
         lambda: devices.get_device_serial_number_by_index(0),
         lambda: devices.get_device_by_serial_number("CL8H741005K"),
     )
-    said = [str(_raises(sdk.OBError, question)) for question in questions]
-    return {"said": [*said, str(_raises(RuntimeError, sdk.Pipeline))]}
+    said = [str(fault_of(sdk.OBError, question)) for question in questions]
+    return {"said": [*said, str(fault_of(RuntimeError, sdk.Pipeline))]}
 
 
 def errors(sdk: Any) -> None:
@@ -93,7 +94,7 @@ def playback(sdk: Any) -> dict[str, object]:
         missing, other = Path(folder, "none.bag"), Path(folder, "other.bag")
         other.write_bytes(b"#ROSBAG V2.0\n" + b"x" * 100)
         faults = [
-            _raises(RuntimeError, lambda path=path: sdk.PlaybackDevice(str(path)))
+            fault_of(RuntimeError, lambda path=path: sdk.PlaybackDevice(str(path)))
             for path in (missing, other)
         ]
     return {"said": [str(fault).replace(folder, "FOLDER") for fault in faults]}
@@ -104,7 +105,7 @@ def frames(sdk: Any) -> dict[str, object]:
     frame = _made(sdk, "DEPTH_FRAME", "Y16", np.arange(12, dtype=np.uint16).reshape(3, 4), 123_456, 99)
     data = frame.get_data()
     assert (data.dtype, data.shape, data.flags.owndata) == (np.uint8, (24,), True)
-    _raises(RuntimeError, lambda: frame.update_data(b"short"))
+    fault_of(RuntimeError, lambda: frame.update_data(b"short"))
     assert frame.get_format() == sdk.OBFormat.Y16
     times = [frame.get_timestamp_us(), frame.get_system_timestamp_us()]
     return {"size": [frame.get_width(), frame.get_height(), frame.get_data_size()], "times": times}
@@ -142,7 +143,7 @@ def profiles(sdk: Any) -> dict[str, object]:
     """A profile without calibration is an OBError; with one, it is as set."""
     depth, color = _profiles(sdk)
     for question in (depth.get_intrinsic, depth.get_distortion, lambda: depth.get_extrinsic_to(color)):
-        _raises(sdk.OBError, question)
+        fault_of(sdk.OBError, question)
     _calibrate(sdk, depth, color)
     ours, warning = intrinsics_of(sdk, depth, "123")
     beside, _ = color_camera(sdk, color, depth, "123")
@@ -163,7 +164,7 @@ def sync_configuration(sdk: Any) -> dict[str, object]:
     def misspell() -> None:
         wanted.depthDelayUs = 160
 
-    _raises(AttributeError, misspell)
+    fault_of(AttributeError, misspell)
     return {
         "set": [int(wanted.mode), wanted.depth_delay_us, wanted.color_delay_us, wanted.trigger_out_enable]
     }
@@ -171,7 +172,7 @@ def sync_configuration(sdk: Any) -> dict[str, object]:
 
 def configurations(sdk: Any) -> None:
     """The way of aggregating frames is an enum, not a number."""
-    _raises(TypeError, lambda: sdk.Config().set_frame_aggregate_output_mode(0))
+    fault_of(TypeError, lambda: sdk.Config().set_frame_aggregate_output_mode(0))
     sdk.Config().set_frame_aggregate_output_mode(sdk.OBFrameAggregateOutputMode.ANY_SITUATION)
 
 
@@ -222,7 +223,7 @@ def _profiles(sdk: Any) -> tuple[Any, Any]:
     configuration.enable_video_stream(sdk.OBStreamType.COLOR_STREAM, 1280, 720, 30, sdk.OBFormat.MJPG)
     both = configuration.get_enabled_stream_profile_list()
     assert both.get_count() == 2
-    _raises(sdk.OBError, lambda: both.get_stream_profile_by_index(2))
+    fault_of(sdk.OBError, lambda: both.get_stream_profile_by_index(2))
     return both.get_stream_profile_by_index(0), both.get_stream_profile_by_index(1)
 
 
@@ -238,14 +239,6 @@ def _calibrate(sdk: Any, depth: Any, color: Any) -> None:
     pose.rot, pose.transform = np.eye(3), (-32.0, 0.0, 4.0)
     assert (pose.rot.shape, pose.transform.shape) == ((3, 3), (3,))
     depth.bind_extrinsic_to(color, pose)
-
-
-def _raises(kind: type[BaseException], action: Callable[[], object]) -> BaseException:
-    try:
-        given = action()
-    except kind as fault:
-        return fault
-    raise AssertionError(f"no {kind.__name__}, but {given!r}")
 
 
 def main() -> None:
