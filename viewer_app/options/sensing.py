@@ -53,7 +53,7 @@ class FuseOptions(
 
 
 @dataclass(frozen=True, kw_only=True)
-class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions):
+class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptions):
     """Run the whole program without a sensor: two simulated Kinects watch one person.
 
     At some seconds one sensor loses an arm or exchanges left and right; the terminal says when. The person's
@@ -86,10 +86,6 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions):
     full, images are dropped, skeletons never."""
     save: Annotated[Path | None, OUTPUTS] = None
     """Keep the session as an .rrd file; without a display demo.rrd if not given."""
-    report: Annotated[Path | None, OUTPUTS] = None
-    """Write the figures of the session to this .json file."""
-    force: Annotated[bool, OUTPUTS] = False
-    """Overwrite files that exist."""
 
 
 @dataclass(frozen=True, kw_only=True)
