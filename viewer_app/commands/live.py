@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -28,7 +27,7 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sensing import LiveOptions
 from viewer_app.options.shared import check_paper_options, check_seconds
 from viewer_app.output_files import check_outputs, write_text
-from viewer_app.running.interruption import CtrlC
+from viewer_app.running.interruption import CtrlC, call_after
 from viewer_app.running.loop import Status, run_live, warm_up
 from viewer_app.running.runner import Runner
 from viewer_app.sensors.local import kinect_settings, one_of_live, two_kinects
@@ -96,7 +95,7 @@ def _show(options: LiveOptions, sensors: TwoSensors, runner: Runner, console: Co
             infrared = _has_infrared(options, sensors)
             display = runner.open_session(stack, sensors, nominal, coach, layout, infrared)
             console.print("Running. Press Ctrl-C to end.")
-            with _Timer(options.seconds, sensors):
+            with call_after(options.seconds, sensors.stop):  # even while no frame arrives
                 setup, frames = run_live(
                     sensors,
                     nominal,
@@ -134,22 +133,6 @@ class _Watch:
             self.settled = status.calibrator.calibration
             self._console.print(f"[bold]Calibrated[/]: {escape(self.settled.how)}.", highlight=False)
         return True
-
-
-class _Timer:
-    """Stops the sensors when the time is up, even while no frame arrives."""
-
-    def __init__(self, seconds: float | None, sensors: TwoSensors) -> None:
-        self._timer = None if seconds is None else threading.Timer(seconds, sensors.stop)
-
-    def __enter__(self) -> None:
-        if self._timer is not None:
-            self._timer.daemon = True
-            self._timer.start()
-
-    def __exit__(self, *exc_info: object) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
 
 
 def _camera(options: LiveOptions, sensor: Sensor) -> Intrinsics:

@@ -21,7 +21,7 @@ from fusion.body import BODIES
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import PublishOptions
 from viewer_app.options.shared import check_seconds
-from viewer_app.running.interruption import CtrlC
+from viewer_app.running.interruption import CtrlC, call_after
 from viewer_app.sensors.local import one_sensor
 from viewer_app.sensors.remote import teller
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
@@ -64,52 +64,29 @@ def run(options: PublishOptions) -> None:
             highlight=False,
             markup=False,
         )
-        with _Reports(options, publisher, console, stopped):
+        if not options.quiet:
+            stack.callback(stopped.set)
+            reports = threading.Thread(
+                target=_report, args=(publisher, console, stopped), name="reports", daemon=True
+            )
+            reports.start()
+        with call_after(options.seconds, stopped.set):
             publish_until(thread, publisher, stopped, tell)
     for warning in sensor.warnings:
         console.print(warning, style="yellow", highlight=False, markup=False)
     console.print(_summary(thread, publisher), highlight=False)
 
 
-class _Reports:
-    """Ends the command when its time is up, and prints a line about what was sent every ten seconds."""
-
-    def __init__(
-        self, options: PublishOptions, publisher: FramePublisher, console: Console, stopped: threading.Event
-    ) -> None:
-        self._seconds, self._quiet = options.seconds, options.quiet
-        self._publisher, self._console, self._stopped = publisher, console, stopped
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="reports", daemon=True)
-
-    def __enter__(self) -> None:
-        self._thread.start()
-
-    def __exit__(self, *exc_info: object) -> None:
-        self._over.set()
-
-    def _run(self) -> None:
-        begun_s = told_s = time.monotonic()
-        frames = sent = 0
-        while True:
-            now_s = time.monotonic()
-            left_s = float("inf") if self._seconds is None else begun_s + self._seconds - now_s
-            if left_s <= 0.0:
-                self._stopped.set()
-                return
-            if self._over.wait(min(left_s, told_s + _EVERY_S - now_s)):
-                return
-            elapsed_s = time.monotonic() - told_s
-            if elapsed_s < _EVERY_S or self._quiet:
-                told_s += elapsed_s if self._quiet else 0.0
-                continue
-            now = self._publisher
-            rate, size = (now.published - frames) / elapsed_s, (now.bytes_sent - sent) / elapsed_s
-            asked = "" if now.requests else "; nobody listens yet"
-            self._console.print(
-                f"{rate:.1f} frames and {size * 1e-3:.0f} kB per second{asked}.", highlight=False
-            )
-            told_s, frames, sent = told_s + elapsed_s, now.published, now.bytes_sent
+def _report(publisher: FramePublisher, console: Console, stopped: threading.Event) -> None:
+    """Prints a line about what was sent every ten seconds."""
+    before_s, before_frames, before_bytes = time.monotonic(), 0, 0
+    while not stopped.wait(_EVERY_S):
+        now_s, frames, sent = time.monotonic(), publisher.published, publisher.bytes_sent
+        elapsed_s = now_s - before_s
+        rate, size = (frames - before_frames) / elapsed_s, (sent - before_bytes) / elapsed_s
+        asked = "" if publisher.requests else "; nobody listens yet"
+        console.print(f"{rate:.1f} frames and {size * 1e-3:.0f} kB per second{asked}.", highlight=False)
+        before_s, before_frames, before_bytes = now_s, frames, sent
 
 
 def _sensor(options: PublishOptions, console: Console) -> Sensor:

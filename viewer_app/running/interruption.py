@@ -1,4 +1,4 @@
-"""Handles Ctrl-C as a request to end, so that captured data is saved at any moment."""
+"""Ends a run by Ctrl-C or after some time, so that captured data is saved at any moment."""
 
 from __future__ import annotations
 
@@ -10,6 +10,21 @@ from types import FrameType
 from typing import Any
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextmanager
+def call_after(seconds: float | None, action: Callable[[], object]) -> Iterator[None]:
+    """Calls `action` on another thread if the block takes longer than so many seconds; None: never."""
+    if seconds is None:
+        yield
+        return
+    timer = threading.Timer(seconds, action)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 class CtrlC:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -25,6 +24,7 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings.fusing.sensors import LiveFusion
 from recordings.session_arrays import RecordedFrame
+from viewer_app.running.interruption import call_after
 from viewer_app.sinks.sink import Sink
 
 _KEPT_FRAMES = 1_800
@@ -52,15 +52,11 @@ def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = la
         console: Receives the notice.
         meanwhile: A callable that compiles further kernels.
     """
-    notice = threading.Timer(1.0, console.print, ["Compiling the kernels; only the first run does this …"])
-    notice.daemon = True
-    notice.start()
-    try:
+    notice = "Compiling the kernels; only the first run does this …"
+    with call_after(1.0, lambda: console.print(notice)):
         fuser.warm_up(meanwhile)
         depth_witness.warm_up()
         encode_depth(np.zeros((1, 1), dtype=np.uint16))
-    finally:
-        notice.cancel()
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+import threading
 from typing import Any
 
 import pytest
@@ -18,29 +18,16 @@ from viewer_app.running import loop
 
 @pytest.mark.parametrize("long", [True, False])
 def test_compiling_that_takes_its_time_is_announced(long: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    timers: list[Timer] = []
+    printed = threading.Event()
 
-    class Timer:
-        def __init__(self, seconds: float, function: Callable[..., object], arguments: list[Any]) -> None:
-            self.seconds, self.running = seconds, False
-            self.fire = lambda: function(*arguments)
-            timers.append(self)
+    class Told(Console):
+        def print(self, *objects: Any, **options: Any) -> None:
+            super().print(*objects, **options)
+            printed.set()
 
-        def start(self) -> None:
-            self.running = True
-
-        def cancel(self) -> None:
-            self.running = False
-
-    def compile_all(*_: object) -> None:
-        assert timers[0].running
-        if long:
-            timers[0].fire()
-
-    monkeypatch.setattr(loop.threading, "Timer", Timer)
-    monkeypatch.setattr(Fuser, "warm_up", compile_all)
+    # a warm-up that is not long ends before the notice is due
+    monkeypatch.setattr(Fuser, "warm_up", lambda *_: printed.wait(30.0) if long else None)
     out = io.StringIO()
-    loop.warm_up(Fuser(FusionSetup(nominal_calibration(KINECT_V1))), Console(file=out, width=120))
+    loop.warm_up(Fuser(FusionSetup(nominal_calibration(KINECT_V1))), Told(file=out, width=120))
     assert ("Compiling" in out.getvalue()) == long
-    assert timers[0].seconds == 1.0
-    assert not timers[0].running
+    assert printed.wait(0.0 if long else 1.2) == long
