@@ -47,8 +47,6 @@ from viewer_app.sinks import compact_copy, session_file
 from viewer_app.sinks.session_file import SessionFile
 
 ROOT = Path(__file__).resolve().parents[3]
-
-
 _MADE: list[SessionFile] = []
 
 
@@ -70,9 +68,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 def fused_frames(count: int, depth: bool = False) -> tuple[Fuser, list[RecordedFrame]]:
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     pairs = frame_pairs(KINECT_V1, count, no_b=(5,), depth=depth)
-    return Fuser(FusionSetup(calibration_of(KINECT_V1))), [
-        RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs
-    ]
+    return fuser, [RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
 
 
 def file_of(path: Path, fuser: Fuser, **options: object) -> SessionFile:
@@ -85,6 +81,14 @@ def file_of(path: Path, fuser: Fuser, **options: object) -> SessionFile:
     )
     _MADE.append(file)
     return file
+
+
+def finished(file: SessionFile, frames: list[RecordedFrame]) -> None:
+    """Writes frames and ends the file."""
+    for frame in frames:
+        file.write(frame)
+    file.finish()
+    file.close()
 
 
 def times_of(path: Path, entity: str) -> dict[int, int]:
@@ -198,10 +202,7 @@ def test_it_can_be_read_while_it_grows(tmp_path: Path) -> None:
     with pytest.warns(rr.error_utils.RerunWarning, match="no footer"):  # and Rerun reads it all the same
         chunks = rr.chunk.RrdReader(path).stream().to_chunks()
     assert sum(chunk.num_rows for chunk in chunks if chunk.entity_path == "/fused/skeleton") == 20 + 1
-    for frame in frames[20:]:
-        file.write(frame)
-    file.finish()
-    file.close()
+    finished(file, frames[20:])
     session = Session.open(path)
     assert (len(session), session.damage) == (40, None)
     assert [frame for frame, _ in session.depth("b")] == [n for n in range(40) if n != 5]
@@ -234,10 +235,7 @@ def test_a_copy_that_fails_leaves_the_file_that_grew(tmp_path: Path, monkeypatch
     monkeypatch.setattr(compact_copy.shutil, "copyfile", full)
     fuser, frames = fused_frames(20)
     file = file_of(tmp_path / "s.rrd", fuser)
-    for frame in frames:
-        file.write(frame)
-    file.finish()
-    file.close()
+    finished(file, frames)
     assert file.failure is None
     session = Session.open(tmp_path / "s.rrd")
     assert (len(session), session.damage) == (20, None)
@@ -250,14 +248,10 @@ def test_an_existing_file_stays_until_its_replacement_is_ready(tmp_path: Path) -
     fuser, frames = fused_frames(10)
     file = file_of(path, fuser, overwrite=True)
     file.event(Event("nobody there"))
-    file.finish()
-    file.close()
+    finished(file, [])
     assert path.read_text() == "precious"
     file = file_of(path, fuser, overwrite=True)
-    for frame in frames:
-        file.write(frame)
-    file.finish()
-    file.close()
+    finished(file, frames)
     assert frames_in(path) == 10
     assert [path.name for path in tmp_path.iterdir()] == ["s.rrd"]
 
@@ -267,10 +261,7 @@ def test_a_file_that_came_in_between_is_not_overwritten(tmp_path: Path) -> None:
     fuser, frames = fused_frames(10)
     file = file_of(path, fuser)
     path.write_text("precious")
-    for frame in frames:
-        file.write(frame)
-    file.finish()
-    file.close()
+    finished(file, frames)
     assert file.failure is not None
     assert "File exists" in file.failure
     assert path.read_text() == "precious"
@@ -422,9 +413,6 @@ def test_the_threads_end_with_the_file(tmp_path: Path) -> None:
     fuser, frames = fused_frames(3)
     before = threading.active_count()
     for k in range(3):
-        file = file_of(tmp_path / f"{k}.rrd", fuser)
-        file.write(frames[0])
-        file.finish()
-        file.close()
+        finished(file_of(tmp_path / f"{k}.rrd", fuser), frames[:1])
     assert threading.active_count() == before
     np.testing.assert_array_equal([frames_in(tmp_path / f"{k}.rrd") for k in range(3)], 1)
