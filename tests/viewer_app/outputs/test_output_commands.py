@@ -116,6 +116,7 @@ def test_each_frame_is_played_when_it_is_due_and_events_with_theirs(fuser: Fuser
         (("--vmc", "nowhere"), "write HOST:PORT"),
         (("--vmc", "127.0.0.1:99999"), "write HOST:PORT"),
         (("--vmc", "no-such-host.invalid:39539"), "unknown host"),
+        (("--vrchat", "no-such-host.invalid:1"), "unknown host"),
         (("--vrchat", "a:b:c"), "--vrchat a:b:c"),
         (("--avatar", "x.vrm"), "give both"),
         (("--vmc", "39539", "--avatar", "none.vrm"), "--avatar none.vrm"),

@@ -15,7 +15,6 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from tests.helpers.live_frames import frames
 from tests.helpers.waiting import eventually
-from viewer_app.errors import UsageError
 from viewer_app.options.shared import LiveOutputOptions
 from viewer_app.outputs.opening import plan_outputs
 from viewer_app.outputs.output import LATE_NS, LiveOutput, confidence
@@ -150,9 +149,3 @@ def test_no_output_is_opened_where_none_is_asked_for(body: Body) -> None:
     assert not plan
     with plan.opened(FusionSetup(nominal_calibration(body))) as outputs:
         assert list(outputs) == []
-
-
-@pytest.mark.parametrize("option", ["vmc", "vrchat"])
-def test_an_unknown_host_is_refused_before_anything_is_opened(option: str) -> None:
-    with pytest.raises(UsageError, match=f"--{option} no-such-host.invalid:1: unknown host"):
-        plan_outputs(LiveOutputOptions(**{option: "no-such-host.invalid:1"}))  # type: ignore[arg-type]

@@ -9,7 +9,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from fusion.skeleton import TrackingState
@@ -17,30 +16,14 @@ from recordings import layout
 from recordings.appearance.colors import SKELETON_COLORS, VIEW_COLORS
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.shown_figures import shown_values
-from tests.helpers.live_frames import BODY, frames, known_fuser
+from tests.helpers.live_frames import BODY, frames, inspected_scenes, known_fuser, session_of_view
 from tests.helpers.pictures import headless_viewer, picture_of, pixels_near
 from tests.helpers.waiting import eventually
-from viewer_app.sinks.live_session import LiveSession
-from viewer_app.viewer.blueprint import session_blueprint
-
-PERSON_AT = np.array([0.0, 0.0, 2.6])
-
-
-def scene() -> rrb.View:
-    """The scene of *inspect*."""
-    inspect = session_blueprint(known_fuser().setup, PERSON_AT, "inspect").root_container.contents[1]
-    return inspect.contents[0].contents[0].contents[0]
 
 
 def picture(made: list[RecordedFrame], folder: Path) -> NDArray[np.uint8]:
     """The scene, as soon as the viewer draws it."""
-    file = folder / "s.rrd"
-    with LiveSession(
-        known_fuser().setup, ("a", "b"), rrb.Blueprint(scene(), auto_views=False), file=file
-    ) as live:
-        for frame in made:
-            live.write(frame)
-    with headless_viewer(str(file)) as viewer:
+    with headless_viewer(str(session_of_view(inspected_scenes()[0], made, folder))) as viewer:
         drawn: list[NDArray[np.uint8]] = []
 
         def settled() -> bool:
@@ -77,13 +60,7 @@ def test_a_body_without_a_person_is_not_drawn_and_not_a_fault(tmp_path: Path) ->
     made = frames(known_fuser(), 10)
     nobody = np.full_like(made[-1].fused.positions, np.nan)
     made[-1] = replace(made[-1], fused=replace(made[-1].fused, positions=nobody))
-    file = tmp_path / "s.rrd"
-    with LiveSession(
-        known_fuser().setup, ("a", "b"), rrb.Blueprint(scene(), auto_views=False), file=file
-    ) as live:
-        for frame in made:
-            live.write(frame)
-    with headless_viewer(str(file)) as viewer:
+    with headless_viewer(str(session_of_view(inspected_scenes()[0], made, tmp_path))) as viewer:
 
         def shaded_at(frame: int) -> int:
             with contextlib.suppress(ConnectionError, RuntimeError, ValueError):  # not loaded yet

@@ -7,20 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rerun.blueprint as rrb
 
 from fusion.setup import FuserSettings
 from recordings import layout
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.shown_figures import shown_values
-from tests.helpers.live_frames import BODY, frames, known_fuser
+from tests.helpers.live_frames import BODY, frames, inspected_scenes, known_fuser, session_of_view
 from tests.helpers.pictures import headless_viewer, picture_of
 from tests.helpers.waiting import eventually
-from viewer_app.sinks.live_session import LiveSession
-from viewer_app.viewer.blueprint import session_blueprint
 
 STEP = 1.0 / 512.0  # metres, of the spheres' radii
-PERSON_AT = np.array([0.0, 0.0, 2.6])
 
 
 def exchanged_in_b(made: list[RecordedFrame]) -> list[RecordedFrame]:
@@ -73,28 +69,11 @@ def test_the_papers_methods_have_no_spheres() -> None:
     assert shown_values(rows, layout.FUSED_SKELETON, layout.SIGMA_SPHERES) is None
 
 
-def shown(view: rrb.View, made: list[RecordedFrame], folder: Path) -> Path:
-    """A session whose viewer shows one view only."""
-    file = folder / "s.rrd"
-    with LiveSession(
-        known_fuser().setup, ("a", "b"), rrb.Blueprint(view, auto_views=False), file=file
-    ) as live:
-        for frame in made:
-            live.write(frame)
-    return file
-
-
-def scenes() -> list[rrb.View]:
-    """The scene of *inspect*, and the one with spheres."""
-    inspect = session_blueprint(known_fuser().setup, PERSON_AT, "inspect").root_container.contents[1]
-    return list(inspect.contents[0].contents[0].contents)
-
-
 def test_spheres_are_drawn_about_the_joints(tmp_path: Path) -> None:
     """Spheres of 0.2 m cover several times the 0.2 % of the window that bones and joints cover."""
     sigma = np.full(len(BODY), 0.2)
     made = [replace(f, fused=replace(f.fused, sigma=sigma)) for f in frames(known_fuser(), 10)]
-    with headless_viewer(str(shown(scenes()[1], made, tmp_path))) as viewer:
+    with headless_viewer(str(session_of_view(inspected_scenes()[1], made, tmp_path))) as viewer:
 
         def purple() -> float:
             red, green, blue = np.moveaxis(picture_of(viewer, tmp_path / "w.png").astype(int), 2, 0)
