@@ -1,11 +1,9 @@
-"""The facing filter on real and simulated pairs: ``python -m tests.experiments.facing FOLDER…``.
+"""Where the numbers of the facing filter come from: ``python -m tests.experiments.facing FOLDER… --tables``.
 
-Each folder holds a.csv and b.csv of a person who walks about before two Kinects. Printed for each pair: in
-which share of the frames with a trunk faster than 0.8 m/s the views, and a stand-in for S*, face against the
-motion, and how often the stand-in flips; live and over the whole recording, with and without the evidence of
-motion. (People who really walk backwards count as wrong: look at the recording.) ``--tables`` prints the
-cues' means and deviations by the cosine to the sensor, and the share of mirrored frames; ``--search S``
-changes constants at random for S seconds and prints the best.
+Each folder holds a.csv and b.csv of a person who walks about before two Kinects. ``--tables`` prints the
+cues' means and deviations by the cosine to the sensor, and the share of mirrored frames. ``--search S``
+changes constants at random for S seconds and prints the best; people who really walk backwards count as
+wrong, so look at the recording. ``python -m tests.benchmarks.real FOLDER…`` measures the filter.
 """
 
 from __future__ import annotations
@@ -51,21 +49,6 @@ def against(views: Views, at: Floats) -> float:
     way, fast = walking(views)
     facing = np.sum(heading(views.body, at) * way, axis=1)[fast]
     return float(np.mean(facing < -0.5) * 100.0) if fast.any() else float("nan")
-
-
-def report(name: str, views: Views, constants: FacingConstants) -> None:
-    print(f"{name}: reported A {against(views, views.a):.1f} %, B {against(views, views.b_in_a):.1f} %")
-    for motion in (constants.motion_weight, 0.0):
-        model = new_facing_model(views.body, replace(constants, motion_weight=motion))
-        for smooth in (False, True):
-            labels = views.relabel(smooth=smooth, model=model)
-            fused = views.fused(labels)
-            a, b = (against(views, at) for at in views.relabelled(labels))
-            setting = ("whole" if smooth else "live") + ("" if motion else " without motion")
-            print(
-                f"    {setting}: A {a:.1f} %, B {b:.1f} %, "
-                f"S* {against(views, fused):.1f} %, {flips(heading(views.body, fused))} flips"
-            )
 
 
 def tables(pairs: list[Views], constants: FacingConstants) -> None:
@@ -147,18 +130,16 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--tables", action="store_true")
-    parser.add_argument("--search", type=float, metavar="S")
+    wanted = parser.add_mutually_exclusive_group(required=True)
+    wanted.add_argument("--tables", action="store_true")
+    wanted.add_argument("--search", type=float, metavar="S")
     options = parser.parse_args()
     constants = FacingConstants()
     pairs = [real_views(folder) for folder in options.folders]
     if options.tables:
         tables(pairs, constants)
-    elif options.search:
-        search(pairs, constants, options.search)
     else:
-        for folder, views in zip(options.folders, pairs, strict=True):
-            report(folder.name, views, constants)
+        search(pairs, constants, options.search)
 
 
 if __name__ == "__main__":

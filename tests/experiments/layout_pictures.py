@@ -4,7 +4,7 @@
 ``duplex demo --tracker blazepose``. It draws their layouts in a viewer without a screen and writes
 ``docs/pictures/*.png``. ``--only demo`` makes those of one run. A graphics driver or Debian's
 mesa-vulkan-drivers is needed. What is missing for a run is said, and its pictures stay as they are: the
-recordings (``DUPLEX_SHARED``), the body tracker's networks, a browser for the light picture.
+recordings (``DUPLEX_SHARED``), the body tracker's networks.
 """
 
 from __future__ import annotations
@@ -16,9 +16,7 @@ import os
 import subprocess
 import tempfile
 import threading
-import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -32,13 +30,11 @@ from devices.blazepose.networks.files import cache_folder, missing
 from fusion.setup import FusionSetup
 from recordings import Session, layout
 from recordings.file.rrd_file import RrdFile
-from recordings.file.session_writer import write_session
-from recordings.images import NO_IMAGES
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.cli import main
 from viewer_app.viewer.blueprint import LAYOUTS, Layout, session_blueprint
-from viewer_app.viewer.rerun_process import Hub, free_port, rerun_program, start_viewer, stop
+from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
 from viewer_app.viewer.stored_clouds import has_depth, send_clouds
 from viewer_app.viewer.viewer_choice import Viewing
 
@@ -87,13 +83,6 @@ def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout
             found[name] = settled_picture(client, moment)
         stream.disconnect()
     return found
-
-
-def at_the_end(blueprint: rrb.Blueprint) -> rrb.Blueprint:
-    """The layout with the time cursor at the newest data."""
-    panels = (blueprint.blueprint_panel, blueprint.selection_panel)
-    time_panel = rrb.TimePanel(state="collapsed", timeline=layout.TIME, play_state="following")
-    return rrb.Blueprint(blueprint.root_container, *panels, time_panel, auto_views=False)
 
 
 def setup_of(session: Session) -> FusionSetup:
@@ -184,7 +173,7 @@ def both_see(session: Session, moment: float) -> float:
 
 
 def of_demo(out: Path, folder: Path) -> None:
-    """The three layouts of ``duplex demo``, and one of them light."""
+    """The three layouts of ``duplex demo``."""
     file = folder / "demo.rrd"
     main(["demo", "--seconds", "16", "--no-viewer", "--quiet", "--save", str(file)])
     opened = Session.open(file)
@@ -193,12 +182,6 @@ def of_demo(out: Path, folder: Path) -> None:
     moments: dict[Layout, float] = {"setup": posing, "inspect": moment, "report": moment}
     for name, picture in drawn(file, moments, clouds=True).items():
         write_png(out / f"{name}.png", picture)
-    # a browser would load images for long, and opens a session at its end
-    session = replace(Session.open(file), images=NO_IMAGES)
-    blueprint = session_blueprint(setup_of(session), session.whereabouts, "inspect")
-    end = int(np.searchsorted(session.time_ns, moment * 1e9))
-    write_session(session, folder / "light.rrd", blueprint=at_the_end(blueprint), end=end)
-    light(out / "inspect_light.png", folder / "light.rrd")
 
 
 def of_walk(out: Path, folder: Path) -> None:
@@ -252,51 +235,6 @@ def _listens(port: int) -> bool:
         return False
     return True
 
-
-def light(path: Path, file: Path) -> None:
-    """*inspect* as a browser with a light theme shows it; the viewer takes the theme from the system."""
-    from tests.helpers.machine import browser
-
-    program = browser()
-    if program is None:
-        print(f"No browser: {path.name} stays as it is.")
-        return
-    from playwright.sync_api import sync_playwright
-
-    port, web = free_port(), free_port()
-    serving = ["--serve-web", "--bind", LOOPBACK, "--port", str(port), "--web-viewer-port", str(web)]
-    server = subprocess.Popen(
-        [*rerun_program(), *serving, str(file)],
-        env={**os.environ, "RERUN_ANALYTICS": "0"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        with sync_playwright() as play:
-            flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--ignore-gpu-blocklist"]
-            chromium = play.chromium.launch(
-                executable_path=program, args=[*flags, "--enable-unsafe-swiftshader"]
-            )
-            page = chromium.new_page(
-                viewport={"width": SIZE[0], "height": SIZE[1] + MENU}, color_scheme="light"
-            )
-            eventually(lambda: _listens(web), 20.0)
-            url = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{port}%2Fproxy"
-            page.goto(f"http://{LOOPBACK}:{web}/?url={url}")
-            seen = [b"", page.screenshot()]
-            while seen[-1] != seen[-2] and len(seen) < _LOOKS:
-                time.sleep(_PAGE_LOADS_S)
-                seen.append(page.screenshot())
-            picture = Image.open(io.BytesIO(seen[-1])).convert("RGB")
-            chromium.close()
-    finally:
-        server.kill()
-        server.wait()
-    write_png(path, picture.crop((0, MENU, SIZE[0], SIZE[1] + MENU)))
-
-
-_PAGE_LOADS_S, _LOOKS = 30.0, 8
-"""A page does not say when it has loaded a session; drawn in software, it takes long."""
 
 RUNS = {"demo": of_demo, "walk": of_walk, "own-tracker": of_own_tracker}
 
