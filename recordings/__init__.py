@@ -2,51 +2,19 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from fusion.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from devices.events import Event
-    from recordings.errors import RecordingError
-    from recordings.fusing.files import fuse
-    from recordings.fusing.sensors import fuse_live
-    from recordings.session import QualitySeries, Session, SkeletonSeries
-    from recordings.session_arrays import RecordedFrame, SessionArrays
+    from devices.events import Event as Event
+    from recordings.errors import RecordingError as RecordingError
+    from recordings.fusing.files import fuse as fuse
+    from recordings.fusing.sensors import fuse_live as fuse_live
+    from recordings.session import QualitySeries as QualitySeries
+    from recordings.session import Session as Session
+    from recordings.session import SkeletonSeries as SkeletonSeries
+    from recordings.session_arrays import RecordedFrame as RecordedFrame
+    from recordings.session_arrays import SessionArrays as SessionArrays
 
-__all__ = [
-    "Event",
-    "QualitySeries",
-    "RecordedFrame",
-    "RecordingError",
-    "Session",
-    "SessionArrays",
-    "SkeletonSeries",
-    "fuse",
-    "fuse_live",
-]
-
-_HOMES = {
-    "RecordingError": "recordings.errors",
-    "fuse": "recordings.fusing.files",
-    "fuse_live": "recordings.fusing.sensors",
-    "Event": "devices.events",
-    "Session": "recordings.session",
-    "RecordedFrame": "recordings.session_arrays",
-    "SessionArrays": "recordings.session_arrays",
-    "QualitySeries": "recordings.session",
-    "SkeletonSeries": "recordings.session",
-}
-"""Module of each public name. Modules are imported on first access, because importing numba takes a
-second."""
-
-
-def __getattr__(name: str) -> Any:
-    """Imports and returns a name of ``__all__``."""
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    """Lists the public names."""
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

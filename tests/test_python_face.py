@@ -27,14 +27,18 @@ PACKAGES = (fusion, devices, recordings)
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
 def test_every_public_name_is_there_and_documented(package: object) -> None:
     tree = ast.parse(Path(package.__file__).read_text())
-    imported = [
-        alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names
-    ]
-    assert set(package.__all__) == set(package._HOMES) <= {*imported}
-    for name in package.__all__:
+    homes = {
+        alias.name: node.module
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.level == 0
+        for alias in node.names
+        if alias.asname is not None
+    }
+    assert set(package.__all__) == set(homes)
+    for name, home in homes.items():
         found = getattr(package, name)
-        home = importlib.import_module(package._HOMES[name])
-        assert found is getattr(home, name)
+        assert found is getattr(importlib.import_module(home), name)
+        assert name in dir(package)
         assert name.isupper() or found.__doc__
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = package.nonsense
