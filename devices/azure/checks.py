@@ -87,13 +87,17 @@ def tracker_network_check(tracker: TrackerSettings, root: Path) -> Check:
 
 
 def sensor_check(kinect: ConnectedSensor) -> Check:
-    """A Kinect that libk4a lists: its jacks."""
+    """A Kinect that libk4a lists: its jacks and its firmware."""
     if kinect.serial is None:
         what, _, advice = kinect.fault.partition(". ")
         return Check(f"Kinect at place {kinect.index}", False, what, advice, needed=False)
-    plugs = f"sync in {_plug(kinect.sync_in)}, sync out {_plug(kinect.sync_out)}"
-    detail = "sync jacks not known" if kinect.is_orbbec else plugs
-    return Check(f"Kinect {kinect.serial}", True, detail, needed=False)
+    plugs = (
+        "sync jacks not known"
+        if kinect.is_orbbec
+        else f"sync in {_plug(kinect.sync_in)}, sync out {_plug(kinect.sync_out)}"
+    )
+    detail = ", ".join(filter(None, (plugs, kinect.description)))
+    return Check(f"Kinect {kinect.serial}", not kinect.advice, detail, kinect.advice, needed=False)
 
 
 def _plug(connected: bool | None) -> str:

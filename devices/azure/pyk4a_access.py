@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from types import ModuleType
 from typing import Any
 
-from devices.azure.pyk4a_internals import put_back_none
+from devices.azure.pyk4a_internals import firmware_advice, firmware_version, put_back_none
 from devices.capture import usb
 from devices.capture.connected import ConnectedSensor
 from devices.capture.usb import usb_kinects
@@ -49,7 +49,12 @@ def connected_kinects() -> list[ConnectedSensor]:
         try:
             _open(device, sdk)
             sync_in, sync_out = device.sync_jack_status
-            found.append(ConnectedSensor(index, device.serial, sync_in, sync_out))
+            serial, firmware = device.serial, firmware_version(device)
+            description = "" if firmware is None else f"firmware {'.'.join(map(str, firmware))}"
+            advice = firmware_advice(serial, firmware)
+            found.append(
+                ConnectedSensor(index, serial, sync_in, sync_out, description=description, advice=advice)
+            )
         except sdk.K4AException as fault:
             found.append(ConnectedSensor(index, None, fault=why_not_open(fault)))
         finally:

@@ -1,4 +1,4 @@
-"""What pyk4a 1.5.0 does not offer (handles of libk4a), and the work around an error of it.
+"""What pyk4a 1.5.0 does not offer (handles of libk4a, the firmware), and the work around an error of it.
 
 pyk4a returns ``None`` without taking a reference first: for an image that is missing from a capture, and
 when a sensor cannot be opened. On Python 3.11, each such call lowers the reference count of ``None`` by
@@ -9,9 +9,15 @@ camera. From Python 3.12 on, ``None`` is immortal and the error has no effect.
 from __future__ import annotations
 
 import ctypes
+import sys
 from typing import Any
 
+from devices.azure.tracking.native_library import loaded_file
 from devices.sensor import DeviceError
+
+Version = tuple[int, int, int]
+RESTARTS_WITHOUT_COLOR: Version = (1, 6, 110)
+"""From this firmware on a subordinate without colour can be stopped and started again (SDK issue 818)."""
 
 
 def capture_pointer(capture: Any) -> int:
@@ -33,6 +39,12 @@ def capsule_pointer(capsule: object, name: bytes) -> int:
     return pointer
 
 
+def device_handle(device: Any) -> int:
+    """The ``k4a_device_t`` in an opened ``pyk4a.PyK4A``: its capsule holds the address of the handle."""
+    address = capsule_pointer(device._device_handle, b"pyk4a device handle")
+    return ctypes.c_void_p.from_address(address).value or 0
+
+
 def put_back_none() -> None:
     """Adds the reference to ``None`` that pyk4a should have taken."""
     increase = ctypes.pythonapi.Py_IncRef
@@ -46,3 +58,56 @@ def image_of(capture: Any, name: str) -> Any:
     if image is None:
         put_back_none()
     return image
+
+
+class _HardwareVersion(ctypes.Structure):
+    """``k4a_hardware_version_t``: major, minor, iteration of four parts; then build and signature."""
+
+    _fields_ = (
+        ("rgb", ctypes.c_uint32 * 3),
+        ("depth", ctypes.c_uint32 * 3),
+        ("audio", ctypes.c_uint32 * 3),
+        ("depth_sensor", ctypes.c_uint32 * 3),
+        ("build", ctypes.c_int),
+        ("signature", ctypes.c_int),
+    )
+
+
+def firmware_version(device: Any) -> Version | None:
+    """The firmware of an opened ``pyk4a.PyK4A``: that of its colour camera, which the releases are named by.
+
+    None where libk4a cannot be found in this process, or does not answer.
+    """
+    library = loaded_libk4a()
+    if library is None or not hasattr(library, "k4a_device_get_version"):
+        return None
+    library.k4a_device_get_version.restype = ctypes.c_int
+    library.k4a_device_get_version.argtypes = [ctypes.c_void_p, ctypes.POINTER(_HardwareVersion)]
+    version = _HardwareVersion()
+    try:
+        status = library.k4a_device_get_version(device_handle(device), ctypes.byref(version))
+    except (AttributeError, DeviceError):  # another pyk4a, which keeps its handle elsewhere
+        return None
+    major, minor, iteration = version.rgb
+    return None if status != 0 else (major, minor, iteration)
+
+
+def loaded_libk4a() -> ctypes.CDLL | None:
+    """The libk4a that pyk4a has loaded into this process; None if there is none."""
+    file = loaded_file("k4a")
+    name = "k4a.dll" if sys.platform == "win32" else None if file is None else str(file)
+    try:
+        return None if name is None else ctypes.CDLL(name)
+    except OSError:
+        return None
+
+
+def firmware_advice(serial: str, version: Version | None) -> str:
+    """Advice for a firmware that is too old for a sync cable; empty if it is new enough or unknown."""
+    if version is None or version >= RESTARTS_WITHOUT_COLOR or not serial.isdigit():
+        return ""
+    old, needed = (".".join(map(str, numbers)) for numbers in (version, RESTARTS_WITHOUT_COLOR))
+    return (
+        f"Kinect {serial} has firmware {old}. Before {needed} a subordinate cannot be started again without "
+        f"colour, so colour runs on both; update it with AzureKinectFirmwareTool."
+    )

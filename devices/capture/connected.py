@@ -8,11 +8,6 @@ from typing import Literal
 
 from devices.sensor import DeviceError
 
-NO_CABLE = (
-    "No sync cable: pairs are up to half a frame apart, and the sensors' lasers disturb each other where "
-    "both shine. A 3.5 mm cable from one's sync out to the other's sync in helps both."
-)
-
 
 @dataclass(frozen=True)
 class ConnectedSensor:
@@ -26,6 +21,7 @@ class ConnectedSensor:
         fault: Why it cannot be opened; empty if it can.
         sdk: Whose software gives its images: libk4a's, or Orbbec's SDK v2.
         description: Its model, connection or firmware, as far as the software tells.
+        advice: What to do about its firmware; empty if nothing.
     """
 
     index: int
@@ -35,6 +31,7 @@ class ConnectedSensor:
     fault: str = ""
     sdk: Literal["k4a", "orbbec"] = "k4a"
     description: str = ""
+    advice: str = ""
 
     @property
     def is_orbbec(self) -> bool:
@@ -193,3 +190,16 @@ def cable_unknown(a: ConnectedSensor, b: ConnectedSensor) -> str:
         f"Orbbec's {software} does not say whether a cable is in the jacks of {' and '.join(orbbec)}. "
         f"If there is one, name the sensor that it leads out of: --sync-master {a.serial} or {b.serial}."
     )
+
+
+def cable_notes(a: ConnectedSensor, b: ConnectedSensor, master: str | None) -> list[str]:
+    """Notes for the user about the sync cable and the firmware it needs."""
+    if master is None:
+        return [cable_unknown(a, b) or _NO_CABLE]
+    return [sensor.advice for sensor in (a, b) if sensor.advice]
+
+
+_NO_CABLE = (
+    "No sync cable: pairs are up to half a frame apart, and the sensors' lasers disturb each other where "
+    "both shine. A 3.5 mm cable from one's sync out to the other's sync in helps both."
+)

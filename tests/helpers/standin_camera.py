@@ -66,6 +66,7 @@ class Device:
     silent: bool = False
     blind: bool = False  # captures without depth
     orbbec: bool = False  # behind Orbbec's wrapper: opens lazily, hides its jacks, epoch times
+    firmware: tuple[int, int, int] = (1, 6, 110)
     clock_usec: int = 1_000_000
     captures: int = 0
     interval_usec: int = 33_333

@@ -30,6 +30,7 @@ EXPORT int standin_alive, standin_misuses;
 EXPORT int standin_processing;
 EXPORT int32_t standin_wait_ms;
 EXPORT int32_t standin_tracking_ms; /* how long the tracker works on a frame, on a thread of its own */
+EXPORT uint32_t standin_firmware[3] = {1, 6, 110};
 EXPORT float standin_smoothing = -1.0f;
 
 static int64_t now_ns(void) {
@@ -58,6 +59,13 @@ static void dies(void *thing) {
     free(thing);
 }
 
+/* k4a_hardware_version_t: four versions of three numbers, build, signature. */
+EXPORT int k4a_device_get_version(const void *device, uint32_t *version) {
+    if (!device) return FAILED;
+    memset(version, 0, 56);
+    memcpy(version, standin_firmware, sizeof standin_firmware);
+    return SUCCEEDED;
+}
 EXPORT int k4a_calibration_get_from_raw(char *raw, size_t size, int depth_mode, int color_mode, uint8_t *calibration) {
     if (standin_calibration_status || size == 0 || raw[size - 1] != 0 || color_mode != 0) return FAILED;
     memset(calibration, 0, CALIBRATION_SIZE);

@@ -14,6 +14,7 @@ import types
 import numpy as np
 import pytest
 
+from devices.azure import pyk4a_internals
 from devices.azure.calibration import DEPTH_MODES
 from tests.helpers.standin_camera import Device, Shot, refused
 from tests.helpers.standin_values import (
@@ -234,4 +235,7 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> Bus:
     """An empty bus behind a stand-in pyk4a, without libk4a: captures carry images only."""
     result = Bus(None)
     monkeypatch.setitem(sys.modules, "pyk4a", make_module(result))
+    monkeypatch.setattr(
+        pyk4a_internals, "loaded_libk4a", lambda: None
+    )  # ignore a library loaded by another test
     return result

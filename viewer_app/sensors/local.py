@@ -9,10 +9,9 @@ from rich.console import Console
 
 from devices.azure.settings import KinectSettings
 from devices.capture.connected import (
-    NO_CABLE,
     ConnectedSensor,
     NeedsChoiceError,
-    cable_unknown,
+    cable_notes,
     choose_one,
     choose_two,
     sync_master,
@@ -40,10 +39,9 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
     serials = _choose(connected, options, console)
     kinect_a, kinect_b = (next(k for k in connected if k.serial == serial) for serial in serials)
     master = sync_master(kinect_a, kinect_b, options.sync_master)
-    if master is None:
-        note = cable_unknown(kinect_a, kinect_b) or NO_CABLE
+    for note in cable_notes(kinect_a, kinect_b, master):
         console.print(note, style="yellow", highlight=False, markup=False)
-    else:
+    if master is not None:
         leads, follows = ("A", "B") if master == serials[0] else ("B", "A")
         console.print(
             f"Sync cable: {leads} leads, {follows} captures {LASER_GAP_US} µs later and is started first, to "

@@ -178,6 +178,25 @@ def test_the_depth_engine_beside_a_wheels_library_is_found(
 
 
 @pytest.mark.parametrize(
+    ("version", "ok"), [((1, 6, 102), False), ((1, 6, 110), True), ((1, 7, 0), True), (None, True)]
+)
+def test_firmware_that_is_too_old_for_a_subordinate_is_reported(
+    bus: Bus,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    version: tuple[int, int, int] | None,
+    ok: bool,
+) -> None:
+    monkeypatch.setattr(pyk4a_access, "firmware_version", lambda _: version)
+    bus.devices = [Device("000123"), Device("CL8H741005K")]
+    named = _by_name(device_checks(root=tmp_path))
+    kinect = named["Kinect 000123"]
+    assert kinect.ok == ok
+    assert ("AzureKinectFirmwareTool" in kinect.advice) == (not ok)
+    assert named["Kinect CL8H741005K"].ok, "Orbbec counts its firmware otherwise"
+
+
+@pytest.mark.parametrize(
     ("platform", "words"),
     [
         ("linux", ["build-essential", "python3-dev", "libk4a1.4-dev", "Orbbec"]),

@@ -5,6 +5,7 @@ The module is long because it covers all data that one sensor gives: images, peo
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import itertools
 import sys
@@ -15,9 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devices.azure import pyk4a_internals
 from devices.azure.kinect import KinectSensor
 from devices.azure.pyk4a_access import connected_kinects
-from devices.azure.pyk4a_internals import capsule_pointer
+from devices.azure.pyk4a_internals import capsule_pointer, loaded_libk4a
 from devices.azure.settings import KinectSettings
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.capture.connected import ConnectedSensor
@@ -245,6 +247,18 @@ def test_connected_sensors_are_listed_with_their_jacks(two: Bus) -> None:
     assert c.serial is None
     assert "busy" in c.fault
     assert two.open_serials == []
+
+
+def test_the_firmwares_version_is_read_from_libk4a(
+    bus: Bus, wheel_library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pyk4a_internals, "loaded_libk4a", loaded_libk4a)
+    version = (ctypes.c_uint32 * 3).in_dll(ctypes.CDLL(str(wheel_library)), "standin_firmware")
+    version[:] = (1, 6, 102)
+    bus.devices = [Device("000123")]
+    (kinect,) = connected_kinects()
+    version[:] = (1, 6, 110)  # the library stays loaded for later tests
+    assert kinect.description == "firmware 1.6.102"
 
 
 @pytest.mark.parametrize("lost", ["every colour image", "every second colour image"])
