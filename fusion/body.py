@@ -2,8 +2,6 @@
 
 A bone belongs to the joint at its far end, so that every joint but the root has exactly one. Left and right
 are the person's own.
-
-A little over 300 lines: the tables of four bodies.
 """
 
 from __future__ import annotations
@@ -96,6 +94,15 @@ class Body:
         """(J,) the joint on the other side of the body; a joint on the middle line is its own mirror."""
         index = {name: j for j, name in enumerate(self.joints)}
         return np.array([index[_other_side(name)] for name in self.joints], dtype=np.int64)
+
+    @cached_property
+    def midpoints(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(M,), (M,) pairs of joints whose midpoints an exchange of left and right does not move.
+
+        Both are the same joint on the middle line, else a joint and its mirror.
+        """
+        own = np.flatnonzero(np.arange(len(self)) <= self.mirror)
+        return own, self.mirror[own]
 
     def joint(self, name: str) -> int:
         """The index of a joint by name, in any spelling: ``ElbowLeft``, ``ELBOW_LEFT``, ``elbow left``.

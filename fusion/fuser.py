@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fusion.compiling.parallel_compilation import compiled_meanwhile
 from fusion.errors import FusionError
 from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.fused_frame import FusedFrame as FusedFrame
+from fusion.pair_arrays import PairStacker
 from fusion.paper.paper_fusion import PaperFusion
 from fusion.registration import robust_fit
 from fusion.setup import FusionSetup
-from fusion.skeleton import Skeleton, SkeletonPair
+from fusion.skeleton import SkeletonPair
 
 
 class Fuser:
@@ -32,9 +31,7 @@ class Fuser:
 
     def __init__(self, setup: FusionSetup, constants: Constants | None = None) -> None:
         self.setup = setup
-        self._nobody = Skeleton.of(setup.body, np.full((len(setup.body), 3), np.nan))
-        self._no_image = np.full((len(setup.body), 4), np.nan, dtype=np.float32)
-        self._unlabelled = np.full((1, 2), -1, dtype=np.int64)
+        self._stacker = PairStacker(setup.body)
         self._fusion: DuplexFusion | PaperFusion
         if setup.settings.method == "duplex":
             self._fusion = DuplexFusion(setup, constants)
@@ -57,7 +54,7 @@ class Fuser:
             solver = f"from fusion.solvers import tree_solver; tree_solver.compile_tree_solver({matrices})"
             with compiled_meanwhile(self._fusion.kernel, solver):
                 meanwhile()
-                other._fusion.compile(self._nobody.positions, self._nobody.states)
+                other._fusion.compile(self._stacker.of_pair(SkeletonPair(None, None, 0)))
         other.update(SkeletonPair(None, None, 0))
         if self.setup.settings.method == "duplex":
             robust_fit.warm_up()
@@ -86,17 +83,7 @@ class Fuser:
                 (:func:`fusion.facing.sequence.relabel_sequence`), with the doubt about it
                 (:func:`fusion.facing.exchange.with_doubt`) or without; found pair by pair where None.
         """
-        a, b = pair.a or self._nobody, pair.b or self._nobody
-        return self._fusion.run(
-            np.array([pair.time_ns], dtype=np.int64),
-            np.array([pair.skew_ns], dtype=np.int64),
-            self._unlabelled if codes is None else np.array([codes], dtype=np.int64),
-            (self._witness(a)[None], self._witness(b)[None]),
-            a.positions[None],
-            a.states[None],
-            b.positions[None],
-            b.states[None],
-        )[0]
+        return self._fusion.run(self._stacker.of_pair(pair, codes))[0]
 
     def fuse_sequence(
         self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None
@@ -107,7 +94,7 @@ class Fuser:
             pairs: In time order.
             codes: (T, 2) as in :meth:`update`.
         """
-        return self._fusion.run(*self._rows(pairs, codes)) if pairs else []
+        return self._fusion.run(self._stacker.of_pairs(pairs, codes)) if pairs else []
 
     def smooth_sequence(
         self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None
@@ -124,32 +111,4 @@ class Fuser:
             raise FusionError(
                 f"Only the method duplex can smooth a recording; this is {self.setup.settings.method}."
             )
-        return self._fusion.run(*self._rows(pairs, codes), smooth=True) if pairs else []
-
-    def _rows(self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None) -> tuple[Any, ...]:
-        return (
-            np.array([pair.time_ns for pair in pairs], dtype=np.int64),
-            np.array([pair.skew_ns for pair in pairs], dtype=np.int64),
-            np.full((len(pairs), 2), -1, dtype=np.int64)
-            if codes is None
-            else np.array(codes, dtype=np.int64),
-            tuple(
-                np.array([self._witness(skeleton or self._nobody) for skeleton in view])
-                for view in zip(*((pair.a, pair.b) for pair in pairs), strict=True)
-            ),
-            *self._stacked([pair.a or self._nobody for pair in pairs]),
-            *self._stacked([pair.b or self._nobody for pair in pairs]),
-        )
-
-    def _witness(self, skeleton: Skeleton) -> NDArray[np.float32]:
-        """(J, 4) of its image; NaN without one."""
-        if skeleton.witness is None:
-            return self._no_image
-        return np.array(skeleton.witness, dtype=np.float32)  # of one type, whoever made it
-
-    @staticmethod
-    def _stacked(skeletons: Sequence[Skeleton]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        positions = np.array([skeleton.positions for skeleton in skeletons])
-        states = np.array([skeleton.states for skeleton in skeletons])
-        positions.flags.writeable = states.flags.writeable = False  # the type update() calls with
-        return positions, states
+        return self._fusion.run(self._stacker.of_pairs(pairs, codes), smooth=True) if pairs else []

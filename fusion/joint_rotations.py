@@ -12,14 +12,13 @@ Positions do not determine how a bone turns about itself. The convention is:
 The rotation of a bone maps its direction at rest (:attr:`fusion.body.Body.rest`: upright, arms hanging,
 facing the sensor) to its direction in S*. So p_child = p_parent + Q_child · (rest_child · length_child) gives
 S* exactly.
-
-A little over 300 lines: the convention and its kernels belong together.
 """
 
 from __future__ import annotations
 
 import math
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +39,11 @@ _LEFT = np.array([1.0, 0.0, 0.0])  # the person's left at rest, in K_A's frame
 _TINY = 1e-9
 
 
-class _Plan:
+class _Plan(NamedTuple):
     """How each bone of a body gets its rotation.
 
     Attributes:
+        order: (J,) parents before children.
         kinds: (J,) ``_FRAME``, ``_SWING`` or ``_LIMB``, of the bone that ends in a joint; at the root, of the
             pelvis.
         bases: (J,) the bone whose rotation comes first; -1 for none.
@@ -53,40 +53,58 @@ class _Plan:
         rest: (J, 3) unit directions at rest.
     """
 
-    def __init__(self, body: Body) -> None:
-        J = len(body)
-        self.kinds = np.full(J, _SWING)
-        self.bases = body.parent_indices.copy()
-        self.ends = np.stack([body.parent_indices, np.arange(J)], axis=1)
-        self.pairs = np.full((J, 2), -1)
-        self.signs = np.ones(J)
-        self.rest = np.ascontiguousarray(body.rest)
-        shoulders = body.joint("ShoulderLeft"), body.joint("ShoulderRight")
-        hips = body.joint("HipLeft"), body.joint("HipRight")
-        spine = _common_path(body, *shoulders)
-        self._frame(body.root, hips)
-        if spine:
-            self.ends[body.root] = self.ends[spine[0]]
-            self.rest = self.rest.copy()
-            self.rest[body.root] = body.rest[spine[0]]
-            self._frame(spine[0], hips)
-            self._frame(spine[-1], shoulders)
-        trunk = spine[-1] if spine else body.root
-        head, left_ear, right_ear = (body.find(name) for name in ("Head", "EarLeft", "EarRight"))
-        if head is not None and left_ear is not None and right_ear is not None:
-            self._frame(head, (left_ear, right_ear))
-        for upper, lower, base, sign in (("Elbow", "Wrist", trunk, -1.0), ("Knee", "Ankle", body.root, 1.0)):
-            for side in ("Left", "Right"):
-                bone, end = body.joint(upper + side), body.joint(lower + side)
-                self.kinds[bone], self.bases[bone], self.signs[bone] = _LIMB, base, sign
-                self.pairs[bone] = bone, end
-        self.tables = (body.order, self.kinds, self.bases, self.ends, self.pairs, self.signs, self.rest)
-
-    def _frame(self, bone: int, pair: tuple[int, int]) -> None:
-        self.kinds[bone], self.pairs[bone] = _FRAME, pair
+    order: NDArray[np.int64]
+    kinds: NDArray[np.int64]
+    bases: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    pairs: NDArray[np.int64]
+    signs: NDArray[np.float64]
+    rest: NDArray[np.float64]
 
 
-_plan = cache(_Plan)
+@cache
+def _plan(body: Body) -> _Plan:
+    J = len(body)
+    plan = _Plan(
+        order=body.order,
+        kinds=np.full(J, _SWING),
+        bases=body.parent_indices.copy(),
+        ends=np.stack([body.parent_indices, np.arange(J)], axis=1),
+        pairs=np.full((J, 2), -1),
+        signs=np.ones(J),
+        rest=np.array(body.rest),
+    )
+
+    def turn_with(bone: int, pair: tuple[int, int]) -> None:
+        plan.kinds[bone], plan.pairs[bone] = _FRAME, pair
+
+    shoulders = body.joint("ShoulderLeft"), body.joint("ShoulderRight")
+    hips = body.joint("HipLeft"), body.joint("HipRight")
+    spine = _common_path(body, *shoulders)
+    turn_with(body.root, hips)
+    if spine:
+        plan.ends[body.root] = plan.ends[spine[0]]
+        plan.rest[body.root] = body.rest[spine[0]]
+        turn_with(spine[0], hips)
+        turn_with(spine[-1], shoulders)
+    trunk = spine[-1] if spine else body.root
+    head, left_ear, right_ear = (body.find(name) for name in ("Head", "EarLeft", "EarRight"))
+    if head is not None and left_ear is not None and right_ear is not None:
+        turn_with(head, (left_ear, right_ear))
+    for upper, lower, base, sign in (("Elbow", "Wrist", trunk, -1.0), ("Knee", "Ankle", body.root, 1.0)):
+        for side in ("Left", "Right"):
+            bone, end = body.joint(upper + side), body.joint(lower + side)
+            plan.kinds[bone], plan.bases[bone], plan.signs[bone] = _LIMB, base, sign
+            plan.pairs[bone] = bone, end
+    return plan
+
+
+class _Scratch(NamedTuple):
+    d: NDArray[np.float64]  # (3,) direction of the bone
+    axis: NDArray[np.float64]  # (3,)
+    ref: NDArray[np.float64]  # (3,)
+    old: NDArray[np.float64]  # (4,)
+    swung: NDArray[np.float64]  # (4,) the rotation, as computed so far
 
 
 def _common_path(body: Body, first: int, second: int) -> list[int]:
@@ -127,7 +145,7 @@ class JointRotations:
 
     def __init__(self, body: Body) -> None:
         self.body = body
-        self._tables = _plan(body).tables
+        self._plan = _plan(body)
         self._before = np.full((len(body), 4), np.nan)
         self._time_ns: int | None = None
 
@@ -148,7 +166,7 @@ class JointRotations:
         elapsed = -1.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
         known = 0.0 <= elapsed < _FORGETTING_S
         at = np.ascontiguousarray(positions, dtype=np.float64)
-        _rotate(*self._tables, at, self._before, known, max(elapsed, 0.0), rotations)
+        _rotate(self._plan, at, self._before, known, max(elapsed, 0.0), rotations)
         self._before, self._time_ns = rotations, time_ns
         return rotations.copy()
 
@@ -163,9 +181,13 @@ def rotations_of(
 
 
 @kernel
-def _rotate(order, kinds, bases, ends, pairs, signs, rest, at, before, known, elapsed, out):  # type: ignore[no-untyped-def]
-    d, axis, ref = np.empty(3), np.empty(3), np.empty(3)
-    swung, old = np.empty(4), np.empty(4)
+def _rotate(plan, at, before, known, elapsed, out):  # type: ignore[no-untyped-def]
+    work = _Scratch(np.empty(3), np.empty(3), np.empty(3), np.empty(4), np.empty(4))
+    d, axis, ref, old, swung = work
+    order, kinds, bases, ends, pairs, rest = (
+        plan.order, plan.kinds, plan.bases, plan.ends, plan.pairs, plan.rest,
+    )  # fmt: skip
+    relaxed = min(_RELAXING * elapsed, 1.0)
     for k in range(order.shape[0]):
         j = order[k]
         first, last = ends[j, 0], ends[j, 1]
@@ -188,11 +210,9 @@ def _rotate(order, kinds, bases, ends, pairs, signs, rest, at, before, known, el
             elif kinds[j] == _LIMB:
                 for c in range(3):
                     axis[c] = at[pairs[j, 1], c] - at[pairs[j, 0], c]
-                share = _hinge(d, axis, signs[j])
+                share = _hinge(d, axis, plan.signs[j])
                 if known:
-                    _twist_limb(
-                        share, 0.5 + 0.5 * cosine, elapsed, rest[j], before[j], d, axis, ref, old, swung
-                    )
+                    _twist_limb(share, 0.5 + 0.5 * cosine, relaxed, rest[j], before[j], work)
                 else:
                     _twist(d, share * _left_angle(swung, d, axis, ref), swung)
             if known:
@@ -219,18 +239,19 @@ def _hinge(d, axis, sign):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _twist_limb(share, trust, elapsed, rest, before, d, axis, ref, old, swung):  # type: ignore[no-untyped-def]
+def _twist_limb(share, trust, relaxed, rest, before, work):  # type: ignore[no-untyped-def]
     """Twists a limb from its twist before: to the hinge where bent, else slowly to that of `swung`.
 
     `trust` is 0 where the limb is half a turn from rest, where the smallest rotation is undetermined.
     """
+    d, axis, ref, old, swung = work
     for c in range(4):
         old[c] = before[c]
     _swing(rest, d, old)
     to_hinge = _left_angle(old, d, axis, ref)
     _left_of(swung, axis)
     to_smallest = _left_angle(old, d, axis, ref)
-    _twist(d, share * to_hinge + (1.0 - share) * min(_RELAXING * elapsed, 1.0) * trust * to_smallest, old)
+    _twist(d, share * to_hinge + (1.0 - share) * relaxed * trust * to_smallest, old)
     for c in range(4):
         swung[c] = old[c]
 

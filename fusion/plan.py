@@ -21,7 +21,7 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.facing.exchange import with_doubt
 from fusion.facing.model import WHOLE
-from fusion.facing.sequence import relabel_sequence
+from fusion.facing.sequence import relabel_sequence, reported_pairs
 from fusion.registration.clock_offset import ClockOffset
 from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair
@@ -122,10 +122,11 @@ class _Views:
         """(T, 2) exchange codes with doubt, given these calibrations."""
         b_in_a = np.concatenate([one.a_from_b.apply(self._b[own]) for one, own in segments])
         sensor_b = segments[0][0].a_from_b.translation
-        found = relabel_sequence(
-            self._body, self._a, self._states_a, b_in_a, self._states_b, self.time_ns, sensor_b
+        views, states = (self._a, b_in_a), (self._states_a, self._states_b)
+        labels = relabel_sequence(
+            self._body, reported_pairs(self._body, views, states, sensor_b), self.time_ns
         )
-        return with_doubt(found.codes, found.doubt)
+        return with_doubt(labels.codes, labels.doubt)
 
 
 def _segments(

@@ -24,6 +24,8 @@ class TrackingState(IntEnum):
     """The joint is seen. Its position can still be wrong (sec. 3)."""
 
 
+INFERRED, TRACKED = int(TrackingState.INFERRED), int(TrackingState.TRACKED)
+"""For kernels, which compare numbers."""
 FARTHEST = 20.0
 """Metres: a larger coordinate is beyond the range of these sensors and counts as not tracked."""
 

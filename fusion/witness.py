@@ -33,7 +33,8 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.compiling.kernels import kernel
-from fusion.skeleton import Skeleton
+from fusion.joint_kinds import by_joint, kind_of, value_of
+from fusion.skeleton import TRACKED, Skeleton
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,11 @@ REACH = 0.120
 LARGEST = 3.0
 """Of a log likelihood ratio: a factor of 20."""
 
+_GROUPS = {
+    "spine": "trunk", "head": "trunk", "girdle": "trunk", "knee": "trunk", "elbow": "limb", "ankle": "limb",
+    "wrist": "end", "hand": "end", "foot": "end", "tip": "tip", "thumb": "thin", "face": "thin",
+}  # fmt: skip
+"""Kinds that share a row of EVIDENCE: too few outliers fall on each alone."""
 _NEAR_FLESH = 0.060  # metres from where the surface should be: nearer, it confirms the joint
 _INSIDE = -0.020  # metres to the silhouette: a joint farther outside is not measured by its patch
 _SHORT_BONE = 0.030  # metres across the ray: a shorter bone has no direction in the image
@@ -62,10 +68,12 @@ FLESH = {
     "tip": 0.021, "thumb": -0.026, "knee": 0.074, "ankle": 0.061, "foot": 0.030, "face": -0.009,
 }  # fmt: skip
 """Metres, by kind of joint. Thumbs and faces are so small that the median reading is of what lies behind."""
+_NO_SURFACE = (np.inf, np.inf, np.inf)
 SURFACE_SD = {
     "head": (0.004, 0.020, 0.006), "girdle": (0.013, 0.014, 0.030), "elbow": (0.012, 0.016, 0.013),
     "wrist": (0.008, 0.016, 0.014), "hand": (0.010, 0.016, 0.013), "tip": (0.016, 0.038, 0.014),
     "knee": (0.008, 0.014, 0.006), "ankle": (0.013, 0.020, 0.016), "foot": (0.013, 0.018, 0.010),
+    "spine": _NO_SURFACE, "thumb": _NO_SURFACE, "face": _NO_SURFACE,
 }  # fmt: skip
 """Metres, standard deviations of the surface measurement across the bone, along it, along the ray. The trunk
 has no silhouette of its own, face and thumbs are smaller than the patch: none for these."""
@@ -93,19 +101,36 @@ def new_witness_model(body: Body) -> WitnessModel:
     kinds = [kind_of(joint) for joint in body.joints]
     neighbours = body.parent_indices.copy()
     neighbours[body.root] = body.parents.index(body.root)
-    sd = np.array([SURFACE_SD.get(kind, (np.inf,) * 3) for kind in kinds])
+    sd = np.array([value_of(kind, SURFACE_SD) for kind in kinds])
     return WitnessModel(
         neighbours=neighbours,
-        flesh=np.array([FLESH[kind] for kind in kinds]),
-        evidence=np.array([EVIDENCE[_GROUPS[kind]] for kind in kinds]),
+        flesh=by_joint(body, FLESH),
+        evidence=np.array([EVIDENCE[value_of(kind, _GROUPS)] for kind in kinds]),
         information=1.0 / sd**2,
     )
 
 
+class JointEvidence(NamedTuple):
+    """What one depth image says about the joints of its sensor's skeleton.
+
+    Attributes:
+        evidence: (J,) log likelihood ratio that the joint is no outlier; 0 where nothing is known.
+        places: (J, 3) position of the joint by its surface, metres, target frame; NaN without one.
+        information: (J, 3, 3) of that place, 1/m², target frame; 0 where there is none.
+    """
+
+    evidence: Array
+    places: Array
+    information: Array
+
+
+def new_joint_evidence(joints: int) -> JointEvidence:
+    """Arrays for J joints."""
+    return JointEvidence(np.zeros(joints), np.full((joints, 3), np.nan), np.zeros((joints, 3, 3)))
+
+
 @kernel
-def weigh_witness(  # type: ignore[no-untyped-def]
-    model, rotation, translation, positions, states, witness, evidence, places, information
-):
+def weigh_witness(model, rotation, translation, positions, states, witness, result):  # type: ignore[no-untyped-def]
     """Evidence and surface measurement of every joint of one view.
 
     Only tracked joints are judged: an inferred joint is known to be hidden, and its position is too uncertain
@@ -117,10 +142,9 @@ def weigh_witness(  # type: ignore[no-untyped-def]
         positions: (J, 3) as the sensor gave them, in its frame.
         states: (J,) tracking states.
         witness: (J, 4) of the sensor's image; NaN where there is none.
-        evidence: (J,) written: log likelihood ratio that the joint is no outlier; 0 where nothing is known.
-        places: (J, 3) written: position of the joint by its surface, metres, target frame; NaN without one.
-        information: (J, 3, 3) written: of that place, 1/m², target frame; 0 where there is none.
+        result: A :class:`JointEvidence`; written.
     """
+    evidence, places, information = result.evidence, result.places, result.information
     for j in range(len(states)):
         evidence[j] = 0.0
         for r in range(3):
@@ -128,13 +152,10 @@ def weigh_witness(  # type: ignore[no-untyped-def]
             for c in range(3):
                 information[j, r, c] = 0.0
         gap, edge = float(witness[j, 0]), float(witness[j, 1])
-        if states[j] != _TRACKED or not math.isfinite(gap + edge):
+        if states[j] != TRACKED or not math.isfinite(gap + edge):
             continue
         evidence[j] = _interpolate(_clearance(gap, edge, model.flesh[j]), model.evidence[j])
-        _place(model, rotation, translation, positions, states, witness, j, places[j], information[j])
-
-
-_TRACKED = 2  # fusion.skeleton.TrackingState.TRACKED
+        _place(model, rotation, translation, positions, states, witness, result, j)
 
 
 @kernel
@@ -159,9 +180,9 @@ def _interpolate(x, values):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _place(model, rotation, translation, positions, states, witness, j, place, information):  # type: ignore[no-untyped-def]
-    """The surface measurement of one joint, into (3,) ``place`` and (3, 3) ``information``."""
-    n = model.neighbours[j]
+def _place(model, rotation, translation, positions, states, witness, result, j):  # type: ignore[no-untyped-def]
+    """The surface measurement of one joint, into row j of the result."""
+    place, information, n = result.places[j], result.information[j], model.neighbours[j]
     x, y, z = float(positions[j, 0]), float(positions[j, 1]), float(positions[j, 2])
     off_x, off_y = float(witness[j, 2]), float(witness[j, 3])
     depth = float(witness[j, 0]) + model.flesh[j]  # by which the joint should lie farther along its ray
@@ -200,42 +221,9 @@ def _place(model, rotation, translation, positions, states, witness, j, place, i
                 information[r, c] += weight * d_r * d_c
 
 
-def evidence(witness: NDArray[np.float32], skeleton: Skeleton) -> Array:
-    """(J,) log likelihood ratio that each joint is no outlier; 0 where nothing is known. See the module."""
-    return _weighed(witness, skeleton)[0]
-
-
-def surface_measurement(witness: NDArray[np.float32], skeleton: Skeleton) -> tuple[Array, Array]:
-    """Positions by the surface and their information: (J, 3) metres and (J, 3, 3) 1/m².
-
-    Both in the sensor's frame; NaN and 0 for joints that the surface does not measure.
-    """
-    return _weighed(witness, skeleton)[1:]
-
-
-def _weighed(witness: NDArray[np.float32], skeleton: Skeleton) -> tuple[Array, Array, Array]:
-    joints = len(skeleton.states)
-    found = np.empty(joints), np.empty((joints, 3)), np.empty((joints, 3, 3))
+def evidence(witness: NDArray[np.float32], skeleton: Skeleton) -> JointEvidence:
+    """Evidence and surface measurement of each joint, in the sensor's frame. See the module."""
+    result = new_joint_evidence(len(skeleton.states))
     model = new_witness_model(skeleton.body)
-    weigh_witness(model, np.eye(3), np.zeros(3), skeleton.positions, skeleton.states, witness, *found)
-    return found
-
-
-def kind_of(joint: str) -> str:
-    """The kind of a joint, by its name in any body's spelling: a key of FLESH."""
-    name = joint.replace("_", "").lower()
-    return next((kind for part, kind in _KINDS.items() if part in name), "spine")
-
-
-_KINDS = {
-    "handtip": "tip", "thumb": "thumb", "hand": "hand", "wrist": "wrist", "elbow": "elbow",
-    "spineshoulder": "spine", "shouldercenter": "spine", "hipcenter": "spine", "shoulder": "girdle",
-    "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle", "foot": "foot", "heel": "foot",
-    "head": "head", "nose": "face", "eye": "face", "ear": "face",
-}  # fmt: skip
-"""By a part of the joint's name; the first that fits."""
-_GROUPS = {
-    "spine": "trunk", "head": "trunk", "girdle": "trunk", "knee": "trunk", "elbow": "limb", "ankle": "limb",
-    "wrist": "end", "hand": "end", "foot": "end", "tip": "tip", "thumb": "thin", "face": "thin",
-}  # fmt: skip
-"""Kinds that share a row of EVIDENCE: too few outliers fall on each alone."""
+    weigh_witness(model, np.eye(3), np.zeros(3), skeleton.positions, skeleton.states, witness, result)
+    return result

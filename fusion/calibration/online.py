@@ -30,7 +30,7 @@ _FEWEST_BONE_KEYFRAMES = 24
 _RECENT, _RECENT_NS = 60, 95_000_000
 """Pairs kept for judging a knock, and their distance: 6 s at 30 pairs per second."""
 _UNKNOWN_TURN, _LEAST_TURN, _UNKNOWN_SHIFT = 0.035, 0.01, 0.05  # radians, radians, metres at the person
-_FOLLOWED_TURN, _FOLLOWED_SHIFT = 0.035, 0.05  # the same after a knock
+_FOLLOWED_TURN, _FOLLOWED_SHIFT = 0.1, 0.1  # the same after a knock
 
 
 @dataclass(frozen=True)

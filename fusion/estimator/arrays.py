@@ -11,16 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.estimator.constants import (
-    Constants,
-    acceleration_shares,
-    by_joint,
-    calmness,
-    joint_errors,
-)
+from fusion.estimator.constants import Constants, JointErrors, acceleration_shares, calmness
+from fusion.facing.model import FacingModel, FacingState
+from fusion.joint_kinds import by_joint
+from fusion.rigid import RigidTransform
 from fusion.setup import DEFAULT_SMOOTHING
 from fusion.solvers.tree_start import TreeWorkspace, new_tree_workspace
-from fusion.witness import WitnessModel, new_witness_model
+from fusion.witness import JointEvidence, WitnessModel, new_joint_evidence, new_witness_model
 
 Array = NDArray[np.float64]
 
@@ -72,15 +69,6 @@ class State(NamedTuple):
     last_states: NDArray[np.uint8]  # (2, J)
 
 
-class Said(NamedTuple):
-    """Evidence of one depth image, with the joints as its sensor labelled them."""
-
-    evidence: Array  # (J,) log likelihood ratio that the joint is no outlier
-    places: Array  # (J, 3) position by the surface, metres, K_A's frame; NaN without one
-    information: Array  # (J, 3, 3) of that place, 1/m²
-    sources: NDArray[np.int64]  # (J,) the reported joint of each re-labelled joint
-
-
 class Views(NamedTuple):
     """Both views of one pair, as measurements."""
 
@@ -103,7 +91,8 @@ class Views(NamedTuple):
     length_errors: Array  # (2, J) largest error of a bone at the joint over the expected one; -1 without any
     places: Array  # (2, J, 3) position by the depth image, metres; NaN without one
     place_information: Array  # (2, J, 3, 3) 1/m²
-    said: Said  # workspace for one image
+    image: JointEvidence  # of one image, with the joints as its sensor labelled them
+    sources: NDArray[np.int64]  # (J,) the reported joint of each re-labelled joint of one view
 
 
 class Solve(NamedTuple):
@@ -115,8 +104,19 @@ class Solve(NamedTuple):
     upward: Array  # (J, 4) message of a joint's subtree to its parent: direction, information along it
     covariance: Array  # (J, 3, 3)
     sums: Array  # (3, 3)
-    room: Array  # (3, 3)
+    scratch: Array  # (3, 3)
     tree_work: TreeWorkspace
+
+
+class Filter(NamedTuple):
+    """All arrays of one filter."""
+
+    model: Model
+    facing_model: FacingModel
+    state: State
+    facing: FacingState
+    views: Views
+    solve: Solve
 
 
 class Output(NamedTuple):
@@ -141,13 +141,12 @@ _LIMBS = (("Hip", "Knee", "Ankle"), ("Shoulder", "Elbow", "Wrist"))
 def new_model(
     body: Body,
     bone_lengths: Array,
-    rotation: Array,
-    translation: Array,
+    a_from_b: RigidTransform,
     smoothing: float = DEFAULT_SMOOTHING,
     constants: Constants | None = None,
 ) -> Model:
     """The model of one body and calibration."""
-    errors = joint_errors(body)
+    errors = JointErrors.of(body)
     return Model(
         parents=body.parent_indices,
         order=body.order,
@@ -164,12 +163,12 @@ def new_model(
         ),
         slow=by_joint(body, errors.slow),
         fast=by_joint(body, errors.fast),
-        acceleration=acceleration_shares(body),
+        acceleration=by_joint(body, acceleration_shares()),
         bone_lengths=np.array(bone_lengths, dtype=np.float64),
-        rotation=np.array(rotation, dtype=np.float64),
-        translation=np.array(translation, dtype=np.float64),
-        rotations=np.array((np.eye(3), rotation), dtype=np.float64),
-        translations=np.array((np.zeros(3), translation), dtype=np.float64),
+        rotation=np.array(a_from_b.rotation, dtype=np.float64),
+        translation=np.array(a_from_b.translation, dtype=np.float64),
+        rotations=np.array((np.eye(3), a_from_b.rotation), dtype=np.float64),
+        translations=np.array((np.zeros(3), a_from_b.translation), dtype=np.float64),
         witness=new_witness_model(body),
         up=np.full(3, np.nan),
         calmness=calmness(smoothing),
@@ -222,12 +221,8 @@ def new_views(joints: int) -> Views:
         length_errors=np.zeros((2, joints)),
         places=np.full((2, joints, 3), np.nan),
         place_information=np.zeros((2, joints, 3, 3)),
-        said=Said(
-            evidence=np.zeros(joints),
-            places=np.full((joints, 3), np.nan),
-            information=np.zeros((joints, 3, 3)),
-            sources=np.zeros(joints, dtype=np.int64),
-        ),
+        image=new_joint_evidence(joints),
+        sources=np.zeros(joints, dtype=np.int64),
     )
 
 
@@ -240,7 +235,7 @@ def new_solve(joints: int) -> Solve:
         upward=np.zeros((joints, 4)),
         covariance=np.zeros((joints, 3, 3)),
         sums=np.zeros((3, 3)),
-        room=np.zeros((3, 3)),
+        scratch=np.zeros((3, 3)),
         tree_work=new_tree_workspace(joints),
     )
 

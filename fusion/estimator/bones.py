@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel
+from fusion.skeleton import TRACKED
 from fusion.solvers.small_matrices import inverse
 from fusion.solvers.tree_solver import solve_tree
 from fusion.solvers.tree_steps import copy
 
 
 @inner_kernel
-def aim(model, state, solve):  # type: ignore[no-untyped-def]
+def set_solver_targets(model, state, solve):  # type: ignore[no-untyped-def]
     """Sets targets x and information (M + P I)⁻¹ of each known joint, and 0 for the others."""
     for i in range(len(model.parents)):
         W = solve.information[i]
@@ -25,7 +26,7 @@ def aim(model, state, solve):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def hold_bones(model, state, solve):  # type: ignore[no-untyped-def]
+def solve_bones(model, state, solve):  # type: ignore[no-untyped-def]
     """S*: min Σ (x_i - m_i)ᵀ W_i (x_i - m_i) with |x_i - x_parent| = l_i, starting at the previous frame.
 
     Returns:
@@ -65,7 +66,7 @@ def _first_guess(model, solve, before):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def follow_bones(model, state, solve):  # type: ignore[no-untyped-def]
+def correct_state(model, state, solve):  # type: ignore[no-untyped-def]
     """Sets x ← S* and v ← v + (P_xv / P_xx) (S* - x), as if S* had been measured."""
     x, v, P = state.positions, state.velocities, state.variances
     for i in range(len(model.parents)):
@@ -79,7 +80,7 @@ def follow_bones(model, state, solve):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def respect_hinges(model, state, views):  # type: ignore[no-untyped-def]
+def enforce_hinges(model, state, views):  # type: ignore[no-untyped-def]
     """Moves a hinge that neither view tracks onto the straight line, where it bends to the wrong side.
 
     A knee lies before the line from hip to ankle, an elbow behind the line from shoulder to wrist of an arm
@@ -100,7 +101,7 @@ def respect_hinges(model, state, views):  # type: ignore[no-untyped-def]
             continue
         seen = 0.0
         for v in range(2):
-            if views.states[v, hinge] == 2:
+            if views.states[v, hinge] == TRACKED:
                 seen += views.trust[v, hinge]
         if seen > 0.5:
             continue

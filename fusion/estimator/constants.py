@@ -12,73 +12,58 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fusion.body import AZURE_KINECT, BLAZEPOSE, Body
 
-KINDS = (
-    "spine", "head", "girdle", "elbow", "wrist", "hand", "tip", "thumb", "knee", "ankle", "foot", "face",
-)  # fmt: skip
-"""Kinds of joints, by how well a tracker finds them. The girdle is hips, shoulders and clavicles."""
-
-# The first key that occurs in a joint's name decides.
-_KIND_OF_NAME = {
-    "handtip": "tip", "thumb": "thumb", "hand": "hand", "wrist": "wrist", "elbow": "elbow",
-    "spineshoulder": "spine", "shouldercenter": "spine", "hipcenter": "spine", "shoulder": "girdle",
-    "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle", "foot": "foot", "heel": "foot",
-    "head": "head", "nose": "face", "eye": "face", "ear": "face",
-}  # fmt: skip
-
-
-def kind_of(joint: str) -> str:
-    """The kind of a joint, by its name in any body's spelling."""
-    name = joint.replace("_", "").lower()
-    return next((kind for part, kind in _KIND_OF_NAME.items() if part in name), "spine")
+_BY_KIND = {
+    "spine": (0.0086, 0.0184, 0.0151, 0.0011, 0.0037, 0.64),
+    "head": (0.0112, 0.0255, 0.0132, 0.0015, 0.0026, 0.72),
+    "girdle": (0.0145, 0.0280, 0.0141, 0.0016, 0.0035, 0.79),
+    "elbow": (0.0230, 0.0392, 0.0177, 0.0024, 0.0037, 1.00),
+    "wrist": (0.0173, 0.0384, 0.0153, 0.0029, 0.0056, 1.12),
+    "hand": (0.0193, 0.0321, 0.0130, 0.0036, 0.0048, 1.28),
+    "tip": (0.0202, 0.0344, 0.0130, 0.0039, 0.0048, 1.44),
+    "thumb": (0.0286, 0.0521, 0.0205, 0.0086, 0.0049, 1.90),
+    "knee": (0.0119, 0.0237, 0.0076, 0.0017, 0.0033, 1.00),
+    "ankle": (0.0167, 0.0199, 0.0194, 0.0015, 0.0044, 1.04),
+    "foot": (0.0167, 0.0261, 0.0166, 0.0021, 0.0057, 1.30),
+    "face": (0.0212, 0.0255, 0.0167, 0.0028, 0.0033, 0.87),
+}
+"""By kind of joint: slow errors of Azure Kinect, of Kinect v1 and v2, and of BlazePose; fast errors of
+Kinects and of BlazePose; acceleration relative to an elbow's. BlazePose has no finger tips: they have the
+hands' values."""
 
 
 class JointErrors(NamedTuple):
-    """Errors of one body tracker, by kind of joint in the order of :data:`KINDS`; metres, along one axis.
+    """Errors of one body tracker, by kind of joint (:mod:`fusion.joint_kinds`); metres, along one axis.
 
     Attributes:
         slow: Standard deviation of the error that lasts: a bias that depends on the view and the pose.
         fast: Standard deviation of the error that changes from frame to frame.
     """
 
-    slow: tuple[float, ...]
-    fast: tuple[float, ...]
+    slow: dict[str, float]
+    fast: dict[str, float]
+
+    @staticmethod
+    def of(body: Body) -> JointErrors:
+        """The errors of the body's own tracker.
+
+        Azure Kinect: simulated recordings, whose errors were fitted to 87 real trials that are not at hand.
+        Kinect v1 and v2: ten real pairs of Kinect v2. BlazePose: tracked joints on simulated images against
+        the truth, four scenes (seed 100).
+        """
+        if body is BLAZEPOSE:
+            return JointErrors(_column(2), _column(4))
+        return JointErrors(_column(0 if body is AZURE_KINECT else 1), _column(3))
 
 
-_FAST = (0.0011, 0.0015, 0.0016, 0.0024, 0.0029, 0.0036, 0.0039, 0.0086, 0.0017, 0.0015, 0.0021, 0.0028)
-AZURE_ERRORS = JointErrors(
-    (0.0086, 0.0112, 0.0145, 0.0230, 0.0173, 0.0193, 0.0202, 0.0286, 0.0119, 0.0167, 0.0167, 0.0212), _FAST
-)
-"""Azure Kinect: simulated recordings, whose errors were fitted to 87 real trials that are not at hand."""
-KINECT_ERRORS = JointErrors(
-    (0.0184, 0.0255, 0.0280, 0.0392, 0.0384, 0.0321, 0.0344, 0.0521, 0.0237, 0.0199, 0.0261, 0.0255), _FAST
-)
-"""Kinect v1 and v2: ten real pairs of Kinect v2."""
-BLAZEPOSE_ERRORS = JointErrors(
-    (0.0151, 0.0132, 0.0141, 0.0177, 0.0153, 0.0130, 0.0130, 0.0205, 0.0076, 0.0194, 0.0166, 0.0167),
-    (0.0037, 0.0026, 0.0035, 0.0037, 0.0056, 0.0048, 0.0048, 0.0049, 0.0033, 0.0044, 0.0057, 0.0033),
-)
-"""BlazePose: tracked joints on simulated images against the truth, four scenes (seed 100). It has no finger
-tips; they have the hands' values."""
+def acceleration_shares() -> dict[str, float]:
+    """Acceleration of each kind of joint relative to an elbow's."""
+    return _column(5)
 
-_ACCELERATION = (
-    0.64,
-    0.72,
-    0.79,
-    1.00,
-    1.12,
-    1.28,
-    1.44,
-    1.90,
-    1.00,
-    1.04,
-    1.30,
-    0.87,
-)  # by kind; the elbow's is 1
+
+def _column(number: int) -> dict[str, float]:
+    return {kind: row[number] for kind, row in _BY_KIND.items()}
 
 
 class Constants(NamedTuple):
@@ -181,21 +166,6 @@ class Constants(NamedTuple):
         if body is AZURE_KINECT:
             return Constants()
         return Constants(scale_sd=0.01, spread=1.3, acceleration=2.0)
-
-
-def joint_errors(body: Body) -> JointErrors:
-    """The errors of the body's own tracker."""
-    return AZURE_ERRORS if body is AZURE_KINECT else BLAZEPOSE_ERRORS if body is BLAZEPOSE else KINECT_ERRORS
-
-
-def by_joint(body: Body, values: tuple[float, ...]) -> NDArray[np.float64]:
-    """(J,) the value of each joint's kind."""
-    return np.array([values[KINDS.index(kind_of(joint))] for joint in body.joints])
-
-
-def acceleration_shares(body: Body) -> NDArray[np.float64]:
-    """(J,) acceleration of each joint relative to an elbow's."""
-    return by_joint(body, _ACCELERATION)
 
 
 def calmness(smoothing: float) -> float:

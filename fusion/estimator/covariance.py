@@ -11,10 +11,14 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel
+from fusion.skeleton import INFERRED
+
+_NEAREST = 0.05  # metres along the ray: no joint is that near to a sensor
+_TOUCHING = 1e-3  # metres, so that a cover on the ray itself gives a finite factor
 
 
 @inner_kernel
-def cast_rays(model, views):  # type: ignore[no-untyped-def]
+def set_rays(model, views):  # type: ignore[no-untyped-def]
     """Computes the unit vector from each sensor to each joint that it reports."""
     for v in range(2):
         for i in range(len(model.parents)):
@@ -84,7 +88,7 @@ def set_covariances(model, state, views):  # type: ignore[no-untyped-def]
             d = views.cover_distances[v, i]
             doubled = 1.0 + (k.near / (d + _TOUCHING)) ** k.near_power if d < math.inf else 1.0
             variance = slow * slow * min(doubled, k.near_limit)
-            if views.states[v, i] == 1:
+            if views.states[v, i] == INFERRED:
                 variance *= k.inferred_slow * k.inferred_slow
                 fast *= k.inferred_fast
             vx, vy, vz = state.velocities[i, 0], state.velocities[i, 1], state.velocities[i, 2]
@@ -100,7 +104,3 @@ def set_covariances(model, state, views):  # type: ignore[no-untyped-def]
             C[0, 1] = C[1, 0] = along * rx * ry
             C[0, 2] = C[2, 0] = along * rx * rz
             C[1, 2] = C[2, 1] = along * ry * rz
-
-
-_NEAREST = 0.05  # metres along the ray: no joint is that near to a sensor
-_TOUCHING = 1e-3  # metres, so that a cover on the ray itself gives a finite factor

@@ -6,15 +6,24 @@ from typing import Any
 
 import numpy as np
 from numba import typeof
-from numpy.typing import NDArray
 
-from fusion.estimator.arrays import Output, new_model, new_output, new_solve, new_state, new_views
+from fusion.estimator.arrays import (
+    Filter,
+    Model,
+    Output,
+    new_model,
+    new_output,
+    new_solve,
+    new_state,
+    new_views,
+)
 from fusion.estimator.constants import Constants
 from fusion.estimator.estimator import estimate_pairs
 from fusion.estimator.smoother import new_trace, smooth_pairs
 from fusion.estimator.views import relabel
 from fusion.facing.model import new_facing_model, new_facing_state
 from fusion.fused_frame import FusedFrame
+from fusion.pair_arrays import PairArrays
 from fusion.setup import FusionSetup
 
 
@@ -32,16 +41,22 @@ class DuplexFusion:
     def __init__(self, setup: FusionSetup, constants: Constants | None = None) -> None:
         body = setup.body
         self._constants = constants
-        self._facing_model, self._facing = new_facing_model(body), new_facing_state(body)
         joints = len(body)
-        self._state, self._views, self._solve = new_state(joints), new_views(joints), new_solve(joints)
+        self._filter = Filter(
+            model=self._model_of(setup),
+            facing_model=new_facing_model(body),
+            state=new_state(joints),
+            facing=new_facing_state(body),
+            views=new_views(joints),
+            solve=new_solve(joints),
+        )
+        self._setup = setup
         self._no_trace = new_trace(0, joints)
-        self._calibrate(setup)
 
-    def compile(self, positions: NDArray[np.float32], states: NDArray[np.uint8]) -> None:
-        """Compiles a large part of the code that does not call the solver."""
-        del positions, states
-        given = self._model, self._facing_model, self._facing, self._views, 0.0, 0, 0
+    def compile(self, pairs: PairArrays) -> None:
+        """Compiles a large part of the code that does not call the solver, for arrays like these."""
+        filter = self._filter
+        given = filter.model, filter.facing_model, filter.facing, filter.views, pairs.codes[0], 0.0
         relabel.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
 
     def recalibrate(self, setup: FusionSetup) -> None:
@@ -52,51 +67,37 @@ class DuplexFusion:
         learned under the same error or before a sensor was moved.
         """
         before = self._setup.calibration.a_from_b
-        last = self._state.last_positions[1].astype(np.float64)
+        state = self._filter.state
+        last = state.last_positions[1].astype(np.float64)
         moved = setup.calibration.a_from_b.apply(last) - before.apply(last)
         seen = np.isfinite(moved).all(axis=1)
-        self._state.offsets[1][seen] += moved[seen]
-        self._calibrate(setup)
+        state.offsets[1][seen] += moved[seen]
+        self._setup, self._filter = setup, self._filter._replace(model=self._model_of(setup))
 
-    def _calibrate(self, setup: FusionSetup) -> None:
-        self._setup = setup
-        a_from_b = setup.calibration.a_from_b
-        self._model = new_model(
+    def _model_of(self, setup: FusionSetup) -> Model:
+        calibration = setup.calibration
+        return new_model(
             setup.body,
-            setup.calibration.bone_lengths,
-            a_from_b.rotation,
-            a_from_b.translation,
+            calibration.bone_lengths,
+            calibration.a_from_b,
             setup.settings.smoothing,
             self._constants,
         )
 
-    def run(
-        self,
-        time_ns: NDArray[np.int64],
-        skew_ns: NDArray[np.int64],
-        codes: NDArray[np.int64],
-        witnesses: tuple[NDArray[np.float32], NDArray[np.float32]],
-        *views: NDArray[Any],
-        smooth: bool = False,
-    ) -> list[FusedFrame]:
+    def run(self, pairs: PairArrays, smooth: bool = False) -> list[FusedFrame]:
         """Fuses the next pairs.
 
         Args:
-            time_ns, skew_ns, codes, witnesses, views: As
-                :func:`fusion.estimator.estimator.estimate_pairs` takes them.
+            pairs: T pairs.
             smooth: Whether these pairs are a whole recording, to be smoothed over all of it.
         """
-        a, states_a, b, states_b = views
-        joints = states_a.shape[1]
-        output = new_output(len(time_ns), joints)
-        trace = new_trace(len(time_ns), joints) if smooth else self._no_trace
-        estimate_pairs(
-            self._model, self._facing_model, self._state, self._facing, self._views, self._solve, output,
-            trace, time_ns, skew_ns, codes, a, states_a, witnesses[0], b, states_b, witnesses[1],
-        )  # fmt: skip
+        frames, joints = pairs.a.shape[:2]
+        output = new_output(frames, joints)
+        trace = new_trace(frames, joints) if smooth else self._no_trace
+        estimate_pairs(self._filter, pairs, output, trace)
         if smooth:
-            smooth_pairs(self._model, self._solve, trace, output)
-        return [self._fused(output, k, int(time)) for k, time in enumerate(time_ns)]
+            smooth_pairs(self._filter.model, self._filter.solve, trace, output)
+        return [self._fused(output, k, int(time)) for k, time in enumerate(pairs.time_ns)]
 
     def _fused(self, output: Output, k: int, time_ns: int) -> FusedFrame:
         iterations, stale_a, stale_b = output.counts[k].tolist()

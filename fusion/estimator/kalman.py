@@ -8,10 +8,10 @@ from fusion.compiling.kernels import inner_kernel
 from fusion.estimator.outliers import innovation
 from fusion.solvers.small_matrices import add_inverse, inverse
 
-_FARTHEST = 0.3  # m, largest standard deviation that acceleration adds in one step
-_LARGEST = 0.25  # m²: its bones keep a joint within this variance
-_NOTHING = 1e-3  # a measurement with less trust has no visible effect
-_LITTLE = 0.05  # trust of both together
+_LARGEST_STEP = 0.3  # m, largest standard deviation that acceleration adds in one step
+_LARGEST_VARIANCE = 0.25  # m²: its bones keep a joint within this variance
+_LEAST_TRUST = 1e-3  # a measurement with less trust has no visible effect
+_LEAST_SUM = 0.05  # trust of both views together
 _FIRST_SPEED = 1.0  # m/s, standard deviation along an axis
 
 
@@ -43,21 +43,21 @@ def predict(model, state, dt):  # type: ignore[no-untyped-def]
             P[i, 2] *= kept * kept
         speed = math.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1] + v[i, 2] * v[i, 2])
         sd = model.acceleration[i] * (k.acceleration + k.acceleration_by_speed * speed)
-        q = min(sd * sd * model.calmness, (_FARTHEST / (dt * dt)) ** 2)
+        q = min(sd * sd * model.calmness, (_LARGEST_STEP / (dt * dt)) ** 2)
         for c in range(3):
             x[i, c] += v[i, c] * dt
         P[i, 0] += 2.0 * dt * P[i, 1] + dt * dt * P[i, 2] + 0.25 * q * dt**4
         P[i, 1] += dt * P[i, 2] + 0.5 * q * dt**3
         P[i, 2] += q * dt * dt
-        if P[i, 0] > _LARGEST:
-            shrink = _LARGEST / P[i, 0]
+        if P[i, 0] > _LARGEST_VARIANCE:
+            shrink = _LARGEST_VARIANCE / P[i, 0]
             P[i, 0] *= shrink
             P[i, 1] *= shrink
             P[i, 2] *= shrink
 
 
 @inner_kernel
-def take_in(model, state, views):  # type: ignore[no-untyped-def]
+def kalman_update(model, state, views):  # type: ignore[no-untyped-def]
     """Updates with each view's measurement, A then B, with its noise divided by its trust.
 
         S = P + (fast + offset variance) / β,    x ← x + (P/S) e,    v ← v + (P_xv/S) e
@@ -70,7 +70,7 @@ def take_in(model, state, views):  # type: ignore[no-untyped-def]
             continue
         for s in range(2):
             trust = views.trust[s, i]
-            if trust < _NOTHING:
+            if trust < _LEAST_TRUST:
                 continue
             S = P[i, 0] + (views.fast[s, i] + state.offset_variances[s, i]) / trust
             gain, gain_v = P[i, 0] / S, P[i, 1] / S
@@ -84,13 +84,9 @@ def take_in(model, state, views):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def begin_joints(model, state, views, sum_, room):  # type: ignore[no-untyped-def]
-    """Starts joints seen for the first time: the information-weighted mean of the views, at rest.
-
-    Args:
-        model, state, views: Of the pair.
-        sum_, room: (3, 3) scratch.
-    """
+def start_joints(model, state, views, solve):  # type: ignore[no-untyped-def]
+    """Starts joints seen for the first time: the information-weighted mean of the views, at rest."""
+    sums, scratch = solve.sums, solve.scratch
     for i in range(len(model.parents)):
         if state.known[i] or (views.states[0, i] == 0 and views.states[1, i] == 0):
             continue
@@ -99,22 +95,22 @@ def begin_joints(model, state, views, sum_, room):  # type: ignore[no-untyped-de
         x = y = z = 0.0
         for r in range(3):
             for c in range(3):
-                sum_[r, c] = 0.0
+                sums[r, c] = 0.0
         for s in range(2):
             if views.states[s, i] == 0:
                 continue
-            add_inverse(views.slow[s, i], 1.0, sum_, room)
-            at = views.positions[s, i]
-            x += room[0, 0] * at[0] + room[0, 1] * at[1] + room[0, 2] * at[2]
-            y += room[1, 0] * at[0] + room[1, 1] * at[1] + room[1, 2] * at[2]
-            z += room[2, 0] * at[0] + room[2, 1] * at[1] + room[2, 2] * at[2]
+            add_inverse(views.slow[s, i], 1.0, sums, scratch)
+            z_s = views.positions[s, i]
+            x += scratch[0, 0] * z_s[0] + scratch[0, 1] * z_s[1] + scratch[0, 2] * z_s[2]
+            y += scratch[1, 0] * z_s[0] + scratch[1, 1] * z_s[1] + scratch[1, 2] * z_s[2]
+            z += scratch[2, 0] * z_s[0] + scratch[2, 1] * z_s[1] + scratch[2, 2] * z_s[2]
             state.variances[i, 0] = views.fast[s, i]
-        inverse(sum_, room)
+        inverse(sums, scratch)
         for r in range(3):
-            state.positions[i, r] = room[r, 0] * x + room[r, 1] * y + room[r, 2] * z
+            state.positions[i, r] = scratch[r, 0] * x + scratch[r, 1] * y + scratch[r, 2] * z
             state.velocities[i, r] = 0.0
             for c in range(3):
-                state.shared_error[i, r, c] = room[r, c]
+                state.shared_error[i, r, c] = scratch[r, c]
             state.usual_offsets[0, i, r] = state.usual_offsets[1, i, r] = 0.0
         state.agreed[i] = 0.0
         state.variances[i, 1], state.variances[i, 2] = 0.0, _FIRST_SPEED**2
@@ -131,25 +127,27 @@ def begin_joints(model, state, views, sum_, room):  # type: ignore[no-untyped-de
 
 
 @inner_kernel
-def share_error(model, state, views, kept_together, kept_alone, sum_, room):  # type: ignore[no-untyped-def]
+def update_common_error(model, state, views, solve, dt):  # type: ignore[no-untyped-def]
     """Updates the slow error of S*: M ← M + (1 - φ) ((Σ_v β_v C_v⁻¹)⁻¹ - M), at the pace of the offsets.
 
     No measurement shows this error: it is common to the views once their difference is known. Without a
     measurement it is kept, and only the uncertainty of the prediction grows.
     """
+    k, sums, scratch = model.constants, solve.sums, solve.scratch
+    kept_together, kept_alone = math.exp(-dt / k.agreement_seconds), math.exp(-dt / k.alone_seconds)
     for i in range(len(model.parents)):
         total = views.trust[0, i] + views.trust[1, i]
-        if not state.known[i] or total < _LITTLE:
+        if not state.known[i] or total < _LEAST_SUM:
             continue
         for r in range(3):
             for c in range(3):
-                sum_[r, c] = 0.0
+                sums[r, c] = 0.0
         for s in range(2):
             if views.states[s, i] != 0 and views.trust[s, i] > 0.0:
-                add_inverse(views.slow[s, i], views.trust[s, i], sum_, room)
-        inverse(sum_, room)
+                add_inverse(views.slow[s, i], views.trust[s, i], sums, scratch)
+        inverse(sums, scratch)
         agreed = views.trust[0, i] * views.trust[1, i] > 0.25
         pace = (1.0 - (kept_together if agreed else kept_alone)) * min(total, 1.0)
         for r in range(3):
             for c in range(3):
-                state.shared_error[i, r, c] += pace * (room[r, c] - state.shared_error[i, r, c])
+                state.shared_error[i, r, c] += pace * (scratch[r, c] - state.shared_error[i, r, c])

@@ -13,11 +13,15 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel
+from fusion.skeleton import TRACKED
 from fusion.solvers.small_matrices import inverse
+
+_FIRST_SECONDS = 3.0  # s of agreement without which a mean says little: poses last about that long
+_UNSEEN_VARIANCE = 2.0  # times the usual one: a joint that the view does not report is probably covered
 
 
 @inner_kernel
-def fade_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
+def decay_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
     """Offsets return to the usual ones like an Ornstein–Uhlenbeck process does:
 
         b ← b_usual + φ (b - b_usual),    Var b ← φ² Var b + (1 - φ²) C
@@ -40,15 +44,15 @@ def fade_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
                 C = views.slow[v, i]
                 slow = (C[0, 0] + C[1, 1] + C[2, 2]) / 3.0
             else:
-                slow = _UNSEEN * (k.slow_scale * model.slow[i]) ** 2
-            if both or views.states[v, i] != 2 or state.doubt[v, i] > 0.5:
+                slow = _UNSEEN_VARIANCE * (k.slow_scale * model.slow[i]) ** 2
+            if both or views.states[v, i] != TRACKED or state.doubt[v, i] > 0.5:
                 state.offset_variances[v, i] += (1.0 - together * together) * (
                     slow - state.offset_variances[v, i]
                 )
 
 
 @inner_kernel
-def learn_offsets(model, state, views, room):  # type: ignore[no-untyped-def]
+def update_offsets(model, state, views, solve):  # type: ignore[no-untyped-def]
     """Gives each view its share of the remaining difference d = y_A - y_B.
 
     With V_v the covariance of view v's offset, the slow covariance of its measurement in the size of the
@@ -58,11 +62,8 @@ def learn_offsets(model, state, views, room):  # type: ignore[no-untyped-def]
 
     where g = β_A β_B (Var b_A + Var b_B) / (Var b_A + Var b_B + fast_A + fast_B). So a view that returns
     takes nearly all of the difference.
-
-    Args:
-        model, state, views: Of the pair.
-        room: (3, 3) scratch.
     """
+    scratch = solve.scratch
     for i in range(len(model.parents)):
         trust = views.trust[0, i] * views.trust[1, i]
         if not state.known[i] or trust == 0.0:
@@ -73,8 +74,8 @@ def learn_offsets(model, state, views, room):  # type: ignore[no-untyped-def]
         gain = trust * (Va + Vb) / (Va + Vb + views.fast[0, i] + views.fast[1, i])
         for r in range(3):
             for c in range(3):
-                room[r, c] = sa * A[r, c] + sb * B[r, c]
-        inverse(room, room)
+                scratch[r, c] = sa * A[r, c] + sb * B[r, c]
+        inverse(scratch, scratch)
         later = views.delays[0] - views.delays[1]
         x = (
             views.positions[0, i, 0]
@@ -97,9 +98,9 @@ def learn_offsets(model, state, views, room):  # type: ignore[no-untyped-def]
         x -= state.velocities[i, 0] * later
         y -= state.velocities[i, 1] * later
         z -= state.velocities[i, 2] * later
-        u = room[0, 0] * x + room[0, 1] * y + room[0, 2] * z
-        v = room[1, 0] * x + room[1, 1] * y + room[1, 2] * z
-        w = room[2, 0] * x + room[2, 1] * y + room[2, 2] * z
+        u = scratch[0, 0] * x + scratch[0, 1] * y + scratch[0, 2] * z
+        v = scratch[1, 0] * x + scratch[1, 1] * y + scratch[1, 2] * z
+        w = scratch[2, 0] * x + scratch[2, 1] * y + scratch[2, 2] * z
         for r in range(3):
             state.offsets[0, i, r] += gain * sa * (A[r, 0] * u + A[r, 1] * v + A[r, 2] * w)
             state.offsets[1, i, r] -= gain * sb * (B[r, 0] * u + B[r, 1] * v + B[r, 2] * w)
@@ -108,10 +109,10 @@ def learn_offsets(model, state, views, room):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def learn_usual_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
+def update_usual_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
     """Averages each view's share of the difference d = y_A - y_B, while both views track a joint.
 
-        n ← min(n + β_A β_B dt, usual_seconds),    g = β_A β_B dt / (n + _AT_FIRST)
+        n ← min(n + β_A β_B dt, usual_seconds),    g = β_A β_B dt / (n + _FIRST_SECONDS)
         b_usual,A ← b_usual,A + g (w d - b_usual,A),    b_usual,B ← b_usual,B + g ((w - 1) d - b_usual,B)
 
     with w = tr C_A / (tr C_A + tr C_B), and n the seconds that the mean is of. So it is 0 at first, and a
@@ -119,11 +120,11 @@ def learn_usual_offsets(model, state, views, dt):  # type: ignore[no-untyped-def
     """
     later = views.delays[0] - views.delays[1]
     for i in range(len(model.parents)):
-        if views.states[0, i] != _TRACKED or views.states[1, i] != _TRACKED or not state.known[i]:
+        if views.states[0, i] != TRACKED or views.states[1, i] != TRACKED or not state.known[i]:
             continue
         seconds = views.trust[0, i] * views.trust[1, i] * dt
         state.agreed[i] = min(state.agreed[i] + seconds, model.constants.usual_seconds)
-        pace = min(seconds / (state.agreed[i] + _AT_FIRST), 1.0)
+        pace = min(seconds / (state.agreed[i] + _FIRST_SECONDS), 1.0)
         A, B = views.slow[0, i], views.slow[1, i]
         a, b = A[0, 0] + A[1, 1] + A[2, 2], B[0, 0] + B[1, 1] + B[2, 2]
         share = a / (a + b)
@@ -131,8 +132,3 @@ def learn_usual_offsets(model, state, views, dt):  # type: ignore[no-untyped-def
             d = views.positions[0, i, c] - views.positions[1, i, c] - state.velocities[i, c] * later
             state.usual_offsets[0, i, c] += pace * (share * d - state.usual_offsets[0, i, c])
             state.usual_offsets[1, i, c] += pace * ((share - 1.0) * d - state.usual_offsets[1, i, c])
-
-
-_TRACKED = 2  # fusion.skeleton.TrackingState.TRACKED
-_AT_FIRST = 3.0  # s of agreement without which a mean says little: poses last about that long
-_UNSEEN = 2.0  # a joint that the view does not report is probably covered

@@ -1,27 +1,32 @@
-"""The probability that each measurement is an outlier, from the prediction and the other view."""
+"""The probability that each measurement is an outlier, given the prediction and the other view."""
 
 from __future__ import annotations
 
 import math
 
 from fusion.compiling.kernels import inner_kernel
+from fusion.skeleton import TRACKED
 
 _TWO_PI = 2.0 * math.pi
 
+_DOUBT_DECAY = 0.9  # per pair
+_LEAST_SURPRISE = 1e-3  # a smaller surprise has no visible effect
+_LARGEST_PRIOR = 0.99  # no measurement is an outlier for certain
+
 
 @inner_kernel
-def judge(model, state, views):  # type: ignore[no-untyped-def]
+def outlier_probabilities(model, state, views):  # type: ignore[no-untyped-def]
     """The trust β of each measurement: the probability that it is no outlier, given both views.
 
     A measurement y (less its view's offset) is the predicted x plus Gaussian noise of variance
     S = P + fast + offset variance along each axis, or an outlier, spread evenly over a cube of side
     ``outlier_side``. With both views there are four hypotheses. The likelihood that both are good is
-    N(y_A; x, S_A) N(y_B; x', S'), where x' and S' are predicted with y_A taken in: so two views that agree
-    with each other need not agree with the prediction. β sums the posterior over the hypotheses.
+    N(y_A; x, S_A) N(y_B; x', S'), where x' and S' are predicted after the update with y_A: so two views that
+    agree with each other need not agree with the prediction. β sums the posterior over the hypotheses.
 
     A fifth hypothesis says that both are good and the prediction is wrong, because the person moved
     unexpectedly. Then the two agree with each other and may be anywhere: N(y_A - y_B; 0, noise_A + noise_B)
-    over the cube. Its posterior is the surprise, which :func:`be_surprised` acts on.
+    over the cube. Its posterior is the surprise, which :func:`inflate_on_surprise` acts on.
 
     An outlier is followed by one with probability ``outlier_lasts``; β is 0 without a measurement.
     """
@@ -73,7 +78,7 @@ def judge(model, state, views):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def be_surprised(model, state, views, dt):  # type: ignore[no-untyped-def]
+def inflate_on_surprise(model, state, views, dt):  # type: ignore[no-untyped-def]
     """Enlarges the variance of the prediction where both views agree that it is wrong.
 
         P ← P + surprise (|e|²/3) g gᵀ,    g = [1, 1/(2 dt)]
@@ -81,7 +86,7 @@ def be_surprised(model, state, views, dt):  # type: ignore[no-untyped-def]
     with e the views' mean innovation. The velocity changes by e / (2 dt).
     """
     for i in range(len(model.parents)):
-        if not state.known[i] or views.surprise[i] < _UNLIKELY:
+        if not state.known[i] or views.surprise[i] < _LEAST_SURPRISE:
             continue
         square = 0.0
         for c in range(3):
@@ -96,8 +101,8 @@ def be_surprised(model, state, views, dt):  # type: ignore[no-untyped-def]
 @inner_kernel
 def innovation(state, views, v, i, c):  # type: ignore[no-untyped-def]
     """Measurement minus prediction along axis c, without the view's offset, at the view's own time."""
-    at_capture = state.positions[i, c] + state.velocities[i, c] * views.delays[v]
-    return views.positions[v, i, c] - state.offsets[v, i, c] - at_capture
+    expected = state.positions[i, c] + state.velocities[i, c] * views.delays[v]
+    return views.positions[v, i, c] - state.offsets[v, i, c] - expected
 
 
 @inner_kernel
@@ -115,11 +120,11 @@ def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
     multiplies the odds.
     """
     k = model.constants
-    rare = k.outlier if views.states[v, i] == 2 else k.inferred_outlier
+    rare = k.outlier if views.states[v, i] == TRACKED else k.inferred_outlier
     before = max(state.doubt[v, i], state.view_doubt[v])
     prior = rare + max(k.outlier_lasts - rare, 0.0) * before
     if model.lateral[i]:
-        prior = max(prior, min(k.sides_doubted * views.side_doubt[v], _SURE))
+        prior = max(prior, min(k.sides_doubted * views.side_doubt[v], _LARGEST_PRIOR))
     if views.evidence[v, i] != 0.0:
         odds = prior / (1.0 - prior) * math.exp(-views.evidence[v, i])
         prior = odds / (1.0 + odds)
@@ -127,7 +132,7 @@ def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def remember_doubt(model, state, views):  # type: ignore[no-untyped-def]
+def store_outlier_state(model, state, views):  # type: ignore[no-untyped-def]
     """Stores 1 - β for the next pair, and its mean; without a measurement, doubt decays towards its mean."""
     rare = model.constants.outlier
     for v in range(2):
@@ -137,10 +142,5 @@ def remember_doubt(model, state, views):  # type: ignore[no-untyped-def]
                 state.doubt[v, i] = 1.0 - views.trust[v, i]
                 total, count = total + state.doubt[v, i], count + 1
             else:
-                state.doubt[v, i] = rare + _FADES * (state.doubt[v, i] - rare)
-        state.view_doubt[v] = total / count if count > 0 else _FADES * state.view_doubt[v]
-
-
-_FADES = 0.9  # per pair
-_UNLIKELY = 1e-3  # a smaller surprise has no visible effect
-_SURE = 0.99  # no measurement is an outlier for certain
+                state.doubt[v, i] = rare + _DOUBT_DECAY * (state.doubt[v, i] - rare)
+        state.view_doubt[v] = total / count if count > 0 else _DOUBT_DECAY * state.view_doubt[v]

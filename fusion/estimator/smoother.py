@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.estimator.uncertainty import spread
+from fusion.estimator.uncertainty import joint_covariances
 from fusion.solvers.small_matrices import inverse
 from fusion.solvers.tree_solver import solve_tree
 
@@ -90,7 +90,7 @@ def smooth_pairs(model, solve, trace, output):  # type: ignore[no-untyped-def]
             for i in range(len(model.parents)):
                 if trace.predicted_variances[later, i, 0] > 0.0 and trace.filtered_variances[k, i, 0] > 0.0:
                     step_back(model, trace, k, later, i)
-        _hold_bones(model, solve, trace, output, k, later)
+        _solve_bones(model, solve, trace, output, k, later)
         later = k
 
 
@@ -124,7 +124,7 @@ def step_back(model, trace, k, later, i):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _hold_bones(model, solve, trace, output, k, later):  # type: ignore[no-untyped-def]
+def _solve_bones(model, solve, trace, output, k, later):  # type: ignore[no-untyped-def]
     """Writes the best skeleton with exact bone lengths for the smoothed joints of pair k."""
     for i in range(len(model.parents)):
         known = trace.filtered_variances[k, i, 0] > 0.0
@@ -142,7 +142,7 @@ def _hold_bones(model, solve, trace, output, k, later):  # type: ignore[no-untyp
         model.parents, model.order, model.rest, solve.targets, solve.information, model.bone_lengths,
         start, solve.tree_work, solve.positions,
     )  # fmt: skip
-    spread(model, solve, output.covariance[k], output.sigma[k], solve.room)
+    joint_covariances(model, solve, output.covariance[k], output.sigma[k])
     for i in range(len(model.parents)):
         for c in range(3):
             output.positions[k, i, c] = solve.positions[i, c]

@@ -7,9 +7,11 @@ import math
 from fusion.compiling.kernels import inner_kernel
 from fusion.solvers.small_matrices import inverse
 
+_PRIOR_INFORMATION = 1.0  # 1/m²: a joint that was never seen has a standard deviation of one metre
+
 
 @inner_kernel
-def spread(model, solve, covariance, sigma, room):  # type: ignore[no-untyped-def]
+def joint_covariances(model, solve, covariance, sigma):  # type: ignore[no-untyped-def]
     """Computes the covariance of each joint of S* given all joints' information and the bone lengths.
 
     A hard bone transmits information only along its direction n. With A the information of the joint at one
@@ -20,37 +22,36 @@ def spread(model, solve, covariance, sigma, room):  # type: ignore[no-untyped-de
         model, solve: After the bones; the information in ``solve`` is that of the targets.
         covariance: (J, 3, 3) out, m².
         sigma: (J,) out: the square root of its trace, m: one standard deviation of the distance to the truth.
-        room: (3, 3) scratch.
     """
-    A = solve.covariance  # information first, covariance in the end
+    A, scratch = solve.covariance, solve.scratch  # A is information first, covariance in the end
     order, parents = model.order, model.parents
     for i in range(len(parents)):
         for r in range(3):
             for c in range(3):
                 A[i, r, c] = solve.information[i, r, c]
-            A[i, r, r] += _ANYWHERE
+            A[i, r, r] += _PRIOR_INFORMATION
     for n in range(len(order) - 1, 0, -1):
         i = order[n]
         p = parents[i]
         nx, ny, nz = _direction(solve.positions, i, p)
-        says = _along(A[i], nx, ny, nz, room)
+        information = _along(A[i], nx, ny, nz, scratch)
         up = solve.upward[i]
-        up[0], up[1], up[2], up[3] = nx, ny, nz, says
-        _add_along(A[p], nx, ny, nz, says)
+        up[0], up[1], up[2], up[3] = nx, ny, nz, information
+        _add_along(A[p], nx, ny, nz, information)
     for n in range(1, len(order)):
         i = order[n]
         p = parents[i]
-        nx, ny, nz, said = solve.upward[i, 0], solve.upward[i, 1], solve.upward[i, 2], solve.upward[i, 3]
-        _add_along(A[p], nx, ny, nz, -said)  # the parent's information without this joint
-        says = _along(A[p], nx, ny, nz, room)
-        _add_along(A[p], nx, ny, nz, said)
-        _add_along(A[i], nx, ny, nz, says)
+        nx, ny, nz, below = solve.upward[i, 0], solve.upward[i, 1], solve.upward[i, 2], solve.upward[i, 3]
+        _add_along(A[p], nx, ny, nz, -below)  # the parent's information without this joint
+        information = _along(A[p], nx, ny, nz, scratch)
+        _add_along(A[p], nx, ny, nz, below)
+        _add_along(A[i], nx, ny, nz, information)
     square = model.constants.spread**2
     for i in range(len(parents)):
-        inverse(A[i], room)
+        inverse(A[i], scratch)
         for r in range(3):
             for c in range(3):
-                covariance[i, r, c] = square * room[r, c]
+                covariance[i, r, c] = square * scratch[r, c]
         sigma[i] = math.sqrt(covariance[i, 0, 0] + covariance[i, 1, 1] + covariance[i, 2, 2])
 
 
@@ -66,12 +67,12 @@ def _direction(positions, i, p):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _along(A, x, y, z, room):  # type: ignore[no-untyped-def]
+def _along(A, x, y, z, scratch):  # type: ignore[no-untyped-def]
     """1 / (nᵀ A⁻¹ n)."""
-    inverse(A, room)
+    inverse(A, scratch)
     return 1.0 / (
-        room[0, 0] * x * x + room[1, 1] * y * y + room[2, 2] * z * z
-        + 2.0 * (room[0, 1] * x * y + room[0, 2] * x * z + room[1, 2] * y * z)
+        scratch[0, 0] * x * x + scratch[1, 1] * y * y + scratch[2, 2] * z * z
+        + 2.0 * (scratch[0, 1] * x * y + scratch[0, 2] * x * z + scratch[1, 2] * y * z)
     )  # fmt: skip
 
 
@@ -84,6 +85,3 @@ def _add_along(A, x, y, z, information):  # type: ignore[no-untyped-def]
     A[0, 2] += information * x * z
     A[1, 2] += information * y * z
     A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
-
-
-_ANYWHERE = 1.0  # 1/m²: a joint that was never seen has a standard deviation of one metre

@@ -7,25 +7,31 @@ import math
 from fusion.compiling.kernels import inner_kernel
 from fusion.facing.exchange import exchange
 from fusion.facing.filter import update_facing
-from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS
-from fusion.repetition import repeats
+from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS, DOUBT_UNKNOWN, ReportedPair
+from fusion.pair_arrays import repeats
+from fusion.skeleton import TRACKED
+
+_CODE_MASK = DOUBT_UNKNOWN - 1  # the exchange code of a label
+_SHORTEST_BONE = 0.12  # metres: shorter bones carry little information on the scale
+_USUAL_ERROR = 0.15  # a relative error at which a bone's weight is a quarter
+_FEWEST_BONES = 4  # bones
+_CORRELATION = 2.0  # neighbouring bones share joints, so their errors are correlated
 
 
 @inner_kernel
-def take_views(model, state, views, skew_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+def transform_views(model, state, views, pairs, k):  # type: ignore[no-untyped-def]
     """Transforms both views to K_A's frame: p, and q' = R q + t.
 
     Args:
         model, state: Of the fuser; the state stores the sensors' last skeletons.
         views: Written: what the sensors reported, whether it is stale, and its delay.
-        skew_ns: Capture time of B minus that of A, which is the pair's time.
-        a, b: (J, 3) float32 metres, each in its sensor's frame; NaN where not tracked.
-        states_a, states_b: (J,) tracking states.
+        pairs, k: Pair k of :class:`fusion.pair_arrays.PairArrays`. Its time is that of A.
     """
+    a, states_a, b, states_b = pairs.a[k], pairs.states_a[k], pairs.b[k], pairs.states_b[k]
     R, t = model.rotation, model.translation
     views.stale[0] = repeats(a, states_a, state.last_positions[0], state.last_states[0])
     views.stale[1] = repeats(b, states_b, state.last_positions[1], state.last_states[1])
-    views.delays[0], views.delays[1] = 0.0, 1e-9 * skew_ns
+    views.delays[0], views.delays[1] = 0.0, 1e-9 * pairs.skew_ns[k]
     for i in range(len(states_a)):
         views.reported_states[0, i], views.reported_states[1, i] = states_a[i], states_b[i]
         x, y, z = float(b[i, 0]), float(b[i, 1]), float(b[i, 2])
@@ -35,29 +41,26 @@ def take_views(model, state, views, skew_ns, a, states_a, b, states_b):  # type:
 
 
 @inner_kernel
-def relabel(model, facing_model, facing, views, dt, code_a, code_b):  # type: ignore[no-untyped-def]
+def relabel(model, facing_model, facing, views, codes, dt):  # type: ignore[no-untyped-def]
     """Corrects exchanged sides, and removes the measurements of a stale skeleton.
 
     Args:
         model, facing_model: Of the body.
         facing: State of the facing filter (:mod:`fusion.facing.filter`); updated unless codes are given.
         views: Positions and states are written.
-        dt: Seconds since the previous pair.
-        code_a, code_b: Known labels, as from a pass over a whole recording: exchange codes with doubt
+        codes: (2,) known labels, as from a pass over a whole recording: exchange codes with doubt
             (:func:`fusion.facing.exchange.with_doubt`); -1 where unknown.
+        dt: Seconds since the previous pair.
     """
-    if code_a < 0 or code_b < 0:
-        update_facing(
-            facing_model, facing, dt, views.reported[0], views.reported_states[0], views.reported[1],
-            views.reported_states[1], model.translation, model.up, views.stale[0], views.stale[1],
-        )  # fmt: skip
-        views.codes[0], views.codes[1] = facing.codes[0], facing.codes[1]
-        views.side_doubt[0], views.side_doubt[1] = facing.doubt[0], facing.doubt[1]
-    else:
-        views.codes[0], views.codes[1] = code_a & _CODE, code_b & _CODE
-        views.side_doubt[0] = (code_a >> DOUBT_BIT) / DOUBT_STEPS
-        views.side_doubt[1] = (code_b >> DOUBT_BIT) / DOUBT_STEPS
+    if codes[0] & DOUBT_UNKNOWN or codes[1] & DOUBT_UNKNOWN:
+        pair = ReportedPair(views.reported, views.reported_states, views.stale, model.translation, model.up)
+        update_facing(facing_model, facing, pair, dt)
     for v in range(2):
+        views.codes[v] = codes[v] & _CODE_MASK if codes[v] >= 0 else facing.codes[v]
+        if codes[v] & DOUBT_UNKNOWN:
+            views.side_doubt[v] = facing.doubt[v]
+        else:
+            views.side_doubt[v] = (codes[v] >> DOUBT_BIT) / DOUBT_STEPS
         exchange(
             facing_model, views.reported[v], views.reported_states[v], views.codes[v], views.positions[v],
             views.states[v],
@@ -68,7 +71,7 @@ def relabel(model, facing_model, facing, views, dt, code_a, code_b):  # type: ig
 
 
 @inner_kernel
-def rescale(model, state, views, dt):  # type: ignore[no-untyped-def]
+def remove_scales(model, state, views, dt):  # type: ignore[no-untyped-def]
     """Estimates the scale error of each view's skeleton and removes it about the root.
 
     A tracker's whole skeleton grows and shrinks by some per cent within a second. The scale 1 + s is
@@ -80,7 +83,7 @@ def rescale(model, state, views, dt):  # type: ignore[no-untyped-def]
     kept = math.exp(-dt / k.scale_seconds)
     root = model.order[0]
     for v in range(2):
-        at = views.positions[v]
+        x = views.positions[v]
         state.scales[v] *= kept
         state.scale_variances[v] += (1.0 - kept * kept) * (k.scale_sd**2 - state.scale_variances[v])
         total = weights = 0.0
@@ -89,30 +92,23 @@ def rescale(model, state, views, dt):  # type: ignore[no-untyped-def]
             i = model.order[n]
             p = model.parents[i]
             length = model.bone_lengths[i]
-            if views.states[v, i] != 2 or views.states[v, p] != 2 or length < _SHORTEST:
+            if views.states[v, i] != TRACKED or views.states[v, p] != TRACKED or length < _SHORTEST_BONE:
                 continue
-            dx, dy, dz = at[i, 0] - at[p, 0], at[i, 1] - at[p, 1], at[i, 2] - at[p, 2]
+            dx, dy, dz = x[i, 0] - x[p, 0], x[i, 1] - x[p, 1], x[i, 2] - x[p, 2]
             error = math.sqrt(dx * dx + dy * dy + dz * dz) / length - 1.0
-            unusual = (error - state.scales[v]) / _USUAL
+            unusual = (error - state.scales[v]) / _USUAL_ERROR
             w = length / (1.0 + unusual * unusual)
             total += w * w * error
             weights += w * w
             bones += 1
-        if bones < _FEWEST or views.states[v, root] == 0:
+        if bones < _FEWEST_BONES or views.states[v, root] == 0:
             continue
-        noise = _SHARED * k.bone_sd**2 / bones
+        noise = _CORRELATION * k.bone_sd**2 / bones
         gain = state.scale_variances[v] / (state.scale_variances[v] + noise)
         state.scales[v] += gain * (total / weights - state.scales[v])
         state.scale_variances[v] *= 1.0 - gain
         shrink = 1.0 / (1.0 + state.scales[v])
-        for i in range(len(at)):
+        for i in range(len(x)):
             if i != root and views.states[v, i] != 0:
                 for c in range(3):
-                    at[i, c] = at[root, c] + (at[i, c] - at[root, c]) * shrink
-
-
-_CODE = (1 << DOUBT_BIT) - 1  # the exchange code of a label
-_SHORTEST = 0.12  # metres: shorter bones carry little information on the scale
-_USUAL = 0.15  # a relative error at which a bone's weight is a quarter
-_FEWEST = 4  # bones
-_SHARED = 2.0  # neighbouring bones share joints, so their errors are correlated
+                    x[i, c] = x[root, c] + (x[i, c] - x[root, c]) * shrink

@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel
 from fusion.facing.model import ANKLE, ELBOW, HIP, KNEE, SHOULDER, WRIST
+from fusion.skeleton import TRACKED
 
-_TRACKED = 2  # fusion.skeleton.TrackingState.TRACKED
 _OUTLIER_STEP = 0.2  # m between two frames: a larger step is an outlier and is limited to this
 _SPEED_SECONDS = 0.3
-_LEAST, _MOST = math.log(0.3), math.log(3000.0)
+_LOG_ODDS = math.log(0.3), math.log(3000.0)  # smallest and largest
 IN_LINE = math.cos(math.radians(20.0))
 """The person counts as standing if the cosine between trunk and legs is above this."""
 _LEARNING_FRAMES = 300.0  # 10 s: the mean forgets older frames, because a sensor may be moved
@@ -63,8 +63,8 @@ def measure_view(model, state, view, positions, states):  # type: ignore[no-unty
 
 @inner_kernel
 def _trust(model, states, i, j, k):  # type: ignore[no-untyped-def]
-    seen = states[i] == _TRACKED and states[j] == _TRACKED and states[k] == _TRACKED
-    return 1.0 if seen else model.scalars.inferred_weight
+    seen = states[i] == TRACKED and states[j] == TRACKED and states[k] == TRACKED
+    return 1.0 if seen else model.constants.inferred_weight
 
 
 @inner_kernel
@@ -99,7 +99,7 @@ def _offset(positions, i, j, k, sign, out):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def follow_motion(model, state, view, positions):  # type: ignore[no-untyped-def]
+def update_motion(model, state, view, positions):  # type: ignore[no-untyped-def]
     """Updates the mean speed of the joints; writes the view's change of the trunk's velocity.
 
     The changes of both views are added afterwards, so that their order does not matter. The trunk is the mean
@@ -130,7 +130,7 @@ def follow_motion(model, state, view, positions):  # type: ignore[no-untyped-def
         state.pull[view, c] = 0.0
         squared += (_trunk(model, positions, c) - state.last_root[view, c]) ** 2
     if math.isfinite(squared) and squared < (_OUTLIER_STEP + 4.0 * elapsed) ** 2:
-        share = 0.5 * (1.0 - math.exp(-elapsed / model.scalars.motion_seconds))  # one of two views
+        share = 0.5 * (1.0 - math.exp(-elapsed / model.constants.motion_seconds))  # one of two views
         for c in range(3):
             velocity = (_trunk(model, positions, c) - state.last_root[view, c]) / elapsed
             state.pull[view, c] = share * (velocity - state.velocity[c])
@@ -156,7 +156,11 @@ def _trunk(model, positions, c):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def exchange_odds(model, state, view):  # type: ignore[no-untyped-def]
-    """Factor on the odds that the whole body's labels were exchanged since the previous frame."""
+    """Factor exp(−k Σ d · d_before) on the odds that a view's labels were exchanged since the previous frame.
+
+    It has limits: a tracker that changes over smoothly passes through d ≈ 0, so that continuity alone must
+    not exclude an exchange.
+    """
     total = 0.0
     for pair in (SHOULDER, HIP, ELBOW, KNEE):
         dot = 0.0
@@ -164,7 +168,7 @@ def exchange_odds(model, state, view):  # type: ignore[no-untyped-def]
             dot += state.spans[view, pair, c] * state.last_spans[view, pair, c]
         if math.isfinite(dot):
             total += dot
-    return math.exp(max(_LEAST, min(_MOST, -model.scalars.continuity * total)))
+    return math.exp(max(_LOG_ODDS[0], min(_LOG_ODDS[1], -model.constants.continuity * total)))
 
 
 @inner_kernel

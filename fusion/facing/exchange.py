@@ -8,19 +8,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS, HIP, SHOULDER, TRUNK, WHOLE
-
-_INFERRED, _TRACKED = 1, 2  # fusion.skeleton.TrackingState
+from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS, DOUBT_UNKNOWN, HIP, SHOULDER, TRUNK, WHOLE
+from fusion.skeleton import INFERRED, TRACKED
 
 
 @kernel
 def exchange(model, positions, states, code, out_positions, out_states):  # type: ignore[no-untyped-def]
     """Writes a skeleton with left and right exchanged according to the code.
 
-    Where arms or legs are exchanged alone, real trackers leave the girdle as it is; shoulders (hips) go with
-    the limb only where shoulders and hips contradict each other. With the whole body exchanged, feet, thumbs
-    and face become inferred: a tracker places them by the direction that it assumes the person to face, so
-    they are on the wrong side.
+    With the whole body exchanged, feet, thumbs and face become inferred: a tracker places them by the
+    direction that it assumes the person to face, so they are on the wrong side. Where arms or legs are
+    exchanged alone, as in sessions of version 1.0, shoulders (hips) go with the limb only if shoulders and
+    hips contradict each other.
 
     Args:
         model: Of the body.
@@ -35,18 +34,21 @@ def exchange(model, positions, states, code, out_positions, out_states):  # type
         for c in range(3):
             out_positions[j, c] = positions[source, c]
         state = states[source]
-        if trunk and model.believed[j] and state == _TRACKED:
-            state = _INFERRED
+        if trunk and model.believed[j] and state == TRACKED:
+            state = INFERRED
         out_states[j] = state
 
 
-def with_doubt(codes: ArrayLike, doubt: ArrayLike) -> NDArray[np.int64]:
+def with_doubt(codes: ArrayLike, doubt: ArrayLike | None) -> NDArray[np.int64]:
     """Labels: exchange codes together with the doubt about them, in one integer each.
 
     Args:
         codes: (T, 2) exchange codes of A and of B.
-        doubt: (T, 2) from 0 to 1; rounded to steps of 1/255, as sessions store it.
+        doubt: (T, 2) from 0 to 1; rounded to steps of 1/255, as sessions store it. Left to the facing filter
+            where None, as it was in a live session.
     """
+    if doubt is None:
+        return np.asarray(codes, dtype=np.int64) | DOUBT_UNKNOWN
     steps = np.round(DOUBT_STEPS * np.asarray(doubt, dtype=np.float64)).astype(np.int64)
     return np.asarray(np.asarray(codes, dtype=np.int64) + (steps << DOUBT_BIT))
 

@@ -12,7 +12,8 @@ ahead and one for a person who turns. It is the prior on turning speed.
 back is turned. The share of mirrored frames s is a function of the cosine between the heading and the
 direction to the sensor, and is reached with the time constant τ: the probability of becoming mirrored in dt
 is r s, that of ceasing is r (1 − s), with r = 1 − exp(−dt/τ). That is the price of an exchange. If both views
-are exchanged at once, both prices count. Continuity of the labels changes the odds (``continuity.py``).
+are exchanged at once, both prices count. Continuity of the labels changes the odds
+(:func:`fusion.facing.evidence.exchange_odds`).
 
 **Evidence**, log L, with f the heading's unit vector; every term has a weight, because successive frames are
 correlated:
@@ -36,7 +37,7 @@ _FRAME = 1.0 / 30.0  # interval of the turning constants, s
 
 
 @inner_kernel
-def make_headings(state, up):  # type: ignore[no-untyped-def]
+def set_headings(state, up):  # type: ignore[no-untyped-def]
     """The unit vectors of the headings, horizontal under ``up``; the first is nearest to K_A's x."""
     same = True
     for c in range(3):
@@ -60,14 +61,14 @@ def make_headings(state, up):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def mirrored_share(scalars, cosine):  # type: ignore[no-untyped-def]
+def mirrored_share(constants, cosine):  # type: ignore[no-untyped-def]
     """Share of frames that a tracker reports mirrored: a logistic step from front to back."""
-    rise = 1.0 + math.exp((cosine - scalars.mirrored_centre) / scalars.mirrored_width)
-    return scalars.mirrored_front + (scalars.mirrored_back - scalars.mirrored_front) / rise
+    rise = 1.0 + math.exp((cosine - constants.mirrored_centre) / constants.mirrored_width)
+    return constants.mirrored_front + (constants.mirrored_back - constants.mirrored_front) / rise
 
 
 @inner_kernel
-def start(state):  # type: ignore[no-untyped-def]
+def prior_belief(state):  # type: ignore[no-untyped-def]
     """The prediction for a new person: any heading, each view mirrored with its share there."""
     count = len(state.headings)
     for n in range(count):
@@ -85,11 +86,11 @@ def _cosine(state, view, n):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def make_turning(scalars, state, dt):  # type: ignore[no-untyped-def]
+def set_turning(constants, state, dt):  # type: ignore[no-untyped-def]
     """P(θ' | θ) for differences of up to ``reach`` headings: three deviations of a turning person."""
     step = 2.0 * math.pi / len(state.headings)
-    slow = scalars.turning_sigma * math.sqrt(dt / _FRAME) / step
-    fast = scalars.turning_sigma_fast * math.sqrt(dt / _FRAME) / step
+    slow = constants.turning_sigma * math.sqrt(dt / _FRAME) / step
+    fast = constants.turning_sigma_fast * math.sqrt(dt / _FRAME) / step
     reach = min(TAPS, math.ceil(3.0 * fast))
     state.reach[0] = reach
     slow_sum = fast_sum = 0.0
@@ -99,7 +100,7 @@ def make_turning(scalars, state, dt):  # type: ignore[no-untyped-def]
     for k in range(-reach, reach + 1):
         straight = math.exp(-0.5 * (k / slow) ** 2) / slow_sum
         turns = math.exp(-0.5 * (k / fast) ** 2) / fast_sum
-        state.turning[k + TAPS] = (1.0 - scalars.turning_share) * straight + scalars.turning_share * turns
+        state.turning[k + TAPS] = (1.0 - constants.turning_share) * straight + constants.turning_share * turns
 
 
 @inner_kernel
@@ -134,7 +135,7 @@ def predict(state, before, after):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def retrodict(state, after, before, room):  # type: ignore[no-untyped-def]
+def retrodict(state, after, before, scratch):  # type: ignore[no-untyped-def]
     """The transpose of :func:`predict`, for smoothing: the evidence of later frames on the state before."""
     count, reach = len(after), state.reach[0]
     for n in range(count):
@@ -144,29 +145,29 @@ def retrodict(state, after, before, room):  # type: ignore[no-untyped-def]
         p10 = after[n, 1, 0] * (1.0 - to) + after[n, 1, 1] * to
         p11 = after[n, 1, 0] * fro + after[n, 1, 1] * (1.0 - fro)
         to, fro = exchanging(state, 0, n)
-        room[n, 0, 0], room[n, 1, 0] = p00 * (1.0 - to) + p10 * to, p00 * fro + p10 * (1.0 - fro)
-        room[n, 0, 1], room[n, 1, 1] = p01 * (1.0 - to) + p11 * to, p01 * fro + p11 * (1.0 - fro)
+        scratch[n, 0, 0], scratch[n, 1, 0] = p00 * (1.0 - to) + p10 * to, p00 * fro + p10 * (1.0 - fro)
+        scratch[n, 0, 1], scratch[n, 1, 1] = p01 * (1.0 - to) + p11 * to, p01 * fro + p11 * (1.0 - fro)
     for n in range(count):
         p00 = p01 = p10 = p11 = 0.0
         for k in range(TAPS - reach, TAPS + reach + 1):
             w, m = state.turning[k], n - k + TAPS
             m = m + count if m < 0 else (m - count if m >= count else m)
-            p00 += w * room[m, 0, 0]
-            p01 += w * room[m, 0, 1]
-            p10 += w * room[m, 1, 0]
-            p11 += w * room[m, 1, 1]
+            p00 += w * scratch[m, 0, 0]
+            p01 += w * scratch[m, 0, 1]
+            p10 += w * scratch[m, 1, 0]
+            p11 += w * scratch[m, 1, 1]
         before[n, 0, 0], before[n, 0, 1] = p00, p01
         before[n, 1, 0], before[n, 1, 1] = p10, p11
 
 
 @inner_kernel
-def weigh_evidence(model, state, fresh_a, fresh_b):  # type: ignore[no-untyped-def]
+def log_likelihood(model, state, stale):  # type: ignore[no-untyped-def]
     """Writes the log-likelihood of the frame for every state; a stale view is no evidence."""
-    s = model.scalars
+    k = model.constants
     v, likelihood = state.velocity, state.likelihood
     speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
-    pace = s.motion_weight * min(speed, s.motion_cap) ** 2 / max(speed, 1e-9)
-    if not (fresh_a or fresh_b):
+    pace = k.motion_weight * min(speed, k.motion_cap) ** 2 / max(speed, 1e-9)
+    if stale[0] and stale[1]:
         pace = 0.0
     for n in range(len(state.headings)):
         f = state.headings[n]
@@ -174,8 +175,8 @@ def weigh_evidence(model, state, fresh_a, fresh_b):  # type: ignore[no-untyped-d
         axis_a = axis_b = 0.0
         for view in range(2):
             cosine = _cosine(state, view, n)
-            state.shares[view, n] = mirrored_share(s, cosine)
-            if not (fresh_b if view == 1 else fresh_a):
+            state.shares[view, n] = mirrored_share(k, cosine)
+            if stale[view]:
                 continue
             common += _cue_evidence(model, state, view, f, cosine)
             straight, back = _axis_evidence(model, state, view, f, cosine)
@@ -192,15 +193,15 @@ def weigh_evidence(model, state, fresh_a, fresh_b):  # type: ignore[no-untyped-d
 
 @inner_kernel
 def _in_table(table, cosine):  # type: ignore[no-untyped-def]
-    at = 2.0 * (1.0 - max(-1.0, min(1.0, cosine)))
-    i = min(int(at), _INTERVALS - 1)
-    return table[i] + (at - i) * (table[i + 1] - table[i])
+    node = 2.0 * (1.0 - max(-1.0, min(1.0, cosine)))
+    i = min(int(node), _INTERVALS - 1)
+    return table[i] + (node - i) * (table[i + 1] - table[i])
 
 
 @inner_kernel
 def _cue_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-def]
     """Sum over the view's cues of their log densities, if the person faces f."""
-    total, s = 0.0, model.scalars
+    total, k = 0.0, model.constants
     for row in range(5):
         trust = state.cue_trust[view, row]
         if trust > 0.0:
@@ -208,10 +209,10 @@ def _cue_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-def
             sigma = _in_table(model.cue_sigma[kind], cosine)
             d = state.cues[view, row]
             z = (d[0] * f[0] + d[1] * f[1] + d[2] * f[2] - _in_table(model.cue_mean[kind], cosine)) / sigma
-            most = s.bent_floor if kind == 0 and z > 0.0 else s.cue_floor
+            most = k.bent_floor if kind == 0 and z > 0.0 else k.cue_floor
             total -= trust * (_bounded(0.5 * z * z, most) + _in_table(model.cue_log[kind], cosine))
-    still = max(s.still_weight, min(1.0, state.speed[view] / s.moving_speed))
-    return s.cue_weight * still * total
+    still = max(k.still_weight, min(1.0, state.speed[view] / k.moving_speed))
+    return k.cue_weight * still * total
 
 
 @inner_kernel
@@ -225,9 +226,9 @@ def _axis_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-de
             g = state.axes[view, girdle]
             along = g[0] * f[0] + g[1] * f[1] + g[2] * f[2]
             peak = 0.5 * math.log(kappa)
-            straight += trust * (peak - _bounded(kappa * (1.0 - along), model.scalars.axis_floor))
-            back += trust * (peak - _bounded(kappa * (1.0 + along), model.scalars.axis_floor))
-    return model.scalars.axis_weight * straight, model.scalars.axis_weight * back
+            straight += trust * (peak - _bounded(kappa * (1.0 - along), model.constants.axis_floor))
+            back += trust * (peak - _bounded(kappa * (1.0 + along), model.constants.axis_floor))
+    return model.constants.axis_weight * straight, model.constants.axis_weight * back
 
 
 @inner_kernel

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.intrinsics import Intrinsics
-from fusion.paper.reliability import weigh_views
-from fusion.repetition import repeats
+from fusion.pair_arrays import repeats
+from fusion.paper.reliability import ViewPixels, weigh_views
 from fusion.solvers.published import solve_published
 from fusion.solvers.tree_solver import solve_tree
 from fusion.solvers.tree_start import TreeWorkspace, new_tree_workspace
 from fusion.solvers.tree_steps import copy
 
-TRUST, EQUAL = 0, 1  # which weights
+PAPER, EQUAL = 0, 1  # which weights
 FORGET_NS = 1_000_000_000
 """After this time without a person the previous frame is forgotten."""
 
@@ -134,55 +134,52 @@ def new_result(frames: int, joints: int) -> Result:
 
 
 @kernel
-def fuse_frames(model, memory, result, time_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+def fuse_frames(model, memory, result, pairs):  # type: ignore[no-untyped-def]
     """The method over consecutive pairs, eq. (1) solved exactly.
 
     Args:
         model, memory: Of the fuser; the memory is updated.
         result: Written, T frames.
-        time_ns: (T,) the pairs' times.
-        a, b: (T, J, 3) float32 positions, each in its sensor's frame; NaN where not tracked.
-        states_a, states_b: (T, J) uint8 tracking states; all 0 where the sensor sees no one.
+        pairs: T pairs, :class:`fusion.pair_arrays.PairArrays`.
     """
-    for k in range(len(time_ns)):
-        if prepare(model, memory, result, k, time_ns[k], a[k], states_a[k], b[k], states_b[k]):
+    for k in range(len(pairs.time_ns)):
+        if prepare(model, memory, result, pairs, k):
             positions = result.positions[k]
             result.counts[k, 0], _, _, _ = solve_tree(
                 model.parents, model.order, model.rest, memory.targets, memory.weights, model.bone_lengths,
                 memory.before, memory.tree_work, positions,
             )  # fmt: skip
-            _remember(memory, positions, time_ns[k])
+            _store_frame(memory, positions, pairs.time_ns[k])
 
 
 @kernel
-def fuse_frames_as_published(model, memory, result, time_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+def fuse_frames_as_published(model, memory, result, pairs):  # type: ignore[no-untyped-def]
     """:func:`fuse_frames` with eqs. (3)–(9); a kernel of its own, to compile only the method in use."""
-    for k in range(len(time_ns)):
-        if prepare(model, memory, result, k, time_ns[k], a[k], states_a[k], b[k], states_b[k]):
+    for k in range(len(pairs.time_ns)):
+        if prepare(model, memory, result, pairs, k):
             positions = result.positions[k]
             copy(memory.before, positions)
             result.counts[k, 0], _, _ = solve_published(
                 model.parents, memory.targets, memory.weights, model.bone_lengths, True, positions,
                 memory.paper_work,
             )  # fmt: skip
-            _remember(memory, positions, time_ns[k])
+            _store_frame(memory, positions, pairs.time_ns[k])
 
 
 @inner_kernel
-def prepare(model, memory, result, k, time_ns, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+def prepare(model, memory, result, pairs, k):  # type: ignore[no-untyped-def]
     """Prepares frame k; its solution remains NaN. Returns whether there is a problem to solve."""
     result.counts[k, 0] = 0
-    result.counts[k, 1] = repeats(a, states_a, memory.last_a, memory.last_states_a)
-    result.counts[k, 2] = repeats(b, states_b, memory.last_b, memory.last_states_b)
-    if time_ns - memory.before_ns[0] > FORGET_NS:
+    result.counts[k, 1] = repeats(pairs.a[k], pairs.states_a[k], memory.last_a, memory.last_states_a)
+    result.counts[k, 2] = repeats(pairs.b[k], pairs.states_b[k], memory.last_b, memory.last_states_b)
+    if pairs.time_ns[k] - memory.before_ns[0] > FORGET_NS:
         memory.before_ns[1] = 0
-    carry(model, memory, a, states_a, b, states_b)
-    weights_a, weights_b = result.weights_a[k], result.weights_b[k]
-    trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, result.misleading[k])
-    anyone = blend(memory, a, weights_a, weights_b, result.predicted[k])
+    update_translation(model, memory, pairs, k)
+    set_weights(model, memory, result, pairs, k)
+    anyone = set_targets(memory, result, pairs.a[k], k)
     for c in range(3):
         result.translation[k, c] = memory.translation[c]
-        for i in range(len(a)):
+        for i in range(len(memory.targets)):
             result.positions[k, i, c] = math.nan
     if anyone and memory.before_ns[1] == 0:
         first_guess(model, memory)
@@ -190,15 +187,16 @@ def prepare(model, memory, result, k, time_ns, a, states_a, b, states_b):  # typ
 
 
 @inner_kernel
-def _remember(memory, positions, time_ns):  # type: ignore[no-untyped-def]
+def _store_frame(memory, positions, time_ns):  # type: ignore[no-untyped-def]
     copy(positions, memory.before)
     memory.before_ns[0], memory.before_ns[1] = time_ns, 1
 
 
 @inner_kernel
-def carry(model, memory, a, states_a, b, states_b):  # type: ignore[no-untyped-def]
+def update_translation(model, memory, pairs, k):  # type: ignore[no-untyped-def]
     """t = c_p − R c_q over the torso joints of both views (sec. 4), else unchanged; then q' = R q + t."""
     R, t = model.rotation, memory.translation
+    a, states_a, b, states_b = pairs.a[k], pairs.states_a[k], pairs.b[k], pairs.states_b[k]
     count = 0
     px = py = pz = qx = qy = qz = 0.0
     for i in model.torso:
@@ -229,8 +227,10 @@ def _project(positions, focal, pixels):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
+def set_weights(model, memory, result, pairs, k):  # type: ignore[no-untyped-def]
     """w_A and w_B, eqs. (10), (11), or ½ each; 1 for a view if the other has no position."""
+    states_a, states_b = pairs.states_a[k], pairs.states_b[k]
+    weights_a, weights_b, misleading = result.weights_a[k], result.weights_b[k], result.misleading[k]
     if model.weights == EQUAL:
         for i in range(len(states_a)):
             has_a, has_b = states_a[i] != 0, states_b[i] != 0
@@ -239,17 +239,16 @@ def trust(model, memory, a, states_a, b, states_b, weights_a, weights_b, mislead
             weights_b[i] = share if has_b else 0.0
             misleading[i] = -1
         return
-    _project(a, model.focal_a, memory.pixels_a)
-    _project(b, model.focal_b, memory.pixels_b)
-    weigh_views(
-        memory.pixels_a, memory.pixels_b, states_a, states_b, model.linked, model.h,
-        memory.usable, weights_a, weights_b, misleading,
-    )  # fmt: skip
+    _project(pairs.a[k], model.focal_a, memory.pixels_a)
+    _project(pairs.b[k], model.focal_b, memory.pixels_b)
+    pixels = ViewPixels(memory.pixels_a, memory.pixels_b, states_a, states_b, memory.usable)
+    weigh_views(pixels, model.linked, model.h, weights_a, weights_b, misleading)
 
 
 @inner_kernel
-def blend(memory, a, weights_a, weights_b, predicted):  # type: ignore[no-untyped-def]
+def set_targets(memory, result, a, k):  # type: ignore[no-untyped-def]
     """m_i and w_i of eq. (1): the weighted mean of the views, NaN and 0 for a joint without data."""
+    weights_a, weights_b, predicted = result.weights_a[k], result.weights_b[k], result.predicted[k]
     anyone = False
     for i in range(len(weights_a)):
         w = weights_a[i] + weights_b[i]

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from numba import typeof
-from numpy.typing import NDArray
 
 from fusion.fused_frame import FusedFrame
+from fusion.pair_arrays import PairArrays
 from fusion.paper import method
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
@@ -38,31 +37,23 @@ class PaperFusion:
             setup.calibration.a_from_b.rotation,
             setup.intrinsics,
             setup.settings.h,
-            method.EQUAL if setup.settings.weights == "equal" else method.TRUST,
+            method.EQUAL if setup.settings.weights == "equal" else method.PAPER,
         )
         self._memory.translation[:] = setup.calibration.a_from_b.translation
 
-    def compile(self, positions: NDArray[np.float32], states: NDArray[np.uint8]) -> None:
-        """Compiles everything but the solver."""
-        result = method.new_result(1, len(states))
-        given = self._model, self._memory, result, 0, 0, positions, states, positions, states
+    def compile(self, pairs: PairArrays) -> None:
+        """Compiles everything but the solver, for arrays like these."""
+        result = method.new_result(1, pairs.a.shape[1])
+        given = self._model, self._memory, result, pairs, 0
         method.prepare.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
 
-    def run(
-        self,
-        time_ns: NDArray[np.int64],
-        skew_ns: NDArray[np.int64],
-        codes: NDArray[np.int64],
-        witnesses: tuple[NDArray[np.float32], NDArray[np.float32]],
-        *views: NDArray[Any],
-    ) -> list[FusedFrame]:
+    def run(self, pairs: PairArrays) -> list[FusedFrame]:
         """Fuses the next pairs. The paper uses neither skew, nor exchanged sides, nor images."""
-        del skew_ns, codes, witnesses
-        result = method.new_result(len(time_ns), views[1].shape[1])
+        result = method.new_result(len(pairs.time_ns), pairs.a.shape[1])
         published = self._setup.settings.method == "published"
         fuse = method.fuse_frames_as_published if published else method.fuse_frames
-        fuse(self._model, self._memory, result, time_ns, *views)
-        return [self._fused(result, k, int(time)) for k, time in enumerate(time_ns)]
+        fuse(self._model, self._memory, result, pairs)
+        return [self._fused(result, k, int(time)) for k, time in enumerate(pairs.time_ns)]
 
     def _fused(self, result: method.Result, k: int, time_ns: int) -> FusedFrame:
         iterations, stale_a, stale_b = result.counts[k].tolist()

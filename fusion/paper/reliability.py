@@ -8,14 +8,30 @@ is more reliable.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.setup import PAPER_H
+from fusion.skeleton import TRACKED
 
-_TRACKED = 2  # fusion.skeleton.TrackingState.TRACKED
+
+class ViewPixels(NamedTuple):
+    """Both views of J joints in their sensors' viewing planes.
+
+    Attributes:
+        pixels_a, pixels_b: (J, 2) where the joints fall in each sensor's own image; NaN where they do not.
+        states_a, states_b: (J,) tracking states.
+        usable: (J,) scratch.
+    """
+
+    pixels_a: NDArray[np.float64]
+    pixels_b: NDArray[np.float64]
+    states_a: NDArray[np.uint8]
+    states_b: NDArray[np.uint8]
+    usable: NDArray[np.bool_]
 
 
 @inner_kernel
@@ -32,8 +48,10 @@ def _nearest(i, pixels, usable, linked):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def weigh_views(pixels_a, pixels_b, states_a, states_b, linked, h, usable, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
-    """:func:`reliability_weights` into arrays that are given; ``usable`` is (J,) scratch."""
+def weigh_views(views, linked, h, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
+    """:func:`reliability_weights` into arrays that are given."""
+    pixels_a, pixels_b, usable = views.pixels_a, views.pixels_b, views.usable
+    states_a, states_b = views.states_a, views.states_b
     joints = len(pixels_a)
     for i in range(joints):
         usable[i] = math.isfinite(pixels_a[i, 0] + pixels_a[i, 1] + pixels_b[i, 0] + pixels_b[i, 1])
@@ -54,8 +72,8 @@ def weigh_views(pixels_a, pixels_b, states_a, states_b, linked, h, usable, weigh
             if d_a + d_b > 0.0:
                 basic_a, basic_b = d_a / (d_a + d_b), d_b / (d_a + d_b)
         if states_a[i] != states_b[i]:
-            basic_a *= h if states_a[i] == _TRACKED else 1.0 - h
-            basic_b *= h if states_b[i] == _TRACKED else 1.0 - h
+            basic_a *= h if states_a[i] == TRACKED else 1.0 - h
+            basic_b *= h if states_b[i] == TRACKED else 1.0 - h
         power_a, power_b = basic_a**4, basic_b**4
         weights_a[i], weights_b[i] = power_a / (power_a + power_b), power_b / (power_a + power_b)
 
@@ -90,6 +108,7 @@ def reliability_weights(
     """
     joints = len(pixels_a)
     weights_a, weights_b = np.empty(joints), np.empty(joints)
-    misleading, usable = np.empty(joints, dtype=np.int64), np.empty(joints, dtype=np.bool_)
-    weigh_views(pixels_a, pixels_b, states_a, states_b, linked, h, usable, weights_a, weights_b, misleading)
+    misleading = np.empty(joints, dtype=np.int64)
+    views = ViewPixels(pixels_a, pixels_b, states_a, states_b, np.empty(joints, dtype=np.bool_))
+    weigh_views(views, linked, h, weights_a, weights_b, misleading)
     return weights_a, weights_b, misleading

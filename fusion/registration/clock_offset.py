@@ -4,8 +4,6 @@ If B captures τ later than A, a joint that moves with velocity v is v τ farthe
 p − (R q + t) = −v τ + bias. The bias of a joint is constant for about a second, so residual and velocity are
 taken relative to their means over that second. τ follows by robust regression over many seconds. The points
 used are those that an exchange of left and right does not move.
-
-A little over 300 lines: the regression serves recordings and live streams.
 """
 
 from __future__ import annotations
@@ -18,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.registration.joint_noise import relative_noise
+from fusion.registration.robust_fit import relative_noise
 from fusion.rigid import RigidTransform
-from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from fusion.skeleton import TRACKED, Skeleton, SkeletonPair
 
 Array = NDArray[np.float64]
 
-_TRACKED = int(TrackingState.TRACKED)
 _WINDOW_NS = 1_000_000_000
 _WINDOWS = 120  # stored by the online estimator
 _FEWEST_WINDOWS = 10
@@ -174,8 +171,7 @@ class _Points:
     """Joints of the midline and midpoints of joints with two sides."""
 
     def __init__(self, body: Body) -> None:
-        self.own = np.array([j for j in range(len(body)) if j <= body.mirror[j]])
-        self.other = body.mirror[self.own]
+        self.own, self.other = body.midpoints
         self.noise = relative_noise(body)[self.own]
 
     def of(self, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform) -> tuple[Array, Array]:
@@ -187,7 +183,7 @@ class _Points:
     def _view(self, skeleton: Skeleton | None) -> Array:
         if skeleton is None:
             return np.full((len(self.own), 3), np.nan)
-        positions = np.where((skeleton.states == _TRACKED)[:, None], skeleton.positions, np.nan)
+        positions = np.where((skeleton.states == TRACKED)[:, None], skeleton.positions, np.nan)
         return np.asarray(0.5 * (positions[self.own] + positions[self.other]), dtype=np.float64)
 
 

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.registration.joint_noise import limbs
+from fusion.joint_kinds import limbs
 from fusion.rigid import RigidTransform
-from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from fusion.skeleton import TRACKED, Skeleton, SkeletonPair
 
 Array = NDArray[np.float64]
 
-_TRACKED, _NOT_TRACKED = int(TrackingState.TRACKED), int(TrackingState.NOT_TRACKED)
 _SHORTEST_NS = 200_000_000  # between two keyframes
 _LONGEST_NS = 2_000_000_000  # after this time a pair becomes a keyframe even without motion
 _MOVED = 0.06  # metres, mean over the joints: a pose that is new
@@ -28,6 +27,7 @@ _SECTORS = 8  # of the person's heading
 _BLOCK_NS = 2_000_000_000  # frames of one block share a fold
 _INFERRED_WEIGHT = 0.1
 """Information of an inferred joint relative to a tracked one: its error is about three times as large."""
+_FAR = 0.08  # metres: a joint's disagreement beyond this counts less and less
 
 
 class Evidence(NamedTuple):
@@ -80,8 +80,8 @@ def relabelled(skeleton: Skeleton, code: int) -> tuple[Array, Array]:
         body = skeleton.body
         source = np.where(limbs(body) & code, body.mirror, np.arange(len(body)))
         at, states = at[source], states[source]
-    weight = np.where(states == _TRACKED, 1.0, _INFERRED_WEIGHT)
-    known = states != _NOT_TRACKED
+    weight = np.where(states == TRACKED, 1.0, _INFERRED_WEIGHT)
+    known = states != 0
     return np.where(known[:, None], at, 0.0), np.where(known, weight, 0.0)
 
 
@@ -96,7 +96,6 @@ class KeyframeSet:
 
     def __init__(self, body: Body, capacity: int = 128, *, selective: bool = True) -> None:
         self._body, self._capacity, self._selective = body, capacity, selective
-        self._limbs = limbs(body)
         self._left, self._right = _sides(body)
         count = len(body)
         self._store = Evidence(
@@ -227,9 +226,6 @@ def match_sides(body: Body, evidence: Evidence, a_from_b: RigidTransform) -> NDA
         evidence.weights[rows, joints] = weight[better]
         codes[better] |= bit
     return codes
-
-
-_FAR = 0.08  # metres: a joint's disagreement beyond this counts less and less
 
 
 def _penalty(apart: Array) -> Array:

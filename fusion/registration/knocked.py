@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.rigid import RigidTransform
-from fusion.skeleton import SkeletonPair, TrackingState
+from fusion.skeleton import TRACKED, SkeletonPair
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,6 @@ class _Block(NamedTuple):
     situation: Array  # (4,) place along x and z, cosine and sine of the heading; one unit is "elsewhere"
 
 
-_TRACKED = int(TrackingState.TRACKED)
 _RECENT = 40  # blocks: no suspicion lasts longer
 _PLACE, _HEADING = 0.6, 0.7  # metres; chord of a turn by about 40°
 
@@ -110,8 +109,7 @@ class KnockDetector:
 
     def __init__(self, body: Body, a_from_b: RigidTransform, settings: KnockSettings | None = None) -> None:
         self._settings = settings or KnockSettings()
-        self._own = np.array([j for j in range(len(body)) if j <= body.mirror[j]])
-        self._other = body.mirror[self._own]
+        self._own, self._other = body.midpoints
         self._shoulders = [body.joint("SHOULDER_LEFT"), body.joint("SHOULDER_RIGHT")]
         self._a_from_b = a_from_b
         self._history: deque[_Block] = deque(maxlen=self._settings.history)
@@ -233,7 +231,7 @@ class KnockDetector:
             return None
         a = np.array([skeleton.positions for skeleton, _ in both], dtype=np.float64)  # (T, J, 3)
         b = np.array([skeleton.positions for _, skeleton in both], dtype=np.float64)
-        tracked = np.array([(p.states == _TRACKED) & (q.states == _TRACKED) for p, q in both])
+        tracked = np.array([(p.states == TRACKED) & (q.states == TRACKED) for p, q in both])
         usable = tracked[:, self._own] & tracked[:, self._other]
         mid_a = 0.5 * (a[:, self._own] + a[:, self._other])
         mid_b = 0.5 * (b[:, self._own] + b[:, self._other])

@@ -140,8 +140,8 @@ class Refinement:
             gain = 0.0
             for fold in (0, 1):
                 yield
-                gain = _with_fold(
-                    gain, fold, self._body, evidence, self._in_force, candidate, settings.fit, self.prior
+                gain += _fold_gain(
+                    fold, self._body, evidence, self._in_force, candidate, settings.fit, self.prior
                 )
             if gain < settings.gain:
                 return None
@@ -183,14 +183,11 @@ def held_out_gain(
     Two folds of alternate blocks of two seconds. Each fold's fit starts at the candidate and sees the other
     fold only. −inf where a fold has too few keyframes.
     """
-    gain = 0.0
-    for fold in (0, 1):
-        gain = _with_fold(gain, fold, body, evidence, in_force, candidate, settings, prior)
-    return gain
+    folds = (_fold_gain(k, body, evidence, in_force, candidate, settings, prior) for k in (0, 1))
+    return sum(folds, 0.0)
 
 
-def _with_fold(
-    gain: float,
+def _fold_gain(
     fold: int,
     body: Body,
     evidence: Evidence,
@@ -199,7 +196,7 @@ def _with_fold(
     settings: RobustFitSettings,
     prior: Prior | None,
 ) -> float:
-    """Adds one fold's part of :func:`held_out_gain` to the other's."""
+    """One fold's part of :func:`held_out_gain`."""
     learned, held_out = evidence.chosen(evidence.folds != fold), evidence.chosen(evidence.folds == fold)
     if len(learned.a) < 6 or len(held_out.a) < 6:
         return -np.inf
@@ -207,5 +204,5 @@ def _with_fold(
         body, learned, candidate.a_from_b, settings,
         iterations=2, noise_sd=candidate.noise_sd, biases=candidate.biases, prior=prior,
     )  # fmt: skip
-    gain += disagreement(body, held_out, in_force, settings, candidate.noise_sd)
-    return gain - disagreement(body, held_out, fit.a_from_b, settings, candidate.noise_sd)
+    before = disagreement(body, held_out, in_force, settings, candidate.noise_sd)
+    return before - disagreement(body, held_out, fit.a_from_b, settings, candidate.noise_sd)

@@ -17,19 +17,23 @@ from fusion.skeleton import SkeletonPair
 
 LARGEST_RESIDUAL = 0.300
 """Metres: a fit whose median residual is larger cannot be right."""
+Array = NDArray[np.float64]
 _FEWEST_JOINTS = 5
+_STEPS = 12  # of a robust fit
+_TUNING = 1.4826  # times the median distance: a larger residual counts less than a quarter
 _THINNEST = 0.02  # second to first singular value of the joints' spread: below, they lie on a line
 
 
-def fit_rigid(points_a: NDArray[np.float64], points_b: NDArray[np.float64]) -> RigidTransform:
-    """The rigid transform that minimises eq. (12), J_R = Σ ‖R(q_i − c_q) + t − (p_i − c_p)‖².
+def fit_rigid(points_a: Array, points_b: Array, weights: Array | None = None) -> RigidTransform:
+    """The rigid transform that minimises eq. (12), J_R = Σ w_i ‖R(q_i − c_q) + t − (p_i − c_p)‖².
 
-    R is the rotation nearest to the points' covariance (SVD, reflections excluded), normalised as a unit
-    quaternion as in the paper. t then follows from the centres, c_p = R c_q + t.
+    R aligns the points about their centres (scipy's ``Rotation.align_vectors``). t then follows from the
+    centres, c_p = R c_q + t.
 
     Args:
         points_a: (N, 3) p, metres, in K_A's frame.
         points_b: (N, 3) q, the same points in K_B's frame.
+        weights: (N,) w; all 1 as in the paper where None.
 
     Returns:
         ``a_from_b``.
@@ -39,16 +43,37 @@ def fit_rigid(points_a: NDArray[np.float64], points_b: NDArray[np.float64]) -> R
     """
     if len(points_a) < 3:
         raise CalibrationError(f"A rigid fit needs at least 3 points; there are {len(points_a)}.")
-    centre_a, centre_b = points_a.mean(axis=0), points_b.mean(axis=0)
+    centre_a, centre_b = (np.average(points, axis=0, weights=weights) for points in (points_a, points_b))
     spread_b = np.linalg.svd(points_b - centre_b, compute_uv=False)
     if spread_b[1] < _THINNEST * spread_b[0] or spread_b[0] == 0.0:
         raise CalibrationError(
             "The joints seen by both sensors lie on one line, which leaves a rotation open."
         )
-    U, _, Vt = np.linalg.svd((points_a - centre_a).T @ (points_b - centre_b))
-    U[:, 2] *= np.sign(np.linalg.det(U @ Vt))
-    R = Rotation.from_matrix(U @ Vt).as_matrix()
+    rotation, _ = Rotation.align_vectors(points_a - centre_a, points_b - centre_b, weights)
+    R = rotation.as_matrix()
     return RigidTransform.of(R, centre_a - R @ centre_b)
+
+
+def fit_recording(p: Array, q: Array) -> RigidTransform:
+    """The robust rigid fit ``a_from_b`` of one view's joints to the other's over a whole recording.
+
+    Iteratively re-weighted least squares (Geman–McClure weights 1 / (1 + (r / s)²)² with s from the median
+    residual) over all joints of all frames with equal weight. For figures and baselines.
+
+    Args:
+        p, q: (…, 3) the same joints in K_A's and in K_B's frame, metres; NaN where unknown.
+
+    Raises:
+        CalibrationError: See :func:`fit_rigid`.
+    """
+    both = np.isfinite(p).all(axis=-1) & np.isfinite(q).all(axis=-1)
+    target, source = p[both], q[both]
+    fit = fit_rigid(target, source)
+    for _ in range(_STEPS - 1):
+        residuals = np.linalg.norm(target - fit.apply(source), axis=1)
+        scale = max(_TUNING * float(np.median(residuals)), 1e-9)
+        fit = fit_rigid(target, source, 1.0 / (1.0 + (residuals / scale) ** 2) ** 2)
+    return fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +174,7 @@ def label_free_fit(body: Body, evidence: Evidence) -> RigidTransform | None:
     These points are the same whether or not a view is mirrored. They determine R only if the person walks
     about.
     """
-    own = np.array([j for j in range(len(body)) if j <= body.mirror[j]])
-    other = body.mirror[own]
+    own, other = body.midpoints
     usable = np.minimum(evidence.weights[:, own], evidence.weights[:, other]) > 0.5
     p = (0.5 * (evidence.a[:, own] + evidence.a[:, other]))[usable]
     q = (0.5 * (evidence.b[:, own] + evidence.b[:, other]))[usable]

@@ -128,8 +128,10 @@ def aim_at(parents, order, work):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def bend(x, y, z, length, reach, sx, sy, sz):  # type: ignore[no-untyped-def]
-    """The direction of a bone whose far end lies ``reach`` from the point (x, y, z), to the side of s."""
+def bend(point, length, reach, side):  # type: ignore[no-untyped-def]
+    """The direction of a bone whose far end lies ``reach`` from a point, to one side; x, y, z each."""
+    x, y, z = point
+    sx, sy, sz = side
     distance = math.sqrt(x * x + y * y + z * z)
     along = (length * length + distance * distance - reach * reach) / (2.0 * length * distance)
     along = min(max(along, -1.0), 1.0)
@@ -184,7 +186,7 @@ def place(parents, order, rest, start, way, work, at):  # type: ignore[no-untype
                 if way != FROM_TARGETS and reaches[i] > 0.0:
                     side = 1.0 if way == BENT else -1.0
                     reach = math.sqrt(reaches[i])
-                    ax, ay, az = bend(ax, ay, az, length, reach, side * x, side * y, side * z)
+                    ax, ay, az = bend((ax, ay, az), length, reach, (side * x, side * y, side * z))
                     distance = math.sqrt(ax * ax + ay * ay + az * az)
                 x, y, z, norm = ax, ay, az, distance
         scale = length / norm

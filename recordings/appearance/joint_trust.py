@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from fusion.body import Body
+from fusion.joint_kinds import ARM, LEG, kind_of, limbs
 from recordings.appearance.colors import PREDICTED_COLOR, SKELETON_COLORS, Color
 from recordings.session_arrays import SessionArrays
 
@@ -15,11 +16,6 @@ SOURCES = ("from A", "from B", "from both", "predicted")
 SOURCE_COLORS: tuple[Color, ...] = (*(SKELETON_COLORS[key] for key in ("a", "b", "fused")), PREDICTED_COLOR)
 """By the indices of :data:`SOURCES`."""
 _SHADES = 16  # finer shades are not visible; few colours compress well
-_HEAD, _ARM, _LEG = (
-    ("neck", "head", "nose", "eye", "ear"),
-    ("clavicle", "shoulder", "elbow", "wrist", "hand", "thumb"),
-    ("hip", "knee", "ankle", "heel", "foot"),
-)
 _MOSTLY = 0.7  # share of a view from which on a limb counts as following it
 _KEPT = 0.9  # share of the mean that is kept from frame to frame: a third of a second
 
@@ -49,8 +45,8 @@ class LimbSources:
     """
 
     def __init__(self, body: Body) -> None:
-        limbs = [_limb(name) for name in body.joints]
-        self._members = np.array([[limb == name for limb in limbs] for name in LIMBS], dtype=np.float64)
+        members = [[limb == name for limb in _limbs_of(body)] for name in LIMBS]
+        self._members = np.array(members, dtype=np.float64)
         self._state: NDArray[np.float64] | None = None
 
     def add(self, rows: SessionArrays) -> NDArray[np.int64]:
@@ -67,12 +63,11 @@ class LimbSources:
         return np.where(predicted > 0.5 * self._members.sum(axis=1), 3, source)
 
 
-def _limb(joint: str) -> str:
-    """The limb of :data:`LIMBS` to which a joint belongs."""
-    name = joint.lower()
-    side = "left" if "left" in name else "right"
-    if any(part in name for part in _ARM) and side in name:
-        return f"{side} arm"
-    if any(part in name for part in _LEG) and side in name:
-        return f"{side} leg"
-    return "head" if any(part in name for part in _HEAD) else "trunk"
+def _limbs_of(body: Body) -> list[str]:
+    """The limb of :data:`LIMBS` to which each joint belongs."""
+    names = []
+    for joint, limb in zip(body.joints, limbs(body).tolist(), strict=True):
+        side = "left" if "left" in joint.lower() else "right"
+        head = kind_of(joint) in ("head", "face") or "neck" in joint.lower()
+        names.append("head" if head else {ARM: f"{side} arm", LEG: f"{side} leg"}.get(limb, "trunk"))
+    return names

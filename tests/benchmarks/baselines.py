@@ -2,7 +2,7 @@
 
 Each takes both views of T frames in K_A's frame and gives (T, J, 3). None uses bone lengths. A joint
 without a position keeps its last one, as in an application. How S_B is registered is the
-caller's choice; see :mod:`fusion.evaluation.fixed_registration`.
+caller's choice; see :mod:`fusion.registration.rigid_fit`.
 """
 
 from __future__ import annotations

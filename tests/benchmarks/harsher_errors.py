@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from devices.simulated.tracking.mirroring import Mirroring
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import Body
+from fusion.joint_kinds import kind_of
 
 SIZES = frozenset(
     {"view_bias", "skin", "inferred_error", "outlier_size", "rescale", "jitter", "moving_jitter"}
@@ -97,7 +98,7 @@ def limbs(body: Body) -> NDArray[np.int64]:
     """Returns (J,) the limb of each joint: 0 trunk, 1 head, 2 and 3 arms, 4 and 5 legs, left before right."""
     found = []
     for name in body.joints:
-        kind, right = JointGroups.group(name), "right" in name.lower()
+        kind, right = kind_of(name), "right" in name.lower()
         limb = 2 if kind in _ARM else 4 if kind in _LEG else 1 if kind in ("head", "face") else 0
         found.append(limb + (right and limb >= 2))
     return np.array(found, dtype=np.int64)

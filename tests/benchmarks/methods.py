@@ -18,10 +18,10 @@ from devices.pairing import FramePair
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.estimator.constants import Constants
-from fusion.evaluation.fixed_registration import fit_recording
 from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
+from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from devices.files import RecordingChoice, read_two
 from devices.pairing import FramePair
 from fusion.body import Body
-from fusion.evaluation.without_truth import FusedPair, figures_without_truth, judge_registration
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
+from fusion.without_truth import FusedPair, figures_without_truth, judge_registration
 from recordings.fusing.pairs import fuse_segments, setups_of
 from tests.benchmarks import results
 from tests.benchmarks.faults import FAULTS, Fault, share_of_fault, with_fault

@@ -4,6 +4,7 @@ from scipy.stats import chi
 
 from fusion.body import KINECT_V1
 from tests.benchmarks import baselines
+from tests.benchmarks.baselines import oracle
 from tests.benchmarks.scores import accuracy
 from tests.helpers.two_views import FRAME_NS, moving
 
@@ -153,3 +154,14 @@ def test_coverage_is_the_share_within_what_a_method_states(truth: np.ndarray) ->
     assert of.within_1sd == pytest.approx(chi(3).cdf(np.sqrt(3.0)), abs=0.015)
     assert of.within_2sd == pytest.approx(chi(3).cdf(2.0 * np.sqrt(3.0)), abs=0.008)
     assert np.isnan(measure(found, truth).within_1sd)
+
+
+def test_the_oracle_takes_the_nearer_view_of_each_joint() -> None:
+    truth = np.zeros((4, 3, 3))
+    a, b = truth + 0.02, truth + 0.01
+    a[:, 0] = 0.0
+    b[2, 1] = np.nan  # holds its last position
+    a[3, 2] = np.nan
+    found = oracle(a, b, truth)
+    np.testing.assert_array_equal(found[:, 0], 0.0)
+    np.testing.assert_array_equal(found[:, 1:], 0.01)

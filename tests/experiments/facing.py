@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from fusion.facing.constants import FacingConstants
-from fusion.facing.model import TRUNK, WHOLE, new_facing_model
+from fusion.facing.model import TRUNK, WHOLE, FacingConstants, new_facing_model
 from tests.helpers.labelled_views import Floats, Views, flips, heading, real_views, simulated_views, swapped
 
 NODES = (1.0, 0.5, 0.0, -0.5, -1.0)
@@ -99,8 +97,8 @@ def cost(pairs: list[Views], constants: FacingConstants) -> float:
             total += (against(views, fused) + 0.7 * flips(heading(views.body, fused))) / len(pairs)
     for motion, body in SIMULATED:
         views = simulated_views(motion, body)
-        own = constants if body == "kinect_v2" else replace(
-            constants, mirrored_back=FacingConstants.of(views.body).mirrored_back)  # fmt: skip
+        own = constants if body == "kinect_v2" else constants._replace(
+            mirrored_back=FacingConstants.of(views.body).mirrored_back)  # fmt: skip
         model = new_facing_model(views.body, own)
         for smooth in (False, True):
             fused = views.fused(views.relabel(smooth=smooth, model=model))
@@ -119,9 +117,9 @@ def search(pairs: list[Views], constants: FacingConstants, seconds: float) -> No
             name: float(np.clip(getattr(constants, name) * np.exp(random.normal(0.0, 0.4)), *SEARCHED[name]))
             for name in names
         }
-        found = cost(pairs, replace(constants, **changed))
+        found = cost(pairs, constants._replace(**changed))
         if found < best:
-            best, constants = found, replace(constants, **changed)
+            best, constants = found, constants._replace(**changed)
             print(f"{best:.2f} with {changed}", flush=True)
 
 

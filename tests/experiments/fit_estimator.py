@@ -21,7 +21,7 @@ from devices.simulated.kinect import PERSON, simulated_pair
 from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.calibration.calibration import calibrate
-from fusion.estimator.constants import KINDS, kind_of
+from fusion.joint_kinds import KINDS, kind_of
 from fusion.skeleton import Skeleton, TrackingState
 
 Array = NDArray[np.float64]

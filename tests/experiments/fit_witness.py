@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from devices.depth.witness import with_witness
 from devices.simulated.kinect import PERSON, SimulatedKinect, simulated_pair
 from fusion.body import BODIES, Body
+from fusion.joint_kinds import kind_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TrackingState
 from fusion.witness import (
@@ -24,7 +25,7 @@ from fusion.witness import (
     KNOTS,
     LARGEST,
     SURFACE_SD,
-    kind_of,
+    new_joint_evidence,
     new_witness_model,
     weigh_witness,
 )
@@ -102,17 +103,15 @@ def collect(view: View, flesh: dict[str, float], sums: Sums) -> None:
     for kind, group in _GROUPS.items():
         for row, of_it in enumerate((error < GOOD, error > BAD)):
             sums.counts[group][row] += hats(clearance[tracked & of_it & (kinds == kind)])
-    places, information = np.empty((joints, 3)), np.empty((joints, 3, 3))
+    result = new_joint_evidence(joints)
     everywhere = model._replace(information=np.ones((joints, 3)))
     for at, states, witness, truth in zip(view.positions, view.states, view.witness, view.truth, strict=True):
-        weigh_witness(
-            everywhere, np.eye(3), np.zeros(3), at, states, witness, np.empty(joints), places, information
-        )
+        weigh_witness(everywhere, np.eye(3), np.zeros(3), at, states, witness, result)
         ray = at / np.linalg.norm(at, axis=1, keepdims=True)
         bone = at - at[model.neighbours]
         bone -= (bone * ray).sum(axis=1, keepdims=True) * ray
         bone /= np.maximum(np.linalg.norm(bone, axis=1, keepdims=True), 1e-9)
-        off = truth - places
+        off = truth - result.places
         axes = np.stack([np.cross(ray, bone), bone, ray], axis=1)  # (J, 3 axes, 3)
         components = np.einsum("jki,ji->jk", axes, off)
         known = np.isfinite(components).all(axis=1) & (np.linalg.norm(at - truth, axis=1) < BAD)

@@ -7,8 +7,8 @@ import pytest
 
 from fusion.body import BODIES, KINECT_V2, Body
 from fusion.errors import FusionError
-from fusion.evaluation.without_truth import FusedPair, facing, figures_without_truth, judge_registration
 from fusion.rigid import RigidTransform
+from fusion.without_truth import FusedPair, facing, figures_without_truth, judge_registration
 from tests.benchmarks.faults import FAULTS, share_of_fault, with_fault
 from tests.helpers.two_views import A_FROM_B, standing
 

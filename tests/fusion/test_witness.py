@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fusion.body import BODIES, KINECT_V2, Body
+from fusion.joint_kinds import kind_of
 from fusion.skeleton import Skeleton, TrackingState
 from fusion.witness import (
     EVIDENCE,
@@ -15,9 +16,8 @@ from fusion.witness import (
     LARGEST,
     SURFACE_SD,
     evidence,
-    kind_of,
+    new_joint_evidence,
     new_witness_model,
-    surface_measurement,
     weigh_witness,
 )
 from tests.helpers.two_views import standing
@@ -55,7 +55,7 @@ def test_evidence_follows_the_table(skeleton: Skeleton) -> None:
         (witness_of(gap=np.nan), 0.0),
     ]
     for witness, expected in cases:
-        assert evidence(witness, skeleton)[WRIST] == pytest.approx(expected, abs=1e-5)
+        assert evidence(witness, skeleton).evidence[WRIST] == pytest.approx(expected, abs=1e-5)
 
 
 def test_only_tracked_joints_are_judged(skeleton: Skeleton) -> None:
@@ -63,9 +63,9 @@ def test_only_tracked_joints_are_judged(skeleton: Skeleton) -> None:
     states[WRIST] = TrackingState.INFERRED
     inferred = Skeleton.of(BODY, skeleton.positions, states)
     witness = witness_of(gap=1.0, edge=-0.1)
-    assert evidence(witness, skeleton)[WRIST] < -1.0
-    assert evidence(witness, inferred)[WRIST] == 0.0
-    places, information = surface_measurement(witness_of(), inferred)
+    assert evidence(witness, skeleton).evidence[WRIST] < -1.0
+    assert evidence(witness, inferred).evidence[WRIST] == 0.0
+    _, places, information = evidence(witness_of(), inferred)
     assert np.isnan(places[WRIST]).all()
     assert not information[WRIST].any()
 
@@ -91,7 +91,7 @@ def test_every_joint_has_a_kind_and_a_neighbour(body: Body) -> None:
 
 def test_the_surface_places_a_joint_below_the_middle_of_its_silhouette(skeleton: Skeleton) -> None:
     witness = witness_of(gap=-0.01, offset_x=0.02, offset_y=-0.01)
-    places, information = surface_measurement(witness, skeleton)
+    _, places, information = evidence(witness, skeleton)
     at = skeleton.positions.astype(np.float64)
     ray = at[WRIST] / np.linalg.norm(at[WRIST])
     offset = np.array([0.02, -0.01, 0.0])
@@ -114,7 +114,7 @@ def test_the_surface_places_a_joint_below_the_middle_of_its_silhouette(skeleton:
 def test_a_surface_that_is_not_the_joints_measures_nothing(
     skeleton: Skeleton, wrist: dict[str, float]
 ) -> None:
-    places, information = surface_measurement(witness_of(**wrist), skeleton)
+    _, places, information = evidence(witness_of(**wrist), skeleton)
     assert np.isnan(places[WRIST]).all()
     assert not information[WRIST].any()
     assert np.isfinite(places[ELBOW]).all()
@@ -122,11 +122,10 @@ def test_a_surface_that_is_not_the_joints_measures_nothing(
 
 def test_a_rotated_frame_rotates_places_and_information(skeleton: Skeleton) -> None:
     witness = witness_of(gap=-0.04, offset_x=0.015)
-    places, information = surface_measurement(witness, skeleton)
+    _, places, information = evidence(witness, skeleton)
     R, t = Rotation.from_rotvec([0.3, -1.2, 0.4]).as_matrix(), np.array([1.0, -0.2, 2.0])
-    joints = len(BODY)
-    found = np.empty(joints), np.empty((joints, 3)), np.empty((joints, 3, 3))
-    weigh_witness(new_witness_model(BODY), R, t, skeleton.positions, skeleton.states, witness, *found)
-    np.testing.assert_allclose(found[1], places @ R.T + t, atol=1e-12)
-    np.testing.assert_allclose(found[2], R @ information @ R.T, rtol=1e-9, atol=1e-6)
-    np.testing.assert_array_equal(found[0], evidence(witness, skeleton))
+    found = new_joint_evidence(len(BODY))
+    weigh_witness(new_witness_model(BODY), R, t, skeleton.positions, skeleton.states, witness, found)
+    np.testing.assert_allclose(found.places, places @ R.T + t, atol=1e-12)
+    np.testing.assert_allclose(found.information, R @ information @ R.T, rtol=1e-9, atol=1e-6)
+    np.testing.assert_array_equal(found.evidence, evidence(witness, skeleton).evidence)

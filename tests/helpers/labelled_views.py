@@ -19,8 +19,8 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import BODIES, Body
 from fusion.facing.exchange import exchange
-from fusion.facing.model import new_facing_model
-from fusion.facing.sequence import Labels, relabel_sequence
+from fusion.facing.model import ReportedPair, new_facing_model
+from fusion.facing.sequence import Labels, relabel_sequence, reported_pairs
 from fusion.registration.keyframes import Evidence
 from fusion.registration.rigid_fit import label_free_fit
 
@@ -41,9 +41,19 @@ class Views:
     truth: Floats
 
     def relabel(self, **options: object) -> Labels:
-        return relabel_sequence(
-            self.body, self.a, self.states_a, self.b_in_a, self.states_b, self.time_ns, self.sensor_b,
-            **options,  # type: ignore[arg-type]
+        pairs = self.reported(options.pop("up", None))
+        return relabel_sequence(self.body, pairs, self.time_ns, **options)  # type: ignore[arg-type]
+
+    def reported(self, up: object = None) -> ReportedPair:
+        """What the facing filter takes."""
+        views, states = (self.a, self.b_in_a), (self.states_a, self.states_b)
+        return reported_pairs(self.body, views, states, self.sensor_b, up)  # type: ignore[arg-type]
+
+    def reported_at(self, k: int, up: Floats, stale: tuple[bool, bool] = (False, False)) -> ReportedPair:
+        """Pair k."""
+        return ReportedPair(
+            np.stack((self.a[k], self.b_in_a[k])), np.stack((self.states_a[k], self.states_b[k])),
+            np.array(stale), self.sensor_b.copy(), up,
         )  # fmt: skip
 
     def relabelled(self, labels: Labels) -> tuple[Floats, Floats]:

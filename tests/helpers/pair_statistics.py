@@ -13,9 +13,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.simulated.tracking.tracker_errors import JointGroups
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
+from fusion.joint_kinds import kind_of
 from fusion.registration.rigid_fit import fit_rigid
 from fusion.skeleton import Skeleton, TrackingState
 
@@ -117,7 +117,7 @@ def _views_apart(a: Array, b: Array, body: Body) -> tuple[Array, Array]:
 
 
 def _kinds(body: Body, *groups: str) -> list[int]:
-    return [j for j, name in enumerate(body.joints) if JointGroups.group(name) in groups]
+    return [j for j, name in enumerate(body.joints) if kind_of(name) in groups]
 
 
 def _jitter(views: list[Array], body: Body) -> dict[str, float]:
@@ -130,7 +130,7 @@ def _jitter(views: list[Array], body: Body) -> dict[str, float]:
         seconds = len(apart) // _WINDOW
         found.append(np.sqrt(apart[: seconds * _WINDOW].reshape(seconds, _WINDOW, -1).mean(axis=1)))
     per_second = np.concatenate(found)
-    groups = dict.fromkeys(JointGroups.group(name) for name in body.joints)
+    groups = dict.fromkeys(kind_of(name) for name in body.joints)
     return {group: _median(per_second[:, _kinds(body, group)]) for group in groups}
 
 

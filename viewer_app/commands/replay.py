@@ -107,9 +107,11 @@ def _plan(session: Session, settings: FuserSettings) -> tuple[Segments, NDArray[
         plan = plan_recording(session.body, skeletons, settings, session.calibration)
         return setups_of(plan, settings, (session.intrinsics_a, session.intrinsics_b)), plan.codes
     codes = None
-    if settings.hindsight != "none" and session.rows.exchanged is not None:
-        doubt = session.rows.side_doubt
-        codes = with_doubt(session.rows.exchanged, 0.0 if doubt is None else doubt / DOUBT_STEPS)
+    if session.rows.exchanged is not None:
+        steps = session.rows.side_doubt
+        doubt = 0.0 if steps is None else steps / DOUBT_STEPS
+        # where the sides were found pair by pair, the doubt about them is found again, to the bit
+        codes = with_doubt(session.rows.exchanged, None if settings.hindsight == "none" else doubt)
     return list(session.setups(settings)), codes
 
 

@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from devices.pairing import Pairing
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
-from fusion.evaluation.fixed_registration import fit_recording
-from fusion.evaluation.without_truth import (
+from fusion.registration.rigid_fit import fit_recording
+from fusion.rigid import RigidTransform
+from fusion.setup import FuserSettings
+from fusion.solvers.solver import MAX_ITERATIONS
+from fusion.without_truth import (
     FiguresWithoutTruth,
     FusedPair,
     figures_without_truth,
     judge_registration,
 )
-from fusion.rigid import RigidTransform
-from fusion.setup import FuserSettings
-from fusion.solvers.solver import MAX_ITERATIONS
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
 from viewer_app.output_files import write_text

@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.simulated.tracking.tracker_errors import JointGroups
 from fusion.body import Body
+from fusion.joint_kinds import kind_of
 
 _ARM = ("elbow", "wrist", "hand", "tip", "thumb")
 
@@ -72,4 +72,4 @@ class ScriptedFaults:
     @cached_property
     def _joints(self) -> NDArray[np.bool_]:
         names = self.body.joints
-        return np.array(["left" in name.lower() and JointGroups.group(name) in _ARM for name in names])
+        return np.array(["left" in name.lower() and kind_of(name) in _ARM for name in names])

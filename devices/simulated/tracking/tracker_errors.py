@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
 from devices.simulated.person.anatomy import Array
 from devices.simulated.tracking.mirroring import Mirroring
 from fusion.body import AZURE_KINECT, BLAZEPOSE, Body
+from fusion.joint_kinds import by_joint
 
 
 @dataclass(frozen=True)
@@ -30,26 +31,9 @@ class JointGroups:
     foot: float = 0.0
     face: float = 0.0
 
-    @staticmethod
-    def group(joint: str) -> str:
-        """Returns the kind of a joint, from its name in the spelling of any body."""
-        name = joint.replace("_", "").lower()
-        for key, group in _GROUP_OF.items():
-            if key in name:
-                return group
-        return "spine"
-
     def of(self, body: Body) -> Array:
         """Returns (J,) the value of each joint."""
-        return np.array([getattr(self, self.group(joint)) for joint in body.joints])
-
-
-_GROUP_OF = {
-    "handtip": "tip", "thumb": "thumb", "hand": "hand", "wrist": "wrist", "elbow": "elbow",
-    "spineshoulder": "spine", "shouldercenter": "spine", "hipcenter": "spine", "shoulder": "girdle",
-    "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle", "foot": "foot", "heel": "foot",
-    "head": "head", "nose": "face", "eye": "face", "ear": "face",
-}  # fmt: skip
+        return by_joint(body, asdict(self))
 
 
 AddedErrors = Callable[[Body, float, np.random.Generator], Iterator[Array]]

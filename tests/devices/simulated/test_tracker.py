@@ -16,6 +16,7 @@ from devices.simulated.tracking.tracker import Tracker
 from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
 from fusion.body import AZURE_KINECT, BLAZEPOSE, BODIES, KINECT_V2, Body
 from fusion.intrinsics import NOMINAL_INTRINSICS
+from fusion.joint_kinds import kind_of
 from fusion.skeleton import Skeleton, TrackingState
 from tests.helpers.pair_statistics import run_lengths
 
@@ -264,7 +265,7 @@ def test_a_small_stretch_keeps_bones_near_their_length_where_joints_err() -> Non
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES.keys())
 def test_every_joint_of_every_body_has_a_kind(body: Body) -> None:
-    kinds = {name: JointGroups.group(name) for name in body.joints}
+    kinds = {name: kind_of(name) for name in body.joints}
     for name, kind in kinds.items():
         plain = name.replace("_", "").lower()
         if kind == "spine":

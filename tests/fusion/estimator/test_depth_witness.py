@@ -14,14 +14,15 @@ from fusion.body import KINECT_V2
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.estimator import outliers
-from fusion.estimator.arrays import Model, Views, new_model, new_state, new_views
-from fusion.estimator.evidence import ask_images, measure_surface
+from fusion.estimator.arrays import Model, Views, new_model, new_solve, new_state, new_views
+from fusion.estimator.evidence import depth_evidence, measure_surface
 from fusion.facing.model import ARMS, WHOLE, new_facing_model
 from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
+from fusion.pair_arrays import PairStacker
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
-from fusion.witness import evidence, new_witness_model, surface_measurement
+from fusion.witness import evidence, new_witness_model
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing
 
@@ -68,8 +69,8 @@ def same_bits(one: list[FusedFrame], other: list[FusedFrame]) -> bool:
 
 
 def asked(code: int, witness: NDArray[np.float32]) -> tuple[Model, Views, Skeleton]:
-    """Both views of one standing person with A's witness, after :func:`ask_images`."""
-    model = new_model(BODY, BODY.nominal_lengths, A_FROM_B.rotation, A_FROM_B.translation)
+    """Both views of one standing person with A's witness, after :func:`depth_evidence`."""
+    model = new_model(BODY, BODY.nominal_lengths, A_FROM_B)
     pair = pair_of(BODY, standing(BODY), 0)
     assert pair.a is not None
     assert pair.b is not None
@@ -78,11 +79,8 @@ def asked(code: int, witness: NDArray[np.float32]) -> tuple[Model, Views, Skelet
     views.reported[1] = views.positions[1] = A_FROM_B.apply(pair.b.positions.astype(np.float64))
     views.states[:] = TrackingState.TRACKED
     views.codes[0] = code
-    nothing = np.full((J, 4), np.nan, dtype=np.float32)
-    interpreted(ask_images)(
-        model, new_facing_model(BODY), views, pair.a.positions, pair.a.states, witness,
-        pair.b.positions, pair.b.states, nothing,
-    )  # fmt: skip
+    pairs = PairStacker(BODY).of_pair(witnessed(pair, witness, None))
+    interpreted(depth_evidence)(model, new_facing_model(BODY), views, pairs, 0)
     return model, views, pair.a
 
 
@@ -114,7 +112,7 @@ def test_the_evidence_of_an_image_follows_its_joint(code: int) -> None:
     witness = confirming()
     witness[LEFT] = 0.5, -0.1, 0.0, 0.0  # seen past
     _, views, skeleton = asked(code, witness)
-    told, (places, information) = evidence(witness, skeleton), surface_measurement(witness, skeleton)
+    told, places, information = evidence(witness, skeleton)
     named = RIGHT if code else LEFT
     assert told[LEFT] < -2.0 < 0.0 < told[RIGHT]
     assert views.evidence[0, named] == told[LEFT]
@@ -150,7 +148,7 @@ def test_the_surface_is_joined_with_the_tracker_by_information() -> None:
         views.slow[0, i] = root @ root.T + 1e-5 * np.eye(3)
     views.fast[:] = 1e-5
     z, C = views.positions[0].copy(), views.slow[0].copy()
-    interpreted(measure_surface)(model, views, np.zeros((3, 3)))
+    interpreted(measure_surface)(model, views, new_solve(J))
     measured = 0
     for i in range(J):
         if np.isnan(views.places[0, i, 0]):

@@ -259,7 +259,7 @@ def test_the_reported_deviation_holds_the_truth() -> None:
     body, inside = BODY, []
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        model = fuser()._fusion._model  # type: ignore[union-attr]
+        model = fuser()._fusion._filter.model  # type: ignore[union-attr]
         k = model.constants
         truth = moving(body, 100, seed)
         bias = rng.normal(size=(2, len(body), 3)) * k.slow_scale * model.slow[:, None]

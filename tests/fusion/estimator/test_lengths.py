@@ -15,7 +15,7 @@ from fusion.estimator.arrays import Model, Views, new_model, new_state, new_view
 from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.estimator.estimator import elapsed
-from fusion.estimator.evidence import weigh_lengths
+from fusion.estimator.evidence import length_evidence
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 def two_views(random: np.random.Generator) -> tuple[Model, Views]:
     """A standing person in both views, with errors of centimetres and of decimetres."""
     lengths = np.linalg.norm(standing(BODY) - standing(BODY)[BODY.parent_indices], axis=1)
-    model = new_model(BODY, lengths, A_FROM_B.rotation, A_FROM_B.translation)
+    model = new_model(BODY, lengths, A_FROM_B)
     seen = new_views(J)
     seen.positions[:] = standing(BODY) + random.normal(0.0, 0.01, (2, J, 3))
     far = random.random((2, J)) < 0.2
@@ -49,7 +49,7 @@ def test_the_worst_tracked_bone_at_a_joint_counts_against_it() -> None:
     state.velocities[:] = random.normal(0.0, 1.0, (J, 3))
     image = random.normal(0.0, 1.0, (2, J))
     seen.evidence[:] = image
-    interpreted(weigh_lengths)(model, state, seen)
+    interpreted(length_evidence)(model, state, seen)
     k, u = model.constants, state.velocities
     costs = []
     for v in range(2):
@@ -70,7 +70,7 @@ def test_the_worst_tracked_bone_at_a_joint_counts_against_it() -> None:
 def test_bones_of_the_right_lengths_are_no_evidence() -> None:
     model, seen = two_views(np.random.default_rng(3))
     seen.positions[:], seen.states[:] = standing(BODY), 2
-    interpreted(weigh_lengths)(model, new_state(J), seen)
+    interpreted(length_evidence)(model, new_state(J), seen)
     np.testing.assert_allclose(seen.evidence, 0.0, atol=ROUNDING)
 
 
@@ -84,7 +84,7 @@ def test_a_wrong_length_says_less_of_a_limb_that_swings() -> None:
         state.velocities[:] = trunk
         state.velocities[[wrist, *(BODY.joint(f"{j}Left") for j in ("Hand", "HandTip", "Thumb"))]] = own
         seen.evidence[:] = 0.0
-        interpreted(weigh_lengths)(model, state, seen)
+        interpreted(length_evidence)(model, state, seen)
         costs.append(-seen.evidence[0, elbow])
     assert costs[1] < 0.5 * costs[0]
     assert costs[2] == pytest.approx(costs[0]), "the whole person moves: the bone does not swing"
@@ -133,14 +133,14 @@ def test_doubt_about_most_joints_of_a_view_is_doubt_about_the_others() -> None:
     seen.trust[0, J - 5 :] = 1.0
     prior = interpreted(outliers.prior_outlier)
     before = prior(model, state, seen, 0, J - 1)
-    interpreted(outliers.remember_doubt)(model, state, seen)
+    interpreted(outliers.store_outlier_state)(model, state, seen)
     assert state.view_doubt[0] == pytest.approx((J - 5) / J)
     k = model.constants
     expected = k.outlier + (k.outlier_lasts - k.outlier) * (J - 5) / J
     assert before == pytest.approx(k.outlier)
     assert prior(model, state, seen, 0, J - 1) == pytest.approx(expected)
     seen.states[0] = 0
-    interpreted(outliers.remember_doubt)(model, state, seen)
+    interpreted(outliers.store_outlier_state)(model, state, seen)
     assert state.view_doubt[0] == pytest.approx(0.9 * (J - 5) / J), "it fades while the view sees no one"
 
 

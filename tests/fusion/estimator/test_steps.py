@@ -17,8 +17,9 @@ from scipy.stats import multivariate_normal
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.estimator import covariance, kalman, offsets, outliers, smoother, uncertainty, views
 from fusion.estimator.arrays import Model, Solve, State, Views, new_model, new_solve, new_state, new_views
-from fusion.estimator.bones import respect_hinges
-from fusion.estimator.constants import KINDS, Constants, kind_of
+from fusion.estimator.bones import enforce_hinges
+from fusion.estimator.constants import Constants
+from fusion.joint_kinds import KINDS, kind_of
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, standing
 
@@ -41,7 +42,7 @@ class Scene:
 def scene() -> Scene:
     """A standing person whom both views report with errors, and a filter that knows all joints."""
     random = np.random.default_rng(7)
-    model = new_model(BODY, BODY.nominal_lengths, A_FROM_B.rotation, A_FROM_B.translation)
+    model = new_model(BODY, BODY.nominal_lengths, A_FROM_B)
     state, seen = new_state(J), new_views(J)
     truth = standing(BODY)
     state.positions[:] = truth + random.normal(0.0, 0.01, (J, 3))
@@ -112,7 +113,7 @@ def test_slow_errors_stretch_along_the_ray_and_grow_under_a_cover(scene: Scene) 
     trunk, wrist = BODY.joint("SpineMid"), BODY.joint("WristLeft")
     seen.states[:, (trunk, wrist)] = 2
     seen.positions[0, wrist] = 1.1 * seen.positions[0, trunk] + 0.02
-    interpreted(covariance.cast_rays)(model, seen)
+    interpreted(covariance.set_rays)(model, seen)
     interpreted(covariance.find_covers)(model, seen)
     interpreted(covariance.set_covariances)(model, scene.state, seen)
     k = model.constants
@@ -142,7 +143,7 @@ def test_trust_is_the_posterior_over_all_hypotheses(scene: Scene) -> None:
     seen.states[:] = np.where(seen.states == 0, 2, seen.states)
     seen.states[0, 3] = seen.states[1, 5] = 0
     e = innovations(scene)
-    interpreted(outliers.judge)(model, state, seen)
+    interpreted(outliers.outlier_probabilities)(model, state, seen)
     k = model.constants
     uniform = k.outlier_side**-3
     assert (seen.trust[:, 6:] < 0.5).any()
@@ -189,8 +190,8 @@ def test_a_surprise_lets_both_views_through(scene: Scene) -> None:
     for v in range(2):
         seen.positions[v, i] = state.positions[i] + (0.3, 0.2, 0.0)
     before = state.variances[i].copy()
-    interpreted(outliers.judge)(scene.model, state, seen)
-    interpreted(outliers.be_surprised)(scene.model, state, seen, DT)
+    interpreted(outliers.outlier_probabilities)(scene.model, state, seen)
+    interpreted(outliers.inflate_on_surprise)(scene.model, state, seen, DT)
     assert seen.surprise[i] > 0.95
     assert (seen.trust[:, i] > 0.95).all()
     g = np.array((1.0, 0.5 / DT))
@@ -202,7 +203,7 @@ def test_measurements_are_taken_in_as_information(scene: Scene) -> None:
     state, seen = scene.state, scene.views
     x, v, P = state.positions.copy(), state.velocities.copy(), state.variances.copy()
     seen.delays[:] = 0.0
-    interpreted(kalman.take_in)(scene.model, state, seen)
+    interpreted(kalman.kalman_update)(scene.model, state, seen)
     for i in range(J):
         information = np.linalg.inv(covariance_of(P[i]))
         b = information @ np.stack((x[i], v[i]))
@@ -220,7 +221,7 @@ def test_measurements_are_taken_in_as_information(scene: Scene) -> None:
 def test_the_difference_of_the_views_is_shared_by_covariance(scene: Scene) -> None:
     state, seen = scene.state, scene.views
     before, variances, d = state.offsets.copy(), state.offset_variances.copy(), innovations(scene)
-    interpreted(offsets.learn_offsets)(scene.model, state, seen, np.zeros((3, 3)))
+    interpreted(offsets.update_offsets)(scene.model, state, seen, scene.solve)
     changed = 0
     for i in range(J):
         trust = seen.trust[0, i] * seen.trust[1, i]
@@ -239,7 +240,7 @@ def test_offsets_return_to_the_usual_ones(scene: Scene) -> None:
     state, seen, k = scene.state, scene.views, scene.model.constants
     usual = scene.random.normal(0.0, 0.05, (2, J, 3))
     state.usual_offsets[:], before = usual, state.offsets.copy()
-    interpreted(offsets.fade_offsets)(scene.model, state, seen, DT)
+    interpreted(offsets.decay_offsets)(scene.model, state, seen, DT)
     agreed = (seen.states > 0).all(axis=0) & (state.doubt < 0.5).all(axis=0)
     kept = np.exp(-DT / np.where(agreed, k.agreement_seconds, k.alone_seconds))[None, :, None]
     np.testing.assert_allclose(state.offsets, usual + kept * (before - usual), atol=1e-12)
@@ -252,7 +253,7 @@ def test_the_usual_offsets_are_means_over_the_time_of_agreement(scene: Scene) ->
     seen.states[0, 3], seen.trust[0, 4] = 1, 0.0
     d = np.array((0.06, -0.02, 0.01))
     seen.positions[0] = seen.positions[1] + d
-    learn = interpreted(offsets.learn_usual_offsets)
+    learn = interpreted(offsets.update_usual_offsets)
     learn(scene.model, state, seen, DT)
     assert np.linalg.norm(state.usual_offsets[:, 5]) < 0.02 * np.linalg.norm(d), "one frame says little"
     for _ in range(int(2.0 * k.usual_seconds)):
@@ -271,7 +272,7 @@ def test_the_usual_offsets_are_means_over_the_time_of_agreement(scene: Scene) ->
 def test_a_joint_begins_at_the_mean_by_information(scene: Scene) -> None:
     state, seen = scene.state, scene.views
     state.known[:] = False
-    interpreted(kalman.begin_joints)(scene.model, state, seen, np.zeros((3, 3)), np.zeros((3, 3)))
+    interpreted(kalman.start_joints)(scene.model, state, seen, scene.solve)
     for i in range(J):
         here = [v for v in range(2) if seen.states[v, i] > 0]
         assert state.known[i] == bool(here)
@@ -313,7 +314,7 @@ def test_a_skeleton_that_is_too_large_is_brought_to_its_size(scene: Scene) -> No
     for _ in range(15):
         seen.positions[0] = truth[root] + 1.04 * (truth - truth[root])
         seen.positions[1] = truth[root] + 0.97 * (truth - truth[root])
-        interpreted(views.rescale)(model, state, seen, DT)
+        interpreted(views.remove_scales)(model, state, seen, DT)
     # Kalman's gain leaves a share of about noise / (noise + variance) / 15 of a scale
     np.testing.assert_allclose(state.scales, (0.04, -0.03), rtol=0.06)
     np.testing.assert_allclose(seen.positions, [truth, truth], atol=0.003)
@@ -326,7 +327,7 @@ def test_covariances_are_those_of_the_joints_that_keep_their_bones(scene: Scene)
         solve.information[i] = np.linalg.inv(scene.state.shared_error[i])
     solve.information[4] = 0.0  # it was never seen
     found, sigma = np.zeros((J, 3, 3)), np.zeros(J)
-    interpreted(uncertainty.spread)(scene.model, solve, found, sigma, np.zeros((3, 3)))
+    interpreted(uncertainty.joint_covariances)(scene.model, solve, found, sigma)
     W, constraints = np.zeros((3 * J, 3 * J)), []
     for i in range(J):
         W[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = solve.information[i] + np.eye(3)  # within a metre
@@ -383,12 +384,12 @@ def test_an_unseen_hinge_does_not_bend_backwards(
     state.positions[i] += sign * 0.1 * forward
     seen.states[:, i], seen.trust[:, i] = (2, 1.0) if tracked else (0, 0.0)
     bent = state.positions.copy()
-    interpreted(respect_hinges)(scene.model, state, seen)
+    interpreted(enforce_hinges)(scene.model, state, seen)
     if tracked:
         np.testing.assert_allclose(state.positions, bent, atol=ROUNDING)
     else:
         np.testing.assert_allclose(state.positions, straight, atol=2e-3)  # toes and thumbs tilt the trunk
     state.positions[i] = straight[i] - sign * 0.1 * forward
     right = state.positions.copy()
-    interpreted(respect_hinges)(scene.model, state, seen)
+    interpreted(enforce_hinges)(scene.model, state, seen)
     np.testing.assert_allclose(state.positions, right, atol=ROUNDING)

@@ -15,7 +15,7 @@ from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.offline import learn_from_recording
 from fusion.calibration.online import CalibrationChange, CalibrationLearner
-from fusion.registration.joint_noise import limbs
+from fusion.joint_kinds import limbs
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.errors import CalibrationError
-from fusion.registration.joint_noise import limbs
+from fusion.joint_kinds import limbs
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
 from fusion.registration.refinement import held_out_gain
 from fusion.registration.rigid_fit import fit_rigid

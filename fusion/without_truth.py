@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.errors import FusionError
-from fusion.evaluation.fixed_registration import fit_recording
+from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 
 Array = NDArray[np.float64]
