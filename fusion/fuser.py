@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from numpy.typing import ArrayLike
 
-from fusion.compiling.parallel_compilation import compiled_meanwhile
+from fusion.compiling.kernels import compiled_meanwhile
 from fusion.errors import FusionError
 from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion

@@ -2,24 +2,148 @@
 
 There are three ways, in this order: the start-up pose seen whole by both sensors; the pose seen in part,
 where that determines R well enough; and movement, where the pose is never held or never seen.
+
+Movement: far-apart sensors each see one side of the person, so that few joints are tracked by both at once.
+Over some seconds of movement all of them are. R and t then follow by the robust fit of the registration. A
+tracker that takes a back for a front gives a second, wrong solution, turned by half a circle about the
+person, in which the sides of the limbs are exchanged. Both are tried, and the better one must be better by
+far.
 """
 
 from __future__ import annotations
 
+from collections.abc import Generator
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
 from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
-from fusion.calibration.movement import GradualCalibration
 from fusion.calibration.start_up_pose import StartUpPose
 from fusion.errors import CalibrationError
-from fusion.registration.robust_fit import registration_of
+from fusion.registration.keyframes import Evidence, KeyframeSet, match_sides
+from fusion.registration.rigid_fit import label_free_fit
+from fusion.registration.robust_fit import (
+    RobustFit,
+    RobustFitSettings,
+    disagreement,
+    fit_robust,
+    registration_of,
+)
+from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
+_EVERY_NS = 1_000_000_000
+_FEWEST, _MOST = 16, 64  # keyframes; as for a refinement, and enough for a first fit
+_CERTAIN_TURN, _CERTAIN_SHIFT = np.radians(1.5), 0.06  # stated deviations; metres at the person
+_SAME_TURN = np.radians(3.0)  # fits this near to each other are one solution
+_FAR = 0.08  # metres, the largest median distance of the views' joints
+_GAIN = 10.0  # log likelihood by which the best solution must beat the others
 _PROVISIONAL_PAIRS = 30
-_CERTAIN, _FAR = np.radians(2.3), 0.05
+_POSE_TURN, _POSE_FAR = np.radians(2.3), 0.05
 """Of a start-up pose seen in part: largest standard error of R, radians; distance of the views, metres."""
+
+
+class GradualCalibration:
+    """Collects keyframes until they determine R and t.
+
+    Args:
+        body: Of both views.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self._body, self._settings = body, RobustFitSettings()
+        self._frames = KeyframeSet(body, _MOST)
+        self._next_ns: int | None = None
+        self._before: RobustFit | None = None
+        self._last: RigidTransform | None = None
+        self._fitting: Generator[None, None, tuple[RobustFit, Evidence] | None] | None = None
+
+    def watch(self, pair: SkeletonPair, provisional: RigidTransform) -> tuple[RobustFit, Evidence] | None:
+        """Takes the next pair. It computes one fit at most: all of them take longer than a frame.
+
+        Args:
+            pair: As the sensors reported it.
+            provisional: R and t in force; they may be wrong.
+
+        Returns:
+            The fit and its evidence once two fits in a row, a second apart, agree and are certain; else None.
+        """
+        self._frames.add(pair)
+        self._next_ns = pair.time_ns if self._next_ns is None else self._next_ns
+        if self._fitting is None:
+            if pair.time_ns < self._next_ns or len(self._frames) < _FEWEST:
+                return None
+            self._next_ns = pair.time_ns + _EVERY_NS
+            self._fitting = self._best(provisional)
+        try:
+            next(self._fitting)
+        except StopIteration as end:
+            self._fitting = None
+            return self._judge(end.value)
+        return None
+
+    def _judge(self, found: tuple[RobustFit, Evidence] | None) -> tuple[RobustFit, Evidence] | None:
+        """The fit, if it is certain and the one before agrees with it; else None."""
+        before, self._before = self._before, None
+        if found is None:
+            return None
+        fit, evidence = found
+        self._before, self._last = fit, fit.a_from_b
+        agree = before is not None and before.a_from_b.angle_to(fit.a_from_b) < _SAME_TURN
+        return found if agree and _certain(fit, evidence) else None
+
+    def _best(self, provisional: RigidTransform) -> Generator[None, None, tuple[RobustFit, Evidence] | None]:
+        """Returns the best fit, None if another solution is nearly as good; yields after each fit."""
+        evidence = self._frames.evidence.copy()
+        starts = [provisional if self._last is None else self._last]
+        free = label_free_fit(self._body, evidence)
+        starts += [] if free is None else [free]
+        fits: list[tuple[float, RobustFit, Evidence]] = []
+        for start in starts:
+            for one in (start, _turned(start, evidence)):
+                copy = evidence.copy()
+                match_sides(self._body, copy, one)
+                try:
+                    fit = fit_robust(self._body, copy, one, self._settings, iterations=6, noise_sd=0.03)
+                    match_sides(self._body, copy, fit.a_from_b)
+                    fit = fit_robust(
+                        self._body, copy, fit.a_from_b, self._settings,
+                        iterations=4, noise_sd=fit.noise_sd, biases=fit.biases,
+                    )  # fmt: skip
+                except CalibrationError:
+                    continue
+                cost = disagreement(self._body, copy, fit.a_from_b, self._settings, 0.03)
+                fits.append((cost, fit, copy))
+                yield
+        if not fits:
+            return None
+        cost, best, shown = min(fits, key=lambda item: item[0])
+        others = [c for c, fit, _ in fits if fit.a_from_b.angle_to(best.a_from_b) > _SAME_TURN]
+        return (best, shown) if min(others, default=np.inf) > cost + _GAIN else None
+
+
+def _certain(fit: RobustFit, evidence: Evidence) -> bool:
+    sure = evidence.weights > 0.5
+    apart = np.linalg.norm((evidence.a - fit.a_from_b.apply(evidence.b))[sure], axis=1)
+    return bool(
+        fit.rotation_sd < _CERTAIN_TURN
+        and fit.translation_sd < _CERTAIN_SHIFT
+        and len(apart) > 0
+        and np.median(apart) < _FAR
+    )
+
+
+def _turned(a_from_b: RigidTransform, evidence: Evidence) -> RigidTransform:
+    """The transform followed by half a turn about A's y axis through the person.
+
+    The axis is vertical only where sensor A is not tilted. The result is the start of a fit.
+    """
+    centre: NDArray[np.float64] = evidence.a[evidence.weights > 0.5].mean(axis=0)
+    half = Rotation.from_euler("y", 180.0, degrees=True).as_matrix()
+    return RigidTransform.of(half, centre - half @ centre) @ a_from_b
 
 
 class Calibrator:
@@ -76,7 +200,7 @@ class Calibrator:
             if partly is not None and self._pose.held == 0.0:
                 found = calibrate(self._body, partly, f"start-up pose seen in part, {len(partly)} frames")
                 known = found.registration
-                if known is not None and known.rotation_sd < _CERTAIN and known.residual_median < _FAR:
+                if known is not None and known.rotation_sd < _POSE_TURN and known.residual_median < _POSE_FAR:
                     return found
         except CalibrationError:
             pass

@@ -22,7 +22,7 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
-from fusion.registration.knock_evidence import fit_knock
+from fusion.registration.knock import fit_knock
 from fusion.registration.refinement import held_out_gain
 from fusion.registration.rigid_fit import label_free_fit
 from fusion.registration.robust_fit import RobustFit, disagreement, fit_robust, registration_of
@@ -135,9 +135,7 @@ def learn_from_recording(
         clock = clock_offset_of(
             body, [pairs[k] for k in last], spans[0].calibration.a_from_b, [skews_ns[k] for k in last]
         )
-    lasting = {change.since_ns for change in knocks}
-    events = tuple(c for c in changes if c.kind in ("knocked", "followed") and c.since_ns in lasting)
-    return LearnedCalibration(tuple(spans), clock, events)
+    return LearnedCalibration(tuple(spans), clock, tuple(knocks))
 
 
 def _lasting_knocks(
@@ -149,7 +147,7 @@ def _lasting_knocks(
     settings: LearnerSettings,
 ) -> list[CalibrationChange]:
     """The knocks that were followed and that explain all pairs up to the next, not only the first seconds."""
-    followed = [change for change in changes if change.kind == "followed"]
+    followed = [change for change in changes if change.kind == "knocked"]
     times = [int(change.since_ns or 0) for change in followed]
     knocks: list[CalibrationChange] = []
     begin_ns = pairs[0].time_ns if pairs else 0

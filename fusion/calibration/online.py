@@ -14,14 +14,13 @@ from fusion.calibration.calibration import Calibration
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, ClockOffsetEstimator
 from fusion.registration.keyframes import Evidence, evidence_of, match_sides
-from fusion.registration.knock_evidence import KnockFit, fit_knock
-from fusion.registration.knocked import KnockDetector, KnockSettings, SensorState
+from fusion.registration.knock import KnockDetector, KnockFit, KnockSettings, fit_knock
 from fusion.registration.refinement import Refinement, RefinementSettings
 from fusion.registration.robust_fit import Prior, RobustFit, registration_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
-Kind = Literal["refined", "knocked", "followed", "bones", "clock"]
+Kind = Literal["refined", "knocked", "bones", "clock"]
 
 _BONES_AT_NS = (10_000_000_000, 30_000_000_000, 60_000_000_000)
 """When bone lengths are learned, counted from the first pair; after the last they are fixed."""
@@ -59,13 +58,12 @@ class CalibrationChange:
     """A change of the calibration, or an event that concerns it.
 
     Attributes:
-        kind: ``refined``: R and t improved. ``knocked``: a sensor seems to have moved; the calibration is the
-            old one. ``followed``: registered anew after that. ``bones``: new bone lengths. ``clock``: the
-            clocks' offset is known; the calibration is unchanged.
+        kind: ``refined``: R and t improved. ``knocked``: a sensor was moved, and is registered anew.
+            ``bones``: new bone lengths. ``clock``: the clocks' offset is known; the calibration is unchanged.
         event: A sentence for the event log.
         time_ns: Time of the pair that caused it.
         calibration: In force from the next pair on.
-        since_ns: For ``knocked`` and ``followed``, when the views moved apart.
+        since_ns: For ``knocked``, when the views moved apart.
         clock: For ``clock``, the offset.
     """
 
@@ -98,8 +96,7 @@ class CalibrationLearner:
         self._knock = KnockDetector(body, calibration.a_from_b, self._settings.knock)
         self._clock = ClockOffsetEstimator(body)
         self._recent: deque[tuple[SkeletonPair, tuple[int, int]]] = deque(maxlen=_RECENT)
-        self._knocked = False
-        self._judge_ns = 0  # a suspected knock is judged from this time on
+        self._test_ns = 0  # a suspected knock is tested from this time on
         self._first_ns: int | None = None
         self._bones_learned = 0
 
@@ -108,7 +105,6 @@ class CalibrationLearner:
         self.calibration = calibration
         self._refinement.adopt(calibration.a_from_b, prior_of(calibration))
         self._knock.adopt(calibration.a_from_b)
-        self._knocked = False
 
     def observe(
         self,
@@ -134,17 +130,16 @@ class CalibrationLearner:
         if not self._recent or pair.time_ns - self._recent[-1][0].time_ns >= _RECENT_NS:
             self._recent.append((pair, codes))
         changes: list[CalibrationChange] = []
-        state = self._knock.observe(pair) if self._settings.follow else SensorState.STEADY
-        if state is SensorState.STEADY:
-            self._knocked = False
-            if self._settings.refine:
-                changes += self._refine(pair, codes)
-        else:
+        if self._settings.follow:
+            self._knock.observe(pair)
+        if self._knock.since_ns is not None:
             self._refinement.keyframes.add(pair, codes)
-            changes += self._judge(pair.time_ns, state)
-        if self._settings.bones and not self._knocked:
+            changes += self._test_knock(pair.time_ns, self._knock.since_ns)
+        elif self._settings.refine:
+            changes += self._refine(pair, codes)
+        if self._settings.bones:
             changes += self._learn_bones(pair.time_ns)
-        if self._settings.clock and not self._knocked:
+        if self._settings.clock:
             clock = self._clock.observe(pair, self.calibration.a_from_b, skew_ns)
             if clock is not None:
                 changes.append(
@@ -157,7 +152,7 @@ class CalibrationLearner:
         if fit is None:
             return []
         old = self.calibration.a_from_b
-        self._knock.refine(fit.a_from_b, fit.centre)
+        self._knock.a_from_b = fit.a_from_b
         evidence = self._refinement.keyframes.evidence
         self._replace(fit, evidence, f"refined on {len(evidence.a)} keyframes")
         turn, shift = _difference(old, fit)
@@ -168,36 +163,25 @@ class CalibrationLearner:
         )
         return [CalibrationChange("refined", event, pair.time_ns, self.calibration)]
 
-    def _judge(self, now_ns: int, state: SensorState) -> list[CalibrationChange]:
-        """Reports a knock once it explains the pairs far better; follows it once the sensor is still."""
-        since_ns, settings = self._knock.since_ns, self._settings.knock
-        age_ns = 0 if since_ns is None else now_ns - since_ns
-        settled = state is SensorState.SETTLED
-        if since_ns is None or now_ns < self._judge_ns or age_ns < settings.judged_ns:
+    def _test_knock(self, now_ns: int, since_ns: int) -> list[CalibrationChange]:
+        """Registers the sensors anew once a knock explains the pairs far better."""
+        settings = self._settings.knock
+        if now_ns < max(self._test_ns, since_ns + settings.tested_ns):
             return []
-        if self._knocked and not settled:
-            return []
-        self._judge_ns = now_ns + settings.block_ns
-        from_ns = max(since_ns + settings.moving_ns, now_ns - settings.settled_ns if settled else 0)
-        found = self._fit_knock(since_ns, from_ns)
+        self._test_ns = now_ns + settings.retested_ns
+        found = self._fit_knock(since_ns)
         gain = -np.inf if found is None else found.gain / settings.needed(found.keyframes)
-        changes: list[CalibrationChange] = []
         if found is not None and gain > 1.0:
-            if not self._knocked:
-                self._knocked = True
-                changes.append(self._notice(now_ns, found))
-            if settled:
-                changes.append(self._follow(now_ns, from_ns, found))
-        elif not self._knocked and age_ns > settings.dropped_ns * (1 if gain < 0.5 else 2):
-            self._knock.withdraw()
-        return changes
+            return [self._restart(now_ns, since_ns, found)]
+        if now_ns - since_ns > settings.dropped_ns * (1 if gain < 0.5 else 2):
+            self._knock.withdraw(now_ns)
+        return []
 
-    def _fit_knock(self, since_ns: int, from_ns: int) -> KnockFit | None:
-        """The test of a knock at ``since_ns`` on the keyframes before and the pairs from ``from_ns`` on."""
+    def _fit_knock(self, since_ns: int) -> KnockFit | None:
+        """The test of a knock at ``since_ns`` on the keyframes before and the pairs since it ended."""
         known = self._refinement.keyframes.evidence
         before = known.chosen(known.time_ns < since_ns)
-        later = [(pair, codes) for pair, codes in self._recent if pair.time_ns >= from_ns]
-        after = evidence_of(self._body, [pair for pair, _ in later], [codes for _, codes in later])
+        after = self._evidence_since(since_ns + self._settings.knock.moving_ns)
         old = self.calibration.a_from_b
         match_sides(self._body, before, old)
         try:
@@ -207,30 +191,25 @@ class CalibrationLearner:
         except CalibrationError:
             return None
 
-    def _notice(self, now_ns: int, found: KnockFit) -> CalibrationChange:
-        event = (
-            f"A sensor seems to have been moved: the two views parted by {found.shift * 1e3:.0f} mm. "
-            "Registration follows once it is still."
-        )
-        return CalibrationChange("knocked", event, now_ns, self.calibration, self._knock.since_ns)
+    def _evidence_since(self, time_ns: int) -> Evidence:
+        later = [(pair, codes) for pair, codes in self._recent if pair.time_ns >= time_ns]
+        return evidence_of(self._body, [pair for pair, _ in later], [codes for _, codes in later])
 
-    def _follow(self, now_ns: int, still_ns: int, found: KnockFit) -> CalibrationChange:
-        """Puts the registration after the knock in force."""
-        since_ns, old, fit = self._knock.since_ns, self.calibration.a_from_b, found.fit
+    def _restart(self, now_ns: int, since_ns: int, found: KnockFit) -> CalibrationChange:
+        """Puts the registration after the knock in force, and learns from the pairs since then."""
+        old, fit, still_ns = self.calibration.a_from_b, found.fit, since_ns + self._settings.knock.moving_ns
         prior = Prior(fit.a_from_b, _FOLLOWED_TURN, _FOLLOWED_SHIFT)
         self._refinement.restart(fit.a_from_b, keep_from_ns=still_ns, prior=prior)
         self._knock.adopt(fit.a_from_b)
-        self._knocked = False
-        later = [(pair, codes) for pair, codes in self._recent if pair.time_ns >= still_ns]
-        evidence = evidence_of(self._body, [pair for pair, _ in later], [codes for _, codes in later])
+        evidence = self._evidence_since(still_ns)
         match_sides(self._body, evidence, fit.a_from_b)
         self._replace(fit, evidence, f"registered anew on {len(evidence.a)} frames after a sensor moved")
         turn, shift = _difference(old, fit)
         event = (
-            f"Registration follows the sensor that was moved: the view of B turns by "
-            f"{np.degrees(turn):.1f}°, and moves by {shift * 1e3:.0f} mm where the person stands."
+            f"A sensor was moved; registration follows it. The view of B turns by {np.degrees(turn):.1f}°, "
+            f"and moves by {shift * 1e3:.0f} mm where the person stands."
         )
-        return CalibrationChange("followed", event, now_ns, self.calibration, since_ns)
+        return CalibrationChange("knocked", event, now_ns, self.calibration, since_ns)
 
     def _learn_bones(self, now_ns: int) -> list[CalibrationChange]:
         if self._bones_learned == len(_BONES_AT_NS) or self._first_ns is None:

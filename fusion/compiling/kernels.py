@@ -8,6 +8,8 @@ Importing a module with kernels touches no file and no environment variable: the
 looked for, and stale kernels are deleted, when the first kernel is compiled. numba keeps a compiled kernel
 until the kernel's own file changes. A kernel also contains the code of the kernels that it calls and the
 values of imported constants; numba does not notice a change of *their* files.
+
+On a first run two processes compile, because numba uses one core; each finds the other's kernels on disk.
 """
 
 from __future__ import annotations
@@ -15,10 +17,11 @@ from __future__ import annotations
 import atexit
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -119,3 +122,45 @@ def ensure_cache_folder() -> None:
 
 def _probe() -> None:
     """A function for which numba looks for a cache folder."""
+
+
+@contextmanager
+def compiled_meanwhile(kernel: Any, statements: str) -> Iterator[None]:
+    """Lets another process compile kernels; waits for it at the end.
+
+    Args:
+        kernel: The kernel that will be called. If it is on disk, nothing is compiled.
+        statements: Python statements that compile what the other process is to compile.
+    """
+    process = None if _is_on_disk(kernel) else _start(statements)
+    try:
+        yield
+        if process is not None:
+            process.wait()
+    finally:
+        if process is not None:
+            process.kill()
+            process.wait()
+
+
+def _is_on_disk(kernel: Any) -> bool:
+    find_on_disk(kernel)
+    folder = Path(kernel.stats.cache_path)
+    python = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
+    return any(folder.glob(f"*{kernel.__name__}-*.{python}.nbi"))
+
+
+def _start(statements: str) -> subprocess.Popen[bytes] | None:
+    """None where no process can be started; this process then compiles everything itself."""
+    packages = str(Path(__file__).parents[2])
+    path = os.pathsep.join(filter(None, (packages, os.environ.get("PYTHONPATH"))))
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-P", "-c", statements],
+            env={**os.environ, "PYTHONPATH": path},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    except OSError:
+        return None

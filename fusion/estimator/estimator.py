@@ -5,14 +5,19 @@ from __future__ import annotations
 import math
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.estimator.bones import correct_state, enforce_hinges, set_solver_targets, solve_bones
+from fusion.estimator.bones import (
+    correct_state,
+    enforce_hinges,
+    joint_covariances,
+    set_solver_targets,
+    solve_bones,
+)
 from fusion.estimator.covariance import find_covers, set_covariances, set_rays
 from fusion.estimator.evidence import depth_evidence, length_evidence, measure_surface
 from fusion.estimator.kalman import kalman_update, predict, start_joints, update_common_error
 from fusion.estimator.offsets import decay_offsets, update_offsets, update_usual_offsets
 from fusion.estimator.outliers import inflate_on_surprise, outlier_probabilities, store_outlier_state
 from fusion.estimator.smoother import trace_prediction, trace_result
-from fusion.estimator.uncertainty import joint_covariances
 from fusion.estimator.views import relabel, remove_scales, transform_views
 from fusion.pair_arrays import anyone_seen
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.estimator.uncertainty import joint_covariances
+from fusion.estimator.bones import joint_covariances
 from fusion.solvers.small_matrices import inverse
 from fusion.solvers.tree_solver import solve_tree
 

@@ -18,8 +18,7 @@ from fusion.pair_arrays import repeats
 from fusion.paper.reliability import ViewPixels, weigh_views
 from fusion.solvers.published import solve_published
 from fusion.solvers.tree_solver import solve_tree
-from fusion.solvers.tree_start import TreeWorkspace, new_tree_workspace
-from fusion.solvers.tree_steps import copy
+from fusion.solvers.tree_start import TreeWorkspace, copy, new_tree_workspace
 
 PAPER, EQUAL = 0, 1  # which weights
 FORGET_NS = 1_000_000_000

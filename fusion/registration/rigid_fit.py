@@ -27,8 +27,9 @@ _THINNEST = 0.02  # second to first singular value of the joints' spread: below,
 def fit_rigid(points_a: Array, points_b: Array, weights: Array | None = None) -> RigidTransform:
     """The rigid transform that minimises eq. (12), J_R = Σ w_i ‖R(q_i − c_q) + t − (p_i − c_p)‖².
 
-    R aligns the points about their centres (scipy's ``Rotation.align_vectors``). t then follows from the
-    centres, c_p = R c_q + t.
+    R is the rotation nearest to the points' covariance (SVD, reflections excluded), normalised as a unit
+    quaternion as in the paper. t then follows from the centres, c_p = R c_q + t. (scipy's ``align_vectors``
+    differs in the last bits, and version 0.1 fused recordings with these.)
 
     Args:
         points_a: (N, 3) p, metres, in K_A's frame.
@@ -49,8 +50,10 @@ def fit_rigid(points_a: Array, points_b: Array, weights: Array | None = None) ->
         raise CalibrationError(
             "The joints seen by both sensors lie on one line, which leaves a rotation open."
         )
-    rotation, _ = Rotation.align_vectors(points_a - centre_a, points_b - centre_b, weights)
-    R = rotation.as_matrix()
+    a = points_a - centre_a if weights is None else weights[:, None] * (points_a - centre_a)
+    U, _, Vt = np.linalg.svd(a.T @ (points_b - centre_b))
+    U[:, 2] *= np.sign(np.linalg.det(U @ Vt))
+    R = Rotation.from_matrix(U @ Vt).as_matrix()
     return RigidTransform.of(R, centre_a - R @ centre_b)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.errors import FusionError
-from fusion.solvers.solver import MAX_ITERATIONS, Solution
+from fusion.solvers import MAX_ITERATIONS, Solution
 
 _STEP_TOLERANCE = 1e-5  # m: the paper's ‖d‖ < 1e-5
 _SHORTEST = 2.0**-20  # of a full step: below it the line search gives up

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.errors import FusionError
-from fusion.solvers.solver import MAX_ITERATIONS, Solution
+from fusion.solvers import MAX_ITERATIONS, Solution
 from fusion.solvers.tree_elimination import (
     SADDLE,
     eliminate,
@@ -30,11 +30,13 @@ from fusion.solvers.tree_start import (
     FROM_START,
     FROM_TARGETS,
     aim_at,
+    copy,
+    leave_saddle,
     load,
     new_tree_workspace,
     place,
+    stretch,
 )
-from fusion.solvers.tree_steps import copy, leave_saddle, stretch
 
 MAX_SYSTEMS = 150
 """Limit of linear systems from one start, about 0.5 ms."""
@@ -202,7 +204,7 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         positions: (J, 3) out: the solution.
 
     Returns:
-        (iterations, systems, objective, converged), as in :class:`fusion.solvers.solver.Solution`; iterations
+        (iterations, systems, objective, converged), as in :class:`fusion.solvers.Solution`; iterations
         are -1 where a bone length is not positive, or a weight not finite.
     """
     if not load(targets, weights, lengths, order[0], work):
@@ -276,7 +278,18 @@ class TreeSolver:
         bone_lengths: ArrayLike,
         start: ArrayLike | None = None,
     ) -> Solution:
-        """See :meth:`fusion.solvers.solver.Solver.solve`; weights may be (J, 3, 3), positive semidefinite."""
+        """S* of one frame, eq. (1).
+
+        Args:
+            targets: (J, 3) m, metres: the joint's weighted mean over the views; NaN where it has no data.
+            weights: (J,) w ≥ 0, or (J, 3, 3) positive semidefinite; 0 for a joint without data.
+            bone_lengths: (J,) metres, by the joint at the bone's far end; the root's is ignored.
+            start: (J, 3) joints near the solution, such as the previous frame's; their bones may have any
+                length.
+
+        Raises:
+            FusionError: A shape does not fit, or a bone length is not positive.
+        """
         m = np.ascontiguousarray(targets, dtype=np.float64)
         W = np.ascontiguousarray(weights, dtype=np.float64)
         lengths = np.ascontiguousarray(bone_lengths, dtype=np.float64)

@@ -93,7 +93,7 @@ class LiveFusion:
             changes = self._learner.observe(pair.skeletons, codes, stale, pair.skeletons.skew_ns)
             self._changes += changes
             for change in changes:
-                knocked = change.kind in ("knocked", "followed")
+                knocked = change.kind == "knocked"
                 events.append(Event(change.event, "WARN" if knocked else "INFO"))
         return events
 

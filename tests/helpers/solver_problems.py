@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import BODIES, KINECT_V2, Body
-from fusion.solvers.solver import MAX_ITERATIONS, Solution
+from fusion.solvers import MAX_ITERATIONS, Solution
 from fusion.solvers.tree_solver import TreeSolver
 from tests.helpers.slsqp import slsqp_optimum
 

@@ -18,7 +18,7 @@ from fusion.errors import FusionError
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
-from fusion.solvers.solver import MAX_ITERATIONS
+from fusion.solvers import MAX_ITERATIONS
 from fusion.without_truth import (
     FiguresWithoutTruth,
     FusedPair,

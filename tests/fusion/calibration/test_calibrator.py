@@ -10,7 +10,7 @@ import pytest
 from devices.pairing import pair_recordings
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2, Body
-from fusion.calibration import movement
+from fusion.calibration import calibrator
 from fusion.calibration.calibration import Calibration
 from fusion.calibration.calibrator import Calibrator
 from fusion.registration.robust_fit import RobustFit
@@ -87,7 +87,7 @@ def test_a_person_who_shows_too_little_leaves_the_calibration_provisional() -> N
 def test_no_pair_waits_for_more_than_one_start_of_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """All starts together take longer than a frame; each is a rough fit and a better one."""
     fits, of_pairs = [0], []
-    fit, watch = movement.fit_robust, Calibrator.watch
+    fit, watch = calibrator.fit_robust, Calibrator.watch
 
     def counted(*given: Any, **more: Any) -> RobustFit:
         fits[0] += 1
@@ -99,7 +99,7 @@ def test_no_pair_waits_for_more_than_one_start_of_the_fit(monkeypatch: pytest.Mo
         of_pairs.append(fits[0])
         return found
 
-    monkeypatch.setattr(movement, "fit_robust", counted)
+    monkeypatch.setattr(calibrator, "fit_robust", counted)
     monkeypatch.setattr(Calibrator, "watch", watched_closely)
     watched(KINECT_V2, "walk", 90.0, 12.0, from_second=5.0)
     assert sum(of_pairs) >= 4

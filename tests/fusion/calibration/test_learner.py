@@ -22,7 +22,7 @@ from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
 from fusion.registration import refinement, robust_fit
 from fusion.registration.keyframes import evidence_of
-from fusion.registration.knock_evidence import fit_knock
+from fusion.registration.knock import fit_knock
 from fusion.registration.refinement import RefinementSettings
 from fusion.registration.robust_fit import RobustFitSettings
 from fusion.rigid import RigidTransform

@@ -10,8 +10,8 @@ from unittest.mock import Mock
 
 import pytest
 
-from fusion.compiling import parallel_compilation as first_run
-from fusion.compiling.parallel_compilation import compiled_meanwhile
+from fusion.compiling import kernels as first_run
+from fusion.compiling.kernels import compiled_meanwhile
 from fusion.solvers.tree_solver import compile_tree_solver, solve_tree
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"

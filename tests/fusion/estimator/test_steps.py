@@ -15,11 +15,11 @@ from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
 from fusion.body import AZURE_KINECT, KINECT_V2
-from fusion.estimator import covariance, kalman, offsets, outliers, smoother, uncertainty, views
+from fusion.estimator import covariance, kalman, offsets, outliers, smoother, views
 from fusion.estimator.arrays import Model, Solve, State, Views, new_model, new_solve, new_state, new_views
-from fusion.estimator.bones import enforce_hinges
+from fusion.estimator.bones import enforce_hinges, joint_covariances
 from fusion.estimator.constants import Constants
-from fusion.joint_kinds import KINDS, kind_of
+from fusion.joint_kinds import KINDS, kind_of, value_of
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, standing
 
@@ -85,6 +85,14 @@ def test_every_joint_of_every_body_has_a_kind_of_its_own_name() -> None:
     assert kinds["HANDTIP_LEFT"] == kinds["HandTipRight"] == "tip"
     assert kinds["SHOULDER_LEFT"] == "girdle"
     assert kinds["SpineShoulder"] == kinds["PELVIS"] == "spine"
+
+
+def test_a_new_kind_takes_the_values_of_the_one_it_resembles(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(KINDS, "toe", "foot")
+    assert value_of("toe", {"foot": 2.0}) == 2.0
+    assert value_of("toe", {"foot": 2.0, "toe": 3.0}) == 3.0
+    with pytest.raises(KeyError):
+        value_of("spine", {"foot": 2.0})
 
 
 def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the_parents(
@@ -288,10 +296,9 @@ def test_a_joint_begins_at_the_mean_by_information(scene: Scene) -> None:
 def test_the_slow_error_approaches_that_of_the_trusted_views(scene: Scene) -> None:
     state, seen = scene.state, scene.views
     seen.trust[:, 3] = 0.02, 0.0
-    before, (together, alone) = state.shared_error.copy(), (0.7, 0.9)
-    interpreted(kalman.share_error)(
-        scene.model, state, seen, together, alone, np.zeros((3, 3)), np.zeros((3, 3))
-    )
+    before, k, dt = state.shared_error.copy(), scene.model.constants, 0.3
+    together, alone = math.exp(-dt / k.agreement_seconds), math.exp(-dt / k.alone_seconds)
+    interpreted(kalman.update_common_error)(scene.model, state, seen, scene.solve, dt)
     paces = set()
     for i in range(J):
         total = seen.trust[:, i].sum()
@@ -327,7 +334,7 @@ def test_covariances_are_those_of_the_joints_that_keep_their_bones(scene: Scene)
         solve.information[i] = np.linalg.inv(scene.state.shared_error[i])
     solve.information[4] = 0.0  # it was never seen
     found, sigma = np.zeros((J, 3, 3)), np.zeros(J)
-    interpreted(uncertainty.joint_covariances)(scene.model, solve, found, sigma)
+    interpreted(joint_covariances)(scene.model, solve, found, sigma)
     W, constraints = np.zeros((3 * J, 3 * J)), []
     for i in range(J):
         W[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = solve.information[i] + np.eye(3)  # within a metre

@@ -10,7 +10,7 @@ import pytest
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration
 from fusion.facing.exchange import with_doubt
-from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS, WHOLE
+from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS, DOUBT_UNKNOWN, LEGS, WHOLE
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
@@ -36,6 +36,20 @@ def test_a_label_is_a_code_and_its_doubt() -> None:
     np.testing.assert_array_equal(labels & 0xFF, [[WHOLE, 0], [5, 7]])
     # Rounded to the nearest step.
     np.testing.assert_array_equal(labels >> DOUBT_BIT, [[0, DOUBT_STEPS], [51, 128]])
+
+
+def test_recorded_sides_without_doubt_give_a_live_run_again() -> None:
+    """A replay of a live session knows the sides only; the filter finds the doubt again, to the bit."""
+    pairs = walk(40)
+    fuser, again = Fuser(SETUP), Fuser(SETUP)
+    live = [fuser.update(pair) for pair in pairs]
+    codes = with_doubt([(frame.exchanged_a, frame.exchanged_b) for frame in live], None)
+    for frame, pair, (a, b) in zip(live, pairs, codes.tolist(), strict=True):
+        replayed = again.update(pair, (a, b))
+        assert (replayed.doubt_a, replayed.doubt_b) == (frame.doubt_a, frame.doubt_b)
+        assert replayed.positions.tobytes() == frame.positions.tobytes()
+    legs = again.update(replace(pairs[0], time_ns=40 * FRAME_NS), (LEGS | DOUBT_UNKNOWN, DOUBT_UNKNOWN))
+    assert legs.exchanged_a == LEGS, "version 1.0 exchanged limbs alone"
 
 
 def test_the_fused_frame_tells_code_and_doubt() -> None:

@@ -7,8 +7,8 @@ import pytest
 
 from fusion.body import KINECT_V1
 from fusion.errors import FusionError
+from fusion.solvers import MAX_ITERATIONS
 from fusion.solvers.published import PaperSolver
-from fusion.solvers.solver import MAX_ITERATIONS
 from fusion.solvers.tree_solver import TreeSolver
 
 PARENTS = KINECT_V1.parent_indices

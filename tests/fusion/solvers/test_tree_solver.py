@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from fusion.body import AZURE_KINECT, BODIES, KINECT_V1
 from fusion.compiling.kernels import kernel
 from fusion.errors import FusionError
-from fusion.solvers.solver import MAX_ITERATIONS
+from fusion.solvers import MAX_ITERATIONS
 from fusion.solvers.tree_solver import MAX_SYSTEMS, TreeSolver
 from fusion.solvers.tree_start import bend
 from tests.helpers.solver_problems import (
@@ -371,15 +371,15 @@ def test_a_body_that_is_no_tree_or_has_no_directions_is_refused(parents, order, 
 
 
 @kernel
-def bent(x, y, z, length, reach, sx, sy, sz):
-    return bend(x, y, z, length, reach, sx, sy, sz)
+def bent(point, length, reach, side):
+    return bend(point, length, reach, side)
 
 
 @pytest.mark.parametrize("side", [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (-0.6, 0.0, 0.0), (0.2, 0.5, -0.1)])
 def test_a_bone_before_a_hole_leaves_the_room_that_the_next_one_needs(side):
     """This also holds if the side is undetermined: along the line to the target, or zero."""
     at = np.array([0.4, 0.0, 0.0])  # 0.3, 0.4, 0.5: the bone is at a right angle to it
-    ends = [np.array(bent(*at, 0.3, 0.5, *(sign * np.array(side)))) for sign in (1.0, -1.0)]
+    ends = [np.array(bent(tuple(at), 0.3, 0.5, tuple(sign * np.array(side)))) for sign in (1.0, -1.0)]
     for direction in ends:
         assert np.linalg.norm(direction) == pytest.approx(1.0, rel=1e-14)
         assert np.linalg.norm(at - 0.3 * direction) == pytest.approx(0.5, rel=1e-14)

@@ -1,0 +1,260 @@
+"""Knocked sensors: a cheap suspicion, and the test of it.
+
+**Suspicion** (:class:`KnockDetector`). The offset between the views is measured on points that an exchange
+of left and right does not move, in blocks of a quarter of a second. A knocked sensor moves all of them by one
+rigid transform: four blocks in a row differ from the usual offset, in the same direction.
+
+**Test** (:func:`fit_knock`). The pairs before and after the suspected moment are explained twice, each time
+by the model of :mod:`fusion.registration.robust_fit` with one set of biases β for all pairs:
+
+* **untouched**: one transform T for all pairs, which may differ from the one in force;
+* **knocked**: T before, and T D after, with D a rigid movement of a sensor.
+
+A tracker's bias that changes with heading is in β, and a registration that was never quite right is in T, so
+that both are explained without D. What remains is the gain of log-likelihood by D, at the price of D's prior.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.registration.keyframes import Evidence, match_sides
+from fusion.registration.robust_fit import Prior, RobustFit, RobustFitSettings, cost_of, fit_robust
+from fusion.rigid import RigidTransform
+from fusion.skeleton import TRACKED, Skeleton, SkeletonPair
+
+Array = NDArray[np.float64]
+
+KNOCK_TURN, KNOCK_SHIFT = float(np.radians(8.0)), 0.4
+"""Standard deviations of a knock: radians, and metres at the person."""
+_KNOWN = 1e-4  # metres, deviation of biases that are already subtracted
+_LEAST_NOISE = 0.015
+"""Metres, the spine's: a person who stands still shows less, but not how biases change with the pose."""
+_ROUNDS = 2  # of T with β and D in turn; a third changes the gain by less than a tenth
+_FEWEST_POINTS = 3  # seen by both views
+_NORM_OF_SD = 1.538  # median norm of a normal 3-vector, in standard deviations of one axis
+
+
+@dataclass(frozen=True)
+class KnockSettings:
+    """When a knock is suspected, and when it counts.
+
+    Attributes:
+        block_ns: The offset is the median over blocks of this length.
+        blocks: Number of successive blocks that must be off in the same direction.
+        smallest: Metres; a smaller offset is left to the refinement.
+        deviations: Threshold in robust standard deviations of the offset's own history.
+        history: Number of blocks in the history.
+        fewest: Number of blocks that a suspicion needs in it.
+        moving_ns: How long a sensor moves; pairs within this time count neither as before nor as after.
+        tested_ns: Time after which a suspicion is tested.
+        retested_ns: Time between two tests.
+        dropped_ns: Time after which it is dropped if it has less than half the gain that it needs, and
+            after twice this time in any case. The next one waits as long.
+        gain: By how much a knock must raise the log-likelihood of the pairs.
+        few: Number of keyframes before the knock at which twice that gain is needed: they do not yet show
+            how biases change from pose to pose.
+    """
+
+    block_ns: int = 250_000_000
+    blocks: int = 4
+    smallest: float = 0.035
+    deviations: float = 4.0
+    history: int = 200
+    fewest: int = 10
+    moving_ns: int = 250_000_000
+    tested_ns: int = 1_750_000_000
+    retested_ns: int = 500_000_000
+    dropped_ns: int = 2_500_000_000
+    gain: float = 30.0
+    few: float = 3.0
+
+    def needed(self, keyframes: int) -> float:
+        """The gain that a knock needs after so many keyframes."""
+        return self.gain * (1.0 + self.few / max(keyframes, 1))
+
+
+class _Block(NamedTuple):
+    """The mean places of the midpoints over a fraction of a second; NaN where unknown."""
+
+    start_ns: int
+    a: Array  # (M, 3) metres, K_A's frame
+    b: Array  # (M, 3) metres, K_B's frame
+
+
+class KnockDetector:
+    """Watches the offset between the views under the transform in force.
+
+    Args:
+        body: Of both views.
+        a_from_b: In force.
+        settings: Thresholds.
+
+    Attributes:
+        a_from_b: In force; may be replaced by a refined one.
+        since_ns: When the views moved apart; None if they did not.
+    """
+
+    def __init__(self, body: Body, a_from_b: RigidTransform, settings: KnockSettings | None = None) -> None:
+        self._settings = settings or KnockSettings()
+        self._own, self._other = body.midpoints
+        self._blocks: deque[_Block] = deque(maxlen=self._settings.history)
+        self._pairs: list[SkeletonPair] = []
+        self._quiet_ns = 0
+        self.a_from_b = a_from_b
+        self.since_ns: int | None = None
+
+    def adopt(self, a_from_b: RigidTransform) -> None:
+        """Uses another transform and forgets the history."""
+        self.a_from_b, self.since_ns = a_from_b, None
+        self._blocks.clear()
+        self._pairs.clear()
+
+    def withdraw(self, now_ns: int) -> None:
+        """Counts the offsets since the views moved apart as usual: no sensor was moved."""
+        self.since_ns, self._quiet_ns = None, now_ns + self._settings.dropped_ns
+
+    def observe(self, pair: SkeletonPair) -> None:
+        """Takes a pair that is neither stale nor one-sided; updates :attr:`since_ns`."""
+        if self._pairs and pair.time_ns - self._pairs[0].time_ns >= self._settings.block_ns:
+            self._end_block()
+        self._pairs.append(pair)
+
+    def _end_block(self) -> None:
+        start_ns, views = self._pairs[0].time_ns, zip(*((p.a, p.b) for p in self._pairs), strict=True)
+        block = _Block(start_ns, *(self._mean_points(view) for view in views))
+        self._pairs.clear()
+        if np.count_nonzero(np.isfinite(block.a[:, 0] + block.b[:, 0])) < _FEWEST_POINTS:
+            return
+        self._blocks.append(block)
+        newest = list(self._blocks)[-self._settings.blocks :]
+        before_ns = newest[0].start_ns if self.since_ns is None else self.since_ns
+        usual = [past for past in self._blocks if past.start_ns < before_ns]
+        if len(usual) < self._settings.fewest or start_ns < self._quiet_ns:
+            return
+        offsets, history = self._offsets(newest), self._offsets(usual)
+        middle = np.median(history, axis=0)
+        sd = float(np.median(np.linalg.norm(history - middle, axis=1))) / _NORM_OF_SD
+        off = offsets - middle
+        apart = np.linalg.norm(off, axis=1) > max(self._settings.smallest, self._settings.deviations * sd)
+        if self.since_ns is not None:
+            self.since_ns = self.since_ns if apart.any() else None
+        elif apart.all():
+            mean = off.mean(axis=0)
+            # While the sensor still turns, the first block is between the old and the new offset.
+            if np.linalg.norm(off[1:] - mean, axis=1).max() < 0.5 * np.linalg.norm(mean):
+                # the blocks just before may have moved, too, by less than the threshold
+                late = np.linalg.norm(history - middle - mean, axis=1) < np.linalg.norm(
+                    history - middle, axis=1
+                )
+                first = len(usual) - int(np.argmin(np.append(late[::-1], False)))
+                self.since_ns = (usual + newest)[first].start_ns
+
+    def _offsets(self, blocks: Sequence[_Block]) -> Array:
+        """(N, 3) the median difference of the views over the points of each block."""
+        apart = np.array([b.a for b in blocks]) - self.a_from_b.apply(np.array([b.b for b in blocks]))
+        return np.asarray(np.nanmedian(apart, axis=1))
+
+    def _mean_points(self, view: Sequence[Skeleton | None]) -> Array:
+        """(M, 3) mean over time of the midpoints that are tracked in every frame of the block."""
+        at = np.array([s.positions for s in view if s is not None], dtype=np.float64)
+        tracked = np.array([s.states == TRACKED for s in view if s is not None])
+        at[~tracked] = np.nan
+        return np.asarray(0.5 * (at[:, self._own] + at[:, self._other]).mean(axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class KnockFit:
+    """What a suspected knock would be.
+
+    Attributes:
+        gain: Log-likelihood of the knock relative to none.
+        fit: R and t after the knock.
+        turn: Radians, by which the sensor would have turned.
+        shift: Metres, by which it would have moved the person.
+        keyframes: Number of pairs before it.
+    """
+
+    gain: float
+    fit: RobustFit
+    turn: float
+    shift: float
+    keyframes: int
+
+
+def fit_knock(
+    body: Body,
+    before: Evidence,
+    after: Evidence,
+    in_force: RigidTransform,
+    settings: RobustFitSettings,
+    prior: Prior | None = None,
+) -> KnockFit:
+    """Compares the two explanations of the pairs.
+
+    Args:
+        body: Of both views.
+        before, after: Pairs before and after the suspected moment; sides of ``after`` may still differ.
+        in_force: R and t in force.
+        settings: Assumptions of the fits.
+        prior: Knowledge of T besides the pairs.
+
+    Raises:
+        CalibrationError: The pairs do not determine a transform.
+    """
+    first = fit_robust(body, before, in_force, settings, iterations=3, prior=prior)
+
+    untouched = after.copy()
+    match_sides(body, untouched, first.a_from_b)
+    every = _joined(before, untouched)
+    one = fit_robust(
+        body, every, first.a_from_b, settings,
+        iterations=4, noise_sd=first.noise_sd, biases=first.biases, prior=prior,
+    )  # fmt: skip
+
+    later = after.copy()
+    T, biases, noise_sd = first.a_from_b, first.biases, first.noise_sd
+    knock, new = RigidTransform.identity(), first
+    surely = RobustFitSettings(_KNOWN, settings.tempering, settings.inflation, settings.common_sd)
+    for number in range(_ROUNDS):
+        shown = later._replace(a=later.a - np.einsum("kf,fjc->kjc", later.basis, biases, optimize=False))
+        new = fit_robust(
+            body, shown, T @ knock, surely,
+            iterations=3, noise_sd=noise_sd, prior=Prior(T, KNOCK_TURN, KNOCK_SHIFT),
+        )  # fmt: skip
+        knock = T.inverse() @ new.a_from_b
+        if number == 0:
+            match_sides(body, later, new.a_from_b)
+        both = _joined(before, later._replace(b=knock.apply(later.b)))
+        two = fit_robust(body, both, T, settings, iterations=2, noise_sd=noise_sd, biases=biases, prior=prior)
+        T, biases, noise_sd = two.a_from_b, two.biases, two.noise_sd
+    found = RobustFit(T @ knock, new.covariance, new.centre, biases, noise_sd)
+    turn = knock.angle_to(RigidTransform.identity())
+    shift = float(np.linalg.norm(found.a_from_b.apply(T.inverse().apply(new.centre)) - new.centre))
+    noise_sd = max(noise_sd, _LEAST_NOISE)
+    costs = [
+        cost_of(body, evidence, fit.a_from_b, settings, noise_sd, fit.biases) + _price(prior, fit)
+        for evidence, fit in ((every, one), (both, two))
+    ]
+    price = 0.5 * (turn / KNOCK_TURN) ** 2 + 0.5 * (shift / KNOCK_SHIFT) ** 2
+    return KnockFit(costs[0] - costs[1] - price, found, turn, shift, len(before.a))
+
+
+def _joined(one: Evidence, other: Evidence) -> Evidence:
+    return Evidence(*(np.concatenate(values) for values in zip(one, other, strict=True)))
+
+
+def _price(prior: Prior | None, fit: RobustFit) -> float:
+    """Minus the log density of a transform under the prior."""
+    if prior is None:
+        return 0.0
+    shift = prior.a_from_b.apply(fit.a_from_b.inverse().apply(fit.centre)) - fit.centre
+    turn = prior.a_from_b.angle_to(fit.a_from_b)
+    return 0.5 * (turn / prior.rotation_sd) ** 2 + 0.5 * float(shift @ shift) / prior.translation_sd**2
