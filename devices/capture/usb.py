@@ -1,4 +1,4 @@
-"""Kinects on the USB bus, and whether this user may open them.
+"""Depth sensors on the USB bus, and whether this user may open them.
 
 The SDK does not report why a device cannot be opened, so this module asks Linux. Other systems give no
 information.

@@ -26,7 +26,7 @@ class Calibration:
 
     Attributes:
         body: The body both sensors report.
-        a_from_b: R and t at the time of calibration; t is renewed every frame.
+        a_from_b: R and t. The method ``paper`` renews t in every frame.
         bone_lengths: (J,) metres, by the joint at the bone's far end; 0 at the root.
         how: A short description of the data that it was measured on.
         registration: How well the two views agreed; None where the calibration was loaded without it.

@@ -152,7 +152,7 @@ class Constants(NamedTuple):
         on the simulated one.
 
         ``spread``: chosen on simulated recordings of seed 4100, 8 movements at three angles,
-        registered and labelled over the whole recording. ``duplex bench accuracy --methods duplex`` prints
+        registered and labelled over the whole recording. ``tests.benchmarks.accuracy`` prints
         the coverage.
 
         ``acceleration``: simulated recordings of seed 4100. With Kinect v2, S* is 0.33 frames late with 2,

@@ -1,4 +1,4 @@
-"""``duplex replay``: fuses the two skeletons of a session again, in the same loop as other sources."""
+"""``duplex replay``: fuses the two skeletons of a session again."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ World frame: x to the person's left at heading zero, y down, z backwards; the fl
 looks along +z at a person of heading zero has the same axes. At rest every segment has the identity rotation:
 the person stands upright with hanging arms and palms inwards.
 
-Segments rotate only about joints that all three bodies have. Every bone of every body therefore has a
+Segments rotate only about joints that all bodies have. Every bone of every body therefore has a
 constant length. The upper trunk, from the navel to the shoulders and the neck, is one segment.
 """
 

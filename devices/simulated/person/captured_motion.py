@@ -1,7 +1,7 @@
 """Applies motion capture from a BVH file to the segments of the simulated person.
 
 The directions of the segments come from the file. The lengths of the limbs are those of the simulated person,
-so that the bone lengths of all three bodies are exact for any spine and collars in the file. Joints that
+so that the bone lengths of all bodies are exact for any spine and collars in the file. Joints that
 motion capture lacks (hand tips, thumbs, nose, eyes, ears) are fixed to their segments.
 """
 
