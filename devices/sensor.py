@@ -152,7 +152,7 @@ class Sensor:
 
 
 def _of_source(attribute: str) -> Any:
-    """A property that is the wrapped sensor's."""
+    """A property that returns the wrapped sensor's attribute of that name."""
     default = getattr(Sensor, attribute, None)
     return property(lambda wrapper: getattr(wrapper.source, attribute, default))
 

@@ -1,7 +1,9 @@
 """Kinds of joints: the one table of what a joint's name says about it.
 
 Constants that depend on the kind of a joint are mappings from kinds to values (:func:`by_joint`). A new kind
-is one row of :data:`KINDS`; until its own values are measured it takes those of the kind that it resembles.
+is one row of :data:`KINDS`; its names are in ``_KIND_OF_NAME`` and, for a leg, its kind is in ``_LEG_KINDS``.
+Until its own values are measured, it takes those of the kind that it resembles. The weights of
+:mod:`fusion.facing.model`, the radii of the drawn body and the simulated errors list joints of their own.
 """
 
 from __future__ import annotations
@@ -20,8 +22,8 @@ KINDS: dict[str, str | None] = {
     "spine": None, "head": None, "girdle": None, "elbow": None, "wrist": None, "hand": None, "tip": None,
     "thumb": None, "knee": None, "ankle": None, "foot": None, "face": None,
 }  # fmt: skip
-"""Kinds of joints, by how well a tracker finds them, with the kind whose values one without its own takes.
-The girdle is hips, shoulders and clavicles."""
+"""Kinds of joints, by how well a tracker finds them. A kind without constants of its own takes those of the
+kind named here. The girdle is hips, shoulders and clavicles."""
 ARM, LEG = 1, 2
 """The limbs whose labels can be exchanged; the bits of an exchange code."""
 

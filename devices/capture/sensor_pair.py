@@ -110,7 +110,7 @@ class TwoSensors:
         """
         self._stopped = False
         try:
-            # On a sync cable the subordinate starts first, to be there at the first pulse.
+            # The subordinate on a sync cable starts first, so that it receives the first pulse.
             a_leads = self._pairing.sync_delay_ns is None or self._pairing.sync_delay_ns > 0
             for thread in (self.b, self.a) if a_leads else (self.a, self.b):
                 thread.open()

@@ -48,7 +48,8 @@ class JointErrors(NamedTuple):
     def of(body: Body) -> JointErrors:
         """The errors of the body's own tracker.
 
-        Azure Kinect: simulated recordings, whose errors were fitted to 87 real trials that are not at hand.
+        Azure Kinect: simulated recordings. The simulated errors were fitted to 87 real trials, which this
+        repository does not contain.
         Kinect v1 and v2: ten real pairs of Kinect v2. BlazePose: tracked joints on simulated images against
         the truth, four scenes (seed 100).
         """

@@ -36,7 +36,7 @@ KNOCK_TURN, KNOCK_SHIFT = float(np.radians(8.0)), 0.4
 """Standard deviations of a knock: radians, and metres at the person."""
 _KNOWN = 1e-4  # metres, deviation of biases that are already subtracted
 _LEAST_NOISE = 0.015
-"""Metres, the spine's: a person who stands still shows less, but not how biases change with the pose."""
+"""Lower limit of a spine joint's noise, metres. A still person shows less; biases change with the pose."""
 _ROUNDS = 2  # of T with β and D in turn; a third changes the gain by less than a tenth
 _FEWEST_POINTS = 3  # seen by both views
 _NORM_OF_SD = 1.538  # median norm of a normal 3-vector, in standard deviations of one axis

@@ -75,7 +75,7 @@ class RobustFit:
         covariance: (6, 6) of (dt, θ): shift of the centre and rotation vector about it, in K_A's frame.
         centre: (3,) metres, the weighted mean of the joints, where dt and θ are least correlated.
         biases: (3, J, 3) the expected β_f of each joint.
-        noise_sd: Metres, the spine's ε along one axis.
+        noise_sd: Metres, standard deviation of a spine joint's ε along one axis.
     """
 
     a_from_b: RigidTransform

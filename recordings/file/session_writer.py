@@ -157,7 +157,7 @@ def _copy_images(session: SessionData, recorder: Recorder, first: int, end: int)
 
 # Rerun keeps two threads and the buffers of each stream, together 1 to 4 MB, until it looks for streams to
 # which the program no longer refers. Only ``rr.init`` does that. ``RecordingStream.send_blueprint`` makes
-# another stream, which remains even then, because it is never disconnected. The functions below call the same
+# another stream, which is never disconnected and therefore never freed. The functions below call the same
 # internal functions of Rerun as these two, which is safe while ``pyproject.toml`` pins Rerun's minor version.
 
 

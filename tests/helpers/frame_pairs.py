@@ -14,7 +14,7 @@ from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
 
 class KnownSensors:
-    """Two sensors of the live loop that give these pairs; with `waiting`, the next frame is there already."""
+    """Two sensors that give the live loop these pairs. `waiting`: the next frame has already arrived."""
 
     stream_figures = None
 

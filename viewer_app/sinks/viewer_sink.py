@@ -231,7 +231,7 @@ class ViewerSink(ViewerFeed):
         super().write(self._turns.capped(frame))
 
     def recalibrated(self, setup: FusionSetup) -> None:
-        """Queues the setup of the following frames; a viewer that connects later starts with it."""
+        """Queues the setup of the following frames, and keeps it for viewers that connect later."""
         self._setup = setup
         super().recalibrated(setup)
 
