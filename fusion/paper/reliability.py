@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.setup import PAPER_H
 from fusion.skeleton import TRACKED
 
 
@@ -49,7 +48,24 @@ def _nearest(i, pixels, usable, linked):  # type: ignore[no-untyped-def]
 
 @kernel
 def weigh_views(views, linked, h, weights_a, weights_b, misleading):  # type: ignore[no-untyped-def]
-    """:func:`reliability_weights` into arrays that are given."""
+    """The weights w_A, w_B of eq. (11) and the mis-leading joint of every joint, sec. 3.
+
+    For joint i, j is the nearest joint in A's viewing plane that is neither i nor linked to it by a bone,
+    k the same in B's. m = j where d_ij in A is below d_ik in B, else k. With d_A, d_B the distance of i and
+    m in each plane, w̄_A = d_A / (d_A + d_B), eq. (10); times h where tracked and 1 - h where inferred, if
+    the states differ; to the fourth power and normalised to w_A + w_B = 1, eq. (11).
+
+    Only joints in both planes can mislead, because d needs both. A joint in one plane only gets weight 1
+    there and 0 in the other; in neither, 0 and 0. Without a mis-leading joint, or with it on top of i in
+    both planes, w̄_A = w̄_B = ½.
+
+    Args:
+        views: The joints in each sensor's image.
+        linked: (J, J) whether two joints are the same or share a bone.
+        h: In (0.5, 1).
+        weights_a, weights_b: (J,) out: w_A, w_B.
+        misleading: (J,) out: the mis-leading joint, -1 where there is none.
+    """
     pixels_a, pixels_b, usable = views.pixels_a, views.pixels_b, views.usable
     states_a, states_b = views.states_a, views.states_b
     joints = len(pixels_a)
@@ -76,39 +92,3 @@ def weigh_views(views, linked, h, weights_a, weights_b, misleading):  # type: ig
             basic_b *= h if states_b[i] == TRACKED else 1.0 - h
         power_a, power_b = basic_a**4, basic_b**4
         weights_a[i], weights_b[i] = power_a / (power_a + power_b), power_b / (power_a + power_b)
-
-
-def reliability_weights(
-    pixels_a: NDArray[np.float64],
-    pixels_b: NDArray[np.float64],
-    states_a: NDArray[np.uint8],
-    states_b: NDArray[np.uint8],
-    linked: NDArray[np.bool_],
-    h: float = PAPER_H,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """The weights w_A, w_B of eq. (11) and the mis-leading joint of every joint, sec. 3.
-
-    For joint i, j is the nearest joint in A's viewing plane that is neither i nor linked to it by a bone,
-    k the same in B's. m = j where d_ij in A is below d_ik in B, else k. With d_A, d_B the distance of i and
-    m in each plane, w̄_A = d_A / (d_A + d_B), eq. (10); times h where tracked and 1 - h where inferred, if
-    the states differ; to the fourth power and normalised to w_A + w_B = 1, eq. (11).
-
-    Only joints in both planes can mislead, because d needs both. A joint in one plane only gets weight 1
-    there and 0 in the other; in neither, 0 and 0. Without a mis-leading joint, or with it on top of i in
-    both planes, w̄_A = w̄_B = ½.
-
-    Args:
-        pixels_a, pixels_b: (J, 2) where the joints fall in each sensor's own image; NaN where they do not.
-        states_a, states_b: (J,) tracking states.
-        linked: (J, J) whether two joints are the same or share a bone.
-        h: In (0.5, 1).
-
-    Returns:
-        (J,) w_A, (J,) w_B, (J,) the mis-leading joint, -1 where there is none.
-    """
-    joints = len(pixels_a)
-    weights_a, weights_b = np.empty(joints), np.empty(joints)
-    misleading = np.empty(joints, dtype=np.int64)
-    views = ViewPixels(pixels_a, pixels_b, states_a, states_b, np.empty(joints, dtype=np.bool_))
-    weigh_views(views, linked, h, weights_a, weights_b, misleading)
-    return weights_a, weights_b, misleading

@@ -8,12 +8,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.errors import FusionError
-from fusion.solvers import MAX_ITERATIONS, Solution
+from fusion.solvers import MAX_ITERATIONS
 
 _STEP_TOLERANCE = 1e-5  # m: the paper's ‖d‖ < 1e-5
 _SHORTEST = 2.0**-20  # of a full step: below it the line search gives up
@@ -122,56 +118,3 @@ def solve_published(parents, targets, weights, lengths, line_search, at, work): 
         if math.sqrt(norm) < _STEP_TOLERANCE:
             return iterations, data, True
     return iterations, data, False
-
-
-class PaperSolver:
-    """The published scheme, used like :class:`fusion.solvers.tree_solver.TreeSolver`; bones are not exact."""
-
-    def __init__(self, parents: ArrayLike, line_search: bool = True) -> None:
-        """Prepares for a tree of joints.
-
-        Args:
-            parents: (J,) index of each joint's parent, -1 for the root.
-            line_search: Whether a step's length is searched for; full steps otherwise.
-        """
-        self.parents = np.array(parents, dtype=np.int64)
-        self.line_search = line_search
-        self._work = np.empty((2, len(self.parents), 3))
-
-    def solve(
-        self,
-        targets: ArrayLike,
-        weights: ArrayLike,
-        bone_lengths: ArrayLike,
-        start: ArrayLike | None = None,
-    ) -> Solution:
-        """S* of one frame as published.
-
-        Args:
-            targets: (J, 3) m, metres; NaN where there is no data.
-            weights: (J,) w ≥ 0.
-            bone_lengths: (J,) metres, by the joint at the bone's far end.
-            start: (J, 3) the previous frame's joints; the targets where None.
-
-        Raises:
-            FusionError: A shape does not fit, or the start has a joint without a position.
-        """
-        m = np.ascontiguousarray(targets, dtype=np.float64)
-        w = np.where(np.isfinite(m).all(axis=1), np.asarray(weights, dtype=np.float64), 0.0)
-        lengths = np.ascontiguousarray(bone_lengths, dtype=np.float64)
-        at = np.array(m if start is None else start, dtype=np.float64)
-        joints = len(self.parents)
-        if m.shape != (joints, 3) or at.shape != (joints, 3) or lengths.shape != (joints,):
-            raise FusionError(
-                f"The tree has {joints} joints; targets are {m.shape}, bone lengths {lengths.shape}, "
-                f"start {at.shape}."
-            )
-        if not np.isfinite(at).all():
-            raise FusionError(
-                f"The published scheme needs a start for every joint; {np.isnan(at).any(axis=1).sum()} have "
-                "none. Give the joints of the frame before."
-            )
-        iterations, objective, converged = solve_published(
-            self.parents, m, w, lengths, self.line_search, at, self._work
-        )
-        return Solution(at, iterations, objective, converged, iterations)

@@ -9,11 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.errors import FusionError
-from fusion.solvers import MAX_ITERATIONS, Solution
+from fusion.solvers import MAX_ITERATIONS
 from fusion.solvers.tree_elimination import (
     SADDLE,
     eliminate,
@@ -204,8 +202,10 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
         positions: (J, 3) out: the solution.
 
     Returns:
-        (iterations, systems, objective, converged), as in :class:`fusion.solvers.Solution`; iterations
-        are -1 where a bone length is not positive, or a weight not finite.
+        (iterations, systems, objective, converged): steps to a better point, from the start that led to the
+        solution (-1 where a bone length is not positive, or a weight not finite); linear systems solved,
+        including line searches and abandoned starts; Σ (x - m)ᵀ W (x - m), in m² times the unit of the
+        weights; whether the solver's criterion was met before the iterations ran out.
     """
     if not load(targets, weights, lengths, order[0], work):
         return -1, 0, math.nan, False
@@ -231,90 +231,10 @@ def solve_tree(parents, order, rest, targets, weights, lengths, start, work, pos
     return iterations, systems, objective, converged
 
 
-class TreeSolver:
-    """Solves eq. (1) for one body; keeps the workspace, so that a frame allocates its result only.
-
-    Not thread-safe, because the workspace belongs to one frame.
-    """
-
-    def __init__(self, parents: ArrayLike, order: ArrayLike, rest: ArrayLike) -> None:
-        """Prepares for a tree of joints.
-
-        Args:
-            parents: (J,) index of each joint's parent, -1 for the root.
-            order: (J,) joints, every parent before its children.
-            rest: (J, 3) default direction parent → joint; zero for the root only.
-
-        Raises:
-            FusionError: The shapes differ, the order does not form a tree, or ``rest`` has no direction.
-        """
-        self.parents = np.array(parents, dtype=np.int64)
-        self.order, self.rest = np.array(order, dtype=np.int64), np.array(rest, dtype=np.float64)
-        joints = len(self.parents)
-        if self.order.shape != (joints,) or self.rest.shape != (joints, 3):
-            raise FusionError(
-                f"A tree of {joints} joints needs (J,) order and (J, 3) rest; got {self.order.shape}, "
-                f"{self.rest.shape}."
-            )
-        seen = {-1}
-        for joint in self.order.tolist():
-            if not 0 <= joint < joints:
-                raise FusionError(f"Joint {joint} in order; a tree of {joints} joints has 0 to {joints - 1}.")
-            if self.parents[joint] not in seen:
-                raise FusionError(f"Joint {joint} stands before its parent {self.parents[joint]} in order.")
-            seen.add(joint)
-        if seen != set(range(-1, joints)) or np.count_nonzero(self.parents == -1) != 1:
-            raise FusionError("A tree needs each joint once in order, and one root (parent -1).")
-        for joint in self.order[1:].tolist():
-            if not 0.0 < np.linalg.norm(self.rest[joint]) < np.inf:
-                raise FusionError(f"Joint {joint} needs a direction at rest; got {self.rest[joint]}.")
-        self._work = new_tree_workspace(joints)
-        self._no_start = np.full((joints, 3), np.nan)
-
-    def solve(
-        self,
-        targets: ArrayLike,
-        weights: ArrayLike,
-        bone_lengths: ArrayLike,
-        start: ArrayLike | None = None,
-    ) -> Solution:
-        """S* of one frame, eq. (1).
-
-        Args:
-            targets: (J, 3) m, metres: the joint's weighted mean over the views; NaN where it has no data.
-            weights: (J,) w ≥ 0, or (J, 3, 3) positive semidefinite; 0 for a joint without data.
-            bone_lengths: (J,) metres, by the joint at the bone's far end; the root's is ignored.
-            start: (J, 3) joints near the solution, such as the previous frame's; their bones may have any
-                length.
-
-        Raises:
-            FusionError: A shape does not fit, or a bone length is not positive.
-        """
-        m = np.ascontiguousarray(targets, dtype=np.float64)
-        W = np.ascontiguousarray(weights, dtype=np.float64)
-        lengths = np.ascontiguousarray(bone_lengths, dtype=np.float64)
-        near = self._no_start if start is None else np.ascontiguousarray(start, dtype=np.float64)
-        joints = len(self.parents)
-        fit = m.shape == near.shape == (joints, 3) and lengths.shape == (joints,)
-        if not fit or W.shape not in ((joints,), (joints, 3, 3)):
-            raise FusionError(
-                f"The tree has {joints} joints; targets are {m.shape}, weights {W.shape}, bone lengths "
-                f"{lengths.shape}, start {near.shape}."
-            )
-        positions = np.empty((joints, 3))
-        iterations, systems, objective, converged = solve_tree(
-            self.parents, self.order, self.rest, m, W, lengths, near, self._work, positions
-        )
-        if iterations < 0:
-            bones = lengths[self.order[1:]]
-            if ((bones > 0.0) & (bones < np.inf)).all():
-                raise FusionError(f"Weights must be finite, and 0 without data; the largest is {W.max()}.")
-            raise FusionError(f"Every bone needs a length > 0 m; got {bones.min()}.")
-        return Solution(positions, iterations, objective, converged, systems)
-
-
 def compile_tree_solver(matrices: bool = False) -> None:
     """Compiles the solver by solving a problem with 3×3 or with scalar weights."""
-    solver = TreeSolver([-1, 0], [0, 1], [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    parents, order, rest = np.array([-1, 0]), np.array([0, 1]), np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     weights = np.tile(np.eye(3), (2, 1, 1)) if matrices else np.ones(2)
-    solver.solve(np.zeros((2, 3)), weights, np.ones(2))
+    start, positions = np.full((2, 3), np.nan), np.empty((2, 3))
+    work = new_tree_workspace(2)
+    solve_tree(parents, order, rest, np.zeros((2, 3)), weights, np.ones(2), start, work, positions)

@@ -26,11 +26,11 @@ from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup, Method
 from fusion.skeleton import SkeletonPair
-from fusion.solvers.published import PaperSolver
 from recordings.session import Session
 from tests.benchmarks import results
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.solver_problems import ordinary_problem, solver_of
+from tests.helpers.solvers import PaperSolver
 
 FRAME_NS = 33_333_333
 FRAMES_PER_MINUTE = 1800

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import BODIES, KINECT_V2, Body
-from fusion.solvers import MAX_ITERATIONS, Solution
-from fusion.solvers.tree_solver import TreeSolver
+from fusion.solvers import MAX_ITERATIONS
 from tests.helpers.slsqp import slsqp_optimum
+from tests.helpers.solvers import Solution, TreeSolver
 
 BONE_TOLERANCE = 1e-6  # m, the claim
 # m: force over the information it acts on, as if it were a joint's distance from its target. The solver's

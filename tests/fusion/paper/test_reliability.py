@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion.body import BODIES, KINECT_V2
-from fusion.paper.reliability import reliability_weights
+from fusion.paper.reliability import ViewPixels, weigh_views
 from fusion.setup import PAPER_H
 
 
@@ -34,6 +34,14 @@ def by_the_paper(pixels_a, pixels_b, states_a, states_b, linked, h):
         power_a, power_b = (h_a * basic_a) ** 4, (h_b * basic_b) ** 4
         result.append((power_a / (power_a + power_b), power_b / (power_a + power_b), m))
     return tuple(np.array(column) for column in zip(*result, strict=True))
+
+
+def reliability_weights(pixels_a, pixels_b, states_a, states_b, linked, h=PAPER_H):
+    joints = len(pixels_a)
+    weights_a, weights_b, misleading = np.empty(joints), np.empty(joints), np.empty(joints, dtype=np.int64)
+    views = ViewPixels(pixels_a, pixels_b, states_a, states_b, np.empty(joints, dtype=np.bool_))
+    weigh_views(views, linked, h, weights_a, weights_b, misleading)
+    return weights_a, weights_b, misleading
 
 
 def random_views(rng, body):

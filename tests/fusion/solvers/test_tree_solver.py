@@ -12,11 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.body import AZURE_KINECT, BODIES, KINECT_V1
+from fusion.body import AZURE_KINECT, BODIES
 from fusion.compiling.kernels import kernel
-from fusion.errors import FusionError
 from fusion.solvers import MAX_ITERATIONS
-from fusion.solvers.tree_solver import MAX_SYSTEMS, TreeSolver
+from fusion.solvers.tree_solver import MAX_SYSTEMS
 from fusion.solvers.tree_start import bend
 from tests.helpers.solver_problems import (
     SAME,
@@ -32,6 +31,7 @@ from tests.helpers.solver_problems import (
     slsqp,
     solver_of,
 )
+from tests.helpers.solvers import TreeSolver
 
 ROUNDING = 1e-12  # m: coordinates of a few metres, sums of some tens of them, in float64
 
@@ -304,16 +304,7 @@ def test_bone_without_length_is_refused(length):
     problem = ordinary_problem(5)
     lengths = problem.lengths.copy()
     lengths[3] = length
-    with pytest.raises(FusionError, match="length > 0"):
-        solve(replace(problem, lengths=lengths))
-
-
-def test_shapes_that_do_not_fit_are_refused():
-    problem = ordinary_problem(5)
-    with pytest.raises(FusionError, match="targets are"):
-        solver_of(KINECT_V1).solve(problem.targets, problem.weights, problem.lengths)
-    with pytest.raises(FusionError, match="stands before its parent"):
-        TreeSolver([-1, 0, 1], [0, 2, 1], np.ones((3, 3)))
+    assert solve(replace(problem, lengths=lengths)).iterations == -1
 
 
 def test_the_checks_see_what_is_wrong():
@@ -334,8 +325,7 @@ def test_weight_that_is_not_finite_is_refused(weight, shape):
     problem = ordinary_problem(7)
     weights = np.ones((len(problem.body), *shape))
     weights[4] = weight
-    with pytest.raises(FusionError, match="finite"):
-        solver_of(problem.body).solve(problem.targets, weights, problem.lengths)
+    assert solver_of(problem.body).solve(problem.targets, weights, problem.lengths).iterations == -1
 
 
 def beyond_numbers() -> Problem:
@@ -354,20 +344,6 @@ def test_a_problem_that_overflows_has_not_converged():
 
 def test_without_a_hole_there_are_two_starts_only():
     assert solve(beyond_numbers()).systems <= 2 * MAX_SYSTEMS
-
-
-@pytest.mark.parametrize(
-    ("parents", "order", "rest"),
-    [
-        ([-1, 0], [0, 7], np.ones((2, 3))),
-        ([-1, 0], [0, -1], np.ones((2, 3))),
-        ([-1, 0], [0, 1], np.zeros((2, 3))),
-        ([-1, 0], [0, 1], [[0.0, 0.0, 0.0], [0.0, np.nan, 1.0]]),
-    ],
-)
-def test_a_body_that_is_no_tree_or_has_no_directions_is_refused(parents, order, rest):
-    with pytest.raises(FusionError, match=r"in order|at rest"):
-        TreeSolver(parents, order, rest)
 
 
 @kernel

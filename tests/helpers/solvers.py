@@ -1,0 +1,74 @@
+"""The solver kernels for one frame, with a result that names its figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fusion.solvers.published import solve_published
+from fusion.solvers.tree_solver import solve_tree
+from fusion.solvers.tree_start import new_tree_workspace
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """S* of one frame; see :func:`fusion.solvers.tree_solver.solve_tree` for its figures."""
+
+    positions: NDArray[np.float64]
+    iterations: int
+    objective: float
+    converged: bool
+    systems: int
+
+
+def _floats(values: ArrayLike) -> NDArray[np.float64]:
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+class TreeSolver:
+    """:func:`solve_tree` for one tree; keeps the workspace between frames."""
+
+    def __init__(self, parents: ArrayLike, order: ArrayLike, rest: ArrayLike) -> None:
+        self.parents, self.order = (np.array(each, dtype=np.int64) for each in (parents, order))
+        self.rest, self._work = _floats(rest), new_tree_workspace(len(self.parents))
+
+    def solve(
+        self,
+        targets: ArrayLike,
+        weights: ArrayLike,
+        bone_lengths: ArrayLike,
+        start: ArrayLike | None = None,
+    ) -> Solution:
+        """Solves one frame."""
+        m, W, lengths = _floats(targets), _floats(weights), _floats(bone_lengths)
+        near = np.full(m.shape, np.nan) if start is None else _floats(start)
+        positions = np.empty(m.shape)
+        iterations, systems, objective, converged = solve_tree(
+            self.parents, self.order, self.rest, m, W, lengths, near, self._work, positions
+        )
+        return Solution(positions, iterations, objective, converged, systems)
+
+
+class PaperSolver:
+    """:func:`solve_published` for one tree of joints, from the targets where no start is given."""
+
+    def __init__(self, parents: ArrayLike, line_search: bool = True) -> None:
+        self.parents, self.line_search = np.array(parents, dtype=np.int64), line_search
+
+    def solve(
+        self,
+        targets: ArrayLike,
+        weights: ArrayLike,
+        bone_lengths: ArrayLike,
+        start: ArrayLike | None = None,
+    ) -> Solution:
+        """Solves one frame."""
+        m = _floats(targets)
+        w = np.where(np.isfinite(m).all(axis=1), _floats(weights), 0.0)
+        at = np.array(m if start is None else start, dtype=np.float64)
+        iterations, objective, converged = solve_published(
+            self.parents, m, w, _floats(bone_lengths), self.line_search, at, np.empty((2, *m.shape))
+        )
+        return Solution(at, iterations, objective, converged, iterations)
