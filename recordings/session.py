@@ -215,12 +215,7 @@ class Session(SessionData):
         """Quality figures per frame."""
         rows = self.rows
         return QualitySeries(
-            rows.bone_error,
-            rows.disagreement,
-            rows.skew_ns,
-            rows.fuse_ms,
-            rows.iterations,
-            rows.predicted,
+            rows.bone_error, rows.disagreement, rows.skew_ns, rows.fuse_ms, rows.iterations, rows.predicted
         )
 
     @property

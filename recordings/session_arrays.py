@@ -92,23 +92,11 @@ class SessionArrays:
     )
     """(T, J, 3) S_B in B's frame."""
     states_a: NDArray[np.uint8] = per_frame(
-        np.uint8,
-        (JOINTS,),
-        _FUSED,
-        layout.state("a"),
-        np.int8,
-        "pair.skeletons.a.states",
-        names=state_names,
+        np.uint8, (JOINTS,), _FUSED, layout.state("a"), np.int8, "pair.skeletons.a.states", names=state_names
     )
     """(T, J) tracking states of S_A."""
     states_b: NDArray[np.uint8] = per_frame(
-        np.uint8,
-        (JOINTS,),
-        _FUSED,
-        layout.state("b"),
-        np.int8,
-        "pair.skeletons.b.states",
-        names=state_names,
+        np.uint8, (JOINTS,), _FUSED, layout.state("b"), np.int8, "pair.skeletons.b.states", names=state_names
     )
     """(T, J) tracking states of S_B."""
     weights_a: NDArray[np.float32] = per_frame(

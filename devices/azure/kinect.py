@@ -13,13 +13,7 @@ from typing import Any
 import numpy as np
 
 from devices.azure.calibration import COLOR_SIZES, depth_mode
-from devices.azure.pyk4a_access import (
-    close_kinect,
-    is_connected,
-    load_sdk,
-    open_kinect,
-    why_not_open,
-)
+from devices.azure.pyk4a_access import close_kinect, is_connected, load_sdk, open_kinect, why_not_open
 from devices.azure.pyk4a_internals import capsule_pointer, capture_pointer, image_of
 from devices.azure.settings import KinectSettings, sdk_configuration
 from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings

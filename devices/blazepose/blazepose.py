@@ -109,11 +109,7 @@ class BlazePose:
         self._searched = 0
 
     def track(
-        self,
-        image: NDArray[np.generic],
-        depth: NDArray[np.uint16],
-        intrinsics: Intrinsics,
-        time_ns: int,
+        self, image: NDArray[np.generic], depth: NDArray[np.uint16], intrinsics: Intrinsics, time_ns: int
     ) -> dict[str, Skeleton]:
         """Finds the person in an image.
 

@@ -13,14 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.blazepose.landmark_kinds import (
-    EARS,
-    FACE,
-    LONG_BONE_LENGTHS,
-    LONG_BONES,
-    column,
-    opposite,
-)
+from devices.blazepose.landmark_kinds import EARS, FACE, LONG_BONE_LENGTHS, LONG_BONES, column, opposite
 from fusion.compiling.kernels import kernel
 from fusion.intrinsics import Intrinsics
 

@@ -49,12 +49,7 @@ class Region:
         scale = self.side / size
         c, s = scale * math.cos(self.angle), scale * math.sin(self.angle)
         middle = 0.5 * size - 0.5
-        return np.array(
-            (
-                (c, -s, self.u - c * middle + s * middle),
-                (s, c, self.v - s * middle - c * middle),
-            )
-        )
+        return np.array(((c, -s, self.u - c * middle + s * middle), (s, c, self.v - s * middle - c * middle)))
 
     def crop(self, image: NDArray[Any], size: int) -> NDArray[Any]:
         """(size, size[, 3]) the region of the image; zero outside of the image.

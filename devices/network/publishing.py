@@ -25,13 +25,7 @@ from devices.network.messages import (
     encode_sensor,
 )
 from devices.network.remote_sensor import CLOCK, FRAMES, SENSOR
-from devices.network.zenoh_session import (
-    ZenohAddresses,
-    checked_key,
-    first_words,
-    load_zenoh,
-    zenoh_session,
-)
+from devices.network.zenoh_session import ZenohAddresses, checked_key, first_words, load_zenoh, zenoh_session
 from devices.sensor import DeviceError, Sensor, SensorFrame
 
 _LARGEST_REQUEST = 256  # bytes; a clock request has 56

@@ -15,12 +15,7 @@ from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
 
 DEPTH_SIZES = {"NFOV_UNBINNED": (640, 576), "WFOV_2X2BINNED": (512, 512)}
-COLOR_SIZES = {
-    "720P": (1280, 720),
-    "1080P": (1920, 1080),
-    "1440P": (2560, 1440),
-    "2160P": (3840, 2160),
-}
+COLOR_SIZES = {"720P": (1280, 720), "1080P": (1920, 1080), "1440P": (2560, 1440), "2160P": (3840, 2160)}
 _USUAL_WIDTH = 640
 _INFRARED_FORMATS = ("Y16", "Y8")
 _BROWN_CONRADY = ("BROWN_CONRADY", "BROWN_CONRADY_K6")

@@ -142,7 +142,4 @@ def _symmetric(body: Body, length: Array, error: Array) -> tuple[Array, Array]:
     weight, other_weight = (1.0 / np.maximum(sd, 1e-4) ** 2 for sd in (error, other_error))
     mean = (weight * length + other_weight * other) / (weight + other_weight)
     shared = np.where(both & ~objects, mean, length)
-    return (
-        np.where(np.isfinite(shared), shared, other),
-        np.where(np.isfinite(error), error, other_error),
-    )
+    return (np.where(np.isfinite(shared), shared, other), np.where(np.isfinite(error), error, other_error))

@@ -7,17 +7,8 @@ from dataclasses import dataclass, replace
 
 from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
-from fusion.calibration.calibration import (
-    Calibration,
-    calibrate,
-    nominal_calibration,
-)
-from fusion.calibration.online import (
-    CalibrationChange,
-    CalibrationLearner,
-    LearnerSettings,
-    prior_of,
-)
+from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
+from fusion.calibration.online import CalibrationChange, CalibrationLearner, LearnerSettings, prior_of
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of

@@ -7,14 +7,7 @@ import math
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.facing.evidence import exchange_odds, learn_up, measure_view, update_motion
 from fusion.facing.model import WHOLE
-from fusion.facing.whole_body import (
-    correct,
-    log_likelihood,
-    predict,
-    prior_belief,
-    set_headings,
-    set_turning,
-)
+from fusion.facing.whole_body import correct, log_likelihood, predict, prior_belief, set_headings, set_turning
 
 FORGET_SECONDS = 1.0
 """After this time without a pair the filter starts again."""

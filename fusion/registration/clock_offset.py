@@ -213,10 +213,7 @@ def _windows(
 
 
 def _residuals(
-    views: tuple[Array, Array],
-    pairs: Sequence[SkeletonPair],
-    skews_ns: Array,
-    offset_ns: float,
+    views: tuple[Array, Array], pairs: Sequence[SkeletonPair], skews_ns: Array, offset_ns: float
 ) -> tuple[Array, Array, Array]:
     """Times (T,), p − q' (T, M, 3) with B taken at A's times, and the velocity (T, M, 3) in m/s."""
     a, b = views

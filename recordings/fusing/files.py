@@ -108,10 +108,7 @@ def fused_session(
     return Session.of(
         [(setup, frames[own]) for setup, own in segments],
         sources,
-        events=[
-            *_events_of(read, plan, segments, first_ns),
-            *view_events(read.body, frames, first_ns),
-        ],
+        events=[*_events_of(read, plan, segments, first_ns), *view_events(read.body, frames, first_ns)],
         images=RecordingImages(read, depth, progress),
         about={"tracker": read.tracker} if read.tracker else None,
     )

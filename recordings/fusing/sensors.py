@@ -50,10 +50,7 @@ class LiveFusion:
         self._views = ViewEvents(setup.body)
 
     def frames(
-        self,
-        sensors: TwoSensors,
-        depth: Depth = "full",
-        clock: Callable[[], int] = time.perf_counter_ns,
+        self, sensors: TwoSensors, depth: Depth = "full", clock: Callable[[], int] = time.perf_counter_ns
     ) -> Iterator[RecordedFrame]:
         """Fuses the pairs of two open sensors as they arrive, until both sensors end.
 

@@ -32,13 +32,7 @@ from viewer_app.output_files import check_outputs
 from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_outputs, print_outputs
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.figures import report, save_report
-from viewer_app.report.terminal import (
-    print_damage,
-    print_damaged_images,
-    print_summary,
-    say_more,
-    say_saved,
-)
+from viewer_app.report.terminal import print_damage, print_damaged_images, print_summary, say_more, say_saved
 from viewer_app.running.loop import played, warm_up
 from viewer_app.sinks.sink import FanOut
 from viewer_app.viewer.blueprint import inspect_blueprint

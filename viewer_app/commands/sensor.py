@@ -51,11 +51,7 @@ def run(options: PublishOptions) -> None:
         ctrl_c.calls(stopped.set)
         publisher = stack.enter_context(
             FramePublisher(
-                options.publish,
-                addresses,
-                sensor,
-                interval_ns=round(1e9 / options.fps),
-                depth=options.depth,
+                options.publish, addresses, sensor, interval_ns=round(1e9 / options.fps), depth=options.depth
             )
         )
         where = ", ".join((*addresses.listen, *addresses.connect))

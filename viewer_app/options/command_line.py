@@ -54,9 +54,7 @@ COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
 }
 """Options and module of each command, by ``command`` or ``group command``; the module has a ``run``."""
 
-_GROUPS = {
-    "tracker": "The program's own body tracker, BlazePose.",
-}
+_GROUPS = {"tracker": "The program's own body tracker, BlazePose."}
 _LONGEST = 200  # characters of a message; longer ones, with a long value, lose their middle
 _NUMBERS = {int: "a whole number", float: "a number"}
 

@@ -55,14 +55,7 @@ def read_avatar(path: Path) -> Avatar:
         raise UsageError(f"--avatar {path}: not a readable .vrm ({fault}).") from fault
     except KeyError as fault:
         raise UsageError(f"--avatar {path}: not a readable .vrm (it has no {fault}).") from fault
-    except (
-        IndexError,
-        TypeError,
-        ValueError,
-        OverflowError,
-        AttributeError,
-        RecursionError,
-    ) as fault:
+    except (IndexError, TypeError, ValueError, OverflowError, AttributeError, RecursionError) as fault:
         raise UsageError(f"--avatar {path}: not a readable .vrm (its content is damaged).") from fault
 
 

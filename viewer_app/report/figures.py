@@ -19,12 +19,7 @@ from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
 from fusion.solvers import MAX_ITERATIONS
-from fusion.without_truth import (
-    FiguresWithoutTruth,
-    FusedPair,
-    figures_without_truth,
-    judge_registration,
-)
+from fusion.without_truth import FiguresWithoutTruth, FusedPair, figures_without_truth, judge_registration
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
 from viewer_app.output_files import write_text

@@ -75,8 +75,4 @@ def latency_figures(frames: Sequence[RecordedFrame]) -> dict[str, float | None]:
     known = [frame.latency_ns * 1e-6 for frame in frames if frame.latency_ns is not None]
     if not known:
         return {"p50": None, "p99": None, "max": None}
-    return {
-        "p50": float(np.median(known)),
-        "p99": float(np.percentile(known, 99)),
-        "max": float(max(known)),
-    }
+    return {"p50": float(np.median(known)), "p99": float(np.percentile(known, 99)), "max": float(max(known))}

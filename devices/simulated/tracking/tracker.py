@@ -156,12 +156,7 @@ class Tracker:
         return hidden
 
     def _follow(
-        self,
-        script: ScriptedFaults,
-        hidden: NDArray[np.bool_],
-        joints: Array,
-        visible: Array,
-        time_ns: int,
+        self, script: ScriptedFaults, hidden: NDArray[np.bool_], joints: Array, visible: Array, time_ns: int
     ) -> NDArray[np.bool_]:
         """Returns (J,) whether each joint is hidden, with the joints that the script misplaces."""
         before, self._misplaced = self._misplaced, script.misplaces(time_ns)
