@@ -40,26 +40,15 @@ _TINY = 1e-9
 
 
 class _Plan(NamedTuple):
-    """How each bone of a body gets its rotation.
+    """How each bone of a body gets its rotation."""
 
-    Attributes:
-        order: (J,) parents before children.
-        kinds: (J,) ``_FRAME``, ``_SWING`` or ``_LIMB``, of the bone that ends in a joint; at the root, of the
-            pelvis.
-        bases: (J,) the bone whose rotation comes first; -1 for none.
-        ends: (J, 2) where the bone begins and ends; for the root, the first bone of the spine.
-        pairs: (J, 2) left and right joint of a frame; the two ends of the lower bone of a limb.
-        signs: (J,) of the cross product of a limb's bones, so that it points to the person's left.
-        rest: (J, 3) unit directions at rest.
-    """
-
-    order: NDArray[np.int64]
-    kinds: NDArray[np.int64]
-    bases: NDArray[np.int64]
-    ends: NDArray[np.int64]
-    pairs: NDArray[np.int64]
-    signs: NDArray[np.float64]
-    rest: NDArray[np.float64]
+    order: NDArray[np.int64]  # (J,) parents before children
+    kinds: NDArray[np.int64]  # (J,) _FRAME, _SWING or _LIMB, of the bone that ends in a joint
+    bases: NDArray[np.int64]  # (J,) the bone whose rotation comes first; -1 for none
+    ends: NDArray[np.int64]  # (J, 2) where the bone begins and ends; at the root, the first of the spine
+    pairs: NDArray[np.int64]  # (J, 2) left and right joint of a frame; the ends of the lower bone of a limb
+    signs: NDArray[np.float64]  # (J,) of the cross product of a limb's bones: it points to the person's left
+    rest: NDArray[np.float64]  # (J, 3) unit directions at rest
 
 
 @cache

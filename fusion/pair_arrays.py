@@ -15,26 +15,18 @@ from fusion.skeleton import Skeleton, SkeletonPair
 
 
 class PairArrays(NamedTuple):
-    """T pairs.
+    """T pairs; a, b in each sensor's frame."""
 
-    Attributes:
-        time_ns: (T,) the pairs' times.
-        skew_ns: (T,) capture time of B minus that of A.
-        codes: (T, 2) exchange codes of A and B with doubt (:func:`fusion.facing.exchange.with_doubt`) where
-            they are known, -1 where the facing filter finds them.
-        a, b: (T, J, 3) float32 positions, each in its sensor's frame, metres; NaN where not tracked.
-        states_a, states_b: (T, J) uint8 tracking states; all 0 where the sensor sees no one.
-        witness_a, witness_b: (T, J, 4) float32 of depth images (:mod:`fusion.witness`); NaN without.
-    """
-
-    time_ns: NDArray[np.int64]
-    skew_ns: NDArray[np.int64]
+    time_ns: NDArray[np.int64]  # (T,) the pairs' times
+    skew_ns: NDArray[np.int64]  # (T,) capture time of B minus that of A
     codes: NDArray[np.int64]
-    a: NDArray[np.float32]
+    """(T, 2) exchange codes of A and B with doubt (:func:`fusion.facing.exchange.with_doubt`) where they are
+    known, -1 where the facing filter finds them."""
+    a: NDArray[np.float32]  # (T, J, 3) metres; NaN where not tracked
     b: NDArray[np.float32]
-    states_a: NDArray[np.uint8]
+    states_a: NDArray[np.uint8]  # (T, J) tracking states; all 0 where the sensor sees no one
     states_b: NDArray[np.uint8]
-    witness_a: NDArray[np.float32]
+    witness_a: NDArray[np.float32]  # (T, J, 4) of depth images (fusion.witness); NaN without
     witness_b: NDArray[np.float32]
 
 

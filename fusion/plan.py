@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.calibration.calibration import Calibration, calibrate
-from fusion.calibration.offline import LearnedCalibration, learn_from_recording
+from fusion.calibration.calibration import Calibration
+from fusion.calibration.offline import LearnedCalibration, learn_from_recording, start_up_calibration
 from fusion.calibration.online import CalibrationChange
-from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.facing.exchange import with_doubt
 from fusion.facing.model import WHOLE
@@ -44,16 +43,6 @@ class RecordingPlan:
     codes: NDArray[np.int64] | None = None
     changes: tuple[CalibrationChange, ...] = ()
     clock: ClockOffset | None = None
-
-
-def start_up_calibration(body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:
-    """The calibration on a recording's start-up pose; on its calmest window where there is none.
-
-    Raises:
-        CalibrationError: No frame shows a person to both sensors, or the views cannot be registered.
-    """
-    chosen, how = find_start_up_pose(body, pairs)
-    return calibrate(body, chosen, how)
 
 
 def plan_recording(
@@ -90,7 +79,7 @@ def plan_recording(
                 body,
                 pairs,
                 [(int(a) & WHOLE, int(b) & WHOLE) for a, b in views.labels(segments)],
-                calibration,
+                start,
                 skews_ns=[pair.skew_ns for pair in pairs],
             )
         except CalibrationError:

@@ -52,6 +52,27 @@ _CAPTURED, _STALE, _PLACEMENT = "sensors.captured_ns", "sensors.stale", "rotatio
 _WEIGHT_STEP = 1.0 / 128.0  # finer steps are not visible
 
 
+def _witness(frame: RecordedFrame, side: str) -> NDArray[np.float32] | None:
+    """The depth evidence of a skeleton; all NaN for an image without a person.
+
+    An optional figure must exist in every frame of a session, including frames without a person.
+    """
+    skeleton: Skeleton | None = getattr(frame.pair.skeletons, side)
+    if skeleton is not None:
+        return skeleton.witness
+    seen: SensorFrame | None = getattr(frame.pair, side)
+    if seen is None or seen.depth is None:
+        return None
+    return np.full((len(frame.fused.positions), 4), np.nan, dtype=np.float32)
+
+
+def _witness_figure(entity: str, side: str) -> Any:
+    shape = (JOINTS, 4)
+    return per_frame(
+        np.float32, shape, entity, "depth_witness", np.float16, lambda f: _witness(f, side), optional=True
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class SessionArrays:
     """T frames of J joints; metres, nanoseconds; NaN where data is missing.
@@ -151,25 +172,9 @@ class SessionArrays:
         np.int8, (2,), layout.QUALITY, "exchanged", np.int8, lambda f: _exchanged(f.fused), optional=True
     )
     """(T, 2) which sides of A and of B were exchanged, see :mod:`fusion.facing.model`; ``duplex`` only."""
-    witness_a: NDArray[np.float32] | None = per_frame(
-        np.float32,
-        (JOINTS, 4),
-        _VIEW_A,
-        "depth_witness",
-        np.float16,
-        lambda f: _witness(f, "a"),
-        optional=True,
-    )
+    witness_a: NDArray[np.float32] | None = _witness_figure(_VIEW_A, "a")
     """(T, J, 4) depth evidence for each joint of S_A, metres; columns: ``fusion.witness.COLUMNS``."""
-    witness_b: NDArray[np.float32] | None = per_frame(
-        np.float32,
-        (JOINTS, 4),
-        _VIEW_B,
-        "depth_witness",
-        np.float16,
-        lambda f: _witness(f, "b"),
-        optional=True,
-    )
+    witness_b: NDArray[np.float32] | None = _witness_figure(_VIEW_B, "b")
     """(T, J, 4) likewise of B."""
     side_doubt: NDArray[np.uint8] | None = per_frame(
         np.uint8, (2,), layout.QUALITY, "side_doubt", np.uint8, lambda f: _doubts(f.fused), optional=True
@@ -276,20 +281,6 @@ def _doubts(fused: FusedFrame) -> list[int] | None:
     if fused.sigma is None:
         return None
     return [round(DOUBT_STEPS * doubt) for doubt in (fused.doubt_a, fused.doubt_b)]
-
-
-def _witness(frame: RecordedFrame, side: str) -> NDArray[np.float32] | None:
-    """The depth evidence of a skeleton; all NaN for an image without a person.
-
-    An optional figure must exist in every frame of a session, including frames without a person.
-    """
-    skeleton: Skeleton | None = getattr(frame.pair.skeletons, side)
-    if skeleton is not None:
-        return skeleton.witness
-    seen: SensorFrame | None = getattr(frame.pair, side)
-    if seen is None or seen.depth is None:
-        return None
-    return np.full((len(frame.fused.positions), 4), np.nan, dtype=np.float32)
 
 
 FRAME_FIELDS: Mapping[str, FrameField] = MappingProxyType(frame_fields(fields(SessionArrays)))

@@ -48,8 +48,7 @@ def warn_of_little_room(path: Path, console: Console) -> None:
     if free < _LITTLE_FREE:
         console.print(
             f"[yellow]Only {free / 1e6:.0f} MB are free where {escape(str(path))} is saved.[/] When that is "
-            "full, saving stops and everything else goes on.",
-            highlight=False,
+            "full, saving stops and everything else goes on."
         )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from devices.blazepose.grey_image import compressed, evened
 from devices.blazepose.joints import joints_of
 from devices.blazepose.landmark_kinds import TRUNK
-from devices.blazepose.lifting import lift
+from devices.blazepose.lifting import BodyLandmarks, lift
 from devices.blazepose.networks.files import LANDMARKS as LANDMARK_FILES
 from devices.blazepose.networks.files import cache_folder, checked_content, files_of
 from devices.blazepose.networks.inference import (
@@ -189,14 +189,8 @@ class BlazePose:
         pixels = transformed(to_image, found.pixels)
         c, s = math.cos(region.angle), math.sin(region.angle)
         world = found.world @ np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
-        lifted = lift(
-            pixels[:LANDMARKS],
-            found.visibility[:LANDMARKS],
-            found.presence[:LANDMARKS],
-            world,
-            depth,
-            intrinsics,
-        )
+        known = found.visibility[:LANDMARKS], found.presence[:LANDMARKS]
+        lifted = lift(BodyLandmarks(pixels[:LANDMARKS], *known, world), depth, intrinsics)
         if lifted is None:
             return None
         middle = lifted.positions[TRUNK].mean(axis=0)

@@ -8,6 +8,7 @@ surface, and then decides which readings are its own: what lies before it covers
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -55,27 +56,28 @@ class Lifted:
     size: float
 
 
-def lift(
-    pixels: Array,
-    visibility: Array,
-    presence: Array,
-    world: Array,
-    depth: NDArray[np.uint16],
-    camera: Intrinsics,
-) -> Lifted | None:
+class BodyLandmarks(NamedTuple):
+    """The network's landmarks of one person."""
+
+    pixels: Array  # (33, 2) pixels of the depth image
+    visibility: Array  # (33,) probability that nothing covers a landmark
+    presence: Array  # (33,) probability that it is in the image
+    world: Array  # (33, 3) metres, hip-centred, along the axes of the image
+
+
+def lift(landmarks: BodyLandmarks, depth: NDArray[np.uint16], camera: Intrinsics) -> Lifted | None:
     """Places the landmarks in space.
 
     Args:
-        pixels: (33, 2) landmarks, pixels of the depth image.
-        visibility, presence: (33,) the network's probabilities.
-        world: (33, 3) the network's own landmarks, metres, hip-centred, along the axes of the image.
+        landmarks: As the network places them.
         depth: (h, w) millimetres along z, 0 without a reading.
         camera: Intrinsics of the depth image.
 
     Returns:
         None where the depth shows no person of possible size.
     """
-    laid = lay_body(pixels, visibility, presence, world, depth, camera)
+    pixels, visibility, _, _ = landmarks
+    laid = lay_body(landmarks, depth, camera)
     if laid is None:
         return None
     body, size, _ = laid
@@ -95,12 +97,7 @@ def lift(
 
 
 def lay_body(
-    pixels: Array,
-    visibility: Array,
-    presence: Array,
-    world: Array,
-    depth: NDArray[np.uint16],
-    camera: Intrinsics,
+    landmarks: BodyLandmarks, depth: NDArray[np.uint16], camera: Intrinsics
 ) -> tuple[Array, float, Array] | None:
     """Lays the network's body onto the depth image. The arguments are those of :func:`lift`.
 
@@ -108,6 +105,7 @@ def lay_body(
         (33, 3) the body's landmarks, metres, sensor frame; its size; (33,) the depth read at each landmark,
         metres. None where the depth shows no person of possible size.
     """
+    pixels, visibility, presence, world = landmarks
     at = rays(pixels, camera)
     inside = _within(pixels, camera, 0.0)
     trust = visibility * presence * inside

@@ -66,18 +66,12 @@ def choose_one(connected: Sequence[ConnectedSensor], serial: str | None, option:
     Raises:
         DeviceError: It is not there, or more than one is and none is named.
     """
-    there = sorted(kinect.serial for kinect in connected if kinect.serial is not None)
-    listed = ", ".join(there) or "none"
-    if serial is not None and serial not in there:
-        raise DeviceError(f"No Kinect with serial {serial}. Connected: {listed}. Check its USB and power.")
+    there = _serials(connected, serial)
     if serial is not None:
         return serial
-    faults = [kinect.fault for kinect in connected if kinect.fault]
-    if faults:
-        raise DeviceError(f"A Kinect cannot be opened: {faults[0]} Connected: {listed}.")
     if len(there) != 1:
         advice = f"Name one with {option}." if there else "Plug it in: USB 3 and its power supply."
-        raise DeviceError(f"Connected Kinects: {listed}. {advice}")
+        raise DeviceError(f"Connected Kinects: {', '.join(there) or 'none'}. {advice}")
     return there[0]
 
 
@@ -101,21 +95,12 @@ def choose_two(
     if a is not None and principal is not None and a != principal:
         raise DeviceError(f"--kinect-a {a} and --principal {principal} both name K_A. Leave one of them out.")
     a = a or principal
-    there = sorted(kinect.serial for kinect in connected if kinect.serial is not None)
-    faults = [kinect.fault for kinect in connected if kinect.fault]
-    listed = ", ".join(there) or "none"
-    for serial in (a, b):
-        if serial is not None and serial not in there:
-            raise DeviceError(
-                f"No Kinect with serial {serial}. Connected: {listed}. "
-                + (f"Another cannot be opened: {faults[0]}" if faults else "Check its USB and power.")
-            )
+    there = _serials(connected, a, b)
+    listed = ", ".join(there)
     if a is not None and a == b:
         raise DeviceError(f"Kinect A and B are both {a}. Name two different sensors. Connected: {listed}.")
     if a is not None and b is not None:
         return a, b
-    if faults:
-        raise DeviceError(f"A Kinect cannot be opened: {faults[0]} Connected: {listed}.")
     if not there:
         raise DeviceError("No Kinect is connected. Plug in two: USB 3 and a power supply each.")
     if len(there) == 1:
@@ -132,6 +117,24 @@ def choose_two(
         raise NeedsChoiceError((there[0], there[1]))
     other = there[1] if there[0] == named else there[0]
     return (named, other) if a is not None else (other, named)
+
+
+def _serials(connected: Sequence[ConnectedSensor], *named: str | None) -> list[str]:
+    """The serial numbers that are there, sorted, with those asked for; None asks for any.
+
+    Raises:
+        DeviceError: One asked for is not there; or any is asked for, and one cannot be opened.
+    """
+    there = sorted(kinect.serial for kinect in connected if kinect.serial is not None)
+    faults = [kinect.fault for kinect in connected if kinect.fault]
+    listed = ", ".join(there) or "none"
+    for serial in named:
+        if serial is not None and serial not in there:
+            why = f"Another cannot be opened: {faults[0]}" if faults else "Check its USB and power."
+            raise DeviceError(f"No Kinect with serial {serial}. Connected: {listed}. {why}")
+    if faults and None in named:
+        raise DeviceError(f"A Kinect cannot be opened: {faults[0]} Connected: {listed}.")
+    return there
 
 
 def sync_master(a: ConnectedSensor, b: ConnectedSensor, named: str | None = None) -> str | None:

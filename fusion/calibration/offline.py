@@ -54,10 +54,24 @@ class LearnedCalibration:
     clock: ClockOffset | None
     events: tuple[CalibrationChange, ...]
 
-    def calibration_at(self, time_ns: int) -> Calibration:
-        """The calibration that holds at a time."""
-        held = [span.calibration for span in self.spans if span.first_ns <= time_ns]
-        return held[-1] if held else self.spans[0].calibration
+
+def start_up_calibration(body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:
+    """The calibration on a recording's start-up pose; on its calmest window where there is none.
+
+    Where one view of the pose is mirrored, R and t are those of the label-free fit of the recording.
+
+    Raises:
+        CalibrationError: No frame shows a person to both sensors, or the views cannot be registered.
+    """
+    held, how = find_start_up_pose(body, pairs)
+    try:
+        return calibrate(body, held, how)
+    except CalibrationError:
+        fresh = [pairs[k] for k in _fresh(pairs)]
+        found = label_free_fit(body, evidence_of(body, fresh[:: max(1, len(fresh) // _KEYFRAMES)]))
+        if found is None:
+            raise
+        return replace(nominal_calibration(body), a_from_b=found, how="label-free fit of the recording")
 
 
 def learn_from_recording(
@@ -88,8 +102,7 @@ def learn_from_recording(
     codes = [(0, 0)] * len(pairs) if codes is None else codes
     skews_ns = [0] * len(pairs) if skews_ns is None else skews_ns
     fresh = _fresh(pairs)
-    if start is None:
-        start = _start_of(body, pairs, [pairs[k] for k in fresh])
+    start = start or start_up_calibration(body, pairs)
     start = _best_start(body, [pairs[k] for k in fresh], [codes[k] for k in fresh], start, settings)
 
     learner = CalibrationLearner(body, start, replace(settings, clock=False, bones=False))
@@ -182,18 +195,6 @@ def _fresh(pairs: Sequence[SkeletonPair]) -> list[int]:
                 fresh.append(k)
         before = pair
     return fresh
-
-
-def _start_of(body: Body, pairs: Sequence[SkeletonPair], fresh: Sequence[SkeletonPair]) -> Calibration:
-    """The start-up pose's calibration; the label-free fit where one view of that pose is mirrored."""
-    held, how = find_start_up_pose(body, pairs)
-    try:
-        return calibrate(body, held, how)
-    except CalibrationError:
-        found = label_free_fit(body, evidence_of(body, fresh[:: max(1, len(fresh) // _KEYFRAMES)]))
-        if found is None:
-            raise
-        return replace(nominal_calibration(body), a_from_b=found, how="label-free fit of the recording")
 
 
 def _best_start(

@@ -104,6 +104,20 @@ class Registration:
     body: Body
     translation_sd: float = float("nan")
 
+    @staticmethod
+    def between(
+        body: Body, p: Array, q: Array, seen: NDArray[np.bool_], a_from_b: RigidTransform, *sd: float
+    ) -> Registration:
+        """The registration of (T, J, 3) views at the (T, J) joints that both see; ``sd`` as above."""
+        apart = np.full(seen.shape, np.nan)
+        known = apart[seen] = np.linalg.norm(p[seen] - a_from_b.apply(q[seen]), axis=1)
+        joints = np.full(len(body), np.nan)
+        for joint in np.flatnonzero(seen.any(axis=0)):
+            joints[joint] = np.median(apart[seen[:, joint], joint])
+        median, rms = float(np.median(known)), float(np.sqrt(np.mean(known**2)))
+        rotation_sd, *translation_sd = sd
+        return Registration(a_from_b, median, rms, joints, rotation_sd, len(p), body, *translation_sd)
+
     def worst_joints(self, count: int = 3) -> list[tuple[str, float]]:
         """The joints that disagree most: (name, median residual in metres), worst first."""
         known = np.flatnonzero(np.isfinite(self.joint_residuals))
@@ -138,25 +152,14 @@ def register(pairs: Sequence[SkeletonPair]) -> Registration:
             "Stand at 45° to both sensors, arms and legs apart, the whole body in both views."
         )
     a_from_b = fit_rigid(p[both], q[both])
-    distance = np.full(both.shape, np.nan)
-    distance[both] = np.linalg.norm(p[both] - a_from_b.apply(q[both]), axis=1)
-    median = float(np.median(distance[both]))
-    joint_residuals = np.full(len(body), np.nan)
-    for joint in np.flatnonzero(both.any(axis=0)):
-        joint_residuals[joint] = np.median(distance[both[:, joint], joint])
-    registration = Registration(
-        a_from_b=a_from_b,
-        residual_median=median,
-        residual_rms=float(np.sqrt(np.mean(distance[both] ** 2))),
-        joint_residuals=joint_residuals,
-        rotation_sd=_rotation_sd(p[both], float(np.mean(distance[both] ** 2)), joints),
-        frames=len(seen),
-        body=body,
+    mean_square = float(np.mean(np.linalg.norm(p[both] - a_from_b.apply(q[both]), axis=1) ** 2))
+    registration = Registration.between(
+        body, p, q, both, a_from_b, _rotation_sd(p[both], mean_square, joints)
     )
-    if median > LARGEST_RESIDUAL:
+    if registration.residual_median > LARGEST_RESIDUAL:
         raise CalibrationError(
-            f"The two views disagree by {median * 1000:.0f} mm (median) after the best fit; more than "
-            f"{LARGEST_RESIDUAL * 1000:.0f} mm cannot be right. Do both recordings show the same person at "
+            f"The two views disagree by {registration.residual_median * 1000:.0f} mm (median) after the best "
+            f"fit; more than {LARGEST_RESIDUAL * 1000:.0f} mm cannot be right. Do both recordings show the same person at "
             f"the same time? Worst: {', '.join(name for name, _ in registration.worst_joints())}."
         )
     return registration

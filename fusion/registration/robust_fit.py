@@ -242,22 +242,8 @@ def cost_of(
 
 def registration_of(body: Body, evidence: Evidence, fit: RobustFit) -> Registration:
     """Converts a fit, with its residuals, to a ``Registration``."""
-    sure = evidence.weights > 0.5
-    distance = np.where(sure, np.linalg.norm(evidence.a - fit.a_from_b.apply(evidence.b), axis=2), np.nan)
-    joints = np.full(len(body), np.nan)
-    for joint in np.flatnonzero(sure.any(axis=0)):
-        joints[joint] = np.nanmedian(distance[:, joint])
-    known = distance[sure]
-    return Registration(
-        a_from_b=fit.a_from_b,
-        residual_median=float(np.median(known)),
-        residual_rms=float(np.sqrt(np.mean(known**2))),
-        joint_residuals=joints,
-        rotation_sd=fit.rotation_sd,
-        frames=len(evidence.a),
-        body=body,
-        translation_sd=fit.translation_sd,
-    )
+    sure, sd = evidence.weights > 0.5, (fit.rotation_sd, fit.translation_sd)
+    return Registration.between(body, evidence.a, evidence.b, sure, fit.a_from_b, *sd)
 
 
 def warm_up() -> None:

@@ -19,12 +19,17 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from devices.skeletons.file_sensor import SkeletonRecording
 from fusion.body import BODIES, Body
 from fusion.facing.exchange import exchange
-from fusion.facing.model import ReportedPair, new_facing_model
+from fusion.facing.filter import update_facing
+from fusion.facing.model import FacingModel, FacingState, ReportedPair, new_facing_model
 from fusion.facing.sequence import Labels, relabel_sequence, reported_pairs
 from fusion.registration.keyframes import Evidence
 from fusion.registration.rigid_fit import label_free_fit
 
 Floats = NDArray[np.float64]
+UP = np.array((0.0, -1.0, 0.0))
+UNKNOWN = np.full(3, np.nan)
+FRAME = 1.0 / 30.0
+"""Seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,3 +248,15 @@ def real_views(folder: Path) -> Views:
         sensor_b=a_from_b.translation,
         truth=np.empty((0, len(body), 3)),
     )
+
+
+def step(
+    model: FacingModel,
+    state: FacingState,
+    views: Views,
+    k: int,
+    up: Floats = UP,
+    stale: tuple[bool, bool] = (False, False),
+) -> None:
+    """Updates the facing filter with pair k."""
+    update_facing(model, state, views.reported_at(k, up, stale), FRAME)

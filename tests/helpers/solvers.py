@@ -57,13 +57,7 @@ class PaperSolver:
     def __init__(self, parents: ArrayLike, line_search: bool = True) -> None:
         self.parents, self.line_search = np.array(parents, dtype=np.int64), line_search
 
-    def solve(
-        self,
-        targets: ArrayLike,
-        weights: ArrayLike,
-        bone_lengths: ArrayLike,
-        start: ArrayLike | None = None,
-    ) -> Solution:
+    def solve(self, targets, weights, bone_lengths, start=None) -> Solution:  # type: ignore[no-untyped-def]
         """Solves one frame."""
         m = _floats(targets)
         w = np.where(np.isfinite(m).all(axis=1), _floats(weights), 0.0)

@@ -41,17 +41,17 @@ def run(options: BatchOptions) -> None:
     Raises:
         UsageError: With a one-line message for the user.
     """
-    console = Console()
+    console = Console(highlight=False)
     _check(options)
     options = _absolute(options)
     pairs, alone = _pairs(options)
     for line in alone:
-        console.print(line, style="yellow", highlight=False, markup=False)
+        console.print(line, style="yellow", markup=False)
     _make_folder(options.out)
     tidy(options.out)
     work = plan_work([Job(pair, options) for pair in pairs], options.force)
     if work.done:
-        console.print(f"Sessions fused already: {len(work.done)} of {len(pairs)}.", highlight=False)
+        console.print(f"Sessions fused already: {len(work.done)} of {len(pairs)}.")
     rows: dict[str, Row] = {row.job.name: row for row in work.done}
     jobs = {job.name: job for job in work.jobs}
     try:
@@ -60,9 +60,7 @@ def run(options: BatchOptions) -> None:
                 for outcome in _shown(outcomes, len(jobs), console):
                     rows[outcome.name] = _row(jobs[outcome.name], outcome)
                     if outcome.error:
-                        console.print(
-                            f"{outcome.name}: {outcome.error}", style="red", highlight=False, markup=False
-                        )
+                        console.print(f"{outcome.name}: {outcome.error}", style="red", markup=False)
     finally:
         if options.scheduler is None or len(rows) == len(pairs):  # no worker is still at it
             tidy(options.out)
@@ -73,7 +71,6 @@ def run(options: BatchOptions) -> None:
     failed = sum(row.state == "failed" for row in rows.values())
     console.print(
         f"Sessions fused: {len(rows) - failed}, failed: {failed}. Summary: {options.out / PAGE}",
-        highlight=False,
         markup=False,
         soft_wrap=True,
     )
@@ -208,7 +205,6 @@ def _shown(outcomes: Iterator[Outcome], total: int, console: Console) -> Iterato
             if not console.is_terminal and not outcome.error:
                 console.print(
                     f"{outcome.name}: fused, {finished} of {total}.",
-                    highlight=False,
                     markup=False,
                     soft_wrap=True,
                 )

@@ -60,7 +60,7 @@ def compile_kernels(options: BatchOptions) -> None:
     pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
     plan = plan_recording(KINECT_V1, [pair.skeletons for pair in pairs], settings)
     segments = setups_of(plan, settings, (None, None))
-    warm_up(Fuser(segments[0][0]), Console())
+    warm_up(Fuser(segments[0][0]), Console(highlight=False))
     for _ in fuse_segments(segments, pairs, plan.codes):
         pass
 

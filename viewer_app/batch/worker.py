@@ -54,7 +54,7 @@ def _fuse(job: Job) -> Record:
     try:
         options = job.fuse_options(partial)
         with Path(os.devnull).open("w", encoding="utf-8") as nothing:
-            session, figures = fuse_files(options, Console(file=nothing))
+            session, figures = fuse_files(options, Console(file=nothing, highlight=False))
         figures["without_truth"] = truth_free_figures(session)
         if job.options.pages:
             from viewer_app.report.review_page import review_page  # imports matplotlib

@@ -30,7 +30,7 @@ def run(options: CompareOptions) -> None:
     Raises:
         RecordingError, UsageError: With one line for the person who asked.
     """
-    console = Console()
+    console = Console(highlight=False)
     if options.worst < 0:
         raise UsageError(f"--worst {options.worst}: how many moments to list, 0 or more.")
     check_outputs([], [options.first, options.second], options.force, options.save)
@@ -45,14 +45,13 @@ def run(options: CompareOptions) -> None:
             with whole_recording(path, _blueprint(), _APPLICATION_ID) as stream:
                 record_comparison(stream, comparison, worst)
     console.print(
-        f"[bold]{len(comparison)}[/] frames in common, of {len(sessions[0])} and {len(sessions[1])}.",
-        highlight=False,
+        f"[bold]{len(comparison)}[/] frames in common, of {len(sessions[0])} and {len(sessions[1])}."
     )
     for name, values in sessions[0].about["settings"].items():
         other = sessions[1].about["settings"].get(name)
         if other != values:
             other_value = other[0] if other else "–"
-            console.print(f"  {name}: {values[0]} against {other_value}", highlight=False, markup=False)
+            console.print(f"  {name}: {values[0]} against {other_value}", markup=False)
     if comparison.one_missing:
         console.print(f"Only one of them has an S* in {comparison.one_missing} frames.")
     if options.verbose:
@@ -65,13 +64,12 @@ def run(options: CompareOptions) -> None:
     for t, j in worst:
         console.print(
             f"  {comparison.first.time_ns[t] * 1e-9:8.2f} s  frame {comparison.first.frame[t]}: "
-            f"{comparison.body.joints[j]} differs by {comparison.apart[t, j] * 1e3:.3g} mm",
-            highlight=False,
+            f"{comparison.body.joints[j]} differs by {comparison.apart[t, j] * 1e3:.3g} mm"
         )
     if options.save is not None:
-        console.print(f"Saved {options.save}.", highlight=False, markup=False)
+        console.print(f"Saved {options.save}.", markup=False)
     if not options.verbose:
-        console.print("Every joint and bone: --verbose.", highlight=False)
+        console.print("Every joint and bone: --verbose.")
 
 
 def _lead(comparison: Comparison) -> Iterator[Line]:

@@ -60,7 +60,7 @@ def run(options: DemoOptions) -> None:
     Raises:
         DeviceError, UsageError: With one line for the person who asked.
     """
-    console = Console()
+    console = Console(highlight=False)
     if options.motion == "list":
         console.print("\n".join(MOTIONS))
         return
@@ -139,15 +139,14 @@ def _show(
         if left_out:
             wanted = a.images_wanted + b.images_wanted
             console.print(
-                f"To keep pace, {left_out} of {wanted} depth images were dropped; use a smaller --depth.",
-                highlight=False,
+                f"To keep pace, {left_out} of {wanted} depth images were dropped; use a smaller --depth."
             )
         if frames:
             _print_truth(console, setup, frames, truth, options.verbose)
         runner.print_end()
         if not options.quiet:
             other = "the demo without --bad-setup" if options.bad_setup else "--bad-setup"
-            console.print(_NEXT.format(other=other), highlight=False)
+            console.print(_NEXT.format(other=other))
         runner.check_saved()
 
 
@@ -166,7 +165,7 @@ def _introduce(console: Console, options: DemoOptions, moments: Sequence[HardMom
         )
     for moment in sorted(moments, key=lambda each: each.starts[0]):
         when = _listed([f"{start:g}" for start in moment.starts])
-        console.print(f"At {when} s {moment.fault} for a second; S* stays right.", highlight=False)
+        console.print(f"At {when} s {moment.fault} for a second; S* stays right.")
 
 
 def _listed(words: Sequence[str]) -> str:

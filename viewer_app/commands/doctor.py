@@ -24,7 +24,7 @@ _VIEWER_ANSWERS_WITHIN = 20.0  # seconds: the first start of a 100 MB program fr
 
 def run(options: DoctorOptions) -> None:
     """Runs the command; exits with code 1 if ``duplex live`` could not start."""
-    console = Console()
+    console = Console(highlight=False)
     tracker = tracker_of(options)
     choice = options.kinect_a, options.kinect_b, options.principal
     devices = device_checks(
@@ -35,7 +35,7 @@ def run(options: DoctorOptions) -> None:
         console.print(line(check), soft_wrap=True)
     missing = lacks(checks)
     if missing:
-        console.print(f"duplex live cannot start: {', '.join(missing)}.", highlight=False, soft_wrap=True)
+        console.print(f"duplex live cannot start: {', '.join(missing)}.", soft_wrap=True)
         sys.exit(1)
     console.print("duplex live can start.")
 

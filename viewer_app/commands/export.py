@@ -17,11 +17,11 @@ def run(options: ExportOptions) -> None:
     Raises:
         RecordingError, UsageError: With a one-line message for the user.
     """
-    console = Console()
+    console = Console(highlight=False)
     write = writer_for(options.to, options.table)
     check_outputs([options.to], [options.session], options.force)
     session = Session.open(options.session)
     print_damage(console, session)
     with whole_file(options.to) as partial:
         written = write(session, partial)
-    console.print(f"Wrote {options.to}: {written}.", highlight=False, markup=False, soft_wrap=True)
+    console.print(f"Wrote {options.to}: {written}.", markup=False, soft_wrap=True)

@@ -23,15 +23,14 @@ from fusion.calibration.calibration import Calibration, calibrate
 from fusion.errors import CalibrationError
 from fusion.fuser import Fuser
 from fusion.plan import RecordingPlan, plan_recording
-from fusion.setup import FuserSettings, FusionSetup, Hindsight
+from fusion.setup import FuserSettings, Hindsight
 from fusion.skeleton import SkeletonPair
 from recordings import layout
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.file.session_writer import write_session
 from recordings.fusing.files import fused_session
-from recordings.fusing.pairs import fuse_one, fuse_segments, setups_of
+from recordings.fusing.pairs import fuse_segments, setups_of
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import FuseOptions
@@ -54,7 +53,7 @@ def run(options: FuseOptions) -> None:
     Raises:
         DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
     """
-    fuse_files(options, Console())
+    fuse_files(options, Console(highlight=False))
 
 
 def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures]:
@@ -105,7 +104,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
             with whole_file(options.save) as partial:
                 write_session(session, partial, blueprint=blueprint, page=page)
         viewer.finish()
-        figures = report(session, read.pairing, _exact(frames, setup))
+        figures = report(session, read.pairing)
         _summarise(console, options, session, figures)
         stay_for_visitors(viewing, console)
         return session, figures
@@ -131,7 +130,7 @@ def _read(options: FuseOptions, console: Console) -> TwoRecordings:
         announce_tracker(tracker, console)
     read = read_two(*choices, tracker, _progress(console))
     for warning in read.warnings:
-        console.print(warning, style="yellow", highlight=False, markup=False)
+        console.print(warning, style="yellow", markup=False)
     return read
 
 
@@ -158,16 +157,6 @@ def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:
 def _progress(console: Console) -> Callable[..., Any]:
     """Shows the progress of reading and fusing, on a terminal."""
     return partial(track, console=console, transient=True, disable=not console.is_terminal)
-
-
-def _exact(frames: list[RecordedFrame], setup: FusionSetup) -> SessionArrays | None:
-    """The same frames solved with exact bone lengths, if the published scheme was selected; else None."""
-    if setup.settings.method != "published":
-        return None
-    exact = replace(setup, settings=replace(setup.settings, method="paper"))
-    fuser = Fuser(exact)
-    again = [fuse_one(fuser, frame.pair) for frame in frames]
-    return SessionArrays.stack(setup.body, setup.calibration.bone_lengths, again)
 
 
 def _summarise(console: Console, options: FuseOptions, session: Session, figures: Figures) -> None:

@@ -64,7 +64,7 @@ def run(options: InfoOptions) -> None:
     events = list_events(session.events)
     row("events", len(events))
     row("whole", f"no: {', '.join(damage)}" if damage else "yes")
-    console = Console()
-    console.print(table, highlight=False)
+    console = Console(highlight=False)
+    console.print(table)
     if events:
         print_events(console, events, all_of_them=True)

@@ -43,7 +43,7 @@ def run(options: LiveOptions) -> None:
     Raises:
         DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
     """
-    console = Console()
+    console = Console(highlight=False)
     remote = names_remote(options)
     runner = Runner(options, console, options.save, remote)
     _check(options)
@@ -84,7 +84,7 @@ def _show(options: LiveOptions, sensors: TwoSensors, runner: Runner, console: Co
     with CtrlC() as ctrl_c:
         with ExitStack() as stack:
             runner.open_outputs(stack, nominal, options.fps)
-            console.print(f"Opening {a.name} (A) and {b.name} (B) …", highlight=False, markup=False)
+            console.print(f"Opening {a.name} (A) and {b.name} (B) …", markup=False)
             with ctrl_c.raising():  # a body tracker may take minutes to load its network
                 stack.enter_context(sensors)
             ctrl_c.calls(sensors.stop)
@@ -106,7 +106,7 @@ def _show(options: LiveOptions, sensors: TwoSensors, runner: Runner, console: Co
                     go_on=lambda status: watch(status) and display(replace(status, events=())),
                 )
         for warning in (*a.warnings, *b.warnings):
-            console.print(warning, style="yellow", highlight=False, markup=False)
+            console.print(warning, style="yellow", markup=False)
         runner.summarise(setup, frames, sensors)
         runner.print_end()
         if options.save_calibration is not None:
@@ -131,7 +131,7 @@ class _Watch:
     def __call__(self, status: Status) -> bool:
         if self.settled is None and status.calibrator.settled:
             self.settled = status.calibrator.calibration
-            self._console.print(f"[bold]Calibrated[/]: {escape(self.settled.how)}.", highlight=False)
+            self._console.print(f"[bold]Calibrated[/]: {escape(self.settled.how)}.")
         return True
 
 

@@ -51,7 +51,7 @@ def run(options: ReplayOptions) -> None:
     Raises:
         FusionError, RecordingError, UsageError: With a one-line message for the user.
     """
-    console = Console()
+    console = Console(highlight=False)
     check_outputs([options.report], [options.session], options.force, options.save)
     session = Session.open(options.session)
     names = ("method", "h", "weights", "smoothing")

@@ -23,7 +23,7 @@ def run(options: ReviewOptions) -> None:
     Raises:
         RecordingError, UsageError: With one line for the person who asked.
     """
-    console = Console()
+    console = Console(highlight=False)
     check_outputs([options.html], [options.session], options.force)
     session = Session.open(options.session)
     events = list_events(session.events)
@@ -40,20 +40,17 @@ def run(options: ReviewOptions) -> None:
     if events or session.damage is None:
         print_events(console, events, all_of_them=options.verbose)
     else:
-        console.print(
-            "Its events are lost. To find them again: duplex replay SESSION.rrd --save NEW.rrd.",
-            highlight=False,
-        )
+        console.print("Its events are lost. To find them again: duplex replay SESSION.rrd --save NEW.rrd.")
     if options.html is not None:
-        console.print(f"Wrote {options.html}.", highlight=False, markup=False, soft_wrap=True)
+        console.print(f"Wrote {options.html}.", markup=False, soft_wrap=True)
     elif not options.verbose:
         say_more(console, "every bone, with plots, with --html FILE.html")
     if options.no_viewer:
         return
     if not has_display():
-        console.print(f"There is no display; a viewer would open {where}.", highlight=False, markup=False)
+        console.print(f"There is no display; a viewer would open {where}.", markup=False)
     else:
-        console.print(f"The viewer opens {where}.", highlight=False, markup=False)
+        console.print(f"The viewer opens {where}.", markup=False)
         with in_this_layout(session, options.session) as file:
             stands_there = show(file, at_ns)
         if not stands_there:

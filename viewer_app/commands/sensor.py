@@ -35,7 +35,7 @@ def run(options: PublishOptions) -> None:
     Raises:
         DeviceError, UsageError: With a one-line message for the user.
     """
-    console = Console()
+    console = Console(highlight=False)
     addresses = ZenohAddresses.of_visitor(options.zenoh_listen, options.zenoh_connect)
     checked_key(options.publish)
     load_zenoh()
@@ -44,7 +44,7 @@ def run(options: PublishOptions) -> None:
     tell = teller(console)
     stopped = threading.Event()
     with CtrlC() as ctrl_c, ExitStack() as stack:
-        console.print(f"Opening {sensor.name} …", highlight=False, markup=False)
+        console.print(f"Opening {sensor.name} …", markup=False)
         thread = SensorThread(sensor, keep=8)
         with ctrl_c.raising():  # a body tracker may take minutes to load its network
             stack.enter_context(thread)
@@ -57,7 +57,6 @@ def run(options: PublishOptions) -> None:
         where = ", ".join((*addresses.listen, *addresses.connect))
         console.print(
             f"Publishing {sensor.name} as {PREFIX}{options.publish} at {where}. Press Ctrl-C to end.",
-            highlight=False,
             markup=False,
         )
         if not options.quiet:
@@ -69,8 +68,8 @@ def run(options: PublishOptions) -> None:
         with call_after(options.seconds, stopped.set):
             publish_until(thread, publisher, stopped, tell)
     for warning in sensor.warnings:
-        console.print(warning, style="yellow", highlight=False, markup=False)
-    console.print(_summary(thread, publisher), highlight=False)
+        console.print(warning, style="yellow", markup=False)
+    console.print(_summary(thread, publisher))
 
 
 def _report(publisher: FramePublisher, console: Console, stopped: threading.Event) -> None:
@@ -81,7 +80,7 @@ def _report(publisher: FramePublisher, console: Console, stopped: threading.Even
         elapsed_s = now_s - before_s
         rate, size = (frames - before_frames) / elapsed_s, (sent - before_bytes) / elapsed_s
         asked = "" if publisher.requests else "; nobody listens yet"
-        console.print(f"{rate:.1f} frames and {size * 1e-3:.0f} kB per second{asked}.", highlight=False)
+        console.print(f"{rate:.1f} frames and {size * 1e-3:.0f} kB per second{asked}.")
         before_s, before_frames, before_bytes = now_s, frames, sent
 
 

@@ -17,19 +17,16 @@ def run(options: TrackerFetchOptions) -> None:
     Raises:
         DeviceError: The networks cannot be fetched.
     """
-    console = Console()
+    console = Console(highlight=False)
     folder = options.tracker_model or cache_folder()
     fetched = fetch_networks(options.network, folder, console)
     where = escape(str(folder))
     if not fetched:
         console.print(
             f"The network {options.network} is in {where} already, and whole.",
-            highlight=False,
             soft_wrap=True,
         )
         return
     for path in fetched:
-        console.print(f"{path.name:28s} {path.stat().st_size / 1e6:6.1f} MB", highlight=False, markup=False)
-    console.print(
-        f"In {where}. Apache License 2.0: see {LICENCE} and {NOTICE} there.", highlight=False, soft_wrap=True
-    )
+        console.print(f"{path.name:28s} {path.stat().st_size / 1e6:6.1f} MB", markup=False)
+    console.print(f"In {where}. Apache License 2.0: see {LICENCE} and {NOTICE} there.", soft_wrap=True)

@@ -22,7 +22,7 @@ def run(options: TrimOptions) -> None:
     Raises:
         RecordingError, UsageError: With one line for the person who asked.
     """
-    console = Console()
+    console = Console(highlight=False)
     check_outputs([], [options.session], options.force, options.save)
     session = Session.open(options.session)
     print_damage(console, session)
@@ -41,7 +41,5 @@ def run(options: TrimOptions) -> None:
         damaged = write_session(
             session, partial, blueprint=blueprint, page=page, first=int(first), end=int(end)
         )
-    console.print(
-        f"Saved {options.save}: {end - first} of {len(session)} frames.", highlight=False, markup=False
-    )
+    console.print(f"Saved {options.save}: {end - first} of {len(session)} frames.", markup=False)
     print_damaged_images(console, damaged)

@@ -142,9 +142,9 @@ def announce_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:
     """Prints where S* is sent."""
     for output in outputs:
         where = f"{output.name}; page: {output.page}" if output.page else output.name
-        console.print(f"Sending: {where}", highlight=False, markup=False, soft_wrap=True)
+        console.print(f"Sending: {where}", markup=False, soft_wrap=True)
         if output.note:
-            console.print(output.note, style="yellow", highlight=False, markup=False, soft_wrap=True)
+            console.print(output.note, style="yellow", markup=False, soft_wrap=True)
 
 
 def print_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:
@@ -152,6 +152,6 @@ def print_outputs(console: Console, outputs: Sequence[LiveOutput]) -> None:
     for output in outputs:
         counts = output.counts
         said = f"{output.name}: frames sent {counts.sent}, dropped {counts.dropped}, late {counts.late}."
-        console.print(said, highlight=False, markup=False, soft_wrap=True)
+        console.print(said, markup=False, soft_wrap=True)
         if output.failure is not None:
-            console.print(output.failure, style="yellow", highlight=False, markup=False, soft_wrap=True)
+            console.print(output.failure, style="yellow", markup=False, soft_wrap=True)

@@ -18,7 +18,6 @@ from fusion.errors import FusionError
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
-from fusion.solvers import MAX_ITERATIONS
 from fusion.without_truth import FiguresWithoutTruth, FusedPair, figures_without_truth, judge_registration
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
@@ -27,25 +26,21 @@ from viewer_app.output_files import write_text
 Figures = dict[str, Any]
 
 
-def report(session: Session, pairing: Pairing | None = None, exact: SessionArrays | None = None) -> Figures:
+def report(session: Session, pairing: Pairing | None = None) -> Figures:
     """The figures of a fused pair of recordings, as ``--report`` writes them; None where there is no figure.
 
     Args:
         session: The session.
         pairing: Counts of paired and dropped frames; those of the session if not given.
-        exact: The same frames solved with exact bones, if the published scheme was used.
     """
     pairing = pairing or session.pairing
-    figures: Figures = {
+    return {
         "frames": {"a": pairing.frames_a, "b": pairing.frames_b},
         "paired": len(pairing.pairs) - pairing.alone_a - pairing.alone_b,
         "alone": {"a": pairing.alone_a, "b": pairing.alone_b},
         "dropped": {"a": pairing.dropped_a, "b": pairing.dropped_b},
         **fusion_figures(session.calibration, session.settings, session.rows),
     }
-    if exact is not None:
-        figures["compared_with_exact"] = _comparison(session.rows, exact)
-    return figures
 
 
 def fusion_figures(calibration: Calibration, settings: FuserSettings, rows: SessionArrays) -> Figures:
@@ -151,22 +146,6 @@ def save_report(path: Path | None, figures: Figures) -> None:
     if path is not None:
         text = json.dumps(figures, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
         write_text(path, text)
-
-
-def _comparison(rows: SessionArrays, exact: SessionArrays) -> Figures:
-    apart = np.linalg.norm(rows.fused - exact.fused, axis=2) * 1e3
-    return {
-        "difference_mm": {"median": _of(np.median, apart), "max": _of(np.max, apart)},
-        **{
-            name: {
-                "max_bone_error_mm": _of(np.max, of.bone_error * 1e3),
-                "median_iterations": _of(np.median, of.iterations),
-                "at_iteration_limit": int((of.iterations >= MAX_ITERATIONS).sum()),
-                "fuse_ms_p50": _percentile(of.fuse_ms, 50),
-            }
-            for name, of in (("paper", rows), ("exact", exact))
-        },
-    }
 
 
 def _of(figure: Any, values: NDArray[Any]) -> float | None:

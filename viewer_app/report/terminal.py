@@ -16,7 +16,7 @@ from devices.events import Event
 from recordings.session import Session
 from viewer_app.report.events import ListedEvent, event_in_words, list_events, seconds_of, shortest_list
 from viewer_app.report.figures import Figures
-from viewer_app.report.words import BONE_HEAD, Line, bone_rows, detail_lines, in_mm, lead_lines
+from viewer_app.report.words import BONE_HEAD, Line, bone_rows, detail_lines, lead_lines
 from viewer_app.viewer.display import has_display
 
 _LABEL_WIDTH = 13
@@ -30,7 +30,7 @@ def print_lines(console: Console, lines: Iterable[Line]) -> None:
         grid.add_column(width=max(_LABEL_WIDTH, len(line.label) + 1), no_wrap=True)
         grid.add_column(overflow="fold")
         grid.add_row(Text(line.label, "bold"), Text(line.text, "yellow" if line.warning else ""))
-        console.print(grid, highlight=False)
+        console.print(grid)
 
 
 def print_summary(
@@ -55,33 +55,11 @@ def print_summary(
 
 
 def print_details(console: Console, figures: Figures) -> None:
-    """Prints what ``--verbose`` adds: all figures, every bone, the paper's scheme beside the exact one."""
+    """Prints what ``--verbose`` adds: all figures and every bone."""
     print_lines(console, detail_lines(figures))
     if "bones" in figures:
         title = "Bones: target, and mean ± deviation in mm"
         console.print(figure_table(title, BONE_HEAD, bone_rows(figures)))
-    if "compared_with_exact" in figures:
-        console.print(_comparison_table(figures["compared_with_exact"]))
-
-
-def _comparison_table(figures: Figures) -> Table:
-    apart, rows = figures["difference_mm"], []
-    for name in ("paper", "exact"):
-        solver = figures[name]
-        rows.append(
-            [
-                name,
-                in_mm(solver["max_bone_error_mm"]),
-                f"{solver['median_iterations']:.0f}",
-                f"{solver['at_iteration_limit']} frames",
-                f"{solver['fuse_ms_p50']:.3f}",
-            ]
-        )
-    head = ("solver", "largest bone error", "iterations (median)", "at the limit", "ms per frame")
-    table = figure_table("The paper's scheme beside the exact solver, same frames and weights", head, rows)
-    table.caption = f"Joints differ by {in_mm(apart['median'])} (median), {in_mm(apart['max'])} at most."
-    table.caption_justify = "left"
-    return table
 
 
 def figure_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
@@ -105,7 +83,6 @@ def say_saved(console: Console, path: Path) -> None:
     console.print(
         f"{'Saved':{_LABEL_WIDTH}}{path}, {_in_bytes(path.stat().st_size)}. "
         f"Look at it with: {program} review {path}{page}",
-        highlight=False,
         markup=False,
         soft_wrap=True,
     )
@@ -131,15 +108,14 @@ def print_damage(console: Console, session: Session) -> None:
         lost = f"; {session.frames_lost} more were written and are lost" if session.frames_lost else ""
         console.print(
             f"[bold yellow]{escape(str(session))} is not whole[/]: {escape(session.damage)}. "
-            f"{len(session)} frames could be read{lost}.",
-            highlight=False,
+            f"{len(session)} frames could be read{lost}."
         )
 
 
 def print_damaged_images(console: Console, count: int) -> None:
     """Prints how many images could not be copied, if any."""
     if count:
-        console.print(f"[bold yellow]{count} damaged images[/] were skipped.", highlight=False)
+        console.print(f"[bold yellow]{count} damaged images[/] were skipped.")
 
 
 def print_events(console: Console, events: Sequence[ListedEvent], all_of_them: bool = False) -> None:
@@ -162,6 +138,6 @@ def print_events(console: Console, events: Sequence[ListedEvent], all_of_them: b
         style = "" if each.event.level == "INFO" else "yellow"
         grid.add_row(str(each.number), seconds_of(each.event.time_ns), Text(event_in_words(each), style))
     console.print("[bold]Events[/]")
-    console.print(grid, highlight=False)
+    console.print(grid)
     if len(shown) < len(events):
-        console.print(f"and {len(events) - len(shown)} more: --verbose.", highlight=False)
+        console.print(f"and {len(events) - len(shown)} more: --verbose.")

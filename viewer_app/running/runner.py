@@ -128,7 +128,7 @@ class Runner:
         if file is not None:
             if file.saved == 0 and file.failure is None:
                 text = f"{file.path} was not written: no frame was received."
-                console.print(text, highlight=False, markup=False)
+                console.print(text, markup=False)
             elif file.failure is None:
                 say_saved(console, file.path)
             for count, what in (
@@ -136,7 +136,7 @@ class Runner:
                 (file.without_images, "saved without their images: this machine was too slow"),
             ):
                 if count:
-                    console.print(f"[yellow]{count} frames are {what}.[/]", highlight=False)
+                    console.print(f"[yellow]{count} frames are {what}.[/]")
         if not self._options.verbose:
             say_more(console)
 

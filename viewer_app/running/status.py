@@ -79,12 +79,12 @@ class LiveDisplay:
             self._frames.popleft()
         self._advise(status)
         for event in status.events:
-            self._console.print(event.text, style="yellow", highlight=False, markup=False, soft_wrap=True)
+            self._console.print(event.text, style="yellow", markup=False, soft_wrap=True)
         file = self._session.file
         failure = None if file is None else file.failure
         if failure is not None and not self._failure_told:
             self._failure_told = True
-            self._console.print(f"[bold red]{escape(failure)}[/] The fusion goes on.", highlight=False)
+            self._console.print(f"[bold red]{escape(failure)}[/] The fusion goes on.")
         now = self._clock()
         if now >= self._next:
             self._next = now + _EVERY
@@ -92,7 +92,7 @@ class LiveDisplay:
             if self._shows:
                 self._live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
             elif self._verbose:
-                self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+                self._console.print(line, markup=False, soft_wrap=True)
         return True
 
     def line(self) -> str:
@@ -156,9 +156,7 @@ class LiveDisplay:
                 self._session.event(Event(each.text, "WARN"))
                 if now_ns - self._printed.get(each.topic, -_SAID_AGAIN_NS) >= _SAID_AGAIN_NS:
                     self._printed[each.topic] = now_ns
-                    self._console.print(
-                        each.text, style="yellow", highlight=False, markup=False, soft_wrap=True
-                    )
+                    self._console.print(each.text, style="yellow", markup=False, soft_wrap=True)
             self._said[each.topic] = each.text, now_ns
         for topic, (text, last_ns) in list(self._said.items()):
             if now_ns - last_ns >= _OVER_AFTER_NS:

@@ -40,7 +40,7 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
     kinect_a, kinect_b = (next(k for k in connected if k.serial == serial) for serial in serials)
     master = sync_master(kinect_a, kinect_b, options.sync_master)
     for note in cable_notes(kinect_a, kinect_b, master):
-        console.print(note, style="yellow", highlight=False, markup=False)
+        console.print(note, style="yellow", markup=False)
     if master is not None:
         leads, follows = ("A", "B") if master == serials[0] else ("B", "A")
         console.print(
@@ -54,7 +54,6 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
             "A CPU tracks only about one frame per second of both sensors. To fuse every frame, "
             "record with k4arecorder, then run duplex fuse a.mkv b.mkv.",
             style="yellow",
-            highlight=False,
         )
     if options.processing == "tensorrt" and tracker.name == "k4abt":
         console.print("TensorRT builds its engine; minutes the first time.")
@@ -112,13 +111,13 @@ def _choose(connected: Sequence[ConnectedSensor], options: LiveOptions, console:
         if not sys.stdin.isatty():
             raise
         principal = _ask(choice, console)
-        console.print(f"Next time: --principal {principal}", highlight=False)
+        console.print(f"Next time: --principal {principal}")
         return choose_two(connected, principal=principal)
 
 
 def _ask(choice: NeedsChoiceError, console: Console) -> str:
     one, two = choice.serials
-    console.print(f"Two Kinects are connected: [bold]1[/] {one}, [bold]2[/] {two}.", highlight=False)
+    console.print(f"Two Kinects are connected: [bold]1[/] {one}, [bold]2[/] {two}.")
     console.print("Their serial numbers are on the labels beneath. S* will be in the principal one's frame.")
     while True:
         try:

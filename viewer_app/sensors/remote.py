@@ -52,7 +52,7 @@ def sensors_by_network(
         stack.enter_context(zenoh_session(addresses))
         for remote in (a, b):
             if remote is not None:
-                console.print(f"Waiting for {remote.name} …", highlight=False, markup=False)
+                console.print(f"Waiting for {remote.name} …", markup=False)
                 with remote:
                     pass
         interval_ns = min(
@@ -70,4 +70,4 @@ def sensors_by_network(
 
 def teller(console: Console) -> Callable[[Event], None]:
     """Prints events of sensors."""
-    return lambda event: console.print(event.text, style="yellow", highlight=False, markup=False)
+    return lambda event: console.print(event.text, style="yellow", markup=False)

@@ -37,7 +37,7 @@ def announce_tracker(tracker: TrackerChoice, console: Console) -> None:
     Raises:
         DeviceError: The networks cannot be fetched.
     """
-    console.print(f"Body tracker: {tracker.full_name} ({tracker.reason}).", highlight=False, markup=False)
+    console.print(f"Body tracker: {tracker.full_name} ({tracker.reason}).", markup=False)
     if tracker.name == "blazepose":
         ensure_networks(tracker.blazepose, console)
 
@@ -55,7 +55,7 @@ def ensure_networks(settings: BlazePoseSettings, console: Console) -> None:
     folder = cache_folder()
     if settings.models is None and missing(settings.network, folder):
         note = f"Fetching the body tracker's network once (BlazePose, Apache-2.0) into {folder}"
-        console.print(note, highlight=False, markup=False, soft_wrap=True)
+        console.print(note, markup=False, soft_wrap=True)
         fetch_networks(settings.network, folder, console)
 
 

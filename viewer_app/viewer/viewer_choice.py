@@ -83,20 +83,19 @@ def announce(viewing: Viewing | None, console: Console) -> None:
     if viewing is None:
         return
     if viewing.why_not:
-        console.print(f"{viewing.why_not}; the session is saved.", highlight=False, markup=False)
+        console.print(f"{viewing.why_not}; the session is saved.", markup=False)
     hub = viewing.hub
     if hub is None:
         return
     if hub.web_port is None:
-        console.print(f"Reopen a closed viewer with: rerun --connect {hub.url}", highlight=False)
+        console.print(f"Reopen a closed viewer with: rerun --connect {hub.url}")
         return
     if not _is_loopback(hub.address):
         console.print(
             f"[bold yellow]Warning[/]: listening on {hub.address}: whoever reaches this machine's ports "
-            f"{hub.port} and {hub.web_port} sees the session, video included, without a password.",
-            highlight=False,
+            f"{hub.port} and {hub.web_port} sees the session, video included, without a password."
         )
-    console.print(f"[bold]Viewer[/]: {hub.page}", highlight=False, soft_wrap=True)
+    console.print(f"[bold]Viewer[/]: {hub.page}", soft_wrap=True)
     if has_display():
         webbrowser.open(hub.page)
 

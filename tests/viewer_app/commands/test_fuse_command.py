@@ -68,19 +68,6 @@ def test_real_recordings_fuse_with_exact_bones_and_replay(name: str, shared: Pat
     assert 0.03 <= figures["stale"]["b"] / figures["paired"] <= 0.10
 
 
-def test_the_papers_solver_is_compared_with_the_exact_one(
-    recordings: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    report = tmp_path / "r.json"
-    options = ("--no-viewer", "--method", "published", "--verbose")
-    assert duplex("fuse", *recordings, *options, "--report", report) == 0
-    assert "The paper's scheme beside the exact solver" in capsys.readouterr().out
-    compared = figures_of(report)["compared_with_exact"]
-    assert compared["exact"]["max_bone_error_mm"] < 1e-3
-    assert compared["paper"]["max_bone_error_mm"] > 0.1
-    assert compared["paper"]["median_iterations"] > compared["exact"]["median_iterations"]
-
-
 def test_a_calibration_can_be_kept_and_used_again(recordings: tuple[Path, Path], tmp_path: Path) -> None:
     kept, first, again = tmp_path / "c.json", tmp_path / "1.json", tmp_path / "2.json"
     assert duplex("fuse", *recordings, "--no-viewer", "--save-calibration", kept, "--report", first) == 0
