@@ -37,12 +37,15 @@ class RecordingPlan:
             frames.
         changes: Events of the learner: a sensor that was moved.
         clock: Offset of B's clock, from the motion; None where unknown.
+        views_differ: Metres between p and R q + t: the median over the joints that both see, and over the
+            pairs; NaN where no joint is seen by both.
     """
 
     segments: tuple[tuple[Calibration, slice], ...]
     codes: NDArray[np.int64] | None = None
     changes: tuple[CalibrationChange, ...] = ()
     clock: ClockOffset | None = None
+    views_differ: float = float("nan")
 
 
 def plan_recording(
@@ -68,10 +71,10 @@ def plan_recording(
     """
     whole = slice(0, len(pairs))
     start = calibration or start_up_calibration(body, pairs)
-    if settings.method != "duplex":
-        return RecordingPlan(((start, whole),))
     views = _Views(body, pairs)
     segments: tuple[tuple[Calibration, slice], ...] = ((start, whole),)
+    if settings.method != "duplex":
+        return RecordingPlan(segments, views_differ=views.difference(segments))
     learned: LearnedCalibration | None = None
     if refine:
         try:
@@ -91,6 +94,7 @@ def plan_recording(
         None if settings.hindsight == "none" else views.labels(segments),
         () if learned is None else learned.events,
         None if learned is None else learned.clock,
+        views.difference(segments),
     )
 
 
@@ -107,9 +111,18 @@ class _Views:
         self._states_b = np.array([skeleton.states for skeleton in b])
         self.time_ns = np.array([pair.time_ns for pair in pairs], dtype=np.int64)
 
+    def difference(self, segments: Sequence[tuple[Calibration, slice]]) -> float:
+        """Metres; see :attr:`RecordingPlan.views_differ`."""
+        apart = np.linalg.norm(self._a - self._b_in_a(segments), axis=2)
+        seen = np.isfinite(apart).any(axis=1)
+        return float(np.median(np.nanmedian(apart[seen], axis=1))) if seen.any() else float("nan")
+
+    def _b_in_a(self, segments: Sequence[tuple[Calibration, slice]]) -> NDArray[np.float64]:
+        return np.concatenate([one.a_from_b.apply(self._b[own]) for one, own in segments])
+
     def labels(self, segments: Sequence[tuple[Calibration, slice]]) -> NDArray[np.int64]:
         """(T, 2) exchange codes with doubt, given these calibrations."""
-        b_in_a = np.concatenate([one.a_from_b.apply(self._b[own]) for one, own in segments])
+        b_in_a = self._b_in_a(segments)
         sensor_b = segments[0][0].a_from_b.translation
         views, states = (self._a, b_in_a), (self._states_a, self._states_b)
         labels = relabel_sequence(

@@ -95,7 +95,7 @@ class Session(SessionData):
         *,
         events: Sequence[Event] = (),
         images: SessionImages = NO_IMAGES,
-        about: Mapping[str, str | int] | None = None,
+        about: Mapping[str, str | float] | None = None,
     ) -> Session:
         """Builds a session in memory from fused frames.
 
@@ -245,10 +245,16 @@ class Session(SessionData):
 
     @property
     def pairing(self) -> Pairing:
-        """The pairs, and the number of frames per sensor; frames dropped before recording are not counted."""
+        """The pairs, and the number of frames per sensor; frames dropped before saving count where known."""
         clocks = self.rows.clock_a, self.rows.clock_b
         seen_a, seen_b = (int((clock != layout.NO_FRAME).sum()) for clock in clocks)
-        return Pairing(list(self.pairs()), seen_a, seen_b, 0, 0)
+        lost_a, lost_b = (count or 0 for count in self.dropped)
+        alone_a, alone_b = (
+            int(((own != layout.NO_FRAME) & (other == layout.NO_FRAME)).sum())
+            for own, other in (clocks, clocks[::-1])
+        )
+        frames = seen_a + lost_a, seen_b + lost_b
+        return Pairing(list(self.pairs()), *frames, lost_a, lost_b, alone_a, alone_b)
 
     def pairs(self, depth: bool = False) -> Iterator[FramePair]:
         """The pairs as given by the sensors, so that a session can serve as a source.

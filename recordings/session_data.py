@@ -84,6 +84,28 @@ class SessionData:
         """The body tracker that found the people, such as "blazepose full"; empty where not recorded."""
         return str(self.about["session"].get("tracker", [""])[0])
 
+    @property
+    def origin(self) -> dict[str, str | float]:
+        """What the session keeps of the capture that it was made of, for a session made of this one."""
+        names = "tracker", "replay_of", "clock_offset_ms", "clock_sd_ms", "dropped_a", "dropped_b"
+        known = self.about["session"]
+        return {name: known[name][0] for name in names if name in known}
+
+    @property
+    def dropped(self) -> tuple[int | None, int | None]:
+        """Frames of A and B that were left out before saving; None where not recorded, as by 1.0."""
+        known = self.about["session"]
+        a, b = (known.get(f"dropped_{side}", [None])[0] for side in "ab")
+        return a, b
+
+    @property
+    def clock(self) -> dict[str, float] | None:
+        """How much later B captures than it says, ``offset_ms`` and ``sd_ms``; None if unknown."""
+        known = self.about["session"]
+        if "clock_offset_ms" not in known:
+            return None
+        return {"offset_ms": known["clock_offset_ms"][0], "sd_ms": known["clock_sd_ms"][0]}
+
     def setups(self, settings: FuserSettings | None = None) -> Iterator[tuple[FusionSetup, slice]]:
         """The setup and the frames of each calibration; a new fuser starts at each.
 

@@ -25,6 +25,7 @@ _BONE_PAIRS = 256
 """Pairs, evenly spaced, from which a recording's bone lengths are learned. Bone lengths need no variety of
 poses but many moments, because a tracker's scale changes within a second."""
 _FEWEST = 12
+_LABEL_FREE = "label-free fit of the first half minute"
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +224,7 @@ def _best_start(
         costs.append(disagreement(body, copy, transform, settings.refinement.fit, 0.03))
     if costs[1] > costs[0] - max(settings.refinement.gain, 0.2 * costs[0]):
         return start
-    return replace(start, a_from_b=other, how="label-free fit of the first half minute")
+    return replace(start, a_from_b=other, how=_LABEL_FREE)
 
 
 def _refit(body: Body, evidence: Evidence, start: Calibration, settings: LearnerSettings) -> Calibration:
@@ -241,7 +242,10 @@ def _refit(body: Body, evidence: Evidence, start: Calibration, settings: Learner
     except CalibrationError:
         return start
     if gain < settings.refinement.gain:
-        return start
+        if start.how != _LABEL_FREE:
+            return start
+        kept = replace(fit, a_from_b=start.a_from_b)  # the start-up pose's registration is of another R and t
+        return replace(start, registration=registration_of(body, evidence, kept))
     return replace(
         start,
         a_from_b=fit.a_from_b,

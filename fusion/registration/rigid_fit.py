@@ -159,8 +159,9 @@ def register(pairs: Sequence[SkeletonPair]) -> Registration:
     if registration.residual_median > LARGEST_RESIDUAL:
         raise CalibrationError(
             f"The two views disagree by {registration.residual_median * 1000:.0f} mm (median) after the best "
-            f"fit; more than {LARGEST_RESIDUAL * 1000:.0f} mm cannot be right. Do both recordings show the same person at "
-            f"the same time? Worst: {', '.join(name for name, _ in registration.worst_joints())}."
+            f"fit; more than {LARGEST_RESIDUAL * 1000:.0f} mm cannot be right. Do both recordings show the "
+            f"same person at the same time? "
+            f"Worst: {', '.join(name for name, _ in registration.worst_joints())}."
         )
     return registration
 

@@ -122,6 +122,7 @@ def _calibrations_of(path: Path, body: Body, found: Columns) -> list[tuple[int, 
                 float(of["rotation_sd"][0]),
                 int(of["pairs"][0]),
                 body,
+                float(of.get("translation_sd", [np.nan])[0]),
             )
         at[frame] = Calibration(body, a_from_b, lengths, str(of["how"][0]), registration)
     if 0 not in at:

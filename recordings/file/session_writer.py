@@ -6,6 +6,11 @@ nothing is fused again.
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
+import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -26,7 +31,9 @@ from recordings.writing.recorder import Recorder
 
 _BLOCK = 300
 """Frames per write: a file that is cut off loses at most ten seconds more than what is missing."""
-_FLUSH_WITHIN = 60.0  # seconds
+_FLUSH_WITHIN = 60  # seconds
+_FULL = 65_536  # bytes: with less space, a disk is full
+_LEFT_AFTER = 2.0  # seconds
 
 
 def write_session(
@@ -62,11 +69,9 @@ def write_session(
     end = len(session) if end is None else min(end, len(session))
     if not 0 <= first < end:
         raise RecordingError(f"{session} has {len(session)} frames; none from {first} to {end}.")
-    about: dict[str, str | int] = {"first_frame": session.first_frame + first}
-    if "replay_of" in session.about["session"]:
-        about["replay_of"] = str(session.about["session"]["replay_of"][0])
-    if session.tracker:
-        about["tracker"] = session.tracker
+    about = session.origin | {"first_frame": session.first_frame + first}
+    if (first, end) != (0, len(session)):  # nobody knows which frames were dropped in this part
+        about = {name: value for name, value in about.items() if not name.startswith("dropped")}
     with whole_recording(path, blueprint) as stream:
         segments = [(setup, own) for setup, own in session.setups() if own.stop > first and own.start < end]
         recorder = Recorder(stream, segments[0][0], session.sources, about=about)
@@ -119,12 +124,42 @@ def whole_recording(
         yield stream
         if blueprint is not None:
             # The timeline of the blueprint must exist: what was logged comes first in the file.
-            stream.flush(timeout_sec=_FLUSH_WITHIN)
+            _flush(stream, path)
             _send_blueprint(stream, blueprint)
-        stream.flush(timeout_sec=_FLUSH_WITHIN)
+        _flush(stream, path)
+    except RuntimeError as error:
+        # Rerun's, once its thread could not write
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
     finally:
-        stream.disconnect()
+        _disconnect(stream, _FLUSH_WITHIN if sys.exception() is None else _LEFT_AFTER)
     check_whole(path)
+
+
+def _flush(stream: rr.RecordingStream, path: Path) -> None:
+    """Waits until all logged data is in the file.
+
+    Raises:
+        OSError: The disk is full: Rerun's thread has then ended and a longer wait would be in vain.
+        TimeoutError: The disk is too slow.
+    """
+    for tries in range(_FLUSH_WITHIN):
+        try:
+            stream.flush(timeout_sec=1.0)
+            return
+        except TimeoutError:
+            if shutil.disk_usage(path.parent).free < _FULL:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from None
+            if tries == _FLUSH_WITHIN - 1:
+                raise
+
+
+def _disconnect(stream: rr.RecordingStream, within: float) -> None:
+    """Disconnects a stream; leaves it behind where Rerun waits for ever, as after a failed write."""
+    waiting = threading.Thread(target=stream.disconnect, daemon=True)
+    waiting.start()
+    waiting.join(within)
+    if waiting.is_alive():
+        rr.unregister_shutdown()  # at exit it would wait for this stream, too
 
 
 def check_whole(path: Path) -> None:

@@ -14,6 +14,8 @@ from devices.files import Progress, RecordingChoice, TwoRecordings, quietly, rea
 from devices.skeletons.conventions import Unit
 from devices.tracker_choice import WantedTracker, choose_tracker
 from fusion.calibration.calibration import Calibration
+from fusion.errors import CalibrationError
+from fusion.handedness import mirrored_share
 from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings, Hindsight
 from recordings.fusing.pairs import Segments, calibrated, fuse_segments, setups_of
@@ -21,6 +23,8 @@ from recordings.fusing.view_events import view_events
 from recordings.images import RecordingImages
 from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
+
+_UNRELATED = 0.2  # metres
 
 
 def fuse(
@@ -38,6 +42,7 @@ def fuse(
     depth: Depth = "full",
     hindsight: Hindsight = "labels",
     refine: bool = True,
+    force: bool = False,
 ) -> Session:
     """Fuses two recordings of one capture.
 
@@ -64,10 +69,11 @@ def fuse(
         depth: For an ``.mkv``: how many of its depth images the session contains.
         hindsight: How later frames are used; see :class:`fusion.setup.FuserSettings`.
         refine: Whether a calibration found here is refined over the whole recording.
+        force: Whether to fuse recordings that cannot be of one capture; see :func:`check_related`.
 
     Raises:
         DeviceError: A recording cannot be read or tracked, the bodies differ, or they never overlap in time.
-        FusionError: The views cannot be calibrated.
+        FusionError: The views cannot be calibrated, or cannot be of one capture.
     """
     choices = (
         RecordingChoice(Path(a), _path(skeletons_a), person_a, unit, "skeletons_a", "person_a"),
@@ -79,9 +85,40 @@ def fuse(
     plan = plan_recording(
         read.body, [pair.skeletons for pair in pairs], settings, calibration, refine and calibration is None
     )
+    if not force:
+        check_related(read, plan, str(a), str(b))
     segments = setups_of(plan, settings, read.cameras(depth))
     frames = list(fuse_segments(segments, pairs, plan.codes))
     return fused_session(read, plan, segments, frames, (str(a), str(b)), depth)
+
+
+def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> None:
+    """Refuses recordings that cannot be of one person at one time.
+
+    Args:
+        read: The recordings.
+        plan: Their plan.
+        a, b: What they are called, for the message.
+
+    Raises:
+        CalibrationError: The views differ by more than 200 mm in the median. On 15 real pairs they differ by
+            29 to 77 mm, with clocks 200 ms apart by 99 mm; pairs of different people by 322 mm and more.
+    """
+    if not plan.views_differ > _UNRELATED:
+        return
+    skeletons = [pair.skeletons for pair in read.pairing.pairs]
+    for name, views in ((a, [pair.a for pair in skeletons]), (b, [pair.b for pair in skeletons])):
+        positions = np.array([view.positions for view in views if view is not None])
+        if (mirrored_share(read.body, positions) or 0.0) > 0.5:
+            raise CalibrationError(
+                f"{name} is the mirror image of a person: change the sign of x in it. --force fuses it as "
+                "it is."
+            )
+    raise CalibrationError(
+        f"{a} and {b} cannot be of one person at the same time: the views differ by "
+        f"{1e3 * plan.views_differ:.0f} mm after the best registration. Check that they belong together, and "
+        "their clocks; --force fuses them all the same."
+    )
 
 
 def fused_session(
@@ -110,8 +147,17 @@ def fused_session(
         sources,
         events=[*_events_of(read, plan, segments, first_ns), *view_events(read.body, frames, first_ns)],
         images=RecordingImages(read, depth, progress),
-        about={"tracker": read.tracker} if read.tracker else None,
+        about=_about(read, plan),
     )
+
+
+def _about(read: TwoRecordings, plan: RecordingPlan) -> dict[str, str | float]:
+    """What a session keeps of its recordings: the tracker, frames that were dropped, the clocks' offset."""
+    about: dict[str, str | float] = {"tracker": read.tracker} if read.tracker else {}
+    about |= {"dropped_a": read.pairing.dropped_a, "dropped_b": read.pairing.dropped_b}
+    if plan.clock is not None:
+        about |= {"clock_offset_ms": plan.clock.offset_ns * 1e-6, "clock_sd_ms": plan.clock.sd_ns * 1e-6}
+    return about
 
 
 def _events_of(read: TwoRecordings, plan: RecordingPlan, segments: Segments, first_ns: int) -> list[Event]:

@@ -15,7 +15,7 @@ from recordings import layout
 
 
 def session_properties(
-    setup: FusionSetup, sources: tuple[str, str], about: Mapping[str, str | int]
+    setup: FusionSetup, sources: tuple[str, str], about: Mapping[str, str | float]
 ) -> dict[str, dict[str, Any]]:
     """The properties by group and name.
 

@@ -49,7 +49,7 @@ class Recorder:
         setup: FusionSetup,
         sources: tuple[str, str],
         depth_every: int = 0,
-        about: Mapping[str, str | int] | None = None,
+        about: Mapping[str, str | float] | None = None,
         *,
         start_ns: int | None = None,
         points: bool = False,
@@ -94,6 +94,7 @@ class Recorder:
             "residual_median": np.nan if registration is None else registration.residual_median,
             "residual_rms": np.nan if registration is None else registration.residual_rms,
             "rotation_sd": np.nan if registration is None else registration.rotation_sd,
+            "translation_sd": np.nan if registration is None else registration.translation_sd,
             "joint_residuals": np.full(len(calibration.body), np.nan)
             if registration is None
             else registration.joint_residuals,

@@ -16,7 +16,7 @@ def session_figures(session: Session, figures: Figures) -> Figures:
         figures: Its report, with ``without_truth`` of :func:`viewer_app.report.figures.truth_free_figures`.
     """
     rows, registration = session.rows, session.calibration.registration
-    error = figures["bone_error_mm"]["fused"]["max"]
+    error, apart = figures["bone_error_mm"]["fused"]["max"], figures["views_agree_mm"]["median"]
     return {
         "frames": len(session),
         "seconds": figures["seconds"],
@@ -29,8 +29,8 @@ def session_figures(session: Session, figures: Figures) -> Figures:
         "without_fused": int(np.isnan(rows.fused).all(axis=(1, 2)).sum()),
         "calibration": session.calibration.how,
         "calibrations": len(session.calibrations),
-        "residual_median": None if registration is None else registration.residual_median,
-        "residual_rms": None if registration is None else registration.residual_rms,
+        "verdict": figures["verdict"]["word"],
+        "views_agree": None if apart is None else apart * 1e-3,
         "rotation_sd": None if registration is None else registration.rotation_sd,
         "axes_angle": session.calibration.axes_angle,
         "bone_error": None if error is None else error * 1e-3,

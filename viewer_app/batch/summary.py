@@ -21,8 +21,7 @@ from viewer_app.output_files import whole_file
 State = Literal["failed", "fused", "pending"]
 
 RANKED = (
-    "residual_median",
-    "apart",
+    "views_agree",
     "roughness_ratio",
     "jumps_fused",
     "jumps_own",
@@ -36,11 +35,10 @@ _DEGREES = 180.0 / math.pi
 _COLUMNS: dict[str, tuple[str, float, int]] = {
     "frames": ("pairs", 1.0, 0),
     "seconds": ("s", 1.0, 1),
-    "residual_median": ("calibration, views differ mm", 1e3, 0),
     "axes_angle": ("axes °", _DEGREES, 0),
     "rotation_sd": ("R ± °", _DEGREES, 1),
     "rotation_off": ("R off °", _DEGREES, 1),
-    "apart": ("views apart mm", 1e3, 0),
+    "views_agree": ("views agree mm", 1e3, 0),
     "roughness_ratio": ("roughness S* by views", 1.0, 2),
     "jumps_fused": ("jumps S* %", 1e2, 2),
     "jumps_own": ("S*'s own %", 1e2, 2),

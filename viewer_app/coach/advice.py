@@ -16,7 +16,8 @@ ANGLES = (60.0, 120.0)
 """Range of the angle between the sensors, degrees, in which they complement each other best."""
 GOOD, USABLE = 40.0, 80.0
 """Thresholds for the median distance between the calibrated views, mm; real Kinects reach 25 to 60 mm."""
-_CERTAIN = 2.0  # degrees: 17 mm at half a metre from the torso
+CERTAIN_TURN = 2.0
+"""Degrees, largest standard deviation of a good rotation: 17 mm at half a metre from the torso."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +70,10 @@ def verdict(calibration: Calibration) -> Advice:
     word = quality(apart)
     worst = ", ".join(f"{spoken(name)} {1e3 * off:.0f} mm" for name, off in registration.worst_joints(2))
     limit = f"limited by {worst}" if worst else "no joint was seen by both"
-    if (uncertain := math.degrees(registration.rotation_sd)) > _CERTAIN:
+    if (uncertain := math.degrees(registration.rotation_sd)) > CERTAIN_TURN:
         limit += (
-            f"; its rotation is certain to {uncertain:.1f}° only (limit {_CERTAIN:g}°): step about while it "
-            "is made"
+            f"; its rotation is certain to {uncertain:.1f}° only (limit {CERTAIN_TURN:g}°): step about while "
+            "it is made"
         )
     return Advice(
         "calibration",

@@ -28,7 +28,7 @@ from fusion.skeleton import SkeletonPair
 from recordings import layout
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.file.session_writer import write_session
-from recordings.fusing.files import fused_session
+from recordings.fusing.files import check_related, fused_session
 from recordings.fusing.pairs import fuse_segments, setups_of
 from recordings.session import Session
 from viewer_app.coach.scene import verdict_page
@@ -73,6 +73,8 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     settings = _settings(options)
     read = _read(options, console)
     plan = _plan(options, settings, read, console)
+    if not options.force:
+        check_related(read, plan, options.a.name, options.b.name)
     segments = setups_of(plan, settings, read.cameras(options.depth))
     setup = segments[-1][0]
     warm_up(Fuser(setup), console)
@@ -104,7 +106,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
             with whole_file(options.save) as partial:
                 write_session(session, partial, blueprint=blueprint, page=page)
         viewer.finish()
-        figures = report(session, read.pairing)
+        figures = report(session)
         _summarise(console, options, session, figures)
         stay_for_visitors(viewing, console)
         return session, figures

@@ -135,13 +135,13 @@ def _replayed(
     first_ns = frames[0].pair.time_ns
     events = [calibrated(setup, own, session.time_ns) for setup, own in segments]
     events += view_events(session.body, frames, first_ns)
-    about: dict[str, str | int] = {"first_frame": session.first_frame, "replay_of": session.name}
+    about = session.origin | {"first_frame": session.first_frame, "replay_of": session.name}
     return Session.of(
         [(setup, frames[own]) for setup, own in segments],
         session.sources,
         events=sorted(events, key=lambda event: event.frame),
         images=session.images if with_images else NO_IMAGES,
-        about=about | ({"tracker": session.tracker} if session.tracker else {}),
+        about=about,
     )
 
 

@@ -44,7 +44,7 @@ class OutputOptions:
     report: Annotated[Path | None, OUTPUTS] = None
     """Write all figures of the summary as JSON."""
     force: Annotated[bool, OUTPUTS] = False
-    """Overwrite files that exist."""
+    """Overwrite files that exist. For fuse: also fuse recordings that cannot be of one capture."""
 
 
 @dataclass(frozen=True, kw_only=True)

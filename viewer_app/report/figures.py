@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.pairing import Pairing
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
+from fusion.handedness import mirrored_share
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings
@@ -22,25 +22,32 @@ from fusion.without_truth import FiguresWithoutTruth, FusedPair, figures_without
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
 from viewer_app.output_files import write_text
+from viewer_app.report.verdict import Figures as Figures
+from viewer_app.report.verdict import verdict
 
-Figures = dict[str, Any]
 
-
-def report(session: Session, pairing: Pairing | None = None) -> Figures:
+def report(session: Session) -> Figures:
     """The figures of a fused pair of recordings, as ``--report`` writes them; None where there is no figure.
 
     Args:
         session: The session.
-        pairing: Counts of paired and dropped frames; those of the session if not given.
     """
-    pairing = pairing or session.pairing
-    return {
-        "frames": {"a": pairing.frames_a, "b": pairing.frames_b},
-        "paired": len(pairing.pairs) - pairing.alone_a - pairing.alone_b,
-        "alone": {"a": pairing.alone_a, "b": pairing.alone_b},
-        "dropped": {"a": pairing.dropped_a, "b": pairing.dropped_b},
-        **fusion_figures(session.calibration, session.settings, session.rows),
-    }
+    pairing = session.pairing
+    return with_verdict(
+        {
+            "frames": {"a": pairing.frames_a, "b": pairing.frames_b},
+            "paired": len(pairing.pairs) - pairing.alone_a - pairing.alone_b,
+            "alone": {"a": pairing.alone_a, "b": pairing.alone_b},
+            "dropped": dict(zip("ab", session.dropped, strict=True)),
+            "clock": session.clock,
+            **fusion_figures(session.calibration, session.settings, session.rows),
+        }
+    )
+
+
+def with_verdict(figures: Figures) -> Figures:
+    """The figures with the verdict on them."""
+    return figures | {"verdict": verdict(figures)._asdict()}
 
 
 def fusion_figures(calibration: Calibration, settings: FuserSettings, rows: SessionArrays) -> Figures:
@@ -68,6 +75,9 @@ def calibration_figures(calibration: Calibration) -> Figures:
         else {"median": fit.residual_median * 1e3, "rms": fit.residual_rms * 1e3},
         "axes_angle_deg": math.degrees(calibration.axes_angle),
         "rotation_sd_deg": None if fit is None else math.degrees(fit.rotation_sd),
+        "translation_sd_mm": None
+        if fit is None or math.isnan(fit.translation_sd)
+        else fit.translation_sd * 1e3,
         "frames": None if fit is None else fit.frames,
         "worst_joints_mm": {}
         if fit is None
@@ -98,9 +108,10 @@ def truth_free_figures(session: Session) -> dict[str, float | None]:
 
 
 def method_figures(rows: SessionArrays) -> Figures:
-    """Bones, errors, disagreement, repaired data and time of fused frames."""
+    """Bones, errors, repaired data, time, and how well the views agree since the calibration."""
     lengths, target = rows.bone_length_of_each, rows.bone_lengths
-    disagreement = rows.disagreement * 1e3
+    calibrated = (rows.rotation != np.eye(3)).any(axis=(1, 2)) | rows.translation.any(axis=1)
+    apart = rows.disagreement[calibrated] * 1e3
     bones = {}
     for joint in rows.body.bone_joints:
         of_bone: Figures = {"target_m": float(target[-1, joint])}
@@ -115,12 +126,16 @@ def method_figures(rows: SessionArrays) -> Figures:
         "seconds": seconds,
         "frames_per_second": (len(rows) - 1) / seconds if seconds > 0.0 else None,
         "repaired": _repaired(rows),
+        "mirrored": {
+            "a": mirrored_share(rows.body, rows.positions_a),
+            "b": mirrored_share(rows.body, rows.positions_b),
+        },
         "bones": bones,
         "bone_error_mm": {
             key: {"rms": _of(_rms, error[k]), "max": _of(np.max, np.abs(error[k]))}
             for k, key in enumerate(("a", "b", "fused"))
         },
-        "disagreement_mm": {"median": _of(np.median, disagreement), "p95": _percentile(disagreement, 95)},
+        "views_agree_mm": {"median": _of(np.median, apart), "p95": _percentile(apart, 95)},
         "fuse_ms": {
             "p50": _percentile(rows.fuse_ms, 50),
             "p99": _percentile(rows.fuse_ms, 99),

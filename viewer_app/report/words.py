@@ -10,14 +10,11 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from fusion.calibration.calibration import FEWEST_PAIRS, PROVISIONAL
-from viewer_app.coach.advice import ANGLES, GOOD, USABLE, quality
+from viewer_app.coach.advice import ANGLES
 from viewer_app.report.figures import Figures
+from viewer_app.report.verdict import Verdict, in_words, precision_in_words
 
 _MICROMETRE = 1e-3  # millimetres; what a file stores of S* is no more exact
-_MIRRORED = 0.6
-"""Share of frames in both views; real walks stay below 0.3."""
-_CALIBRATE = "Calibrate: stand still for a second, arms and legs apart, where both sensors see all of you"
 
 
 @dataclass(frozen=True)
@@ -46,11 +43,13 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
     if "fused_frames" in figures:
         repaired, rate = figures["repaired"], figures["frames_per_second"]
         error = figures["bone_error_mm"]
+        found = Verdict(**figures["verdict"])
+        yield Line("Verdict", in_words(found), found.word in ("poor", "unknown"), found.word)
         yield _agreement(figures)
+        yield Line("Calibration", f"{precision_in_words(figures['calibration'])}.")
         yield Line("Repaired", _repaired(repaired), figure=in_percent(repaired["unseen_joints"]))
         yield Line("S*", _pace(figures), figure="–" if rate is None else f"{rate:.1f} / s")
         yield Line("Bones", _bones(error), figure=in_mm(error["fused"]["max"]))
-        yield from _placement(figures["calibration"])
     yield from _stream_trouble(figures) if "streams" in figures else _shortfalls(figures)
 
 
@@ -60,11 +59,9 @@ def detail_lines(figures: Figures) -> Iterator[Line]:
     if "calibration" in figures:
         for k, text in enumerate(calibration_in_words(figures["calibration"])):
             yield Line("" if k else "Calibration", text)
-        error, apart, ms = figures["bone_error_mm"], figures["disagreement_mm"], figures["fuse_ms"]
+        error, ms = figures["bone_error_mm"], figures["fuse_ms"]
         a, b, fused = (in_mm(error[key]["max"]) for key in ("a", "b", "fused"))
         yield Line("Largest bone error", f"S_A {a}, S_B {b}, S* {fused}.")
-        median, high = in_mm(apart["median"]), in_mm(apart["p95"])
-        yield Line("S_A against S_B", f"median {median}, 95 % {high}.")
         yield Line("Fusion", f"{_times(ms, 3, 'ms per frame')}.")
     if figures.get("latency_ms", {}).get("p50") is not None:
         yield Line("From images to S*", f"{_times(figures['latency_ms'], 0, 'ms')}.")
@@ -73,7 +70,7 @@ def detail_lines(figures: Figures) -> Iterator[Line]:
 
 
 def calibration_in_words(figures: Figures) -> list[str]:
-    """The source of a calibration, and the verdict, as lines.
+    """The source of a calibration, and how certain it is, as lines.
 
     Args:
         figures: Of :func:`viewer_app.report.figures.calibration_figures`.
@@ -84,14 +81,11 @@ def calibration_in_words(figures: Figures) -> list[str]:
     advice = "" if low <= angle <= high else " (about 90° lets each sensor see most of what the other cannot)"
     if residual is None:
         return [*lines, f"The sensors' axes are {angle:.0f}° apart{advice}."]
-    verdict: str = quality(residual["median"])
-    if frames < FEWEST_PAIRS:
-        verdict = f"too few frames to trust ({FEWEST_PAIRS} at least)"
     worst = ", ".join(f"{name} {distance:.0f} mm" for name, distance in figures["worst_joints_mm"].items())
     return [
         *lines,
-        f"{verdict.capitalize()}: the views differ by {residual['median']:.0f} mm (median), "
-        f"{residual['rms']:.0f} mm (RMS), over {frames} frames; worst: {worst}.",
+        f"In its {frames} frames the views differ by {residual['median']:.0f} mm (median), "
+        f"{residual['rms']:.0f} mm (RMS); worst: {worst}.",
         f"The sensors' axes are {angle:.0f}° apart{advice}; "
         f"that rotation is certain to about {figures['rotation_sd_deg']:.1f}°.",
     ]
@@ -113,28 +107,10 @@ BONE_HEAD = ("bone", "target", "S_A", "S_B", "S*")
 
 
 def _agreement(figures: Figures) -> Line:
-    calibration = figures["calibration"]
-    residual, apart = calibration["residual_mm"], figures["disagreement_mm"]["median"]
-    if residual is not None:
-        apart = residual["median"]
-
-    def line(text: str, warning: bool) -> Line:
-        return Line("Views agree", text, warning, in_mm(apart))
-
-    if calibration["how"].startswith(PROVISIONAL):
-        return line(f"unknown: not calibrated yet. {_CALIBRATE}.", True)
-    if residual is not None and calibration["frames"] < FEWEST_PAIRS:
-        text = f"too few frames to tell: {in_mm(apart)} apart over {calibration['frames']}; at least "
-        return line(f"{text}{FEWEST_PAIRS} are needed. {_CALIBRATE}.", True)
-    if apart is None:
-        return line("unknown: no joint was seen by both sensors", True)
-    word = quality(apart)
-    limit = {
-        "good": "",
-        "usable": f"; good is below {GOOD:.0f} mm",
-        "poor": f"; usable is below {USABLE:.0f} mm. {_CALIBRATE}",
-    }
-    return line(f"{word}: {in_mm(apart)} apart (median){limit[word]}.", word == "poor")
+    apart = figures["views_agree_mm"]
+    median, high = in_mm(apart["median"]), in_mm(apart["p95"])
+    text = f"median {median}, 95 % {high}, over all frames since the calibration."
+    return Line("Views agree", text, figure=median)
 
 
 def _repaired(repaired: Figures) -> str:
@@ -154,7 +130,7 @@ def _pace(figures: Figures) -> str:
         counted = "1 frame" if frames == 1 else f"{frames} frames"
         return f"{counted} in {seconds:.1f} s{each}."
     late = f"{latency_ms['p50']:.0f} ms after the images (99 %: {latency_ms['p99']:.0f} ms)"
-    return f"{late}{each}, last {seconds:.1f} s."
+    return f"{late}{each} over {seconds:.1f} s."
 
 
 def _bones(error_mm: Figures) -> str:
@@ -162,33 +138,15 @@ def _bones(error_mm: Figures) -> str:
     return f"S* within {fused} of their lengths; S_A up to {a} off, S_B {b}."
 
 
-def _placement(calibration: Figures) -> Iterator[Line]:
-    """What to change where the sensors see too much alike, or too little."""
-    angle, (low, high) = calibration["axes_angle_deg"], ANGLES
-    if calibration["residual_mm"] is not None and not low <= angle <= high:
-        way = "further apart" if angle < low else "closer together"
-        good = f"good is {low:.0f}° to {high:.0f}°"
-        text = f"{angle:.0f}° between the sensors; {good}. Move them {way} round the person."
-        yield Line("Placement", text, warning=True)
-
-
 def _shortfalls(figures: Figures) -> Iterator[Line]:
-    """What recordings lack: partners, people, sides."""
+    """What recordings lack: partners and people."""
     dropped, absent, frames = figures["dropped"], figures["without_person"], figures["frames"]
     if dropped["a"] or dropped["b"]:
-        of_a, of_b = (f"{dropped[key]} of {frames[key]}" for key in ("a", "b"))
+        of_a, of_b = (f"{dropped[key] or 0} of {frames[key]}" for key in ("a", "b"))
         yield Line("Dropped", f"{of_a} frames of A and {of_b} of B have no partner.", warning=True)
     if absent["a"] or absent["b"]:
         yield Line(
             "No person", f"in {absent['a']} frames of A, {absent['b']} of B, {absent['both']} of both."
-        )
-    exchanged = figures["repaired"]["exchanged"]
-    if exchanged is not None and min(exchanged["a"] or 0.0, exchanged["b"] or 0.0) > _MIRRORED:
-        yield Line(
-            "Mirrored?",
-            "Left and right are exchanged in both views most of the time. If the person faced the sensors, "
-            "x points to the wrong side in both files: change its sign.",
-            warning=True,
         )
 
 
@@ -218,7 +176,7 @@ def _counts(figures: Figures) -> Iterator[Line]:
         stale = figures["stale"]
         yield Line(
             "Paired",
-            f"{paired}; dropped {dropped['a']} and {dropped['b']}; "
+            f"{paired}; dropped {_count(dropped['a'])} and {_count(dropped['b'])}; "
             f"repeated by the sensor {stale['a']} and {stale['b']}.",
         )
         return
@@ -240,6 +198,10 @@ def _counts(figures: Figures) -> Iterator[Line]:
     if streams["clock_offset_ms"] is not None:
         offset, drift = streams["clock_offset_ms"], streams["drift_ppm"]
         yield Line("Clocks", f"B's clock less A's: {offset:.1f} ms, drifting {drift:.0f} ppm.")
+
+
+def _count(count: int | None) -> str:
+    return "an unknown number" if count is None else str(count)
 
 
 def _link(link: Figures) -> str:

@@ -12,6 +12,7 @@ from rich.console import Console
 from devices.capture.sensor_pair import TwoSensors
 from devices.tracker_choice import tracker_name
 from fusion.setup import FusionSetup
+from recordings.session import Session
 from recordings.session_arrays import RecordedFrame
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
@@ -25,6 +26,9 @@ from viewer_app.running.status import LiveDisplay
 from viewer_app.running.summary import session_report
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.viewer_choice import announce, choose_viewing
+
+_REVIEWED = 18_000
+"""Frames of the longest session that is read again for its summary: 100 MB."""
 
 
 class Runner:
@@ -110,10 +114,14 @@ class Runner:
     def summarise(self, setup: FusionSetup, frames: Sequence[RecordedFrame], sensors: TwoSensors) -> None:
         """Prints the figures of the session, and writes them if that is wanted.
 
-        Frames are counted since the start; the method's figures cover the last minute.
+        Frames are counted since the start. The method's figures are those of ``duplex review`` where the
+        session is saved, else they cover the last minute, as those of sessions above ten minutes do.
         """
-        console, verbose = self._console, self._options.verbose
-        figures = session_report(setup, frames, sensors, self._outputs)
+        console, verbose, file = self._console, self._options.verbose, self.session.file
+        saved = None
+        if file is not None and file.failure is None and 0 < file.saved <= _REVIEWED:
+            saved = Session.open(file.path)
+        figures = session_report(setup, frames, sensors, self._outputs, saved)
         if "fused_frames" not in figures:
             console.print("No frame was fused.")
         print_summary(console, figures)

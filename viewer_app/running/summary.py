@@ -9,21 +9,19 @@ import numpy as np
 
 from devices.capture.sensor_pair import TwoSensors
 from fusion.setup import FusionSetup
+from recordings.session import Session
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from viewer_app.outputs.output import LiveOutput
-from viewer_app.report.figures import Figures, fusion_figures
+from viewer_app.report.figures import Figures, fusion_figures, with_verdict
 
 
-def rows_since_calibration(setup: FusionSetup, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
-    """The frames since the last registration, each with its own bone lengths; None if there are none."""
-    rotation = setup.calibration.a_from_b.rotation
-    last = [frame for frame in frames if frame.fused.a_from_b.rotation is rotation]
-    calibration = setup.calibration
-    if not last:
+def rows_of(setup: FusionSetup, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
+    """The frames, each with the bone lengths that it was fused with; None if there are none."""
+    if not frames:
         return None
-    fixed = calibration.bone_lengths
-    lengths = np.array([fixed if frame.bone_lengths is None else frame.bone_lengths for frame in last])
-    return SessionArrays.stack(calibration.body, lengths, last)
+    fixed = setup.calibration.bone_lengths
+    lengths = np.array([fixed if frame.bone_lengths is None else frame.bone_lengths for frame in frames])
+    return SessionArrays.stack(setup.body, lengths, frames)
 
 
 def session_report(
@@ -31,19 +29,23 @@ def session_report(
     frames: Sequence[RecordedFrame],
     sensors: TwoSensors,
     outputs: Sequence[LiveOutput] = (),
+    session: Session | None = None,
 ) -> Figures:
     """The report of a live session: the figures of ``duplex fuse --report`` and the stream counts.
 
-    Frames are counted since the start. All other figures cover the last minute; ``seconds`` is its actual
-    length. Without a fused frame there are only counts.
+    Frames are counted since the start. All other figures cover the whole session where it is given, as
+    in ``duplex review``, else the frames; ``seconds`` is their length. Without a fused frame there are only
+    counts.
     """
     figures = stream_figures(sensors)
     if outputs:
         figures["outputs"] = [output.figures() for output in outputs]
-    rows = rows_since_calibration(setup, frames)
-    if rows is not None:
-        figures |= fusion_figures(setup.calibration, setup.settings, rows)
-    return figures | {"latency_ms": latency_figures(frames)}
+    figures["latency_ms"] = latency_figures(frames)
+    rows = rows_of(setup, frames) if session is None else session.rows
+    if rows is None:
+        return figures
+    calibration = setup.calibration if session is None else session.calibration
+    return with_verdict(figures | fusion_figures(calibration, setup.settings, rows))
 
 
 def stream_figures(sensors: TwoSensors) -> Figures:

@@ -29,17 +29,21 @@ def order(*rows: Row) -> list[str]:
 
 def test_failed_rows_come_first_then_the_worst_then_pending_ones() -> None:
     assert order(
-        row("calm", apart=0.03, jumps_fused=0.0),
+        row("calm", views_agree=0.03, jumps_fused=0.0),
         row("left", "pending"),
-        row("wild", apart=0.09, jumps_fused=0.2),
+        row("wild", views_agree=0.09, jumps_fused=0.2),
         row("lost", "failed", "no frames"),
-        row("fair", apart=0.06, jumps_fused=0.1),
+        row("fair", views_agree=0.06, jumps_fused=0.1),
     ) == ["lost", "wild", "fair", "calm", "left"]
 
 
 def test_a_figure_that_a_session_lacks_does_not_count() -> None:
-    # ranks: one 3/4 (of two) in apart, 1/2 (equal) in lost; two 1/4 and 1/2; three only 1/2
-    assert order(row("two", apart=0.01), row("three"), row("one", apart=0.02)) == ["one", "three", "two"]
+    # ranks: one 3/4 (of two) in views_agree, 1/2 (equal) in lost; two 1/4 and 1/2; three only 1/2
+    assert order(row("two", views_agree=0.01), row("three"), row("one", views_agree=0.02)) == [
+        "one",
+        "three",
+        "two",
+    ]
 
 
 def test_frames_without_a_partner_count() -> None:
@@ -49,11 +53,11 @@ def test_frames_without_a_partner_count() -> None:
 
 
 def test_the_table_is_in_si_units_and_the_page_escapes(tmp_path: Path) -> None:
-    rows = [row("bad", "failed", "a < b"), row("a b", apart=0.0625), row("rest", "pending")]
+    rows = [row("bad", "failed", "a < b"), row("a b", views_agree=0.0625), row("rest", "pending")]
     write_parquet(rows, tmp_path / "s.parquet")
     table = pq.read_table(tmp_path / "s.parquet").to_pydict()
     assert table["name"] == ["bad", "a b", "rest"]
-    assert table["apart"] == [None, 0.0625, None]
+    assert table["views_agree"] == [None, 0.0625, None]
     assert table["session"] == [None, "a b/a b.rrd", None]
     write_page(rows, tmp_path / "s.html")
     page = (tmp_path / "s.html").read_text(encoding="utf-8")

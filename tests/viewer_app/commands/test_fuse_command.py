@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -49,9 +50,63 @@ def test_two_recordings_become_a_session_a_report_and_a_summary(
     assert set(forearm) == {"target_m", "a", "b", "fused"}
     assert set(forearm["fused"]) == {"mean_m", "std_mm", "max_error_mm"}
     # each view's noise of 10 mm an axis disagrees by a Maxwell median of 1.538 · √2 · 10 mm
-    assert figures["disagreement_mm"]["median"] == pytest.approx(21.7, rel=0.1)
+    assert figures["views_agree_mm"]["median"] == pytest.approx(21.7, rel=0.1)
     assert rr.chunk.RrdReader(session).store().schema() is not None
     assert {p.name for p in tmp_path.iterdir()} == {"a.csv", "b.csv", "s.rrd", "r.json"}
+
+
+def test_what_was_dropped_goes_with_the_session(
+    recordings: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    a, b = recordings
+    header, *rows = b.read_text(encoding="utf-8").splitlines()
+    every = sorted({row.split(",")[0] for row in rows}, key=int)
+    late = tmp_path / "late.csv"  # every third frame is 17 ms off, farther than half an interval
+    moved = {time: str(int(time) + 17_000 * (k % 3 == 0)) for k, time in enumerate(every)}
+    shifted = [",".join((moved[row.split(",")[0]], *row.split(",")[1:])) for row in rows]
+    late.write_text("\n".join([header, *shifted]) + "\n", encoding="utf-8")
+    saved, one, two = tmp_path / "s.rrd", tmp_path / "1.json", tmp_path / "2.json"
+    assert duplex("fuse", a, late, "--no-viewer", "--save", saved, "--report", one) == 0
+    said = capsys.readouterr().out
+    dropped = figures_of(one)["dropped"]
+    assert dropped["a"] > 10
+    assert duplex("replay", saved, "--no-viewer", "--report", two) == 0
+    assert figures_of(two)["dropped"] == dropped
+    capsys.readouterr()
+    assert duplex("review", saved, "--no-viewer") == 0
+    line = next(line for line in said.splitlines() if line.startswith("Dropped"))
+    assert line in capsys.readouterr().out
+
+
+def with_x_reversed(recording: Path, folder: Path) -> Path:
+    header, *rows = recording.read_text(encoding="utf-8").splitlines()
+    x = header.split(",").index("x")
+    reversed_ = folder / f"reversed_{recording.name}"
+    cells = [row.split(",") for row in rows]
+    lines = [",".join((*row[:x], str(-float(row[x])), *row[x + 1 :])) for row in cells]
+    reversed_.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
+    return reversed_
+
+
+def test_a_mirrored_recording_is_named_and_refused(
+    shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shared / "real" / "kinect_v2_90deg_steps"
+    mirrored = with_x_reversed(folder / "b.csv", tmp_path)
+    assert duplex("fuse", folder / "a.csv", mirrored, "--no-viewer") == 2
+    assert "reversed_b.csv is the mirror image of a person" in one_line(capsys)
+
+
+def test_recordings_of_other_people_are_refused_and_can_be_forced(
+    shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    a = shared / "real_more" / "kinect_v2_90deg_walk_18" / "a.csv"
+    b = shared / "real_more" / "kinect_v2_90deg_walk_2" / "b.csv"
+    assert duplex("fuse", a, b, "--no-viewer") == 2
+    assert "a.csv and b.csv cannot be of one person at the same time" in one_line(capsys)
+    report = tmp_path / "r.json"
+    assert duplex("fuse", a, b, "--no-viewer", "--force", "--report", report) == 0
+    assert figures_of(report)["verdict"]["word"] == "poor"
 
 
 @pytest.mark.parametrize("name", REAL)
@@ -176,3 +231,25 @@ def test_the_installed_program_answers_with_exit_code_2_and_no_traceback(tmp_pat
     )
     assert done.returncode == 2
     assert done.stderr == "duplex: No file no.csv.\n"
+
+
+@pytest.mark.parametrize("kilobytes", [64, 512, 1000, 1400])
+def test_a_full_disk_ends_with_one_line(shared: Path, tmp_path: Path, kilobytes: int) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", str(disk)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("this machine lets nobody mount a small disk")
+    try:
+        pair = shared / "real" / "kinect_v2_90deg_steps"
+        command = (sys.executable, "-m", "viewer_app.cli", "fuse", pair / "a.csv", pair / "b.csv")
+        ended = subprocess.run(
+            [*map(str, command), "--no-viewer", "--save", str(disk / "s.rrd")],
+            capture_output=True, text=True, timeout=90,
+        )  # fmt: skip
+        assert list(disk.iterdir()) == []
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+    assert ended.returncode == 2
+    assert "Traceback" not in ended.stderr
+    assert "s.rrd could not be written: " in ended.stderr.splitlines()[-1]

@@ -19,8 +19,9 @@ from recordings.session_arrays import SessionArrays
 from recordings.testing import FusedRun, fused_run
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
-from viewer_app.report.figures import Figures, calibration_figures, report, truth_free_figures
+from viewer_app.report.figures import Figures, report, truth_free_figures, with_verdict
 from viewer_app.report.terminal import print_lines, print_summary
+from viewer_app.report.verdict import in_words, verdict
 from viewer_app.report.words import Line, detail_lines, in_mm, in_percent, lead_lines
 
 __all__ = ["fused_run"]  # a fixture
@@ -52,16 +53,24 @@ def said(figures: Figures, width: int = 80, **more: object) -> str:
     return out.getvalue()
 
 
-def views_agree(figures: Figures, **calibration: object) -> Line:
-    return next(lead_lines(figures | {"calibration": figures["calibration"] | calibration}))
+def judged(figures: Figures, **calibration: object) -> Line:
+    changed = with_verdict(figures | {"calibration": figures["calibration"] | calibration})
+    return next(lead_lines(changed))
 
 
-def test_three_figures_lead_in_at_most_six_short_lines(figures: Figures) -> None:
-    lines = said(figures).splitlines()
-    assert [line[:13].strip() for line in lines[:3]] == ["Views agree", "Repaired", "S*"]
-    assert len(lines) <= 6
+def with_views(figures: Figures, median_mm: float | None) -> Figures:
+    return figures | {"views_agree_mm": {"median": median_mm, "p95": median_mm}}
+
+
+def test_the_verdict_leads_in_at_most_six_short_lines(figures: Figures) -> None:
+    lines = said(with_verdict(with_views(figures, 31.0))).splitlines()
+    labels = ["Verdict", "Views agree", "Calibration", "Repaired", "S*", "Bones"]
+    assert [line[:13].strip() for line in lines[:6]] == labels
+    assert len(lines) <= 7
     assert all(line[12] == " " and line[13] != " " for line in lines), "texts are aligned"
-    assert lines[0].strip().endswith("good: 31 mm apart (median).")
+    assert lines[0].split() == ["Verdict", "good."]
+    assert lines[1].split(maxsplit=2)[2].startswith("median 31 mm, 95 % 31 mm")
+    assert lines[2].split(maxsplit=1)[1].startswith("± 0.6°, from 90 frames")
 
 
 def test_all_figures_come_with_verbose_only(figures: Figures) -> None:
@@ -72,34 +81,67 @@ def test_all_figures_come_with_verbose_only(figures: Figures) -> None:
 
 
 @pytest.mark.parametrize(
-    ("median_mm", "frames", "words", "warning"),
+    ("median_mm", "words", "warning"),
     [
-        (39.0, 90, "good: 39 mm apart", False),
-        (41.0, 90, "usable: 41 mm apart (median); good is below 40 mm", False),
-        (81.0, 90, "poor: 81 mm apart (median); usable is below 80 mm. Calibrate: stand still", True),
-        (20.0, FEWEST_PAIRS - 1, "too few frames to tell: 20 mm apart over 14", True),
+        (39.0, "good.", False),
+        (40.2, "usable: the views differ by 40 mm; good is below 40.", False),
+        (39.996, "good.", False),
+        (79.6, "usable: the views differ by 79.6 mm", False),
+        (81.0, "poor: the views differ by 81 mm; usable is below 80. Check that both recordings", True),
+        (None, "unknown: no joint was seen by both sensors", True),
     ],
 )
 def test_a_verdict_is_a_word_and_says_what_to_do_where_it_is_poor(
-    figures: Figures, median_mm: float, frames: int, words: str, warning: bool
+    figures: Figures, median_mm: float | None, words: str, warning: bool
 ) -> None:
-    line = views_agree(figures, **calibration_figures(registered(median_mm, frames)))
+    line = judged(with_views(figures, median_mm))
     assert line.text.startswith(words)
     assert line.warning is warning
 
 
-def test_without_a_registration_the_frames_themselves_tell(figures: Figures) -> None:
-    figures["disagreement_mm"]["median"] = 55.0
-    assert views_agree(figures, residual_mm=None).text.startswith("usable: 55 mm")
-    figures["disagreement_mm"]["median"] = None
-    assert views_agree(figures, residual_mm=None).warning
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        (
+            {"clock": {"offset_ms": -146.0, "sd_ms": 11.0}},
+            "poor: B captures -146 ± 11 ms off its time stamps",
+        ),
+        ({"clock": {"offset_ms": 29.0, "sd_ms": 7.0}}, "good."),
+        (
+            {"mirrored": {"a": 0.0, "b": 0.97}},
+            "poor: B is the mirror image of a person. Change the sign of x",
+        ),
+        ({"mirrored": {"a": 1.0, "b": 0.97}}, "poor: A and B are mirror images of a person"),
+        ({"dropped": {"a": 20, "b": 22}}, "poor: 33 % of the frames have no partner"),
+        ({"dropped": {"a": 30, "b": 0}}, "good."),
+        ({"dropped": {"a": None, "b": None}}, "good."),
+    ],
+)
+def test_the_verdict_names_what_is_worst(figures: Figures, changed: Figures, words: str) -> None:
+    assert judged(with_views(figures, 50.0 if words != "good." else 30.0) | changed).text.startswith(words)
 
 
-@pytest.mark.parametrize("how", ["none yet: an adult's proportions", "provisional, 1 frame of any pose"])
-def test_what_is_not_calibrated_has_no_verdict(figures: Figures, how: str) -> None:
-    line = views_agree(figures, how=how)
-    assert line.text.startswith("unknown: not calibrated yet. Calibrate: stand still")
-    assert line.warning
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"axes_angle_deg": 45.0}, "usable: the sensors look 45° apart; good is 60° to 120°. Record with"),
+        ({"axes_angle_deg": 31.0}, "poor: the sensors look 31° apart"),
+        ({"rotation_sd_deg": 2.1}, "usable: B's rotation is certain to 2.1° only"),
+        ({"rotation_sd_deg": 7.4}, "poor: B's rotation is certain to 7.4° only"),
+        ({"frames": FEWEST_PAIRS - 1}, "unknown: calibrated on 14 frames; at least 15 are needed"),
+        ({"how": "none yet: an adult's proportions"}, "unknown: not calibrated yet"),
+        ({"how": "provisional, 1 frame of any pose"}, "unknown: not calibrated yet"),
+    ],
+)
+def test_the_verdict_judges_the_calibration(figures: Figures, changed: Figures, words: str) -> None:
+    line = judged(with_views(figures, 30.0), **changed)
+    assert line.text.startswith(words)
+    assert line.warning is not words.startswith("usable")
+
+
+def test_people_before_sensors_get_other_advice_than_readers_of_files(figures: Figures) -> None:
+    running = with_views(figures, 90.0) | {"streams": {}}
+    assert "stand still for a second" in in_words(verdict(running))
 
 
 def with_repairs(rows: SessionArrays) -> SessionArrays:
@@ -134,12 +176,6 @@ def test_what_someone_must_act_on_is_told_in_words(figures: Figures) -> None:
     assert "Dropped 3 of 60 frames of A and 0 of 60 of B have no partner." in text
     assert "No person in 5 frames of A, 0 of B, 0 of both." in text
     assert "Warning 3.00 s: A sensor seems to have been moved. (1 more)" in text
-
-
-@pytest.mark.parametrize(("a", "b", "told"), [(0.9, 0.8, True), (0.9, 0.1, False), (0.3, 0.3, False)])
-def test_two_mirrored_recordings_are_noticed(figures: Figures, a: float, b: float, told: bool) -> None:
-    figures["repaired"]["exchanged"] = {"a": a, "b": b}
-    assert ("change its sign" in said(figures)) is told
 
 
 def test_live_latency_stands_beside_the_rate(figures: Figures) -> None:
