@@ -262,7 +262,8 @@ def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePa
 def _refuse_same(a: Path, b: Path) -> None:
     try:
         same = a.samefile(b)
-        if not same and a.is_file() and b.is_file() and not (has_images(a) or has_images(b)):
+        compared = a.is_file() and a.stat().st_size > 0 and b.is_file()
+        if not same and compared and not (has_images(a) or has_images(b)):
             same = filecmp.cmp(a, b, shallow=False)
     except OSError:
         return  # the readers say what is wrong with the files

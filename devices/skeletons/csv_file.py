@@ -65,7 +65,7 @@ def read_csv(path: Path, unit: Unit = "auto") -> ReadFile:
     time_us = text.numbers("time_us", pa.int64())
     xyz = np.stack([text.numbers(axis, pa.float64()) for axis in "xyz"], axis=1)
     states = _states(text)
-    if np.abs(time_us).max() > LATEST_US:
+    if max(time_us.max(), -(time_us.min() + 1)) >= LATEST_US:  # the least integer has no absolute value
         raise DeviceError(f"{path}: time_us goes beyond {LATEST_US}; times are microseconds.")
     people, person = _codes(table, "body")
     names, name = _codes(table, "joint")

@@ -27,7 +27,7 @@ def read_json(path: Path, unit: Unit = "auto") -> ReadFile:
     text = text_bytes(path).decode("utf-8-sig")
     try:
         document = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # a number may have too many digits
         if not text.lstrip().startswith(("{", "[")):
             raise DeviceError(f"{path} is not JSON: it begins with {text[:40]!r}.") from None
         raise DeviceError(f"{path} is not complete JSON: {error}. Was it cut off?") from None

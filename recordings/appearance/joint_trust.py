@@ -17,16 +17,34 @@ SOURCE_COLORS: tuple[Color, ...] = (*(SKELETON_COLORS[key] for key in ("a", "b",
 """By the indices of :data:`SOURCES`."""
 _SHADES = 16  # finer shades are not visible; few colours compress well
 _MOSTLY = 0.7  # share of a view from which on a limb counts as following it
+_KEPT_A_SECOND = 0.967  # share of the mean that is kept from frame to frame: a second at 30 per second
 _KEPT = 0.9  # share of the mean that is kept from frame to frame: a third of a second
 
 
-def trust_colors(rows: SessionArrays) -> NDArray[np.uint8]:
-    """(T, J, 3) RGB by the share of the views in the joint: the colours of A, of S* where both count alike,
-    and of B; grey where predicted."""
-    total = rows.weights_a + rows.weights_b
-    share = np.where(total > 0.0, rows.weights_a / np.where(total > 0.0, total, 1.0), 0.0)
-    shades = np.where(rows.predicted, _SHADES + 1, np.round(share * _SHADES)).astype(np.int64)
-    return np.asarray(_palette()[shades])
+class TrustColors:
+    """Colours the joints of S* by the views that they followed in the last second.
+
+    A frame that a sensor repeats has no weight. Without a mean, the whole body would take the other sensor's
+    colour for that frame.
+    """
+
+    def __init__(self) -> None:
+        self._state: NDArray[np.float64] | None = None
+
+    def add(self, rows: SessionArrays) -> NDArray[np.uint8]:
+        """(T, J, 3) RGB of frames in time order: the colours of A, of S* where both views count alike, and of
+        B; grey where neither sensor sees the joint."""
+        weights = np.stack((rows.weights_a, rows.weights_b), axis=1).astype(np.float64)
+        if self._state is None:
+            self._state = _KEPT_A_SECOND * weights[:1]
+        means, self._state = lfilter(
+            [1.0 - _KEPT_A_SECOND], [1.0, -_KEPT_A_SECOND], weights, axis=0, zi=self._state
+        )
+        total = means.sum(axis=1)
+        share = np.where(total > 0.0, means[:, 0] / np.where(total > 0.0, total, 1.0), 0.5)
+        unseen = (rows.states_a == 0) & (rows.states_b == 0)
+        shades = np.where(unseen, _SHADES + 1, np.round(share * _SHADES)).astype(np.int64)
+        return np.asarray(_palette()[shades])
 
 
 def _palette() -> NDArray[np.uint8]:

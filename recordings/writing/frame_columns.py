@@ -37,16 +37,21 @@ PLOTTED = frozenset({layout.QUALITY, layout.BONES, layout.kinect("b")})
 
 
 def frame_columns(
-    rows: SessionArrays, checks: FusedChecks | None = None, *, drawn: bool = True, plotted: bool = True
+    rows: SessionArrays,
+    checks: FusedChecks | None = None,
+    *,
+    colors: NDArray[np.uint8] | None = None,
+    plotted: bool = True,
 ) -> Iterator[tuple[str, SessionArrays, list[Column]]]:
     """Each entity with its frames and their columns: the recorded figures, then those for the viewer.
 
     Args:
         rows: The frames, one or more.
         checks: Checks of S* in float64, if `rows` come from a file in float32.
-        drawn: Whether entities that are drawn into the scene are included.
+        colors: (T, J, 3) of S*. None: entities that are drawn into the scene are left out.
         plotted: Whether the other entities are, see :data:`PLOTTED`.
     """
+    drawn = colors is not None
     entities: dict[str, _EntityColumns] = {}
     parts: dict[tuple[str, str], list[tuple[FrameField, NDArray[Any]]]] = {}
     for _, spec, values in rows.figures():
@@ -63,6 +68,8 @@ def frame_columns(
             of_entity.add_argument(component, stored)
         else:
             of_entity.add_data(component, spec.in_arrow(rows.body, stored))
+    if colors is not None:
+        entities[layout.FUSED_SKELETON].add_argument("Points3D:colors", colors)
     for shown in SHOWN_FIGURES:
         derived = shown.values(rows) if (plotted if shown.entity in PLOTTED else drawn) else None
         if derived is None:

@@ -17,7 +17,7 @@ from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.coach_page import CoachPage
-from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources
+from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources, TrustColors
 from recordings.session_arrays import RecordedFrame, SessionArrays
 from recordings.writing.arrow_columns import Times, depth_image, points
 from recordings.writing.changes import Lanes, PlacementLog, QualityLog, StreamFiguresLog, set_time
@@ -69,6 +69,7 @@ class Recorder:
             prepare_points(*self._cameras.values())
         self._color, self._figures = ColorLog(stream), StreamFiguresLog(stream)
         self._limb_sources, self._trust = LimbSources(setup.body), Lanes(steady=True)
+        self._trust_colors = TrustColors()
         self._states = {side: Lanes() for side in layout.SIDES}
         self._placement, self._quality = PlacementLog(stream, setup, points), QualityLog(stream)
         self._log_static(setup)
@@ -134,7 +135,7 @@ class Recorder:
             checks: Checks of S* in float64, if `rows` come from a file in float32.
         """
         self._placement.record(rows)
-        self._send(frame_columns(rows, checks))
+        self._send(frame_columns(rows, checks, colors=self._trust_colors.add(rows)))
         self._explain(rows)
         self._frames = max(self._frames, int(rows.frame[-1]) + 1)
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
@@ -145,13 +146,13 @@ class Recorder:
             frames, numbers = zip(*self._unplotted, strict=True)
             self._unplotted.clear()
             rows = self._stack(frames, numbers)
-            self._send(frame_columns(rows, drawn=False))
+            self._send(frame_columns(rows))
             self._explain(rows)
 
     def _draw(self, rows: SessionArrays) -> None:
         """Logs what is drawn into the scene, and leaves the rest to :meth:`plot`."""
         self._placement.record(rows)
-        self._send(frame_columns(rows, plotted=False))
+        self._send(frame_columns(rows, colors=self._trust_colors.add(rows), plotted=False))
         self._last = (int(rows.frame[-1]), int(rows.time_ns[-1]))
 
     def _send(self, entities: Iterable[tuple[str, SessionArrays, list[Any]]]) -> None:

@@ -22,7 +22,6 @@ from recordings.appearance.body_shape import (
     pelvis_rotations,
 )
 from recordings.appearance.colors import VIEW_COLORS
-from recordings.appearance.joint_trust import trust_colors
 from recordings.session_arrays import SessionArrays
 
 
@@ -129,7 +128,6 @@ SHOWN_FIGURES = (
     ShownFigure(layout.skeleton("a"), "Points3D:class_ids", np.uint16, _view_class("a")),
     ShownFigure(layout.skeleton("b"), "Points3D:class_ids", np.uint16, _view_class("b")),
     ShownFigure(layout.FUSED_SKELETON, layout.SIGMA_SPHERES, np.float32, _sigma_spheres),
-    ShownFigure(layout.FUSED_SKELETON, "Points3D:colors", np.uint8, trust_colors),
     ShownFigure(
         layout.FUSED_SKELETON,
         "view_difference_mm",

@@ -16,7 +16,7 @@ from fusion.setup import FusionSetup
 from fusion.skeleton import TrackingState
 from recordings import layout
 from recordings.appearance.colors import PREDICTED_COLOR, SKELETON_COLORS
-from recordings.appearance.joint_trust import LIMBS, LimbSources, trust_colors
+from recordings.appearance.joint_trust import LIMBS, LimbSources, TrustColors
 from recordings.file.rrd_file import RrdFile
 from recordings.file.session_writer import whole_recording
 from recordings.session_arrays import SessionArrays
@@ -45,13 +45,41 @@ def trusting(rows: SessionArrays, in_a: float) -> SessionArrays:
 
 def test_a_joint_has_the_colour_of_the_sensor_it_came_from(rows: SessionArrays) -> None:
     a, b = (np.array(SKELETON_COLORS[side]) for side in layout.SIDES)
-    assert (trust_colors(trusting(rows, 1.0)) == a).all()
-    assert (trust_colors(trusting(rows, 0.0)) == b).all()
-    assert (trust_colors(trusting(rows, 0.5)) == SKELETON_COLORS["fused"]).all()
-    mostly_a = trust_colors(trusting(rows, 0.75))[0, 0]
+    assert (TrustColors().add(trusting(rows, 1.0)) == a).all()
+    assert (TrustColors().add(trusting(rows, 0.0)) == b).all()
+    assert (TrustColors().add(trusting(rows, 0.5)) == SKELETON_COLORS["fused"]).all()
+    mostly_a = TrustColors().add(trusting(rows, 0.75))[0, 0]
     assert np.abs(mostly_a - (a + SKELETON_COLORS["fused"]) / 2.0).max() <= 1.0
-    nothing = replace(rows, predicted=np.ones_like(rows.predicted))
-    assert (trust_colors(nothing) == PREDICTED_COLOR).all()
+    none = np.zeros_like(rows.states_a)
+    nothing = replace(rows, states_a=none, states_b=none)
+    assert (TrustColors().add(nothing) == PREDICTED_COLOR).all()
+
+
+def test_a_frame_that_a_sensor_repeats_does_not_flash(rows: SessionArrays) -> None:
+    even = trusting(rows, 0.5)
+    weights_a, weights_b = even.weights_a.copy(), even.weights_b.copy()
+    weights_a[60], weights_b[60] = 0.0, 1.0  # A repeats its frame
+    weights_a[90] = weights_b[90] = 0.0  # both do
+    predicted = even.predicted.copy()
+    predicted[90] = True
+    told = replace(even, weights_a=weights_a, weights_b=weights_b, predicted=predicted)
+    assert (TrustColors().add(told) == SKELETON_COLORS["fused"]).all()
+
+
+def test_the_colours_follow_the_trust_of_the_last_second(rows: SessionArrays) -> None:
+    weights = np.zeros_like(rows.weights_a)
+    weights[60:] = 1.0  # B until frame 60, then A
+    colors = TrustColors().add(replace(rows, weights_a=weights, weights_b=1.0 - weights))
+    assert (colors[59] == SKELETON_COLORS["b"]).all()
+    # after a second exp(-1) of the mean is of B, after another 14 %
+    near_a = np.abs(colors[[62, 75, 90, 119]].astype(float) - SKELETON_COLORS["a"]).sum(axis=-1).mean(axis=-1)
+    assert (np.diff(near_a) < 0.0).all()
+
+
+def test_colours_do_not_depend_on_how_frames_are_grouped(rows: SessionArrays) -> None:
+    whole, parts = TrustColors().add(rows), TrustColors()
+    each = [parts.add(rows[slice(k, k + 7)]) for k in range(0, len(rows), 7)]
+    np.testing.assert_array_equal(np.concatenate(each), whole)
 
 
 def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows: SessionArrays) -> None:
@@ -62,7 +90,8 @@ def test_the_data_beside_a_joint_names_states_and_the_misleading_joint(rows: Ses
     apart = rows.positions_a.copy()
     apart[3, ELBOW] += np.array([0.03, 0.04, 0.0], dtype=np.float32)
     told = replace(rows, states_b=states, misleading=misleading, positions_a=apart)
-    columns = next(columns for entity, _, columns in frame_columns(told) if entity == layout.FUSED_SKELETON)
+    entities = frame_columns(told, colors=TrustColors().add(told))
+    columns = next(columns for entity, _, columns in entities if entity == layout.FUSED_SKELETON)
     said = {
         column.component_descriptor().component: np.array(column.as_arrow_array().to_pylist())
         for column in columns

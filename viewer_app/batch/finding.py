@@ -11,7 +11,7 @@ from viewer_app.errors import UsageError
 
 PAGE, TABLE = "summary.html", "summary.parquet"
 """The summary, which lies beside the sessions' folders; no session can have these names."""
-SUFFIXES = (".mkv", ".csv", ".json", ".skeleton")
+SUFFIXES = (".mkv", ".bag", ".csv", ".json", ".skeleton")
 """Formats of recordings; if a pair exists in several, the first is taken."""
 
 

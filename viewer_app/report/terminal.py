@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
+import subprocess
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -78,11 +80,12 @@ def say_saved(console: Console, path: Path) -> None:
     found = shutil.which("duplex")
     on_path = found is not None and Path(found).resolve() == called.resolve()
     program = str(called) if called.name.startswith("duplex") and not on_path else "duplex"
-    page = "" if has_display() else f" --html {path.with_suffix('.html')}"
+    page = [] if has_display() else ["--html", str(path.with_suffix(".html"))]
+    words = [program, "review", str(path), *page]
+    command = subprocess.list2cmdline(words) if sys.platform == "win32" else shlex.join(words)
     # a command must be copied in one piece: no wrapping
     console.print(
-        f"{'Saved':{_LABEL_WIDTH}}{path}, {_in_bytes(path.stat().st_size)}. "
-        f"Look at it with: {program} review {path}{page}",
+        f"{'Saved':{_LABEL_WIDTH}}{path}, {_in_bytes(path.stat().st_size)}. Look at it with: {command}",
         markup=False,
         soft_wrap=True,
     )

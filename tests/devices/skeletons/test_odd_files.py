@@ -109,6 +109,10 @@ REFUSED: dict[str, tuple[Callable[[str], str | bytes], str]] = {
     "a video": (lambda _: b"\x1aE\xdf\xa3" + bytes(40), "must end in .mkv"),
     "JSON": (lambda _: '{"joint_names": []}\n', "This looks like JSON: name it .json"),
     "a hole": (lambda text: text.encode() + bytes(5000), "is damaged: zero bytes in line 502"),
+    "the least integer": (
+        lambda text: rewritten(text, lambda k, c: [str(-(2**63)), *c[1:]] if k == 0 else c),
+        "time_us goes beyond",
+    ),
     "noise": (lambda _: bytes(range(128, 256)), "not text in UTF-8: byte 1, in line 1"),
     "a wide table": (lambda _: "time,head_x\n1,2\n", "no column time_us, body, joint, x, y, z"),
     "backward z": (
@@ -273,6 +277,25 @@ def test_one_recording_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
     assert "Fusion needs one recording of each sensor" in one_line(capsys)
 
 
+def test_two_empty_files_are_empty_and_not_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    a, b = tmp_path / "a.csv", tmp_path / "b.csv"
+    a.touch()
+    b.touch()
+    assert duplex("fuse", a, b, "--no-viewer") == 2
+    assert "empty" in one_line(capsys)
+
+
+def test_a_number_of_too_many_digits_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    a, _ = write_recordings(tmp_path)
+    (tmp_path / "b.json").write_text('{"joint_names": ' + 5000 * "1" + "}", encoding="utf-8")
+    assert duplex("fuse", a, tmp_path / "b.json", "--no-viewer") == 2
+    assert "is not complete JSON" in one_line(capsys)
+
+
 @pytest.mark.parametrize("name", REAL)
 def test_real_recordings_give_no_warning(shared: Path, name: str) -> None:
     folder = shared / "real" / f"kinect_v2_90deg_{name}"
@@ -289,5 +312,5 @@ def test_few_frames_are_fused_and_nothing_is_claimed(
         path.write_text("\n".join(lines[: 1 + frames * len(KINECT_V2)]) + "\n", encoding="utf-8")
     assert duplex("fuse", tmp_path / "a.csv", tmp_path / "b.csv", "--no-viewer") == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "too few frames to tell: " in said
+    assert "unknown: calibrated on" in said
     assert "at least 15 are needed" in said
