@@ -106,15 +106,16 @@ def _trust_plot(session: Session) -> Markup:
 def _disagreement_plot(session: Session) -> Markup:
     rows = session.rows
     lines = {"median joint": (rows.disagreement * 1e3, "fused")}
-    return Markup(line_plot("S_A against S_B, the median joint", "mm", rows.time_ns * 1e-9, lines, wide=True))
+    return Markup(line_plot("views differ, the median joint", "mm", rows.time_ns * 1e-9, lines, wide=True))
 
 
 def _timing_plots(session: Session) -> Markup:
     rows = session.rows
     time = rows.time_ns * 1e-9
     fusion = line_plot("fusion", "ms", time, {"fusion": (rows.fuse_ms, "fused")}, logarithmic=True)
-    skew = line_plot("skew of B", "ms", time, {"skew": (rows.skew_ns * 1e-6, "b")})
-    return Markup(fusion) + Markup(skew)
+    if not rows.skew_ns.any():
+        return Markup(fusion)
+    return Markup(fusion) + Markup(line_plot("skew of B", "ms", time, {"skew": (rows.skew_ns * 1e-6, "b")}))
 
 
 def _event_rows(events: Sequence[ListedEvent]) -> list[tuple[str, str, str]]:

@@ -46,8 +46,10 @@ def lead_lines(figures: Figures) -> Iterator[Line]:
         found = Verdict(**figures["verdict"])
         yield Line("Verdict", in_words(found), found.word in ("poor", "unknown"), found.word)
         yield _agreement(figures)
-        yield Line("Calibration", f"{precision_in_words(figures['calibration'])}.")
-        yield Line("Repaired", _repaired(repaired), figure=in_percent(repaired["unseen_joints"]))
+        turn = figures["calibration"]["rotation_sd_deg"]
+        precision = f"{precision_in_words(figures['calibration'])}."
+        yield Line("Calibration", precision, figure="–" if turn is None else f"± {turn:.1f}°")
+        yield Line("Repaired", _repaired(repaired), figure=_exchanged(repaired))
         yield Line("S*", _pace(figures), figure="–" if rate is None else f"{rate:.1f} / s")
         yield Line("Bones", _bones(error), figure=in_mm(error["fused"]["max"]))
     yield from _stream_trouble(figures) if "streams" in figures else _shortfalls(figures)
@@ -111,6 +113,13 @@ def _agreement(figures: Figures) -> Line:
     median, high = in_mm(apart["median"]), in_mm(apart["p95"])
     text = f"median {median}, 95 % {high}, over all frames since the calibration."
     return Line("Views agree", text, figure=median)
+
+
+def _exchanged(repaired: Figures) -> str:
+    shares = repaired["exchanged"]
+    if shares is None:
+        return in_percent(repaired["unseen_joints"])
+    return f"{in_percent(shares['a'])}, {in_percent(shares['b'])}"
 
 
 def _repaired(repaired: Figures) -> str:

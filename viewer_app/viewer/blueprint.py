@@ -217,7 +217,7 @@ def _report(body: Body) -> rrb.Container:
     return rrb.Vertical(
         rrb.Horizontal(
             rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="how good"),
-            _plot("disagreement_mm", "S_A against S_B (mm)"),
+            _plot("disagreement_mm", "views differ (mm)"),
             _quality_plot("jitter_mm", "jitter (mm)"),
             _quality_plot("placement", "placement of B"),
             column_shares=[5, 3, 3, 3],
