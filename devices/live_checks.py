@@ -8,7 +8,7 @@ from pathlib import Path
 from devices.azure import checks as azure
 from devices.blazepose.checks import networks_check
 from devices.capture import usb
-from devices.capture.connected import (
+from devices.capture.sensor_choice import (
     ConnectedSensor,
     NeedsChoiceError,
     cable_unknown,
@@ -16,7 +16,7 @@ from devices.capture.connected import (
     sync_master,
 )
 from devices.check import Check, failed
-from devices.connected_sensors import connected_sensors
+from devices.live_sensors import connected_sensors
 from devices.orbbec import checks as orbbec_checks
 from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice, choose_tracker

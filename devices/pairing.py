@@ -16,7 +16,7 @@ _GAP = 1.5
 gap."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class FramePair:
     """The frames of both sensors at one moment, and the person to fuse.
 

@@ -120,7 +120,7 @@ class PacedSensor(SensorWrapper):
                 start_ns = frame.time_ns if simulated is None else start_ns
             due = begun + (frame.time_ns - start_ns) * 1e-9
             if simulated is not None:
-                simulated.hurried = due - self._clock() < -_FRAME
+                simulated.skips_depth = due - self._clock() < -_FRAME
             if self._stops_before(due):
                 return
             frame = replace(frame, host_ns=round(self._clock() * 1e9))

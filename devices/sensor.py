@@ -55,7 +55,7 @@ class ColorImage:
         return ColorImage(jpeg, camera) if whole else None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
 class SensorFrame:
     """All data of one sensor at one moment.
 
@@ -108,6 +108,7 @@ class Sensor:
         warnings: Problems so far that did not stop the frames, one line each: cut off, damaged, not closed
             cleanly.
         missed: Number of captured frames that never arrived, since the program started.
+        lost: Number of captured frames that were lost on USB.
         waits_for: What opening, the first frame or closing waits for if that may take minutes, such as "its
             body tracker, which loads its network"; else empty.
         link: How the messages of a sensor on another machine arrive; None for one of this machine.
@@ -118,6 +119,7 @@ class Sensor:
     intrinsics: Intrinsics | None = None
     warnings: Sequence[str] = ()
     missed: int = 0
+    lost: int = 0
     waits_for: str = ""
     link: LinkFigures | None = None
 
@@ -173,6 +175,7 @@ class SensorWrapper(Sensor):
     intrinsics = _of_source("intrinsics")
     warnings = _of_source("warnings")
     missed = _of_source("missed")
+    lost = _of_source("lost")
     waits_for = _of_source("waits_for")
 
     def __enter__(self) -> Self:

@@ -22,4 +22,4 @@ def test_the_fused_skeleton_has_not_changed():
 def test_bones_are_constant_and_the_views_agree():
     session = fuse(FOLDER / "a.csv", FOLDER / "b.csv")
     assert np.nanmax(session.quality.bone_error) < 1e-5  # metres
-    assert np.nanmedian(session.quality.disagreement) < 0.080
+    assert session.views_agree.median < 0.080

@@ -96,6 +96,11 @@ class Body:
         return np.array([index[_other_side(name)] for name in self.joints], dtype=np.int64)
 
     @cached_property
+    def sided(self) -> NDArray[np.bool_]:
+        """(J,) whether a joint has a counterpart on the other side of the body."""
+        return np.asarray(self.mirror != np.arange(len(self)))
+
+    @cached_property
     def midpoints(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """(M,), (M,) pairs of joints whose midpoints an exchange of left and right does not move.
 
@@ -337,5 +342,6 @@ def body_of(joint_names: set[str]) -> Body:
     strangers = sorted(name for name in joint_names if nearest.find(name) is None)
     raise FusionError(
         f"Unknown joint {', '.join(repr(name[:40]) for name in strangers[:4])}: the nearest body, "
-        f"{nearest.name}, has {', '.join(nearest.joints)}."
+        f"{nearest.name}, has {', '.join(nearest.joints)}. Rename yours, with pandas: "
+        f"table['joint'] = table['joint'].replace({{{strangers[0][:40]!r}: 'NAME'}})."
     )

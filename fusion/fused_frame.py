@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ class FusedFrame:
         predicted: (J,) whether a joint has no data and follows from its bones and earlier frames.
         weights_a, weights_b: (J,) each view's share in a joint; both 0 where predicted. With the paper's
             methods these are w^A and w^B of eq. (11), else shares of the information.
-        misleading: (J,) the mis-leading joint m of sec. 3; -1 where there is none.
+        misleading_joint: (J,) the mis-leading joint m of sec. 3; -1 where there is none.
         a_from_b: R and t by which S_B was transformed.
         iterations: Iterations of the solver.
         stale_a, stale_b: Whether the sensor's skeleton repeats its last one.
@@ -36,7 +37,7 @@ class FusedFrame:
     predicted: NDArray[np.bool_]
     weights_a: NDArray[np.float64]
     weights_b: NDArray[np.float64]
-    misleading: NDArray[np.int64]
+    misleading_joint: NDArray[np.int64]
     a_from_b: RigidTransform
     iterations: int
     stale_a: bool
@@ -49,7 +50,17 @@ class FusedFrame:
     doubt_a: float = 0.0
     doubt_b: float = 0.0
 
+    @staticmethod
+    def of(results: Any, k: int, a_from_b: RigidTransform, time_ns: int) -> FusedFrame:
+        """Row k of a method's results, a NamedTuple whose arrays are named as these attributes."""
+        rows = {name: results[i][k] for i, name in enumerate(results._fields) if name in _NAMES}
+        values = {name: row.item() if isinstance(row, np.generic) else row for name, row in rows.items()}
+        return FusedFrame(a_from_b=a_from_b, time_ns=time_ns, **values)
+
     @property
     def has_person(self) -> bool:
         """Whether there is an S*."""
         return bool(np.isfinite(self.positions[0, 0]))
+
+
+_NAMES = {field.name for field in fields(FusedFrame)}

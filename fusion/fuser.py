@@ -13,7 +13,7 @@ from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.fused_frame import FusedFrame as FusedFrame
 from fusion.pair_arrays import PairStacker
 from fusion.paper.paper_fusion import PaperFusion
-from fusion.registration import robust_fit
+from fusion.registration import error_model
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 
@@ -57,7 +57,7 @@ class Fuser:
                 other._fusion.compile(self._stacker.of_pair(SkeletonPair(None, None, 0)))
         other.update(SkeletonPair(None, None, 0))
         if self.setup.settings.method == "duplex":
-            robust_fit.warm_up()
+            error_model.warm_up()
 
     def recalibrate(self, setup: FusionSetup) -> None:
         """Continues with another calibration and keeps the state of the person.

@@ -1,9 +1,9 @@
 """Kinds of joints: the one table of what a joint's name says about it.
 
-Constants that depend on the kind of a joint are mappings from kinds to values (:func:`by_joint`). A new kind
-is one row of :data:`KINDS`; its names are in ``_KIND_OF_NAME`` and, for a leg, its kind is in ``_LEG_KINDS``.
-Until its own values are measured, it takes those of the kind that it resembles. The weights of
-:mod:`fusion.facing.model`, the radii of the drawn body and the simulated errors list joints of their own.
+Constants that depend on the kind of a joint are mappings from kinds to values (:func:`by_joint`); groups of
+joints are kinds, too (:func:`of_kind`). A new kind is one row of :data:`KINDS` and one of ``_KIND_OF_NAME``.
+Until its own values are measured, it names the kind that it resembles, and takes its values and its place in
+groups. A joint whose name says no kind, and a kind without a value, are errors.
 """
 
 from __future__ import annotations
@@ -22,25 +22,32 @@ KINDS: dict[str, str | None] = {
     "spine": None, "head": None, "girdle": None, "elbow": None, "wrist": None, "hand": None, "tip": None,
     "thumb": None, "knee": None, "ankle": None, "foot": None, "face": None,
 }  # fmt: skip
-"""Kinds of joints, by how well a tracker finds them. A kind without constants of its own takes those of the
-kind named here. The girdle is hips, shoulders and clavicles."""
+"""Kinds of joints, by how well a tracker finds them, each with the kind that it resembles. The girdle is
+hips, shoulders and clavicles."""
+_UNLIKE = [kind for kind, like in KINDS.items() if like is None]
 ARM, LEG = 1, 2
 """The limbs whose labels can be exchanged; the bits of an exchange code."""
 
 # The first key that occurs in a joint's name decides.
 _KIND_OF_NAME = {
     "handtip": "tip", "thumb": "thumb", "hand": "hand", "wrist": "wrist", "elbow": "elbow",
-    "spineshoulder": "spine", "shouldercenter": "spine", "hipcenter": "spine", "shoulder": "girdle",
-    "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle", "foot": "foot", "heel": "foot",
-    "head": "head", "nose": "face", "eye": "face", "ear": "face",
+    "spine": "spine", "shouldercenter": "spine", "hipcenter": "spine", "pelvis": "spine", "neck": "spine",
+    "shoulder": "girdle", "clavicle": "girdle", "hip": "girdle", "knee": "knee", "ankle": "ankle",
+    "foot": "foot", "heel": "foot", "head": "head", "nose": "face", "eye": "face", "ear": "face",
 }  # fmt: skip
-_LEG_KINDS = ("knee", "ankle", "foot")
 
 
 def kind_of(joint: str) -> str:
-    """The kind of a joint, by its name in any body's spelling."""
+    """The kind of a joint, by its name in any body's spelling.
+
+    Raises:
+        KeyError: The name says none.
+    """
     name = joint.replace("_", "").lower()
-    return next((kind for part, kind in _KIND_OF_NAME.items() if part in name), "spine")
+    for part, kind in _KIND_OF_NAME.items():
+        if part in name:
+            return kind
+    raise KeyError(f"{joint} is of no kind that fusion.joint_kinds knows")
 
 
 def value_of(kind: str, values: Mapping[str, T]) -> T:
@@ -59,17 +66,16 @@ def by_joint(body: Body, values: Mapping[str, float]) -> NDArray[np.float64]:
     return np.array([value_of(kind_of(joint), values) for joint in body.joints])
 
 
+def of_kind(body: Body, *kinds: str) -> NDArray[np.bool_]:
+    """(J,) whether a joint is of one of these kinds, or of one that resembles it."""
+    return by_joint(body, dict.fromkeys(_UNLIKE, 0.0) | dict.fromkeys(kinds, 1.0)) > 0.0
+
+
 def limbs(body: Body) -> NDArray[np.int64]:
     """(J,) ``ARM`` or ``LEG`` for joints that have a left and a right side, 0 on the middle line.
 
     Hips belong to the legs; shoulders, clavicles, eyes and ears to the arms.
     """
-    legs = [kind_of(joint) in _LEG_KINDS or "hip" in joint.lower() for joint in body.joints]
-    sided = body.mirror != np.arange(len(body))
-    return np.where(sided, np.where(legs, LEG, ARM), 0).astype(np.int64)
-
-
-def sided_of_kind(body: Body, *kinds: str) -> NDArray[np.bool_]:
-    """(J,) whether a joint is of one of these kinds and has a left and a right side."""
-    of_kind = [kind_of(joint) in kinds for joint in body.joints]
-    return np.asarray(of_kind & (body.mirror != np.arange(len(body))))
+    hips = ["hip" in joint.lower() for joint in body.joints]
+    legs = of_kind(body, "knee", "ankle", "foot") | hips
+    return np.where(body.sided, np.where(legs, LEG, ARM), 0).astype(np.int64)

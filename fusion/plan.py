@@ -15,15 +15,22 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
-from fusion.calibration.offline import LearnedCalibration, learn_from_recording, start_up_calibration
+from fusion.calibration.offline import (
+    LearnedCalibration,
+    Progress,
+    learn_from_recording,
+    start_up_calibration,
+)
 from fusion.calibration.online import CalibrationChange
 from fusion.errors import CalibrationError
 from fusion.facing.exchange import with_doubt
 from fusion.facing.model import WHOLE
 from fusion.facing.sequence import relabel_sequence, reported_pairs
+from fusion.medians import median_of_known
+from fusion.pair_arrays import PairStacker
 from fusion.registration.clock_offset import ClockOffset
 from fusion.setup import FuserSettings
-from fusion.skeleton import Skeleton, SkeletonPair
+from fusion.skeleton import SkeletonPair
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +61,7 @@ def plan_recording(
     settings: FuserSettings,
     calibration: Calibration | None = None,
     refine: bool = True,
+    progress: Progress = iter,
 ) -> RecordingPlan:
     """Finds the calibrations and labels of a recording.
 
@@ -65,6 +73,7 @@ def plan_recording(
         settings: The method; ``hindsight`` determines whether labels are found here.
         calibration: An earlier calibration; that of the start-up pose where None.
         refine: Whether the method ``duplex`` refines it over the whole recording.
+        progress: Passes on the numbers of the pairs, and shows how far this is.
 
     Raises:
         CalibrationError: None is given, and none can be found.
@@ -84,6 +93,7 @@ def plan_recording(
                 [(int(a) & WHOLE, int(b) & WHOLE) for a, b in views.labels(segments)],
                 start,
                 skews_ns=[pair.skew_ns for pair in pairs],
+                progress=progress,
             )
         except CalibrationError:
             learned = None  # nothing to learn from: the start-up pose's calibration remains
@@ -102,32 +112,24 @@ class _Views:
     """Both views of a recording as arrays."""
 
     def __init__(self, body: Body, pairs: Sequence[SkeletonPair]) -> None:
-        self._body = body
-        nobody = Skeleton.of(body, np.full((len(body), 3), np.nan))
-        a, b = ([pair.a or nobody for pair in pairs], [pair.b or nobody for pair in pairs])
-        self._a = np.array([skeleton.positions for skeleton in a], dtype=np.float64)
-        self._b = np.array([skeleton.positions for skeleton in b], dtype=np.float64)
-        self._states_a = np.array([skeleton.states for skeleton in a])
-        self._states_b = np.array([skeleton.states for skeleton in b])
-        self.time_ns = np.array([pair.time_ns for pair in pairs], dtype=np.int64)
+        self._body, self._pairs = body, PairStacker(body).of_pairs(pairs)
+        self.time_ns = self._pairs.time_ns
 
     def difference(self, segments: Sequence[tuple[Calibration, slice]]) -> float:
         """Metres; see :attr:`RecordingPlan.views_differ`."""
-        apart = np.linalg.norm(self._a - self._b_in_a(segments), axis=2)
+        apart = np.linalg.norm(self._pairs.a - self._b_in_a(segments), axis=2)
         seen = np.isfinite(apart).any(axis=1)
-        return float(np.median(np.nanmedian(apart[seen], axis=1))) if seen.any() else float("nan")
+        return float(np.median(median_of_known(apart[seen]))) if seen.any() else float("nan")
 
     def _b_in_a(self, segments: Sequence[tuple[Calibration, slice]]) -> NDArray[np.float64]:
-        return np.concatenate([one.a_from_b.apply(self._b[own]) for one, own in segments])
+        return np.concatenate([one.a_from_b.apply(self._pairs.b[own]) for one, own in segments])
 
     def labels(self, segments: Sequence[tuple[Calibration, slice]]) -> NDArray[np.int64]:
         """(T, 2) exchange codes with doubt, given these calibrations."""
-        b_in_a = self._b_in_a(segments)
-        sensor_b = segments[0][0].a_from_b.translation
-        views, states = (self._a, b_in_a), (self._states_a, self._states_b)
-        labels = relabel_sequence(
-            self._body, reported_pairs(self._body, views, states, sensor_b), self.time_ns
-        )
+        pairs = self._pairs
+        views, states = (pairs.a, self._b_in_a(segments)), (pairs.states_a, pairs.states_b)
+        reported = reported_pairs(self._body, views, states, segments[0][0].a_from_b.translation)
+        labels = relabel_sequence(self._body, reported, self.time_ns)
         return with_doubt(labels.codes, labels.doubt)
 
 

@@ -30,7 +30,7 @@ FARTHEST = 20.0
 """Metres: a larger coordinate is beyond the range of these sensors and counts as not tracked."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Skeleton:
     """One person in one frame of one sensor: S_A or S_B.
 
@@ -74,24 +74,7 @@ class Skeleton:
         Raises:
             FusionError: A shape does not fit the body, or a state is none of 0, 1, 2.
         """
-        with np.errstate(over="ignore"):  # values beyond float32 become infinite and count as not tracked
-            at = np.array(positions, dtype=np.float32)
-        if at.shape != (len(body), 3):
-            raise FusionError(f"{body.name} has {len(body)} joints; positions have shape {at.shape}.")
-        if states is None:
-            state = np.full(len(body), TrackingState.TRACKED, dtype=np.uint8)
-        else:
-            given = np.asarray(states)
-            # np.isin would take longer than the rest of this function
-            if given.shape != (len(body),) or not ((given == 0) | (given == 1) | (given == 2)).all():
-                raise FusionError(
-                    f"Tracking states must be {len(body)} values of 0, 1 or 2; got shape {given.shape}."
-                )
-            state = given.astype(np.uint8)
-        state[~((np.abs(at) < FARTHEST).all(axis=1) & (at[:, 2] > 0.0))] = TrackingState.NOT_TRACKED
-        at[state == TrackingState.NOT_TRACKED] = np.nan
-        at.flags.writeable = state.flags.writeable = False
-        return Skeleton(body, at, state, int(time_ns))
+        return Skeleton(body, *checked_joints(body, positions, states), int(time_ns))
 
     def with_witness(self, witness: NDArray[np.float32] | None) -> Skeleton:
         """The same skeleton with the evidence of a depth image.
@@ -124,6 +107,34 @@ class Skeleton:
         )
 
 
+def checked_joints(
+    body: Body, positions: ArrayLike, states: ArrayLike | None = None, frames: tuple[int, ...] = ()
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Read-only positions (frames, J, 3) and states (frames, J), checked as :meth:`Skeleton.of` does.
+
+    Raises:
+        FusionError: As there.
+    """
+    with np.errstate(over="ignore"):  # values beyond float32 become infinite and count as not tracked
+        at = np.array(positions, dtype=np.float32)
+    if at.shape != (*frames, len(body), 3):
+        raise FusionError(f"{body.name} has {len(body)} joints; positions have shape {at.shape}.")
+    if states is None:
+        state = np.full(at.shape[:-1], TrackingState.TRACKED, dtype=np.uint8)
+    else:
+        given = np.asarray(states)
+        # np.isin would take longer than the rest of this function
+        if given.shape != at.shape[:-1] or not ((given == 0) | (given == 1) | (given == 2)).all():
+            raise FusionError(
+                f"Tracking states must be {len(body)} values of 0, 1 or 2; got shape {given.shape}."
+            )
+        state = given.astype(np.uint8)
+    state[~((np.abs(at) < FARTHEST).all(axis=-1) & (at[..., 2] > 0.0))] = TrackingState.NOT_TRACKED
+    at[state == TrackingState.NOT_TRACKED] = np.nan
+    at.flags.writeable = state.flags.writeable = False
+    return at, state
+
+
 def _read_only(array: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
     """The array itself, if it has the type and cannot be written; otherwise a copy like that."""
     flags = array.flags
@@ -134,7 +145,7 @@ def _read_only(array: NDArray[Any], dtype: type[np.generic]) -> NDArray[Any]:
     return copy
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class SkeletonPair:
     """Both sensors' skeletons of one person at one time; None for a sensor that sees no person.
 

@@ -26,7 +26,7 @@ real people with depth images and truth was available, so the evidence is limite
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.compiling.kernels import kernel
 from fusion.joint_kinds import by_joint, kind_of, value_of
-from fusion.skeleton import TRACKED, Skeleton
+from fusion.skeleton import TRACKED
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ class WitnessModel(NamedTuple):
 
     neighbours: NDArray[np.int64]  # (J,) the joint at the other end of the bone that a silhouette shows
     flesh: Array  # (J,) metres, how deep the joint lies below its surface
-    evidence: Array  # (J, len(KNOTS)) log likelihood ratio that the joint is where it is said to be
+    log_odds: Array  # (J, len(KNOTS)) log likelihood ratio that the joint is where it is said to be
     information: Array  # (J, 3) 1/m², of the surface measurement: across the bone, along it, along the ray
 
 
@@ -105,28 +105,17 @@ def new_witness_model(body: Body) -> WitnessModel:
     return WitnessModel(
         neighbours=neighbours,
         flesh=by_joint(body, FLESH),
-        evidence=np.array([EVIDENCE[value_of(kind, _GROUPS)] for kind in kinds]),
+        log_odds=np.array([EVIDENCE[value_of(kind, _GROUPS)] for kind in kinds]),
         information=1.0 / sd**2,
     )
 
 
 class JointEvidence(NamedTuple):
-    """What one depth image says about the joints of its sensor's skeleton.
+    """What one depth image says about the joints of its sensor's skeleton; in the target frame."""
 
-    Attributes:
-        evidence: (J,) log likelihood ratio that the joint is no outlier; 0 where nothing is known.
-        places: (J, 3) position of the joint by its surface, metres, target frame; NaN without one.
-        information: (J, 3, 3) of that place, 1/m², target frame; 0 where there is none.
-    """
-
-    evidence: Array
-    places: Array
-    information: Array
-
-
-def new_joint_evidence(joints: int) -> JointEvidence:
-    """Arrays for J joints."""
-    return JointEvidence(np.zeros(joints), np.full((joints, 3), np.nan), np.zeros((joints, 3, 3)))
+    log_odds: Annotated[Array, ("J",)]  # log likelihood ratio that the joint is no outlier; 0 if unknown
+    places: Annotated[Array, ("J", 3), np.nan]  # position of the joint by its surface, metres
+    information: Annotated[Array, ("J", 3, 3)]  # of that place, 1/m²; 0 where there is none
 
 
 @kernel
@@ -144,9 +133,9 @@ def weigh_witness(model, rotation, translation, positions, states, witness, resu
         witness: (J, 4) of the sensor's image; NaN where there is none.
         result: A :class:`JointEvidence`; written.
     """
-    evidence, places, information = result.evidence, result.places, result.information
+    log_odds, places, information = result.log_odds, result.places, result.information
     for j in range(len(states)):
-        evidence[j] = 0.0
+        log_odds[j] = 0.0
         for r in range(3):
             places[j, r] = math.nan
             for c in range(3):
@@ -154,7 +143,7 @@ def weigh_witness(model, rotation, translation, positions, states, witness, resu
         gap, edge = float(witness[j, 0]), float(witness[j, 1])
         if states[j] != TRACKED or not math.isfinite(gap + edge):
             continue
-        evidence[j] = _interpolate(_clearance(gap, edge, model.flesh[j]), model.evidence[j])
+        log_odds[j] = _interpolate(_clearance(gap, edge, model.flesh[j]), model.log_odds[j])
         _place(model, rotation, translation, positions, states, witness, result, j)
 
 
@@ -219,11 +208,3 @@ def _place(model, rotation, translation, positions, states, witness, result, j):
             for c in range(3):
                 d_c = rotation[c, 0] * dx + rotation[c, 1] * dy + rotation[c, 2] * dz
                 information[r, c] += weight * d_r * d_c
-
-
-def evidence(witness: NDArray[np.float32], skeleton: Skeleton) -> JointEvidence:
-    """Evidence and surface measurement of each joint, in the sensor's frame. See the module."""
-    result = new_joint_evidence(len(skeleton.states))
-    model = new_witness_model(skeleton.body)
-    weigh_witness(model, np.eye(3), np.zeros(3), skeleton.positions, skeleton.states, witness, result)
-    return result

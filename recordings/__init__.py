@@ -10,11 +10,11 @@ if TYPE_CHECKING:
     from devices.events import Event as Event
     from recordings.errors import RecordingError as RecordingError
     from recordings.fusing.files import fuse as fuse
-    from recordings.fusing.sensors import fuse_live as fuse_live
+    from recordings.fusing.live_fusion import fuse_live as fuse_live
     from recordings.session import QualitySeries as QualitySeries
     from recordings.session import Session as Session
     from recordings.session import SkeletonSeries as SkeletonSeries
-    from recordings.session_arrays import RecordedFrame as RecordedFrame
     from recordings.session_arrays import SessionArrays as SessionArrays
+    from recordings.session_arrays import SessionFrame as SessionFrame
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

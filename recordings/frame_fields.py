@@ -36,7 +36,7 @@ class FrameField:
         shape: Shape for one frame; :data:`JOINTS` stands for the number of joints.
         entity, component: Place in the file.
         stored: Type in the file.
-        value: The value of a :class:`recordings.session_arrays.RecordedFrame`: the path of an attribute, such
+        value: The value of a :class:`recordings.session_arrays.SessionFrame`: the path of an attribute, such
             as ``pair.a.time_ns``, or a function. None if there is none, or if ``a`` in the path is None.
         absent: Value in memory for a frame without a value; None: NaN, or 0 of a type without NaN.
         optional: Whether a session may lack the figure, as sessions written before it was added do. The

@@ -17,8 +17,9 @@ frame.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ from recordings import layout
 from recordings.errors import RecordingError
 from recordings.file.session_reader import read_session
 from recordings.images import NO_IMAGES, SessionImages
-from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.session_arrays import SessionArrays, SessionFrame, ViewsAgree
 from recordings.session_data import SessionData
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.properties import as_lists, session_properties
@@ -90,7 +91,7 @@ class Session(SessionData):
 
     @staticmethod
     def of(
-        fused: Sequence[tuple[FusionSetup, Sequence[RecordedFrame]]],
+        fused: Sequence[tuple[FusionSetup, Iterable[SessionFrame]]],
         sources: tuple[str, str] = ("a", "b"),
         *,
         events: Sequence[Event] = (),
@@ -100,7 +101,7 @@ class Session(SessionData):
         """Builds a session in memory from fused frames.
 
         Args:
-            fused: (setup, frames) pairs in time order; at least one frame in total.
+            fused: (setup, frames) pairs in time order; at least one frame in total. The frames are not kept.
             sources: Names of the sensors, K_A first.
             events: Events of the session.
             images: The images of the frames.
@@ -109,22 +110,28 @@ class Session(SessionData):
         Raises:
             RecordingError: There is no frame.
         """
-        frames = [frame for _, of_setup in fused for frame in of_setup]
-        if not frames:
+        parts: list[SessionArrays] = []
+        calibrations: list[tuple[int, Calibration]] = []
+        count = start_ns = 0
+        for one, frames in fused:
+            first, rest = count, iter(frames)
+            while block := list(islice(rest, _BLOCK)):
+                start_ns = start_ns if count else block[0].pair.time_ns
+                numbers = range(count, count + len(block))
+                lengths = one.calibration.bone_lengths
+                parts.append(SessionArrays.stack(one.body, lengths, block, numbers, start_ns))
+                count += len(block)
+                block.clear()  # before the next one is made
+            if count > first:
+                calibrations.append((first, one.calibration))
+        if not parts:
             raise RecordingError("A session needs at least one frame.")
-        lengths = np.repeat(
-            [setup.calibration.bone_lengths for setup, _ in fused], [len(own) for _, own in fused], axis=0
-        )
-        firsts = np.cumsum([0, *(len(own) for _, own in fused)]).tolist()
-        setup = fused[0][0]
-        rows = SessionArrays.stack(setup.body, lengths, frames)
+        rows, setup = SessionArrays.joined(parts), fused[0][0]
         return Session(
             path=None,
             rows=rows,
             settings=setup.settings,
-            calibrations=tuple(
-                (first, one.calibration) for first, (one, own) in zip(firsts, fused, strict=False) if own
-            ),
+            calibrations=tuple(calibrations),
             intrinsics_a=setup.intrinsics_a,
             intrinsics_b=setup.intrinsics_b,
             sources=sources,
@@ -219,6 +226,11 @@ class Session(SessionData):
         )
 
     @property
+    def views_agree(self) -> ViewsAgree:
+        """How far apart the views are, over all frames since the calibration: the figure of every report."""
+        return self.rows.views_agree
+
+    @property
     def calibration(self) -> Calibration:
         """R, t, the bone lengths and the agreement of the views; the last calibration of the session."""
         return self.calibrations[-1][1]
@@ -245,7 +257,12 @@ class Session(SessionData):
 
     @property
     def pairing(self) -> Pairing:
-        """The pairs, and the number of frames per sensor; frames dropped before saving count where known."""
+        """The pairs, and :attr:`frame_counts`."""
+        return Pairing(list(self.pairs()), **self.frame_counts)
+
+    @property
+    def frame_counts(self) -> dict[str, int]:
+        """The counts of :class:`devices.pairing.Pairing`; frames dropped before saving count where known."""
         clocks = self.rows.clock_a, self.rows.clock_b
         seen_a, seen_b = (int((clock != layout.NO_FRAME).sum()) for clock in clocks)
         lost_a, lost_b = (count or 0 for count in self.dropped)
@@ -253,8 +270,11 @@ class Session(SessionData):
             int(((own != layout.NO_FRAME) & (other == layout.NO_FRAME)).sum())
             for own, other in (clocks, clocks[::-1])
         )
-        frames = seen_a + lost_a, seen_b + lost_b
-        return Pairing(list(self.pairs()), *frames, lost_a, lost_b, alone_a, alone_b)
+        return {
+            "frames_a": seen_a + lost_a, "frames_b": seen_b + lost_b,
+            "dropped_a": lost_a, "dropped_b": lost_b,
+            "alone_a": alone_a, "alone_b": alone_b,
+        }  # fmt: skip
 
     def pairs(self, depth: bool = False) -> Iterator[FramePair]:
         """The pairs as given by the sensors, so that a session can serve as a source.
@@ -274,6 +294,7 @@ class Session(SessionData):
             yield FramePair.of(a, b, _PERSON, _PERSON, time_ns, skew_ns)
 
 
+_BLOCK = 300  # frames that are turned into arrays at once
 _PERSON = "0"
 """The id of the only person in the pairs of a session."""
 

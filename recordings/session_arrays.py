@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.sensor_pair import StreamFigures
+from devices.capture.stream_pairing import PairingFigures
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.facing.model import DOUBT_STEPS
 from fusion.fuser import FusedFrame
+from fusion.medians import median_of_known
 from fusion.skeleton import Skeleton
 from recordings import layout
 from recordings.frame_fields import (
@@ -30,7 +32,7 @@ from recordings.frame_fields import (
 
 
 @dataclass(frozen=True)
-class RecordedFrame:
+class SessionFrame:
     """A pair, its fused frame, and how long the fusion took."""
 
     pair: FramePair
@@ -38,7 +40,7 @@ class RecordedFrame:
     fuse_ns: int
     truth: NDArray[np.float64] | None = None
     """(J, 3) true joint positions in K_A's frame, metres; simulations only."""
-    streams: StreamFigures | None = None
+    streams: PairingFigures | None = None
     """Figures of the two streams; live sensors only."""
     latency_ns: int | None = None
     """From the arrival of the pair's first images to S*; live sensors only. It is not recorded."""
@@ -52,7 +54,7 @@ _CAPTURED, _STALE, _PLACEMENT = "sensors.captured_ns", "sensors.stale", "rotatio
 _WEIGHT_STEP = 1.0 / 128.0  # finer steps are not visible
 
 
-def _witness(frame: RecordedFrame, side: str) -> NDArray[np.float32] | None:
+def _witness(frame: SessionFrame, side: str) -> NDArray[np.float32] | None:
     """The depth evidence of a skeleton; all NaN for an image without a person.
 
     An optional figure must exist in every frame of a session, including frames without a person.
@@ -129,7 +131,13 @@ class SessionArrays:
     )
     """(T, J) w^B of eq. (11), rounded to 1/128."""
     misleading: NDArray[np.int32] = per_frame(
-        np.int32, (JOINTS,), _FUSED, "misleading_joint", np.int8, "fused.misleading", names=no_joint_or_joint
+        np.int32,
+        (JOINTS,),
+        _FUSED,
+        "misleading_joint",
+        np.int8,
+        "fused.misleading_joint",
+        names=no_joint_or_joint,
     )
     """(T, J) index of the mis-leading joint of sec. 3, or -1."""
     rotation: NDArray[np.float64] = per_frame(
@@ -185,7 +193,7 @@ class SessionArrays:
     def stack(
         body: Body,
         bone_lengths: NDArray[np.float64],
-        frames: Sequence[RecordedFrame],
+        frames: Sequence[SessionFrame],
         numbers: Sequence[int] | None = None,
         start_ns: int | None = None,
         like: SessionArrays | None = None,
@@ -215,6 +223,17 @@ class SessionArrays:
             np.array([f.pair.time_ns for f in frames], dtype=np.int64) - start,
             **figures,
         )
+
+    @staticmethod
+    def joined(parts: Sequence[SessionArrays]) -> SessionArrays:
+        """Joins consecutive frames; a figure that a part lacks is absent in its frames."""
+        joined: dict[str, Any] = {"body": parts[0].body}
+        for name in (f.name for f in fields(SessionArrays) if f.name != "body"):
+            if any(getattr(part, name) is not None for part in parts):
+                joined[name] = np.concatenate(
+                    [part.filled(name) if name in FRAME_FIELDS else getattr(part, name) for part in parts]
+                )
+        return SessionArrays(**joined)
 
     def figures(self) -> Iterator[tuple[str, FrameField, NDArray[Any]]]:
         """Name, declaration and values of every figure that these frames have."""
@@ -267,10 +286,27 @@ class SessionArrays:
     @property
     def disagreement(self) -> NDArray[np.float64]:
         """(T,) metres between p and R q + t, median over the joints that both see; NaN without any."""
-        nearest = np.sort(self.view_difference, axis=1)  # NaN comes last
-        seen = np.count_nonzero(~np.isnan(nearest), axis=1)
-        frame = np.arange(len(nearest))
-        return np.asarray((nearest[frame, (seen - 1) // 2] + nearest[frame, seen // 2]) / 2.0)
+        return median_of_known(self.view_difference)
+
+    @property
+    def views_agree(self) -> ViewsAgree:
+        """How far apart the views are, over all frames since the calibration."""
+        calibrated = (self.rotation != np.eye(3)).any(axis=(1, 2)) | self.translation.any(axis=1)
+        apart = self.disagreement[calibrated]
+        apart = apart[np.isfinite(apart)]
+        if not len(apart):
+            return ViewsAgree(math.nan, math.nan)
+        return ViewsAgree(float(np.median(apart)), float(np.percentile(apart, 95.0)))
+
+
+class ViewsAgree(NamedTuple):
+    """Distance of the calibrated views, metres: median and 95th percentile over frames; NaN without any.
+
+    The distance of a frame is the median over the joints that both see.
+    """
+
+    median: float
+    percentile_95: float
 
 
 def _exchanged(fused: FusedFrame) -> tuple[int, int] | None:

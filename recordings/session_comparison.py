@@ -102,7 +102,7 @@ class Comparison:
         crossed = np.linalg.norm(one - two[:, mirror], axis=2)
         straight = self.apart + self.apart[:, mirror]
         with np.errstate(invalid="ignore"):
-            return np.asarray((crossed + crossed[:, mirror] < straight) & (mirror != np.arange(len(mirror))))
+            return np.asarray((crossed + crossed[:, mirror] < straight) & self.body.sided)
 
     def worst(self, count: int) -> list[tuple[int, int]]:
         """(index of the common frame, joint) with the largest differences, at least a second apart, worst

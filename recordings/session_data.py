@@ -106,6 +106,11 @@ class SessionData:
             return None
         return {"offset_ms": known["clock_offset_ms"][0], "sd_ms": known["clock_sd_ms"][0]}
 
+    @property
+    def last_setup(self) -> FusionSetup:
+        """The setup of the last frame."""
+        return FusionSetup(self.calibrations[-1][1], self.settings, self.intrinsics_a, self.intrinsics_b)
+
     def setups(self, settings: FuserSettings | None = None) -> Iterator[tuple[FusionSetup, slice]]:
         """The setup and the frames of each calibration; a new fuser starts at each.
 

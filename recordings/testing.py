@@ -25,7 +25,7 @@ from fusion.setup import FuserSettings, FusionSetup
 from recordings.file.session_writer import write_session
 from recordings.images import PairImages
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 
 FusedRun = Callable[..., Session]
 
@@ -50,7 +50,7 @@ def record_fused(
     """
     setup = FusionSetup(calibration, settings)
     fuser = Fuser(setup)
-    frames = [RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
+    frames = [SessionFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
     session = Session.of(
         [(setup, frames)],
         events=(Event(f"calibrated: {calibration.how}"),),

@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
+import ipaddress
+import socket
+from collections.abc import Sequence
+from contextlib import suppress
+from urllib.parse import urlsplit
+
 LOOPBACK = "127.0.0.1"
 """Reaches this machine, and only from itself."""
+_FAR = {"0.0.0.0": "198.51.100.1", "::": "2001:db8::1"}
+"""Addresses that listen on all networks, and addresses for documentation, which no machine has (RFC 5737,
+RFC 3849). The system's way to these starts at this machine's address on its network."""
 
 
 def in_url(host: str) -> str:
@@ -11,6 +20,31 @@ def in_url(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
+def is_loopback(host: str | None) -> bool:
+    """Whether only this machine reaches a host."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host or "").is_loopback
+    except ValueError:
+        return False
+
+
 def reached_at(listening: str) -> str:
-    """The host, as in a URL, at which this machine reaches its own server that listens on an address."""
-    return in_url({"0.0.0.0": LOOPBACK, "::": "::1"}.get(listening, listening))
+    """The host, as in a URL, at which this machine and others reach a server that listens on an address.
+
+    For all networks it is the address of the network with the default route; without one, this machine's
+    name.
+    """
+    if listening not in _FAR:
+        return in_url(listening)
+    family = socket.AF_INET6 if ":" in listening else socket.AF_INET
+    with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as way:
+        way.connect((_FAR[listening], 9))  # chooses the way; UDP sends nothing yet
+        return in_url(way.getsockname()[0])
+    return socket.gethostname()
+
+
+def zenoh_warning(listening: Sequence[str]) -> str:
+    """Warns of Zenoh addresses, as ``tcp/0.0.0.0:7447``, that others reach; empty if there are none."""
+    hosts = {each: urlsplit(each.replace("/", "://", 1)).hostname for each in listening}
+    reached = ", ".join(each for each, host in hosts.items() if not is_loopback(host))
+    return f"Whoever reaches {reached} can read and forge skeletons, without a password." if reached else ""

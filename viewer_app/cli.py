@@ -2,22 +2,67 @@
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import io
 import os
 import signal
 import sys
+import time
 from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
+
+from viewer_app.errors import mistakes
+
+_CLOSING_S = 30.0
 
 
 def script() -> None:
-    """The console script: runs :func:`main`, then ignores Ctrl-C during shutdown."""
+    """The console script: runs :func:`main`, waits for sensors that still close, then ignores Ctrl-C."""
+    code: int | str | None = 0
+    closed = False
     try:
-        main()
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+        except KeyboardInterrupt:
+            code = 130
+        except BaseException:
+            code = 1
+            sys.excepthook(*sys.exc_info())
+        closed = _wait_for_sensors()
     except KeyboardInterrupt:
-        sys.exit(130)
-    finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # during shutdown it would print a traceback
+        pass  # all files are written: the code stays that of the run
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # during shutdown it would print a traceback
+    if not closed:
+        # libk4a crashes at a regular exit: it unloads the depth engine, whose thread still runs
+        atexit._run_exitfuncs()
+        with suppress(OSError):  # the reader of the output may be gone
+            sys.stdout.flush()
+        os._exit(code if isinstance(code, int) else 1)
+    sys.exit(code)
+
+
+def _wait_for_sensors() -> bool:
+    """Waits until all sensors are closed, half a minute at most; returns whether they are."""
+    sensor_thread: Any = sys.modules.get("devices.capture.sensor_thread")
+    if sensor_thread is None or not (sensors := sensor_thread.open_sensors()):
+        return True
+    names = " and ".join(
+        f"{sensor.name} ({sensor.waits_for})" if sensor.waits_for else sensor.name for sensor in sensors
+    )
+    print(f"Waiting for {names} to close, {_CLOSING_S:g} s at most. Ctrl-C ends at once.", file=sys.stderr)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
+    until_s = time.monotonic() + _CLOSING_S
+    while sensors and time.monotonic() < until_s:
+        time.sleep(0.02)
+        sensors = sensor_thread.open_sensors()
+    for sensor in sensors:
+        print(f"{sensor.name} did not close. Unplug it before using it again.", file=sys.stderr)
+    return not sensors
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -43,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except Exception as error:
-        if not isinstance(error, _mistakes()):
+        if not isinstance(error, mistakes()):
             raise
         print(f"duplex: {error}", file=sys.stderr)
         sys.exit(2)
@@ -62,15 +107,6 @@ def _run(arguments: Sequence[str] | None) -> None:
     options = parsed(given)
     module = next(module for kind, module in COMMANDS.values() if kind is type(options))
     importlib.import_module(module).run(options)
-
-
-def _mistakes() -> tuple[type[Exception], ...]:
-    from devices.sensor import DeviceError
-    from fusion.errors import FusionError
-    from recordings.errors import RecordingError
-    from viewer_app.errors import UsageError
-
-    return (DeviceError, FusionError, RecordingError, UsageError)
 
 
 if __name__ == "__main__":

@@ -109,13 +109,13 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a text file that is either complete or absent.
+    """Writes a text file that is either complete or absent; names of files keep their bytes.
 
     Raises:
         UsageError: As :func:`whole_file`.
     """
     with whole_file(path) as partial:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_text(text, encoding="utf-8", errors="surrogateescape")
 
 
 def free_name(path: Path) -> Path:

@@ -13,14 +13,23 @@ from typing import Any
 import numpy as np
 
 from devices.azure.calibration import COLOR_SIZES, depth_mode
-from devices.azure.pyk4a_access import close_kinect, is_connected, load_sdk, open_kinect, why_not_open
-from devices.azure.pyk4a_internals import capsule_pointer, capture_pointer, image_of
+from devices.azure.pyk4a_access import (
+    close_kinect,
+    is_connected,
+    is_listed,
+    load_sdk,
+    open_kinect,
+    why_not_open,
+    why_not_started,
+)
+from devices.azure.pyk4a_internals import capsule_pointer, capture_pointer, image_of, log_added
 from devices.azure.settings import KinectSettings, sdk_configuration
 from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
 from devices.azure.tracking.tracker_queue import TrackerQueue
+from devices.capture.capture_stream import CaptureStream, LiveSensor, Moment, arrival_ns
+from devices.capture.causes import Cause
 from devices.capture.frame_decimation import FrameDecimation
-from devices.capture.live_sensor import CaptureStream, LiveSensor, Moment, arrival_ns
-from devices.sensor import ColorCamera, ColorImage, DeviceError, SensorFrame
+from devices.sensor import AbsentError, ColorCamera, ColorImage, DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
@@ -63,9 +72,15 @@ class _KinectStream(CaptureStream[_Captured]):
         """Whether the sensor is still connected."""
         return is_connected(self._sdk, self.sensor.name)
 
+    def unplugged(self) -> DeviceError:
+        """The error for a sensor that is not connected, or whose master is not."""
+        if self.settings.sync == "subordinate" and not is_listed(self.sensor.name):
+            return AbsentError(Cause.IT_OR_MASTER_UNPLUGGED.says(label=self.label))
+        return super().unplugged()
+
     def comes_late(self, moment: _Captured) -> bool:
         """Whether capture sync held a depth image back for a colour image that never came."""
-        return self.settings.camera_color is not None and image_of(moment.capture, "color") is None
+        return self.settings.color is not None and image_of(moment.capture, "color") is None
 
 
 class KinectSensor(LiveSensor):
@@ -112,12 +127,14 @@ class KinectSensor(LiveSensor):
         self._interrupted.clear()
         self._sdk = load_sdk()
         configuration = sdk_configuration(self._sdk, self.settings)
-        self._device = open_kinect(self._sdk, self.name, configuration)
+        joins = self.settings.color is not None
         try:
+            self.waits_for = "its driver, which opens it"
+            self._device = open_kinect(self._sdk, self.name, configuration, joins_color=joins)
             self._check_jack()
-            advice = _START_ADVICE if self.settings.sync == "standalone" else _SYNC_ADVICE + _START_ADVICE
+            advice = "" if self.settings.sync == "standalone" else _SYNC_ADVICE
             self._call(self._device.start, "did not start its cameras", advice)
-            calibration = self._call(lambda: self._device.calibration, "gives no calibration", _START_ADVICE)
+            calibration = self._call(lambda: self._device.calibration, "gives no calibration")
             cameras, mode = self._sdk.CalibrationType, depth_mode(self.settings.depth_mode)
             self.intrinsics = _intrinsics(calibration, cameras.DEPTH, (mode.width, mode.height))
             if self.settings.color is not None:
@@ -130,7 +147,7 @@ class KinectSensor(LiveSensor):
                 handle = calibration._calibration_handle
                 self.waits_for = "its body tracker, which loads its network"
                 self._tracker.open(capsule_pointer(handle, b"pyk4a calibration handle"))
-                self.waits_for = ""
+            self.waits_for = ""
         except BaseException:
             self.__exit__()
             raise
@@ -139,13 +156,15 @@ class KinectSensor(LiveSensor):
     def __exit__(self, *exc_info: object) -> None:
         """Stops the tracker and the sensor, even if the sensor is no longer connected."""
         if self._tracker is not None:
+            self.waits_for = "its body tracker, which stops"
             self._tracker.close()
-        self.waits_for = ""
         if self._device is not None:
+            self.waits_for = "its cameras, which stop"
             device, self._device = self._device, None
             fault = close_kinect(self._sdk, self.name, device)
             if fault:
                 self.warnings.append(f"Kinect {self.name} did not close cleanly ({fault}).")
+        self.waits_for = ""
 
     def frames(self) -> Iterator[SensorFrame]:
         """Frames as they arrive, until interrupted.
@@ -164,13 +183,11 @@ class KinectSensor(LiveSensor):
             return
         # Waiting at most three quarters of a frame for the tracker leaves time to fetch the next capture.
         queue = TrackerQueue(self._tracker, 0.75 / self.settings.fps, self._took, self.clock)
-        self.waits_for = "its body tracker's first result"
         while not self._interrupted.is_set():
             if not queue.full and (taken := self._take(stream, wait=queue.empty)) is not None:
                 queue.put(self._frame(taken), capture_pointer(taken.capture))
-            for frame in queue.done():
-                self.waits_for = ""
-                yield frame
+            self.waits_for = stream.waits_for if queue.empty else "its body tracker's result"
+            yield from queue.done()
 
     def _frame(self, taken: _Captured) -> SensorFrame:
         """The capture's images, copied so that the SDK has its memory back."""
@@ -193,7 +210,7 @@ class KinectSensor(LiveSensor):
             sync_in, sync_out = self._device.sync_jack_status
         except self._sdk.K4AException as fault:
             if not is_connected(self._sdk, self.name):
-                raise DeviceError(f"Kinect {self.name} was unplugged while it opened. Plug it in.") from fault
+                raise Cause.UNPLUGGED.error(label=f"Kinect {self.name}") from fault
             raise DeviceError(f"Kinect {self.name} cannot be opened: {why_not_open(fault)}") from fault
         needed = {"master": ("out", sync_out), "subordinate": ("in", sync_in)}.get(self.settings.sync)
         if needed is not None and not needed[1] and self.settings.trust_jacks:
@@ -203,19 +220,14 @@ class KinectSensor(LiveSensor):
                 f"sync in, or run both standalone."
             )
 
-    def _call(self, action: Callable[[], Any], what: str, advice: str) -> Any:
+    def _call(self, action: Callable[[], Any], what: str, advice: str = "") -> Any:
         try:
-            return action()
+            with log_added():
+                return action()
         except self._sdk.K4AException as fault:
-            said = f" ({fault})" if str(fault) else ""
-            raise DeviceError(f"Kinect {self.name} {what}{said}. {advice}".rstrip()) from fault
+            raise why_not_started(fault, f"Kinect {self.name}", what, advice) from fault
 
 
-_START_ADVICE = (
-    "Check that no other program keeps it busy (k4aviewer), its power supply and USB 3 port (two sensors "
-    "need two USB controllers), and on Linux that libdepthengine and OpenGL are there: k4aviewer must show "
-    "its depth."
-)
 _SYNC_ADVICE = "Check that the sync cable leads from the master's sync out to the subordinate's sync in. "
 
 

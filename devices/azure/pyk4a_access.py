@@ -6,15 +6,17 @@ The SDK's errors have no description, so this file determines why a device does 
 from __future__ import annotations
 
 import os
+import re
 import sys
 import threading
 from importlib.metadata import PackageNotFoundError, version
 from types import ModuleType
 from typing import Any
 
-from devices.azure.pyk4a_internals import firmware_advice, firmware_version, put_back_none
+from devices.azure.pyk4a_internals import firmware_advice, firmware_version, log_added, put_back_none
 from devices.capture import usb
-from devices.capture.connected import ConnectedSensor
+from devices.capture.causes import Cause, in_brackets
+from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.usb import usb_kinects
 from devices.sensor import AbsentError, DeviceError
 
@@ -58,7 +60,7 @@ def connected_kinects() -> list[ConnectedSensor]:
         except sdk.K4AException as fault:
             found.append(ConnectedSensor(index, None, fault=why_not_open(fault)))
         finally:
-            let_go(device, sdk)
+            release_device(device, sdk)
     return found
 
 
@@ -104,8 +106,15 @@ def _has_bundle() -> bool:
     return True
 
 
-def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
+def open_kinect(sdk: Any, serial: str, configuration: Any, *, joins_color: bool = False) -> Any:
     """Opens the Kinect with a serial number. It queries all devices, because their indices are not stable.
+
+    Args:
+        sdk: The module pyk4a.
+        serial: The serial number.
+        configuration: The ``pyk4a.Config``.
+        joins_color: Whether libk4a puts the colour image of a moment into its depth image's capture. It then
+            holds depth back until colour comes. If not, each image comes at once, in a capture of its own.
 
     Returns:
         The opened ``pyk4a.PyK4A``, without cameras running.
@@ -115,6 +124,7 @@ def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
         DeviceError: It cannot be opened.
     """
     with _opening:
+        os.environ["K4A_DISABLE_SYNCHRONIZATION"] = "0" if joins_color else "1"  # libk4a reads it at opening
         others, faults = sorted(_open_here), []
         if _on_bus(serial) is False:  # says Linux, which is asked without holding the GIL
             raise AbsentError(_not_found(serial, others, []))
@@ -128,7 +138,7 @@ def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
                 found = device.serial
             except sdk.K4AException as fault:
                 faults.append(why_not_open(fault))
-                let_go(device, sdk)
+                release_device(device, sdk)
                 continue
             if found == serial:
                 _open_here.add(serial)
@@ -137,13 +147,14 @@ def open_kinect(sdk: Any, serial: str, configuration: Any) -> Any:
                 return device
             if found not in others:  # one of ours, where opening is lazy
                 others.append(found)
-            let_go(device, sdk)
+            release_device(device, sdk)
         raise DeviceError(_not_found(serial, others, faults[len(_open_here) :]))
 
 
 def _open(device: Any, sdk: Any) -> None:
     try:
-        device.open()
+        with log_added():
+            device.open()
     except sdk.K4AException:
         put_back_none()
         raise
@@ -153,7 +164,7 @@ def close_kinect(sdk: Any, serial: str, device: Any) -> str:
     """Closes a device opened by ``open_kinect``, even if disconnected; returns the failure, or None."""
     with _opening:
         _open_here.discard(serial)
-        return let_go(device, sdk)
+        return release_device(device, sdk)
 
 
 def is_connected(sdk: Any, serial: str) -> bool:
@@ -167,6 +178,11 @@ def is_connected(sdk: Any, serial: str) -> bool:
     if on_bus is not None:
         return on_bus
     return bool(sdk.connected_device_count() >= max(1, len(_open_here)))
+
+
+def is_listed(serial: str) -> bool:
+    """Whether the system lists its sensors by their serial numbers, so that it is known which is missing."""
+    return _on_bus(serial) is not None
 
 
 def _on_bus(serial: str) -> bool | None:
@@ -194,10 +210,35 @@ def _not_found(serial: str, others: list[str], faults: list[str]) -> str:
 
 def why_not_open(fault: Exception) -> str:
     """Why a connected Kinect does not open; see :func:`devices.capture.usb.why_not_open`."""
+    old = re.search(r"Firmware version for \w+ is ([\d.]+) is not current enough", _log_of(fault))
+    if old is not None:
+        return Cause.OLD_FIRMWARE.says(version=old[1])
     return usb.why_not_open(fault, usb_kinects(), "k4aviewer")
 
 
-def let_go(device: Any, sdk: Any) -> str:
+def why_not_started(fault: Exception, label: str, what: str, advice: str) -> DeviceError:
+    """The error for an open Kinect that does not start.
+
+    Args:
+        fault: The SDK's exception, with libk4a's log as notes.
+        label: The sensor's name in messages.
+        what: What it did not do, as a clause.
+        advice: What else to check first.
+    """
+    log = _log_of(fault)
+    if "color_start(" in log:
+        return Cause.COLOR_NOT_STARTED.error(label=label)
+    if "depth engine" in log.lower():
+        return Cause.ENGINE_NOT_STARTED.error(label=label)
+    fields = {"what": what, "said": in_brackets(fault), "advice": advice, "programs": "k4aviewer"}
+    return Cause.CAMERAS_NOT_STARTED.error(label=label, **fields)
+
+
+def _log_of(fault: Exception) -> str:
+    return " ".join(getattr(fault, "__notes__", ()))
+
+
+def release_device(device: Any, sdk: Any) -> str:
     """Stops and closes a device in any state; returns the failure, or None."""
     faults = []
     for running, action in ((True, "stop"), (False, "close")):

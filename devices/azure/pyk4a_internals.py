@@ -10,12 +10,16 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from ctypes import c_char_p, c_int, c_void_p
 from typing import Any
 
 from devices.azure.tracking.native_library import loaded_file
 from devices.sensor import DeviceError
 
 Version = tuple[int, int, int]
+_LOG_ERRORS = 1  # K4A_LOG_LEVEL_ERROR, and what is worse
 RESTARTS_WITHOUT_COLOR: Version = (1, 6, 110)
 """From this firmware on a subordinate without colour can be stopped and started again (SDK issue 818)."""
 
@@ -90,6 +94,29 @@ def firmware_version(device: Any) -> Version | None:
         return None
     major, minor, iteration = version.rgb
     return None if status != 0 else (major, minor, iteration)
+
+
+_LOG: list[str] = []
+_log_line = ctypes.CFUNCTYPE(None, c_void_p, c_int, c_char_p, c_int, c_char_p)(
+    lambda _context, _level, _file, _line, text: _LOG.append(text.decode(errors="replace"))
+)
+
+
+@contextmanager
+def log_added() -> Iterator[None]:
+    """Adds to an exception what libk4a logs as errors until then, as notes: its status gives no reason."""
+    library = loaded_libk4a()
+    listen = getattr(library, "k4a_set_debug_message_handler", lambda *_: None)
+    _LOG.clear()
+    listen(_log_line, None, _LOG_ERRORS)
+    try:
+        yield
+    except Exception as fault:
+        for text in _LOG:
+            fault.add_note(text)
+        raise
+    finally:
+        listen(None, None, 0)
 
 
 def loaded_libk4a() -> ctypes.CDLL | None:

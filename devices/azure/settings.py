@@ -12,9 +12,7 @@ from devices.sensor import DeviceError
 SYNC_COLOR = "720P"
 """The colour mode of sensors on a sync cable when nobody asked for colour: the cheapest.
 
-libk4a refuses a master without colour. A subordinate runs colour too: libk4a holds depth back until the
-colour image of its moment is there, so that colour on the master alone would delay A against B by the
-colour camera's latency; and firmware before 1.6.110 cannot restart a subordinate without colour.
+libk4a refuses a master without colour, and firmware before 1.6.110 cannot restart a subordinate without it.
 """
 
 

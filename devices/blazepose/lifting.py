@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from devices.blazepose.landmark_kinds import EARS, FACE, LONG_BONE_LENGTHS, LONG_BONES, column, opposite
 from fusion.compiling.kernels import kernel
+from fusion.errors import CalibrationError
 from fusion.intrinsics import Intrinsics
+from fusion.registration.rigid_fit import fit_rigid
 
 Array = NDArray[np.float64]
 
@@ -126,7 +128,11 @@ def lay_body(
         used = usable & (visibility > _TRUSTED) & (turned < 0.2) & (np.abs(surface - body[:, 2]) < within)
         if np.count_nonzero(used) < _FEWEST:
             break
-        body = _laid_onto(body, np.column_stack((at * surface[:, None], surface)), used * visibility)
+        seen = np.column_stack((at[used] * surface[used, None], surface[used]))
+        try:
+            body = fit_rigid(seen, body[used], visibility[used]).apply(body)
+        except CalibrationError:  # all on one line
+            break
     return body, size, reading
 
 
@@ -162,17 +168,6 @@ def _placement(at: Array, world: Array, trust: Array) -> Array:
     weighted = rows * trust[:, None]
     normal = np.einsum("kni,knj->ij", weighted, rows) + 1e-9 * np.eye(3)
     return np.asarray(np.linalg.solve(normal, np.einsum("kni,kn->i", weighted, wanted)))
-
-
-def _laid_onto(body: Array, surface: Array, weight: Array) -> Array:
-    """(33, 3) the body, rotated and moved onto points by weighted least squares (Kabsch, 1976)."""
-    used = weight > 0.0
-    w = weight[used] / weight[used].sum()
-    middle, target = w @ body[used], w @ surface[used]
-    u, _, vt = np.linalg.svd((body[used] - middle).T @ ((surface[used] - target) * w[:, None]))
-    u[:, 2] *= np.sign(np.linalg.det(u @ vt))
-    laid: Array = (body - middle) @ (u @ vt) + target
-    return laid
 
 
 def _outward(body: Array) -> Array:

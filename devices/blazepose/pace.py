@@ -28,12 +28,15 @@ class TrackingPace(FrameDecimation):
 
     Attributes:
         settings: Settings with which the trackers open.
+        simulated: Whether the sensors are simulated, so that there is nothing to record.
     """
 
-    def __init__(self, fps: float, settings: BlazePoseSettings | None = None) -> None:
+    def __init__(
+        self, fps: float, settings: BlazePoseSettings | None = None, *, simulated: bool = False
+    ) -> None:
         super().__init__(fps)
         settings = settings or BlazePoseSettings()
-        self.settings = settings
+        self.settings, self._simulated = settings, simulated
         self._network: NetworkName = settings.network
         folder = settings.models or cache_folder()
         wants_lighter, lacks_lite = settings.network == "full", bool(missing("lite", folder))
@@ -51,18 +54,19 @@ class TrackingPace(FrameDecimation):
     def advice(self) -> str:
         """Advice for a tracker that is too slow."""
         lighter = f"Or get its faster network: {self._fetch_lighter}. " if self._fetch_lighter else ""
-        return (
-            f"It is the tracker, which needs a faster processor, not USB or light. {lighter}"
-            f"Or record now and track later (duplex fuse a.mkv b.mkv)."
-        )
+        later = "" if self._simulated else "Or record now and track later (duplex fuse a.mkv b.mkv)."
+        text = f"It is the tracker, which needs a faster processor, not USB or light. {lighter}{later}"
+        return text.rstrip()
 
     def tracked(self, sensor: str, time_ns: int) -> None:
         """Records how long a sensor's tracker worked on one frame."""
         super().tracked(sensor, time_ns)
-        self._slow_results = self._slow_results + 1 if self.step > 1 else 0
-        if self._has_lighter and self._slow_results >= _PATIENCE:
+        self._slow_results = self._slow_results + 1 if self.step > 1 and not self._easy_ns else 0
+        if self._has_lighter and (self.taken_back or self._slow_results >= _PATIENCE):
             self._has_lighter = False
             self._network = "lite"
+            self._hold_ns = 0
+            self._forget_times()
             self._news.append(
                 "The body tracker goes on with its network lite, which is faster and less accurate than full."
             )

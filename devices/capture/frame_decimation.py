@@ -10,15 +10,15 @@ import math
 import threading
 from collections import deque
 from dataclasses import dataclass, field
-from statistics import median
+from statistics import fmean, median
 
 from devices.capture.host_clock import HostClock, Timing
 
 _FIRST_RESULTS = 2  # not counted: a tracker loads and compiles its network then
-_ENOUGH_TO_SLOW = 5
-_ENOUGH_TO_SPEED = 15
+_ENOUGH, _RECENT = 5, 15  # results
 _USED_TO_SLOW = 0.95  # of the time between two kept moments: a tracker busier than this falls behind
-_USED_TO_SPEED = 0.8  # below the other, so that the choice does not swing
+_USED_TO_SPEED = 0.8
+_HOLD_NS, _LONGEST_HOLD_NS = 5_000_000_000, 80_000_000_000
 _REGRID = 0.6  # of a period: beyond half of one, so that a sensor midway between the other's does not swing
 _SAME_STREAM_NS = 1_000_000_000
 
@@ -31,13 +31,16 @@ class _Sensor:
     time_ns: int | None = None
     moment: int = 0
     results: int = 0
-    tracking_ns: deque[int] = field(default_factory=lambda: deque(maxlen=_ENOUGH_TO_SPEED))
+    tracking_ns: deque[int] = field(default_factory=lambda: deque(maxlen=_RECENT))
 
 
 class FrameDecimation:
     """Keeps the same moments of all sensors that share it: every one, or every second, third …
 
-    How many are left out follows from the slowest tracker. Safe to use from several threads.
+    How many are left out follows from the slowest tracker. More are left out as soon as it falls behind;
+    fewer, only after it was fast enough for five seconds. Each time that such a step has to be taken back in
+    less time than was waited for it, the next one waits twice as long: a tracker may be fast only while it
+    has fewer frames, because the two share a GPU. Safe to use from several threads.
 
     Args:
         fps: Frames per second of the cameras.
@@ -47,12 +50,15 @@ class FrameDecimation:
         step: Every which moment is kept; 1 keeps all.
         slowest: The sensor whose tracker decided the step last; empty before.
         slowest_s: Seconds per frame that this tracker took then.
+        taken_back: Whether more frames were tried and were too many.
     """
 
     def __init__(self, fps: float) -> None:
         self.period_ns = round(1e9 / fps)
         self.step = 1
         self.slowest, self.slowest_s = "", 0.0
+        self.taken_back = self._sped_up = False
+        self._hold_ns, self._unchanged_ns, self._easy_ns = _HOLD_NS, 0, 0
         self._sensors: dict[str, _Sensor] = {}
         self._lock = threading.Lock()
 
@@ -131,17 +137,32 @@ class FrameDecimation:
 
     def _choose_step(self) -> None:
         times = {name: sensor.tracking_ns for name, sensor in self._sensors.items() if sensor.tracking_ns}
-        enough = {name: median(all_) for name, all_ in times.items() if len(all_) >= _ENOUGH_TO_SLOW}
+        enough = [name for name, recent in times.items() if len(recent) >= _ENOUGH]
         if not enough:
             return
-        slowest = max(enough, key=lambda name: enough[name])
-        needed = math.ceil(enough[slowest] / (_USED_TO_SLOW * self.period_ns))
-        if needed < self.step:
-            needed = math.ceil(enough[slowest] / (_USED_TO_SPEED * self.period_ns))
-            if needed >= self.step or any(len(all_) < _ENOUGH_TO_SPEED for all_ in times.values()):
-                return
-        if needed != self.step:
-            self.step, self.slowest = max(1, needed), slowest
-            self.slowest_s = enough[slowest] * 1e-9
-            for all_ in times.values():
-                all_.clear()
+        shared_ns = self.interval_ns // len(times)  # the other sensors' results pass the rest of the time
+        self._unchanged_ns += shared_ns
+        slowest = max(enough, key=lambda name: median(times[name]))
+        needed = math.ceil(median(times[slowest]) / (_USED_TO_SLOW * self.period_ns))
+        if needed > self.step:
+            self.taken_back = self._sped_up and self._unchanged_ns < self._hold_ns
+            longer_ns = min(2 * self._hold_ns, _LONGEST_HOLD_NS) if self.taken_back else 0
+            self._hold_ns = max(_HOLD_NS, longer_ns)
+            self._change_step(needed, slowest)
+            return
+        # The mean, because of two trackers on one GPU each waits for the other in turn.
+        busiest_ns = max(fmean(times[name]) for name in enough)
+        needed = max(1, math.ceil(busiest_ns / (_USED_TO_SPEED * self.period_ns)))
+        self._easy_ns = self._easy_ns + shared_ns if needed < self.step else 0
+        if self._easy_ns > self._hold_ns:
+            self._change_step(needed, slowest)
+
+    def _change_step(self, step: int, slowest: str) -> None:
+        self._sped_up, self.step, self.slowest = step < self.step, step, slowest
+        self.slowest_s = median(self._sensors[slowest].tracking_ns) * 1e-9
+        self._forget_times()
+
+    def _forget_times(self) -> None:
+        self._unchanged_ns = self._easy_ns = 0
+        for sensor in self._sensors.values():
+            sensor.tracking_ns.clear()

@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 
+from devices.capture.causes import Cause
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.sensor_state import USUAL_LIMITS, Arrival, SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
@@ -17,22 +18,8 @@ from devices.sensor import LinkFigures, Sensor
 
 _POLL_S = 0.01  # latest delay of a pair that no longer waits for a partner
 _CLOSE_S = 3.0  # for both together
+_LATE_NS = 100_000_000
 _KEEP = 8  # frames per sensor: a pause of a quarter of a second
-
-
-@dataclass(frozen=True)
-class StreamFigures:
-    """Figures of two running streams at one moment.
-
-    Attributes:
-        drift_ppm: By how many millionths B's clock runs faster than A's.
-        dropped: Frames of A and of B dropped since the start because the program was too slow.
-        unpaired: Frames of A and of B without a partner since the start.
-    """
-
-    drift_ppm: float
-    dropped: tuple[int, int]
-    unpaired: tuple[int, int]
 
 
 class TwoSensors:
@@ -76,26 +63,19 @@ class TwoSensors:
         self._pairing = pairing or LivePairing()
         self._decimation, self.step = decimation, 1
         self._clock, self._tell = clock, tell
-        self._stopped = False
+        self._stopped, self._late_told = False, False
         self._returns: dict[Side, int] = {"a": 0, "b": 0}
         self._events: list[Event] = []
 
     @property
     def figures(self) -> PairingFigures:
-        """Counts of the pairing so far."""
-        return self._pairing.figures
+        """Counts of the pairing so far, with the dropped frames of both sensors."""
+        return replace(self._pairing.figures, dropped=(self.a.dropped, self.b.dropped))
 
     @property
     def links(self) -> tuple[LinkFigures | None, LinkFigures | None]:
         """How the messages of A and of B arrive; None for a sensor of this machine."""
         return self.a.sensor.link, self.b.sensor.link
-
-    @property
-    def stream_figures(self) -> StreamFigures:
-        """The figures to log on the timeline."""
-        figures = self._pairing.figures
-        unpaired = figures.alone_a, figures.alone_b + figures.unmatched_b
-        return StreamFigures(figures.drift_ppm, (self.a.dropped, self.b.dropped), unpaired)
 
     @property
     def waiting(self) -> bool:
@@ -160,6 +140,7 @@ class TwoSensors:
         self._arrival.wait(wait_s)
         self._arrival.clear()
         self._follow_decimation()
+        self._name_late_sensor()
         now_ns, pairs = _ns(self._clock()), []
         arrivals: list[tuple[Side, Arrival]] = []
         for side, thread in self._sides():
@@ -202,6 +183,18 @@ class TwoSensors:
             else f"The body trackers keep up again: {full:.3g} frames per second."
         )
         self._say(message)
+
+    def _name_late_sensor(self) -> None:
+        signed_ns = self._pairing.lag_ns
+        lag_ns = abs(signed_ns)
+        if lag_ns < _LATE_NS / 2:
+            self._late_told = False
+        if lag_ns < _LATE_NS or self._late_told:
+            return
+        self._late_told = True
+        other, late = (self.a, self.b) if signed_ns > 0 else (self.b, self.a)
+        cause = Cause.LATE if lag_ns <= self._pairing.max_lag_ns else Cause.TOO_LATE
+        self._say(cause.says(label=late.sensor.name, other=other.sensor.name, late_ms=lag_ns / 1e6))
 
     def _say(self, text: str) -> None:
         event = Event(text, "WARN", time_ns=_ns(self._clock()))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
+from devices.capture.causes import Cause
 from devices.sensor import AbsentError, DeviceError, SensorFrame
 
 _LONGEST_S = 10.0
@@ -97,12 +98,8 @@ def not_opened(sensor: str, within_s: float, waits_for: str) -> DeviceError:
 
 def not_closed(sensor: str, waits_for: str) -> str:
     """Message for a sensor that does not close in time; arguments as for :func:`not_opened`."""
-    if waits_for:
-        return (
-            f"{sensor} does not close yet: it waits for {waits_for}. It closes by itself after that; leave "
-            f"it plugged in."
-        )
-    return f"{sensor} does not close; it is left behind. Unplug it before using it again."
+    cause = Cause.CLOSES_LATER if waits_for else Cause.LEFT_BEHIND
+    return cause.says(label=sensor, waits_for=waits_for)
 
 
 def failed_within(sensor: str, fault: Exception) -> DeviceError:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import replace
 
+from devices.capture.causes import Cause
 from devices.capture.sensor_state import (
     USUAL_LIMITS,
     Arrival,
@@ -24,6 +25,19 @@ from devices.events import Event
 from devices.sensor import DeviceError, Sensor, SensorFrame, SensorWrapper
 
 _EVENTS_KEPT = 100
+
+
+class _Worker(threading.Thread):
+    """Opens a sensor, takes its frames, closes it. A daemon, so that a hung driver does not block the end."""
+
+    def __init__(self, sensor: Sensor, run: Callable[..., None], *stages: threading.Event) -> None:
+        super().__init__(target=run, args=stages, name=f"sensor {sensor.name}", daemon=True)
+        self.sensor = sensor
+
+
+def open_sensors() -> list[Sensor]:
+    """The sensors of this process that are open, opening or not closed yet."""
+    return [thread.sensor for thread in threading.enumerate() if isinstance(thread, _Worker)]
 
 
 class SensorThread:
@@ -68,18 +82,23 @@ class SensorThread:
         self._frames: deque[Arrival] = deque()
         self._events: deque[Event] = deque(maxlen=_EVENTS_KEPT)
         self._state = SensorState.CLOSED
-        self.received = self._dropped = self.returns = self._missed_before = 0
+        self.received = self._dropped = self.returns = self._missed_before = self._lost_before = 0
         self._last_s = 0.0
         self._left_behind: threading.Thread | None = None
         self._told, self._stall_told, self._first, self._first_told = "", False, False, False
         self._fault: BaseException | None = None
-        self._stopping, self._settled = threading.Event(), threading.Event()
+        self._stopping, self._opened_or_failed = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
 
     @property
     def dropped(self) -> int:
         """Number of dropped frames: the reader was too slow for the thread, or the thread for the sensor."""
         return self._dropped + self.sensor.missed - self._missed_before
+
+    @property
+    def lost(self) -> int:
+        """Number of frames that did not reach this machine."""
+        return self.sensor.lost - self._lost_before
 
     @property
     def waiting(self) -> bool:
@@ -107,18 +126,12 @@ class SensorThread:
         self.close()
         if self._left_behind is not None and self._left_behind.is_alive():
             raise DeviceError(not_closed(self.sensor.name, self.sensor.waits_for))
-        self._stopping, self._settled = threading.Event(), threading.Event()
+        self._stopping, self._opened_or_failed = threading.Event(), threading.Event()
         self._fault, self._state = None, SensorState.OPENING
-        # A daemon thread: a driver that hangs must not keep the program from ending.
-        self._thread = threading.Thread(
-            target=self._run,
-            args=(self._stopping, self._settled),
-            name=f"sensor {self.sensor.name}",
-            daemon=True,
-        )
+        self._thread = _Worker(self.sensor, self._run, self._stopping, self._opened_or_failed)
         try:
             self._thread.start()
-            opened = self._settled.wait(self._limits.open_s)
+            opened = self._opened_or_failed.wait(self._limits.open_s)
         except BaseException:  # Ctrl-C while it opens
             self.close()
             raise
@@ -134,7 +147,7 @@ class SensorThread:
             if self._dropped:
                 self._frames.clear()
             self.received, self._dropped = len(self._frames), 0
-            self._missed_before = self.sensor.missed
+            self._missed_before, self._lost_before = self.sensor.missed, self.sensor.lost
 
     def set_interval(self, interval_s: float) -> None:
         """Changes the time between two frames; a sensor stalls after four of them at the earliest."""
@@ -197,7 +210,9 @@ class SensorThread:
         stalled = self.state is SensorState.STALLED
         if stalled and not self._stall_told:
             silent_s = self._limits.open_s if self._first else self._stall_s
-            self._tell(f"{self.sensor.name} stalls: no frame for {silent_s:g} s. Check its cable and power.")
+            waits_for = self.sensor.waits_for
+            cause = Cause.WAITING if waits_for else Cause.SILENT
+            self._tell(cause.says(label=self.sensor.name, seconds=silent_s, waits_for=waits_for))
         elif self._stall_told and self.state is SensorState.RUNNING:
             self._tell(f"{self.sensor.name} gives frames again.")
         self._stall_told = stalled
@@ -206,7 +221,7 @@ class SensorThread:
             waits = running and self._first and self._clock() - self._last_s > self._stall_s
         if waits and not self._first_told:
             self._first_told = True
-            self._tell(f"{self.sensor.name}: waiting for the body tracker's first result.")
+            self._tell(f"{self.sensor.name}: waiting for {self.sensor.waits_for or 'its first frame'}.")
         with self._lock:
             told = list(self._events)
             self._events.clear()
@@ -230,7 +245,11 @@ class SensorThread:
                     self._started(came_back=ran)
                     ran = True
                     settled.set()
-                    self._pump(stopping)
+                    try:
+                        self._pump(stopping)
+                    except DeviceError as fault:  # known at once: closing may take seconds
+                        self._failed(str(fault))
+                        raise
                 break
             except DeviceError as fault:
                 if not ran:

@@ -29,6 +29,6 @@ class CaptureSettings:
     color: str | None = None
     sync: Literal["standalone", "master", "subordinate"] = "standalone"
     delay_us: int = LASER_GAP_US
-    timeout_ms: int = 1000
+    timeout_ms: int = 500
     stall_s: float = 5.0
     start_s: float = 120.0

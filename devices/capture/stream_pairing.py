@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from statistics import median_low
 from typing import Literal
 
@@ -25,6 +26,7 @@ from fusion.skeleton import SkeletonPair
 
 Side = Literal["a", "b"]
 _PENDING = 8
+_LAGS, _LATEST = 300, 31  # frames: ten seconds, and one
 _SYNCED_PAIRS = 61
 _SYNCED_ENOUGH = 15
 
@@ -43,6 +45,7 @@ class PairingFigures:
         skew_ns: Of the newest pair.
         offset_ns: B's clock minus A's at the same moment, without the sync delay; None before both came.
         drift_ppm: By how many millionths B's clock runs faster than A's.
+        dropped: Frames of A and of B dropped before pairing because the program was too slow.
     """
 
     pairs: int = 0
@@ -56,6 +59,12 @@ class PairingFigures:
     skew_ns: int | None = None
     offset_ns: int | None = None
     drift_ppm: float = 0.0
+    dropped: tuple[int, int] = (0, 0)
+
+    @property
+    def unpaired(self) -> tuple[int, int]:
+        """Frames of A and of B without a partner."""
+        return self.alone_a, self.alone_b + self.unmatched_b
 
 
 @dataclass(eq=False)
@@ -65,6 +74,8 @@ class _Stream:
     clock: HostClock = field(default_factory=HostClock)
     waiting: list[Arrival] = field(default_factory=list)
     recent: deque[int] = field(default_factory=lambda: deque(maxlen=2 * _PENDING))
+    lags: deque[int] = field(default_factory=lambda: deque(maxlen=_LAGS))  # from capture to arrival here, ns
+    most_lag_ns: int | None = None
     used_ns: int | None = None
     came_ns: int | None = None
     gone: bool = False
@@ -81,7 +92,7 @@ class LivePairing:
         self,
         interval_ns: int = 33_333_333,
         *,
-        max_wait_ns: int = 100_000_000,
+        max_lag_ns: int = 250_000_000,
         gone_after_ns: int = 500_000_000,
         sync_delay_ns: int | None = None,
     ) -> None:
@@ -89,13 +100,15 @@ class LivePairing:
 
         Args:
             interval_ns: Time between two frames of the faster sensor. Half of it is the tolerance.
-            max_wait_ns: How long a frame may wait for its partner; an interval at least.
+            max_lag_ns: The longest time from capture to arrival that is waited for; an interval at least. A
+                frame waits as long as the other sensor's slowest of the last ten seconds took, and an
+                interval more.
             gone_after_ns: After how long without a frame a sensor is gone, and not waited for; four
                 intervals at least.
             sync_delay_ns: With a sync cable, how much later B captures than A (negative: earlier); None
                 without one.
         """
-        self._least_wait_ns, self._least_gone_ns = max_wait_ns, gone_after_ns
+        self._least_lag_ns, self._least_gone_ns = max_lag_ns, gone_after_ns
         self.set_interval(interval_ns)
         self.sync_delay_ns = sync_delay_ns
         self._a, self._b = _Stream(), _Stream()
@@ -112,11 +125,18 @@ class LivePairing:
         drift = self._b.clock.drift_ppm - self._a.clock.drift_ppm
         return replace(self._figures, offset_ns=self._offset_ns(), drift_ppm=drift)
 
+    @property
+    def lag_ns(self) -> int:
+        """How much later after their capture B's frames come than A's: median of one second, ns."""
+        if min(len(self._a.lags), len(self._b.lags)) < _PENDING:
+            return 0
+        a, b = (median_low(islice(reversed(stream.lags), _LATEST)) for stream in (self._a, self._b))
+        return b - a
+
     def set_interval(self, interval_ns: int) -> None:
         """Changes the time between two frames of the faster sensor, and the patience that follows from it."""
         self._interval_ns, self._tolerance_ns = interval_ns, interval_ns // 2
-        # At few frames per second a partner may come nearly an interval later by itself.
-        self._max_wait_ns = max(self._least_wait_ns, interval_ns)
+        self.max_lag_ns = max(self._least_lag_ns, interval_ns)  # a tracker may take nearly an interval
         self._gone_after_ns = max(self._least_gone_ns, 4 * interval_ns)
 
     def add(self, side: Side, frame: SensorFrame, now_ns: int) -> list[FramePair]:
@@ -141,6 +161,8 @@ class LivePairing:
         elif timing is Timing.LATE or (stream.used_ns is not None and frame.time_ns <= stream.used_ns):
             self._count(late=1)
             return self.poll(now_ns)
+        stream.lags.append(now_ns - frame.time_ns - (stream.clock.offset_ns or 0))
+        stream.most_lag_ns = max(stream.lags)
         if side == "a":
             self._anchor()
         if stream.recent and frame.time_ns < max(stream.recent):
@@ -185,13 +207,11 @@ class LivePairing:
             self._count(unmatched_b=len(b))
             self._use(self._b, len(b))
             return []
-        if a and (
-            self._is_gone(self._b, now_ns) or now_ns - a[0].at_ns >= self._max_wait_ns or len(a) > _PENDING
-        ):
+        if a and (self._is_gone(self._b, now_ns) or self._waited(self._a, self._b, now_ns)):
             return [self._alone_a()]
         if b and self._is_gone(self._a, now_ns):
             return [self._alone_b()]
-        if b and self._waited(self._b, now_ns):
+        if b and self._waited(self._b, self._a, now_ns):
             self._count(unmatched_b=1)
             self._use(self._b, 1)
             return []
@@ -265,7 +285,8 @@ class LivePairing:
         self._synced.clear()
         stream = self._a if side == "a" else self._b
         stream.recent.clear()
-        stream.used_ns = None
+        stream.lags.clear()
+        stream.used_ns = stream.most_lag_ns = None
         if side == "a":
             self._time_from_a = None
         return pairs
@@ -274,8 +295,13 @@ class LivePairing:
         stream.used_ns = stream.waiting[count - 1].frame.time_ns
         del stream.waiting[:count]
 
-    def _waited(self, stream: _Stream, now_ns: int) -> bool:
-        return now_ns - stream.waiting[0].at_ns >= self._max_wait_ns or len(stream.waiting) > _PENDING
+    def _waited(self, stream: _Stream, other: _Stream, now_ns: int) -> bool:
+        """Whether the partner of a stream's oldest frame would have come by now."""
+        at_ns, frame = stream.waiting[0]
+        lag_ns = self.max_lag_ns if other.most_lag_ns is None else min(other.most_lag_ns, self.max_lag_ns)
+        due_ns = frame.time_ns + (stream.clock.offset_ns or 0) + lag_ns
+        # What delays both, as a pause of this machine does, delays the partner too.
+        return now_ns - max(due_ns, at_ns) >= self._interval_ns or len(stream.waiting) > _PENDING
 
     def _is_gone(self, stream: _Stream, now_ns: int) -> bool:
         since = stream.came_ns if stream.came_ns is not None else self._first_ns

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from devices.capture.causes import Cause, in_brackets
 from devices.check import Check
 
 # The depth camera of each: Azure Kinect DK; Orbbec Femto Mega, Femto Bolt, Gemini 2, 2 L and the Gemini 330
@@ -77,14 +78,10 @@ def why_not_open(fault: Exception, bus: Sequence[UsbKinect], programs: str) -> s
         bus: The sensors on USB.
         programs: Programs that may keep the device busy.
     """
-    said = f" ({fault})" if str(fault) else ""
-    forbidden = [device for device in bus if not device.allowed]
+    said, forbidden = in_brackets(fault), [device for device in bus if not device.allowed]
     if forbidden:
-        return f"no permission for {forbidden[0].node}{said}. {UDEV_ADVICE}"
-    return (
-        f"it is busy or starting up{said}. Close other programs that use it ({programs}), wait 5 s, "
-        "try again."
-    )
+        return Cause.FORBIDDEN.says(node=forbidden[0].node, said=said, advice=UDEV_ADVICE)
+    return Cause.BUSY.says(said=said, programs=programs)
 
 
 def permission_check(root: Path) -> Check:

@@ -6,7 +6,7 @@ import re
 import sys
 from importlib.metadata import PackageNotFoundError, version
 
-from devices.capture.connected import ConnectedSensor
+from devices.capture.sensor_choice import ConnectedSensor
 from devices.check import Check, failed
 from devices.orbbec.sdk_access import faults_of, load_sdk, open_orbbec
 from devices.sensor import DeviceError

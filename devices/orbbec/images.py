@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.capture.live_sensor import Moment, arrival_ns
+from devices.capture.capture_stream import Moment, arrival_ns
 from devices.sensor import ColorCamera, ColorImage
 
 

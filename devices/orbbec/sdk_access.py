@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from devices.capture.connected import ConnectedSensor
+from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
 from devices.capture.usb import UDEV_ADVICE, usb_kinects, why_not_open
 from devices.sensor import AbsentError, DeviceError

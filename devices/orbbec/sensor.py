@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from devices.capture.capture_stream import CaptureStream, LiveSensor
+from devices.capture.causes import Cause, in_brackets
 from devices.capture.frame_decimation import FrameDecimation
-from devices.capture.live_sensor import CaptureStream, LiveSensor
 from devices.capture.settings import CaptureSettings
 from devices.orbbec.images import MomentJoiner, OrbbecMoment, color_image, depth_image, infrared_image
 from devices.orbbec.sdk_access import faults_of, is_connected, load_sdk, open_orbbec, set_sync_role
@@ -108,9 +109,10 @@ class OrbbecSensor(LiveSensor):
         except faults_of(sdk) as fault:
             self._pipeline = None
             if not is_connected(sdk, self.name):
-                raise DeviceError(f"Orbbec {self.name} was unplugged while it opened. Plug it in.") from fault
-            raise DeviceError(
-                f"Orbbec {self.name} did not start its cameras ({fault}). {_START_ADVICE}"
+                raise Cause.UNPLUGGED.error(label=f"Orbbec {self.name}") from fault
+            fields = {"said": in_brackets(fault), "advice": "", "programs": "OrbbecViewer"}
+            raise Cause.CAMERAS_NOT_STARTED.error(
+                label=f"Orbbec {self.name}", what="did not start its cameras", **fields
             ) from fault
         except BaseException:
             self._pipeline = None  # the SDK closes a sensor when nothing refers to it
@@ -159,9 +161,3 @@ class OrbbecSensor(LiveSensor):
         if streams.color is not None:
             self._color, warning = color_camera(self._sdk, streams.color, streams.depth, self.name)
             self._warn(warning)
-
-
-_START_ADVICE = (
-    "Check that no other program keeps it busy (OrbbecViewer), its power supply and USB 3 port (two sensors "
-    "need two USB controllers), and on Linux that OpenGL is there: OrbbecViewer must show its depth."
-)

@@ -147,12 +147,12 @@ class SimulatedKinect(Sensor):
             dressed; the simulated tracker's errors stay the same.
         script: Faults of its body tracker at given times, besides those by chance.
 
-        Attributes:
-            depth_errors: Errors of the depth images.
-            hurried: While True, frames have no depth image, which takes most of a frame's time.
-            imaging: While False, no images are wanted.
-            images_wanted: Number of depth images wanted since ``frames`` began.
-            images_left_out: Number of those that were dropped.
+    Attributes:
+        depth_errors: Errors of the depth images.
+        skips_depth: While True, frames have no depth image, which takes most of a frame's time.
+        imaging: While False, no images are wanted.
+        images_wanted: Number of depth images wanted since ``frames`` began.
+        images_left_out: Number of those that were dropped.
     """
 
     def __init__(
@@ -182,7 +182,7 @@ class SimulatedKinect(Sensor):
         if infrared:
             self._infrared = InfraredModel().binned() if depth == "half" else InfraredModel()
         self._light = self._infrared.illumination(self._lens) if self._infrared else None
-        self.hurried, self.imaging = False, True
+        self.skips_depth, self.imaging = False, True
         self.images_wanted = self.images_left_out = 0
 
     @property
@@ -211,7 +211,7 @@ class SimulatedKinect(Sensor):
             depth = ir = None
             if self._depth != "none" and self.imaging:
                 self.images_wanted += 1
-                if self.hurried:
+                if self.skips_depth:
                     self.images_left_out += 1
                 else:
                     depth, ir = self._images(positions, shapes, frame)

@@ -27,13 +27,14 @@ from devices.skeletons.conventions import (
 from devices.skeletons.read_file import ReadFile, text_bytes
 from fusion.body import Body, body_of
 from fusion.errors import FusionError
-from fusion.skeleton import Skeleton, TrackingState
+from fusion.skeleton import Skeleton, TrackingState, checked_joints
 
 COLUMNS = ("time_us", "body", "joint", "x", "y", "z")
 
 LATEST_US = 9 * 10**15
 """Largest time, so that nanoseconds fit into 64 bits."""
 
+_LONGEST_HEADER = 65_536  # bytes
 _SEPARATORS = (",", ";", "\t")
 _STATES = {
     **{state.name.lower(): state for state in TrackingState},
@@ -90,16 +91,12 @@ def read_csv(path: Path, unit: Unit = "auto") -> ReadFile:
     state.reshape(-1)[slot] = states
     present = np.zeros((len(times), len(people)), dtype=bool)
     present[frame, person] = True
-    frames = [
-        SensorFrame(
-            int(t) * 1000,
-            {
-                people[i]: Skeleton.of(body, positions[f, i], state[f, i], int(t) * 1000)
-                for i in np.flatnonzero(present[f])
-            },
-        )
-        for f, t in enumerate(times)
-    ]
+    joints, joint_states = checked_joints(body, positions, state, present.shape)
+    seen: list[dict[str, Skeleton]] = [{} for _ in times]
+    time_ns = (times * 1000).tolist()
+    for f, i in np.argwhere(present).tolist():
+        seen[f][people[i]] = Skeleton(body, joints[f, i], joint_states[f, i], time_ns[f])
+    frames = [SensorFrame(*each) for each in zip(time_ns, seen, strict=True)]
     warnings = warning, backward, _impossible_positions(text, xyz * metres, states)
     return ReadFile(body, frames, tuple(filter(None, warnings)))
 
@@ -150,7 +147,7 @@ class _Text:
 
 def _table(raw: bytes, path: Path) -> _Text:
     """Reads all columns as text."""
-    header = raw.splitlines()[0].decode("utf-8-sig")
+    header = raw[:_LONGEST_HEADER].splitlines()[0].decode("utf-8-sig", "replace")
     separator = max(_SEPARATORS, key=header.count)
     columns = [name.strip() for name in next(csv.reader([header], delimiter=separator), [])]
     if not set(COLUMNS) <= set(columns):  # X beside x is a column of its own

@@ -14,10 +14,15 @@ from fusion.registration.rigid_fit import Registration, register
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
-PROVISIONAL = ("none yet", "provisional")
-"""How the descriptions of calibrations begin that precede the start-up pose."""
 FEWEST_PAIRS = 15
 """Half a second: a calibration on fewer pairs is not trusted."""
+CERTAIN_TURN_DEG = 2.0
+"""Largest standard deviation of a good rotation: 17 mm at half a metre from the torso."""
+POSE_TURN, POSE_APART = np.radians(2.3), 0.05
+"""Of a start-up pose seen in part: largest standard error of R, radians; distance of the views, metres."""
+MOVEMENT_TURN, MOVEMENT_SHIFT, MOVEMENT_APART = np.radians(1.5), 0.06, 0.08
+"""Of movement: largest standard deviations of R, radians, and of t, metres at the person; median distance of
+the views' joints, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +35,7 @@ class Calibration:
         bone_lengths: (J,) metres, by the joint at the bone's far end; 0 at the root.
         how: A short description of the data that it was measured on.
         registration: How well the two views agreed; None where the calibration was loaded without it.
+        provisional: Whether it precedes the start-up pose, without data or on a few frames of any pose.
     """
 
     body: Body
@@ -37,6 +43,7 @@ class Calibration:
     bone_lengths: NDArray[np.float64]
     how: str
     registration: Registration | None = None
+    provisional: bool = False
 
     @property
     def axes_angle(self) -> float:
@@ -46,9 +53,8 @@ class Calibration:
 
 def nominal_calibration(body: Body) -> Calibration:
     """A provisional calibration without data: K_B at K_A, an adult's proportions."""
-    return Calibration(
-        body, RigidTransform.identity(), body.nominal_lengths, "none yet: an adult's proportions"
-    )
+    how = "none yet: an adult's proportions"
+    return Calibration(body, RigidTransform.identity(), body.nominal_lengths, how, provisional=True)
 
 
 def calibrate(body: Body, pairs: Sequence[SkeletonPair], how: str) -> Calibration:

@@ -13,6 +13,7 @@ far.
 from __future__ import annotations
 
 from collections.abc import Generator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,30 +21,30 @@ from scipy.spatial.transform import Rotation
 
 from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
-from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
+from fusion.calibration.calibration import (
+    MOVEMENT_APART,
+    MOVEMENT_SHIFT,
+    MOVEMENT_TURN,
+    POSE_APART,
+    POSE_TURN,
+    Calibration,
+    calibrate,
+    nominal_calibration,
+)
 from fusion.calibration.start_up_pose import StartUpPose
 from fusion.errors import CalibrationError
+from fusion.registration.error_model import RobustFitSettings, disagreement
 from fusion.registration.keyframes import Evidence, KeyframeSet, match_sides
 from fusion.registration.rigid_fit import label_free_fit
-from fusion.registration.robust_fit import (
-    RobustFit,
-    RobustFitSettings,
-    disagreement,
-    fit_robust,
-    registration_of,
-)
+from fusion.registration.robust_fit import RobustFit, fit_robust, registration_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
 _EVERY_NS = 1_000_000_000
 _FEWEST, _MOST = 16, 64  # keyframes; as for a refinement, and enough for a first fit
-_CERTAIN_TURN, _CERTAIN_SHIFT = np.radians(1.5), 0.06  # stated deviations; metres at the person
 _SAME_TURN = np.radians(3.0)  # fits this near to each other are one solution
-_FAR = 0.08  # metres, the largest median distance of the views' joints
 _GAIN = 10.0  # log likelihood by which the best solution must beat the others
 _PROVISIONAL_PAIRS = 30
-_POSE_TURN, _POSE_FAR = np.radians(2.3), 0.05
-"""Of a start-up pose seen in part: largest standard error of R, radians; distance of the views, metres."""
 
 
 class GradualCalibration:
@@ -82,10 +83,10 @@ class GradualCalibration:
             next(self._fitting)
         except StopIteration as end:
             self._fitting = None
-            return self._judge(end.value)
+            return self._accepted(end.value)
         return None
 
-    def _judge(self, found: tuple[RobustFit, Evidence] | None) -> tuple[RobustFit, Evidence] | None:
+    def _accepted(self, found: tuple[RobustFit, Evidence] | None) -> tuple[RobustFit, Evidence] | None:
         """The fit, if it is certain and the one before agrees with it; else None."""
         before, self._before = self._before, None
         if found is None:
@@ -129,10 +130,10 @@ def _certain(fit: RobustFit, evidence: Evidence) -> bool:
     sure = evidence.weights > 0.5
     apart = np.linalg.norm((evidence.a - fit.a_from_b.apply(evidence.b))[sure], axis=1)
     return bool(
-        fit.rotation_sd < _CERTAIN_TURN
-        and fit.translation_sd < _CERTAIN_SHIFT
+        fit.rotation_sd < MOVEMENT_TURN
+        and fit.translation_sd < MOVEMENT_SHIFT
         and len(apart) > 0
-        and np.median(apart) < _FAR
+        and np.median(apart) < MOVEMENT_APART
     )
 
 
@@ -147,7 +148,7 @@ def _turned(a_from_b: RigidTransform, evidence: Evidence) -> RigidTransform:
 
 
 class Calibrator:
-    """Finds a calibration while pairs come in: a provisional one at once, the final one on the start-up pose.
+    """Finds a calibration while pairs come in: a provisional one at once, the final one on pose or movement.
 
     Args:
         body: The sensors' body.
@@ -159,13 +160,13 @@ class Calibrator:
         self._pose, self._partly = StartUpPose(body), StartUpPose(body, partly=True)
         self._gradual = GradualCalibration(body)
         self._seen: list[SkeletonPair] = []
-        self._settled = calibration is not None
+        self._final = calibration is not None
         self.calibration = calibration or nominal_calibration(body)
 
     @property
-    def settled(self) -> bool:
+    def final(self) -> bool:
         """Whether the calibration is final."""
-        return self._settled
+        return self._final
 
     @property
     def held(self) -> float:
@@ -178,11 +179,11 @@ class Calibrator:
         Returns:
             The new calibration where this pair completes one, else None.
         """
-        if self._settled or pair.a is None or pair.b is None:
+        if self._final or pair.a is None or pair.b is None:
             return None
         found = self._from_pose(pair) or self._from_movement(pair)
         if found is not None:
-            self._settled, self.calibration = True, found
+            self._final, self.calibration = True, found
             return found
         if len(self._seen) < _PROVISIONAL_PAIRS:
             self._seen.append(pair)
@@ -200,7 +201,7 @@ class Calibrator:
             if partly is not None and self._pose.held == 0.0:
                 found = calibrate(self._body, partly, f"start-up pose seen in part, {len(partly)} frames")
                 known = found.registration
-                if known is not None and known.rotation_sd < _POSE_TURN and known.residual_median < _POSE_FAR:
+                if known is not None and known.rotation_sd < POSE_TURN and known.residual_median < POSE_APART:
                     return found
         except CalibrationError:
             pass
@@ -223,7 +224,7 @@ class Calibrator:
 
     def _try(self, pairs: list[SkeletonPair], how: str) -> Calibration | None:
         try:
-            self.calibration = calibrate(self._body, pairs, how)
+            self.calibration = replace(calibrate(self._body, pairs, how), provisional=True)
         except CalibrationError:
             return None
         return self.calibration

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
-from fusion.calibration.calibration import Calibration, calibrate, nominal_calibration
+from fusion.calibration.calibration import Calibration, calibrate
 from fusion.calibration.online import CalibrationChange, CalibrationLearner, LearnerSettings, prior_of
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
+from fusion.registration.error_model import disagreement
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
 from fusion.registration.knock import fit_knock
 from fusion.registration.refinement import held_out_gain
 from fusion.registration.rigid_fit import label_free_fit
-from fusion.registration.robust_fit import RobustFit, disagreement, fit_robust, registration_of
+from fusion.registration.robust_fit import RobustFit, fit_robust, registration_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
+Progress = Callable[[Sequence[int]], Iterable[int]]
 _KEYFRAMES = 128  # per span; the tempering of the fit was chosen for this number
 _BONE_PAIRS = 256
 """Pairs, evenly spaced, from which a recording's bone lengths are learned. Bone lengths need no variety of
@@ -72,7 +74,7 @@ def start_up_calibration(body: Body, pairs: Sequence[SkeletonPair]) -> Calibrati
         found = label_free_fit(body, evidence_of(body, fresh[:: max(1, len(fresh) // _KEYFRAMES)]))
         if found is None:
             raise
-        return replace(nominal_calibration(body), a_from_b=found, how="label-free fit of the recording")
+        return Calibration(body, found, body.nominal_lengths, "label-free fit of the recording")
 
 
 def learn_from_recording(
@@ -82,6 +84,7 @@ def learn_from_recording(
     start: Calibration | None = None,
     settings: LearnerSettings | None = None,
     skews_ns: Sequence[int] | None = None,
+    progress: Progress = iter,
 ) -> LearnedCalibration:
     """Learns one calibration from a recording, or one for each span between knocks.
 
@@ -95,6 +98,7 @@ def learn_from_recording(
         start: The initial calibration; that of the recording's start-up pose where None.
         settings: Which quantities are learned.
         skews_ns: Capture time of B minus that of A by the time stamps; 0 where None.
+        progress: Passes on the numbers of the pairs, and shows how far the first pass is.
 
     Raises:
         CalibrationError: No frame shows a person to both sensors, or too few joints.
@@ -108,7 +112,7 @@ def learn_from_recording(
 
     learner = CalibrationLearner(body, start, replace(settings, clock=False, bones=False))
     changes: list[CalibrationChange] = []
-    for k in fresh:
+    for k in progress(fresh):
         changes += learner.observe(pairs[k], codes[k], (False, False), skews_ns[k])
 
     knocks = _lasting_knocks(

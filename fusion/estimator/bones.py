@@ -37,11 +37,11 @@ def solve_bones(model, state, solve):  # type: ignore[no-untyped-def]
     Returns:
         The number of iterations.
     """
-    if state.clock[1] == 0:
-        _first_guess(model, solve, state.before)
+    if state.last_time[1] == 0:
+        _first_guess(model, solve, state.solver_start)
     iterations, _, _, _ = solve_tree(
         model.parents, model.order, model.rest, solve.targets, solve.information, model.bone_lengths,
-        state.before, solve.tree_work, solve.positions,
+        state.solver_start, solve.tree_work, solve.positions,
     )  # fmt: skip
     if not model.constants.bones:
         for i in range(len(model.parents)):
@@ -81,7 +81,7 @@ def correct_state(model, state, solve):  # type: ignore[no-untyped-def]
         for c in range(3):
             v[i, c] += slope * (solve.positions[i, c] - x[i, c])
             x[i, c] = solve.positions[i, c]
-    copy(solve.positions, state.before)
+    copy(solve.positions, state.solver_start)
 
 
 @inner_kernel
@@ -114,7 +114,7 @@ def enforce_hinges(model, state, views):  # type: ignore[no-untyped-def]
         square = lx * lx + ly * ly + lz * lz
         if square < 1e-4:
             continue
-        sign = model.bends[h]
+        sign = model.bend_signs[h]
         if sign < 0.0 and lx * ux + ly * uy + lz * uz > 0.0:  # a raised arm bends either way
             continue
         along = (fx * lx + fy * ly + fz * lz) / square

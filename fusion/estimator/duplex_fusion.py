@@ -7,21 +7,13 @@ from typing import Any
 import numpy as np
 from numba import typeof
 
-from fusion.estimator.arrays import (
-    Filter,
-    Model,
-    Output,
-    new_model,
-    new_output,
-    new_solve,
-    new_state,
-    new_views,
-)
+from fusion.array_fields import new_arrays
+from fusion.estimator.arrays import Filter, Model, Output, Solve, State, Views, new_model
 from fusion.estimator.constants import Constants
 from fusion.estimator.estimator import estimate_pairs
-from fusion.estimator.smoother import new_trace, smooth_pairs
+from fusion.estimator.smoother import Trace, smooth_pairs
 from fusion.estimator.views import relabel
-from fusion.facing.model import new_facing_model, new_facing_state
+from fusion.facing.model import FacingState, new_facing_model
 from fusion.fused_frame import FusedFrame
 from fusion.pair_arrays import PairArrays
 from fusion.setup import FusionSetup
@@ -45,13 +37,13 @@ class DuplexFusion:
         self._filter = Filter(
             model=self._model_of(setup),
             facing_model=new_facing_model(body),
-            state=new_state(joints),
-            facing=new_facing_state(body),
-            views=new_views(joints),
-            solve=new_solve(joints),
+            state=new_arrays(State, J=joints),
+            facing=new_arrays(FacingState, J=joints),
+            views=new_arrays(Views, J=joints),
+            solve=new_arrays(Solve, J=joints),
         )
         self._setup = setup
-        self._no_trace = new_trace(0, joints)
+        self._no_trace = new_arrays(Trace, T=0, J=joints)
 
     def compile(self, pairs: PairArrays) -> None:
         """Compiles a large part of the code that does not call the solver, for arrays like these."""
@@ -92,30 +84,10 @@ class DuplexFusion:
             smooth: Whether these pairs are a whole recording, to be smoothed over all of it.
         """
         frames, joints = pairs.a.shape[:2]
-        output = new_output(frames, joints)
-        trace = new_trace(frames, joints) if smooth else self._no_trace
+        output = new_arrays(Output, T=frames, J=joints)
+        trace = new_arrays(Trace, T=frames, J=joints) if smooth else self._no_trace
         estimate_pairs(self._filter, pairs, output, trace)
         if smooth:
             smooth_pairs(self._filter.model, self._filter.solve, trace, output)
-        return [self._fused(output, k, int(time)) for k, time in enumerate(pairs.time_ns)]
-
-    def _fused(self, output: Output, k: int, time_ns: int) -> FusedFrame:
-        iterations, stale_a, stale_b = output.counts[k].tolist()
-        return FusedFrame(
-            positions=output.positions[k],
-            predicted=output.predicted[k],
-            weights_a=output.weights_a[k],
-            weights_b=output.weights_b[k],
-            misleading=output.misleading[k],
-            a_from_b=self._setup.calibration.a_from_b,
-            iterations=iterations,
-            stale_a=bool(stale_a),
-            stale_b=bool(stale_b),
-            time_ns=time_ns,
-            sigma=output.sigma[k],
-            covariance=output.covariance[k],
-            exchanged_a=int(output.codes[k, 0]),
-            exchanged_b=int(output.codes[k, 1]),
-            doubt_a=float(output.side_doubt[k, 0]),
-            doubt_b=float(output.side_doubt[k, 1]),
-        )
+        a_from_b = self._setup.calibration.a_from_b
+        return [FusedFrame.of(output, k, a_from_b, int(time)) for k, time in enumerate(pairs.time_ns)]

@@ -48,7 +48,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     dt = elapsed(state, pairs.time_ns[k])
     # transform both views to K_A's frame
     transform_views(model, state, views, pairs, k)
-    output.counts[k, 0], output.counts[k, 1], output.counts[k, 2] = 0, views.stale[0], views.stale[1]
+    output.stale_a[k], output.stale_b[k] = views.stale[0], views.stale[1]
     if not anyone_seen(pairs, k):
         write_empty_row(output, k)
         return
@@ -87,11 +87,11 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     enforce_hinges(model, state, views)
     # the best skeleton with exact bone lengths
     set_solver_targets(model, state, solve)
-    output.counts[k, 0] = solve_bones(model, state, solve)
+    output.iterations[k] = solve_bones(model, state, solve)
     # set the filter's state to it
     correct_state(model, state, solve)
     trace_result(model, state, trace, k)
-    state.clock[0], state.clock[1] = pairs.time_ns[k], 1
+    state.last_time[0], state.last_time[1] = pairs.time_ns[k], 1
     # covariance of S*
     joint_covariances(model, solve, output.covariance[k], output.sigma[k])
     write_row(state, views, solve, output, k)
@@ -100,14 +100,14 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
 @inner_kernel
 def elapsed(state, time_ns):  # type: ignore[no-untyped-def]
     """Seconds since the last pair with a person; after too long a time, the state is reset."""
-    if state.clock[1] == 1 and time_ns - state.clock[0] > FORGET_NS:
-        state.clock[1] = 0
+    if state.last_time[1] == 1 and time_ns - state.last_time[0] > FORGET_NS:
+        state.last_time[1] = 0
         for i in range(len(state.known)):
             state.known[i] = False
-        state.view_doubt[0] = state.view_doubt[1] = 0.0
-    if state.clock[1] == 0:
+        state.view_outlier_probability[0] = state.view_outlier_probability[1] = 0.0
+    if state.last_time[1] == 0:
         return _SHORTEST_STEP
-    return max(1e-9 * (time_ns - state.clock[0]), _SHORTEST_STEP)
+    return max(1e-9 * (time_ns - state.last_time[0]), _SHORTEST_STEP)
 
 
 @inner_kernel
@@ -116,7 +116,7 @@ def write_empty_row(output, k):  # type: ignore[no-untyped-def]
     for i in range(output.positions.shape[1]):
         output.predicted[k, i] = True
         output.weights_a[k, i] = output.weights_b[k, i] = 0.0
-        output.misleading[k, i] = -1
+        output.misleading_joint[k, i] = -1
         output.sigma[k, i] = math.nan
         for r in range(3):
             output.positions[k, i, r] = output.velocities[k, i, r] = math.nan
@@ -127,8 +127,8 @@ def write_empty_row(output, k):  # type: ignore[no-untyped-def]
 @inner_kernel
 def write_row(state, views, solve, output, k):  # type: ignore[no-untyped-def]
     """Writes row k of the output: S*, and each view's share of the information on each joint."""
-    output.codes[k, 0], output.codes[k, 1] = views.codes[0], views.codes[1]
-    output.side_doubt[k, 0], output.side_doubt[k, 1] = views.side_doubt[0], views.side_doubt[1]
+    output.exchanged_a[k], output.exchanged_b[k] = views.codes[0], views.codes[1]
+    output.doubt_a[k], output.doubt_b[k] = views.side_doubt[0], views.side_doubt[1]
     for i in range(output.positions.shape[1]):
         information_a = _information(views, 0, i)
         information_b = _information(views, 1, i)
@@ -137,7 +137,7 @@ def write_row(state, views, solve, output, k):  # type: ignore[no-untyped-def]
         output.weights_a[k, i] = information_a / total if total > 0.0 else 0.0
         output.weights_b[k, i] = information_b / total if total > 0.0 else 0.0
         nearer_b = views.cover_distances[1, i] < views.cover_distances[0, i]
-        output.misleading[k, i] = views.covers[1, i] if nearer_b else views.covers[0, i]
+        output.misleading_joint[k, i] = views.covers[1, i] if nearer_b else views.covers[0, i]
         for c in range(3):
             output.positions[k, i, c] = solve.positions[i, c]
             output.velocities[k, i, c] = state.velocities[i, c]

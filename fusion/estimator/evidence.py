@@ -41,7 +41,7 @@ def depth_evidence(model, facing_model, views, pairs, k):  # type: ignore[no-unt
             # a joint that the exchange made inferred has no usable position
             source = views.sources[i]
             usable = views.states[v, i] == TRACKED
-            views.evidence[v, i] = image.evidence[source] if usable else 0.0
+            views.log_odds[v, i] = image.log_odds[source] if usable else 0.0
             for r in range(3):
                 views.places[v, i, r] = image.places[source, r] if usable else math.nan
                 for c in range(3):
@@ -115,4 +115,4 @@ def length_evidence(model, state, views):  # type: ignore[no-untyped-def]
             errors[i], errors[p] = max(errors[i], error), max(errors[p], error)
         for i in range(len(model.parents)):
             if errors[i] > 0.0:
-                views.evidence[v, i] -= min(errors[i], k.length_limit)
+                views.log_odds[v, i] -= min(errors[i], k.length_limit)

@@ -116,7 +116,7 @@ def start_joints(model, state, views, solve):  # type: ignore[no-untyped-def]
         state.variances[i, 1], state.variances[i, 2] = 0.0, _FIRST_SPEED**2
         for s in range(2):
             seen = views.states[s, i] != 0
-            state.doubt[s, i] = 0.0
+            state.outlier_probability[s, i] = 0.0
             own = (model.constants.slow_scale * model.slow[i]) ** 2
             state.offset_variances[s, i] = views.fast[s, i] if seen else own
             for c in range(3):

@@ -34,7 +34,7 @@ def decay_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
     together, alone = math.exp(-dt / k.agreement_seconds), math.exp(-dt / k.alone_seconds)
     for i in range(len(model.parents)):
         both = views.states[0, i] != 0 and views.states[1, i] != 0
-        agreed = both and state.doubt[0, i] < 0.5 and state.doubt[1, i] < 0.5
+        agreed = both and state.outlier_probability[0, i] < 0.5 and state.outlier_probability[1, i] < 0.5
         kept = together if agreed else alone
         for v in range(2):
             for c in range(3):
@@ -45,7 +45,7 @@ def decay_offsets(model, state, views, dt):  # type: ignore[no-untyped-def]
                 slow = (C[0, 0] + C[1, 1] + C[2, 2]) / 3.0
             else:
                 slow = _UNSEEN_VARIANCE * (k.slow_scale * model.slow[i]) ** 2
-            if both or views.states[v, i] != TRACKED or state.doubt[v, i] > 0.5:
+            if both or views.states[v, i] != TRACKED or state.outlier_probability[v, i] > 0.5:
                 state.offset_variances[v, i] += (1.0 - together * together) * (
                     slow - state.offset_variances[v, i]
                 )

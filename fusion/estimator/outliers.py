@@ -121,12 +121,12 @@ def prior_outlier(model, state, views, v, i):  # type: ignore[no-untyped-def]
     """
     k = model.constants
     rare = k.outlier if views.states[v, i] == TRACKED else k.inferred_outlier
-    before = max(state.doubt[v, i], state.view_doubt[v])
+    before = max(state.outlier_probability[v, i], state.view_outlier_probability[v])
     prior = rare + max(k.outlier_lasts - rare, 0.0) * before
     if model.lateral[i]:
         prior = max(prior, min(k.sides_doubted * views.side_doubt[v], _LARGEST_PRIOR))
-    if views.evidence[v, i] != 0.0:
-        odds = prior / (1.0 - prior) * math.exp(-views.evidence[v, i])
+    if views.log_odds[v, i] != 0.0:
+        odds = prior / (1.0 - prior) * math.exp(-views.log_odds[v, i])
         prior = odds / (1.0 + odds)
     return prior
 
@@ -136,11 +136,12 @@ def store_outlier_state(model, state, views):  # type: ignore[no-untyped-def]
     """Stores 1 - β for the next pair, and its mean; without a measurement, doubt decays towards its mean."""
     rare = model.constants.outlier
     for v in range(2):
-        total, count = 0.0, 0
+        outlier, total, count = state.outlier_probability[v], 0.0, 0
         for i in range(len(model.parents)):
             if views.states[v, i] != 0:
-                state.doubt[v, i] = 1.0 - views.trust[v, i]
-                total, count = total + state.doubt[v, i], count + 1
+                outlier[i] = 1.0 - views.trust[v, i]
+                total, count = total + outlier[i], count + 1
             else:
-                state.doubt[v, i] = rare + _DOUBT_DECAY * (state.doubt[v, i] - rare)
-        state.view_doubt[v] = total / count if count > 0 else _DOUBT_DECAY * state.view_doubt[v]
+                outlier[i] = rare + _DOUBT_DECAY * (outlier[i] - rare)
+        faded = _DOUBT_DECAY * state.view_outlier_probability[v]
+        state.view_outlier_probability[v] = total / count if count > 0 else faded

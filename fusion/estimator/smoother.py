@@ -10,7 +10,7 @@ with x a position and a velocity along one axis. Then the bones are made exact a
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,24 +26,12 @@ Array = NDArray[np.float64]
 class Trace(NamedTuple):
     """The filter's results of T pairs; T is 0 where nothing is smoothed."""
 
-    seconds: Array  # (T,) since the pair before with a person; 0 where there is none
-    predicted: Array  # (T, J, 6) position and velocity before the measurements
-    predicted_variances: Array  # (T, J, 3); 0 where the joint was not known
-    filtered: Array  # (T, J, 6) position and velocity after the bones
-    filtered_variances: Array  # (T, J, 3)
-    shared_error: Array  # (T, J, 3, 3)
-
-
-def new_trace(frames: int, joints: int) -> Trace:
-    """Arrays for ``frames`` pairs."""
-    return Trace(
-        seconds=np.zeros(frames),
-        predicted=np.zeros((frames, joints, 6)),
-        predicted_variances=np.zeros((frames, joints, 3)),
-        filtered=np.zeros((frames, joints, 6)),
-        filtered_variances=np.zeros((frames, joints, 3)),
-        shared_error=np.zeros((frames, joints, 3, 3)),
-    )
+    seconds: Annotated[Array, ("T",)]  # since the pair before with a person; 0 where there is none
+    predicted: Annotated[Array, ("T", "J", 6)]  # position and velocity before the measurements
+    predicted_variances: Annotated[Array, ("T", "J", 3)]  # 0 where the joint was not known
+    filtered: Annotated[Array, ("T", "J", 6)]  # position and velocity after the bones
+    filtered_variances: Annotated[Array, ("T", "J", 3)]
+    shared_error: Annotated[Array, ("T", "J", 3, 3)]
 
 
 @inner_kernel
@@ -51,7 +39,7 @@ def trace_prediction(model, state, trace, k, dt):  # type: ignore[no-untyped-def
     """Stores the prediction of pair k."""
     if len(trace.seconds) == 0:
         return
-    trace.seconds[k] = dt if state.clock[1] == 1 else 0.0
+    trace.seconds[k] = dt if state.last_time[1] == 1 else 0.0
     for i in range(len(model.parents)):
         for c in range(3):
             trace.predicted[k, i, c] = state.positions[i, c]

@@ -127,13 +127,13 @@ def update_motion(model, state, view, positions):  # type: ignore[no-untyped-def
         state.speed[view] += share * (total / count / elapsed - state.speed[view])
     squared = 0.0
     for c in range(3):
-        state.pull[view, c] = 0.0
+        state.velocity_change[view, c] = 0.0
         squared += (_trunk(model, positions, c) - state.last_root[view, c]) ** 2
     if math.isfinite(squared) and squared < (_OUTLIER_STEP + 4.0 * elapsed) ** 2:
         share = 0.5 * (1.0 - math.exp(-elapsed / model.constants.motion_seconds))  # one of two views
         for c in range(3):
             velocity = (_trunk(model, positions, c) - state.last_root[view, c]) / elapsed
-            state.pull[view, c] = share * (velocity - state.velocity[c])
+            state.velocity_change[view, c] = share * (velocity - state.velocity[c])
     for c in range(3):
         root = _trunk(model, positions, c)
         if math.isfinite(root):

@@ -34,7 +34,7 @@ def exchange(model, positions, states, code, out_positions, out_states):  # type
         for c in range(3):
             out_positions[j, c] = positions[source, c]
         state = states[source]
-        if trunk and model.believed[j] and state == TRACKED:
+        if trunk and model.heading_placed[j] and state == TRACKED:
             state = INFERRED
         out_states[j] = state
 

@@ -48,7 +48,7 @@ def update_evidence(model, state, pair, dt):  # type: ignore[no-untyped-def]
     set_headings(state, pair.up if known else state.up)
     for view in range(2):
         state.odds[view] = 1.0
-        state.pull[view, 0] = state.pull[view, 1] = state.pull[view, 2] = 0.0
+        state.velocity_change[view, 0] = state.velocity_change[view, 1] = state.velocity_change[view, 2] = 0.0
         state.rates[view] = 0.0  # a stale skeleton keeps its labels
         if not pair.stale[view]:
             measure_view(model, state, view, pair.positions[view], pair.states[view])
@@ -56,7 +56,7 @@ def update_evidence(model, state, pair, dt):  # type: ignore[no-untyped-def]
             state.odds[view] = exchange_odds(model, state, view)
             state.rates[view] = 1.0 - math.exp(-dt / model.constants.mirrored_seconds)
     for c in range(3):
-        state.velocity[c] += state.pull[0, c] + state.pull[1, c]
+        state.velocity[c] += state.velocity_change[0, c] + state.velocity_change[1, c]
     set_sensor_directions(state, pair.sensor_b)
     set_turning(model.constants, state, dt)
     log_likelihood(model, state, pair.stale)
@@ -96,15 +96,15 @@ def decide(model, state, belief):  # type: ignore[no-untyped-def]
             total = 0.0
             for n in range(len(belief)):
                 total += belief[n, x, y]
-            state.labels[x, y] = total
+            state.label_probabilities[x, y] = total
             if total > best:
                 best, a, b = total, x, y
-    held = state.labels[state.whole[0], state.whole[1]]
+    held = state.label_probabilities[state.whole[0], state.whole[1]]
     if state.started[0] == 0 or best >= model.constants.change_from or held < _ABANDONED:
         state.whole[0], state.whole[1] = a, b
     state.started[0] = 1
-    state.mirrored[0] = state.labels[1, 0] + state.labels[1, 1]
-    state.mirrored[1] = state.labels[0, 1] + state.labels[1, 1]
+    state.mirrored[0] = state.label_probabilities[1, 0] + state.label_probabilities[1, 1]
+    state.mirrored[1] = state.label_probabilities[0, 1] + state.label_probabilities[1, 1]
     average_heading(state, belief)
     for view in range(2):
         sign = 1.0 - 2.0 * state.whole[view]

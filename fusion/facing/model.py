@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import AZURE_KINECT, BLAZEPOSE, Body
-from fusion.joint_kinds import ARM, LEG, kind_of, limbs, sided_of_kind
+from fusion.joint_kinds import ARM, LEG, limbs, of_kind
 
 HEADINGS = 36
 """Headings are the multiples of 10° in the horizontal plane."""
@@ -137,7 +137,7 @@ class FacingModel(NamedTuple):
     limb: Ints  # (J,) the bit that exchanges the joint; 0 on the middle line
     girdle: Bools  # (J,) shoulders and hips
     face: Bools  # (J,) eyes and ears
-    believed: Bools  # (J,) joints that a tracker places by the assumed heading
+    heading_placed: Bools  # (J,) joints that a tracker places by the heading that it assumes
     widths: Floats  # (2,) between the shoulders, between the hips
     axis_kappa: Floats  # (5,) 1/σ²
     cue_mean: Floats  # (3, 5) knee, elbow, head
@@ -178,39 +178,39 @@ class FacingState(NamedTuple):
     * mirrored (2,): for each view, the probability that the whole body is mirrored.
     """
 
-    codes: Ints
-    facing: Floats
-    confidence: Floats
-    doubt: Floats
-    belief: Floats  # (N, 2, 2) of heading, A mirrored, B mirrored
-    predicted: Floats  # (N, 2, 2) workspace
-    labels: Floats  # (2, 2) the belief summed over the headings: A mirrored, B mirrored
-    likelihood: Floats  # (N, 2, 2) log-likelihood of the frame
-    headings: Floats  # (N, 3) unit vectors
-    frame_up: Floats  # (3,) up direction of the headings
-    up: Floats  # (3,) learned from the person
-    turning: Floats  # (2 TAPS + 1,)
-    whole: Ints  # (2,) whether the whole body is taken as mirrored
-    mirrored: Floats
-    up_frames: Floats  # (1,) number of frames from which `up` was learned
-    shares: Floats  # (2, N) of mirrored frames, by heading
-    reach: Ints  # (1,) how many headings `turning` reaches to either side
-    rates: Floats  # (2,) of exchanging in this frame; 0 for a stale view
-    odds: Floats  # (2,) factor on the odds of an exchange, from continuity
-    axes: Floats  # (2, 2, 3) view; shoulders, hips: horizontal direction that they say the person faces
-    axis_trust: Floats  # (2, 2)
-    cues: Floats  # (2, 5, 3) view; knees, elbows, head
-    cue_trust: Floats  # (2, 5)
-    spans: Floats  # (2, 6, 3) from the right to the left joint of each pair
-    last_spans: Floats  # (2, 6, 3) as reported
-    last_joints: Floats  # (2, J, 3)
-    last_root: Floats  # (2, 3)
-    since: Floats  # (2,) seconds since a view's last fresh skeleton
-    speed: Floats  # (2,) mean speed of the joints, low-passed
-    velocity: Floats  # (3,) of the trunk, low-passed
-    pull: Floats  # (2, 3) change by each view in this frame
-    toward: Floats  # (2, 3) horizontal unit vectors from the person to the sensors
-    started: Ints  # (1,)
+    codes: Annotated[Ints, (2,)]
+    facing: Annotated[Floats, (3,), np.nan]
+    confidence: Annotated[Floats, (1,)]
+    doubt: Annotated[Floats, (2,)]
+    belief: Annotated[Floats, (HEADINGS, 2, 2)]  # of heading, A mirrored, B mirrored
+    predicted: Annotated[Floats, (HEADINGS, 2, 2)]  # workspace
+    label_probabilities: Annotated[Floats, (2, 2)]  # belief summed over the headings: A, B mirrored
+    likelihood: Annotated[Floats, (HEADINGS, 2, 2)]  # log-likelihood of the frame
+    headings: Annotated[Floats, (HEADINGS, 3)]  # unit vectors
+    frame_up: Annotated[Floats, (3,), np.nan]  # up direction of the headings
+    up: Annotated[Floats, (3,), (0.0, -1.0, 0.0)]  # learned from the person
+    turning: Annotated[Floats, (2 * TAPS + 1,)]
+    whole: Annotated[Ints, (2,)]  # whether the whole body is taken as mirrored
+    mirrored: Annotated[Floats, (2,)]
+    up_frames: Annotated[Floats, (1,)]  # number of frames from which `up` was learned
+    shares: Annotated[Floats, (2, HEADINGS)]  # of mirrored frames, by heading
+    reach: Annotated[Ints, (1,)]  # how many headings `turning` reaches to either side
+    rates: Annotated[Floats, (2,)]  # of exchanging in this frame; 0 for a stale view
+    odds: Annotated[Floats, (2,), 1]  # factor on the odds of an exchange, from continuity
+    axes: Annotated[Floats, (2, 2, 3)]  # view; shoulders, hips: horizontal direction that they face
+    axis_trust: Annotated[Floats, (2, 2)]
+    cues: Annotated[Floats, (2, 5, 3)]  # view; knees, elbows, head
+    cue_trust: Annotated[Floats, (2, 5)]
+    spans: Annotated[Floats, (2, 6, 3), np.nan]  # from the right to the left joint of each pair
+    last_spans: Annotated[Floats, (2, 6, 3), np.nan]  # as reported
+    last_joints: Annotated[Floats, (2, "J", 3), np.nan]
+    last_root: Annotated[Floats, (2, 3), np.nan]
+    since: Annotated[Floats, (2,)]  # seconds since a view's last fresh skeleton
+    speed: Annotated[Floats, (2,)]  # mean speed of the joints, low-passed
+    velocity: Annotated[Floats, (3,)]  # of the trunk, low-passed
+    velocity_change: Annotated[Floats, (2, 3)]  # change by each view in this frame
+    toward: Annotated[Floats, (2, 3)]  # horizontal unit vectors from the person to the sensors
+    started: Annotated[Ints, (1,)]
 
 
 def new_facing_model(body: Body, constants: FacingConstants | None = None) -> FacingModel:
@@ -229,53 +229,13 @@ def new_facing_model(body: Body, constants: FacingConstants | None = None) -> Fa
         head=np.array([body.joint("Head"), body.joint("ShoulderCenter") if base is None else base]),
         mirror=body.mirror,
         limb=limbs(body),
-        girdle=sided_of_kind(body, "girdle"),
-        face=sided_of_kind(body, "face"),
-        believed=np.array([kind_of(joint) in ("foot", "thumb", "face") for joint in body.joints]),
+        girdle=of_kind(body, "girdle") & body.sided,
+        face=of_kind(body, "face") & body.sided,
+        heading_placed=of_kind(body, "foot", "thumb", "face"),
         widths=np.array([2.0 * clavicles, 2.0 * lengths[body.joint("HipLeft")]]),
         axis_kappa=np.array(c.axis_sigma) ** -2.0,
         cue_mean=np.array((c.knee_mean, c.elbow_mean, c.head_mean)),
         cue_sigma=sigma,
         cue_log=np.log(sigma),
         constants=c,
-    )
-
-
-def new_facing_state(body: Body) -> FacingState:
-    """The state before the first frame, with equal probability for every heading."""
-    n, joints = HEADINGS, len(body)
-    return FacingState(
-        codes=np.zeros(2, dtype=np.int64),
-        facing=np.full(3, np.nan),
-        confidence=np.zeros(1),
-        doubt=np.zeros(2),
-        belief=np.zeros((n, 2, 2)),
-        predicted=np.zeros((n, 2, 2)),
-        labels=np.zeros((2, 2)),
-        likelihood=np.zeros((n, 2, 2)),
-        headings=np.zeros((n, 3)),
-        frame_up=np.full(3, np.nan),
-        up=np.array((0.0, -1.0, 0.0)),
-        turning=np.zeros(2 * TAPS + 1),
-        whole=np.zeros(2, dtype=np.int64),
-        mirrored=np.zeros(2),
-        up_frames=np.zeros(1),
-        shares=np.zeros((2, n)),
-        reach=np.zeros(1, dtype=np.int64),
-        rates=np.zeros(2),
-        odds=np.ones(2),
-        axes=np.zeros((2, 2, 3)),
-        axis_trust=np.zeros((2, 2)),
-        cues=np.zeros((2, 5, 3)),
-        cue_trust=np.zeros((2, 5)),
-        spans=np.full((2, 6, 3), np.nan),
-        last_spans=np.full((2, 6, 3), np.nan),
-        last_joints=np.full((2, joints, 3), np.nan),
-        last_root=np.full((2, 3), np.nan),
-        since=np.zeros(2),
-        speed=np.zeros(2),
-        velocity=np.zeros(3),
-        pull=np.zeros((2, 3)),
-        toward=np.zeros((2, 3)),
-        started=np.zeros(1, dtype=np.int64),
     )

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fusion.array_fields import new_arrays
 from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.facing.evidence import measure_view, upright_direction
 from fusion.facing.filter import FORGET_SECONDS, decide, update_facing
-from fusion.facing.model import FacingModel, ReportedPair, new_facing_model, new_facing_state
+from fusion.facing.model import HEADINGS, FacingModel, FacingState, ReportedPair, new_facing_model
 from fusion.facing.whole_body import retrodict, set_headings, set_turning
 
 Floats = NDArray[np.float64]
@@ -20,27 +21,23 @@ Floats = NDArray[np.float64]
 class Labels(NamedTuple):
     """Which labels each view of a recording has exchanged, and how the person faces.
 
-    Attributes:
-        codes: (T, 2) exchange code of A and of B in each pair.
-        facing: (T, 3) horizontal unit vector in which the person faces, in K_A's frame.
-        doubt: (T, 2) see :class:`fusion.facing.model.FacingState`.
-        mirrored: (T, 2) probability that the whole body of each view is mirrored.
+    The fields are those of :class:`fusion.facing.model.FacingState`, for each of T pairs.
     """
 
-    codes: NDArray[np.int64]
-    facing: Floats
-    doubt: Floats
-    mirrored: Floats
+    codes: Annotated[NDArray[np.int64], ("T", 2)]
+    facing: Annotated[Floats, ("T", 3)]
+    doubt: Annotated[Floats, ("T", 2)]
+    mirrored: Annotated[Floats, ("T", 2)]
 
 
 class _History(NamedTuple):
     """What the backward pass needs of each pair; of length 0 where there is none."""
 
-    beliefs: NDArray[np.float32]  # (T, N, 2, 2)
-    likelihoods: NDArray[np.float32]  # (T, N, 2, 2)
-    shares: Floats  # (T, 2, N)
-    rates: Floats  # (T, 2)
-    odds: Floats  # (T, 2)
+    beliefs: Annotated[NDArray[np.float32], ("T", HEADINGS, 2, 2)]
+    likelihoods: Annotated[NDArray[np.float32], ("T", HEADINGS, 2, 2)]
+    shares: Annotated[Floats, ("T", 2, HEADINGS)]
+    rates: Annotated[Floats, ("T", 2)]
+    odds: Annotated[Floats, ("T", 2)]
 
 
 def relabel_sequence(
@@ -63,30 +60,17 @@ def relabel_sequence(
         smooth: Whether later pairs count.
         model: The body's own where None.
     """
-    model, state = model or new_facing_model(body), new_facing_state(body)
+    model, state = model or new_facing_model(body), new_arrays(FacingState, J=len(body))
     times = np.asarray(time_ns, dtype=np.int64)
-    frames = len(times)
-    kept = frames if smooth else 0
-    labels = Labels(
-        codes=np.zeros((frames, 2), dtype=np.int64),
-        facing=np.zeros((frames, 3)),
-        doubt=np.zeros((frames, 2)),
-        mirrored=np.zeros((frames, 2)),
-    )
-    history = _History(
-        beliefs=np.zeros((kept, *state.belief.shape), dtype=np.float32),
-        likelihoods=np.zeros((kept, *state.belief.shape), dtype=np.float32),
-        shares=np.zeros((kept, *state.shares.shape)),
-        rates=np.zeros((kept, 2)),
-        odds=np.zeros((kept, 2)),
-    )
-    seconds = np.diff(times, prepend=times[:1]) * 1e-9
-    _forward(model, state, pairs, seconds, labels, history)
+    labels = new_arrays(Labels, T=len(times))
+    history = new_arrays(_History, T=len(times) if smooth else 0)
+    intervals = np.diff(times, prepend=times[:1]) * 1e-9
+    _forward(model, state, pairs, intervals, labels, history)
     if smooth:
-        _backward(model, state, seconds, history)
-        again = new_facing_state(body)
+        _backward(model, state, intervals, history)
+        again = new_arrays(FacingState, J=len(body))
         again.up[:] = state.frame_up
-        _label(model, again, pairs, seconds, labels, history)
+        _label(model, again, pairs, intervals, labels, history)
     return labels
 
 
@@ -136,9 +120,9 @@ def _store_labels(state, labels, k):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _forward(model, state, pairs, seconds, labels, history):  # type: ignore[no-untyped-def]
-    for k in range(len(seconds)):
-        update_facing(model, state, _pair_of(pairs, k), seconds[k])
+def _forward(model, state, pairs, intervals, labels, history):  # type: ignore[no-untyped-def]
+    for k in range(len(intervals)):
+        update_facing(model, state, _pair_of(pairs, k), intervals[k])
         _store_labels(state, labels, k)
         if len(history.beliefs) > 0:
             for n in range(len(state.headings)):
@@ -152,7 +136,7 @@ def _forward(model, state, pairs, seconds, labels, history):  # type: ignore[no-
 
 
 @kernel
-def _backward(model, state, seconds, history):  # type: ignore[no-untyped-def]
+def _backward(model, state, intervals, history):  # type: ignore[no-untyped-def]
     """Replaces each pair's belief by the one given all pairs."""
     beliefs, likelihoods = history.beliefs, history.likelihoods
     later, scratch, rows = state.predicted, state.belief, len(state.headings)
@@ -160,7 +144,7 @@ def _backward(model, state, seconds, history):  # type: ignore[no-untyped-def]
         for x in range(2):
             for y in range(2):
                 later[n, x, y] = 1.0
-    for k in range(len(seconds) - 1, -1, -1):
+    for k in range(len(intervals) - 1, -1, -1):
         total = top = 0.0
         best = -np.inf
         for n in range(rows):
@@ -181,8 +165,8 @@ def _backward(model, state, seconds, history):  # type: ignore[no-untyped-def]
         for n in range(rows):
             for x in range(2):
                 for y in range(2):
-                    later[n, x, y] = 1.0 if seconds[k] > FORGET_SECONDS else later[n, x, y] / top
-        set_turning(model.constants, state, max(seconds[k], 1e-3))
+                    later[n, x, y] = 1.0 if intervals[k] > FORGET_SECONDS else later[n, x, y] / top
+        set_turning(model.constants, state, max(intervals[k], 1e-3))
         retrodict(state, later, state.likelihood, scratch)
         for n in range(rows):
             for x in range(2):
@@ -191,11 +175,11 @@ def _backward(model, state, seconds, history):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _label(model, state, pairs, seconds, labels, history):  # type: ignore[no-untyped-def]
+def _label(model, state, pairs, intervals, labels, history):  # type: ignore[no-untyped-def]
     """Computes the results of a recording from the smoothed beliefs."""
     set_headings(state, state.up)
-    for k in range(len(seconds)):
-        if seconds[k] > FORGET_SECONDS:
+    for k in range(len(intervals)):
+        if intervals[k] > FORGET_SECONDS:
             state.started[0] = 0
         for view in range(2):
             if not pairs.stale[k, view]:

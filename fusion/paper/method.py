@@ -6,7 +6,7 @@ The caller owns all arrays, so that a frame allocates nothing.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,9 @@ from fusion.pair_arrays import repeats
 from fusion.paper.reliability import ViewPixels, weigh_views
 from fusion.solvers.published import solve_published
 from fusion.solvers.tree_solver import solve_tree
-from fusion.solvers.tree_start import TreeWorkspace, copy, new_tree_workspace
+from fusion.solvers.tree_start import TreeWorkspace, copy
+
+Array = NDArray[np.float64]
 
 PAPER, EQUAL = 0, 1  # which weights
 FORGET_NS = 1_000_000_000
@@ -30,13 +32,13 @@ class Model(NamedTuple):
 
     parents: NDArray[np.int64]  # (J,)
     order: NDArray[np.int64]  # (J,)
-    rest: NDArray[np.float64]  # (J, 3)
+    rest: Array  # (J, 3)
     torso: NDArray[np.int64]
     linked: NDArray[np.bool_]  # (J, J)
-    bone_lengths: NDArray[np.float64]  # (J,)
-    rotation: NDArray[np.float64]  # (3, 3) R
-    focal_a: NDArray[np.float64]  # (2,) pixels; the principal point does not matter to distances
-    focal_b: NDArray[np.float64]
+    bone_lengths: Array  # (J,)
+    rotation: Array  # (3, 3) R
+    focal_a: Array  # (2,) pixels; the principal point does not matter to distances
+    focal_b: Array
     h: float
     weights: int
 
@@ -44,39 +46,41 @@ class Model(NamedTuple):
 class Memory(NamedTuple):
     """The state between two frames, and workspace."""
 
-    translation: NDArray[np.float64]  # (3,) t
-    before: NDArray[np.float64]  # (J, 3) S* of the last frame that had one
-    before_ns: NDArray[np.int64]  # (2,) its time, and 1 if there is one
-    last_a: NDArray[np.float32]  # (J, 3) the sensors' last skeletons,
-    last_b: NDArray[np.float32]
-    last_states_a: NDArray[np.uint8]  # (J,)
-    last_states_b: NDArray[np.uint8]
-    b_in_a: NDArray[np.float64]  # (J, 3) q'
-    pixels_a: NDArray[np.float64]  # (J, 2)
-    pixels_b: NDArray[np.float64]
-    usable: NDArray[np.bool_]  # (J,)
-    targets: NDArray[np.float64]  # (J, 3) m
-    weights: NDArray[np.float64]  # (J,) w
+    translation: Annotated[Array, (3,)]  # t
+    last_fused: Annotated[Array, ("J", 3), np.nan]  # S* of the last frame that had one
+    before_ns: Annotated[NDArray[np.int64], (2,)]  # its time, and 1 if there is one
+    last_a: Annotated[NDArray[np.float32], ("J", 3), np.nan]  # the sensors' last skeletons,
+    last_b: Annotated[NDArray[np.float32], ("J", 3), np.nan]
+    last_states_a: Annotated[NDArray[np.uint8], ("J",)]
+    last_states_b: Annotated[NDArray[np.uint8], ("J",)]
+    b_in_a: Annotated[Array, ("J", 3)]  # q'
+    pixels_a: Annotated[Array, ("J", 2)]
+    pixels_b: Annotated[Array, ("J", 2)]
+    usable: Annotated[NDArray[np.bool_], ("J",)]
+    targets: Annotated[Array, ("J", 3)]  # m
+    weights: Annotated[Array, ("J",)]  # w
     tree_work: TreeWorkspace
-    paper_work: NDArray[np.float64]
+    paper_work: Annotated[Array, (2, "J", 3)]
 
 
 class Result(NamedTuple):
     """Results of T frames; see :class:`fusion.fused_frame.FusedFrame`."""
 
-    positions: NDArray[np.float64]  # (J, 3)
-    predicted: NDArray[np.bool_]  # (J,)
-    weights_a: NDArray[np.float64]  # (J,)
-    weights_b: NDArray[np.float64]
-    misleading: NDArray[np.int64]  # (J,)
-    translation: NDArray[np.float64]  # (3,)
-    counts: NDArray[np.int64]  # (3,) iterations, stale A, stale B
+    positions: Annotated[Array, ("T", "J", 3)]
+    predicted: Annotated[NDArray[np.bool_], ("T", "J")]
+    weights_a: Annotated[Array, ("T", "J")]
+    weights_b: Annotated[Array, ("T", "J")]
+    misleading_joint: Annotated[NDArray[np.int64], ("T", "J")]
+    translation: Annotated[Array, ("T", 3)]
+    iterations: Annotated[NDArray[np.int64], ("T",)]
+    stale_a: Annotated[NDArray[np.bool_], ("T",)]
+    stale_b: Annotated[NDArray[np.bool_], ("T",)]
 
 
 def new_model(
     body: Body,
-    bone_lengths: NDArray[np.float64],
-    rotation: NDArray[np.float64],
+    bone_lengths: Array,
+    rotation: Array,
     intrinsics: tuple[Intrinsics, Intrinsics],
     h: float,
     weights: int,
@@ -98,40 +102,6 @@ def new_model(
     )
 
 
-def new_memory(joints: int, translation: NDArray[np.float64]) -> Memory:
-    """The memory before the first frame."""
-    return Memory(
-        translation=np.array(translation, dtype=np.float64),
-        before=np.full((joints, 3), np.nan),
-        before_ns=np.zeros(2, dtype=np.int64),
-        last_a=np.full((joints, 3), np.nan, dtype=np.float32),
-        last_b=np.full((joints, 3), np.nan, dtype=np.float32),
-        last_states_a=np.zeros(joints, dtype=np.uint8),
-        last_states_b=np.zeros(joints, dtype=np.uint8),
-        b_in_a=np.empty((joints, 3)),
-        pixels_a=np.empty((joints, 2)),
-        pixels_b=np.empty((joints, 2)),
-        usable=np.empty(joints, dtype=np.bool_),
-        targets=np.empty((joints, 3)),
-        weights=np.empty(joints),
-        tree_work=new_tree_workspace(joints),
-        paper_work=np.empty((2, joints, 3)),
-    )
-
-
-def new_result(frames: int, joints: int) -> Result:
-    """Arrays for the results of ``frames`` frames."""
-    return Result(
-        positions=np.empty((frames, joints, 3)),
-        predicted=np.empty((frames, joints), dtype=np.bool_),
-        weights_a=np.empty((frames, joints)),
-        weights_b=np.empty((frames, joints)),
-        misleading=np.empty((frames, joints), dtype=np.int64),
-        translation=np.empty((frames, 3)),
-        counts=np.empty((frames, 3), dtype=np.int64),
-    )
-
-
 @kernel
 def fuse_frames(model, memory, result, pairs):  # type: ignore[no-untyped-def]
     """The method over consecutive pairs, eq. (1) solved exactly.
@@ -144,9 +114,9 @@ def fuse_frames(model, memory, result, pairs):  # type: ignore[no-untyped-def]
     for k in range(len(pairs.time_ns)):
         if prepare(model, memory, result, pairs, k):
             positions = result.positions[k]
-            result.counts[k, 0], _, _, _ = solve_tree(
+            result.iterations[k], _, _, _ = solve_tree(
                 model.parents, model.order, model.rest, memory.targets, memory.weights, model.bone_lengths,
-                memory.before, memory.tree_work, positions,
+                memory.last_fused, memory.tree_work, positions,
             )  # fmt: skip
             _store_frame(memory, positions, pairs.time_ns[k])
 
@@ -157,8 +127,8 @@ def fuse_frames_as_published(model, memory, result, pairs):  # type: ignore[no-u
     for k in range(len(pairs.time_ns)):
         if prepare(model, memory, result, pairs, k):
             positions = result.positions[k]
-            copy(memory.before, positions)
-            result.counts[k, 0], _, _ = solve_published(
+            copy(memory.last_fused, positions)
+            result.iterations[k], _, _ = solve_published(
                 model.parents, memory.targets, memory.weights, model.bone_lengths, True, positions,
                 memory.paper_work,
             )  # fmt: skip
@@ -168,9 +138,8 @@ def fuse_frames_as_published(model, memory, result, pairs):  # type: ignore[no-u
 @inner_kernel
 def prepare(model, memory, result, pairs, k):  # type: ignore[no-untyped-def]
     """Prepares frame k; its solution remains NaN. Returns whether there is a problem to solve."""
-    result.counts[k, 0] = 0
-    result.counts[k, 1] = repeats(pairs.a[k], pairs.states_a[k], memory.last_a, memory.last_states_a)
-    result.counts[k, 2] = repeats(pairs.b[k], pairs.states_b[k], memory.last_b, memory.last_states_b)
+    result.stale_a[k] = repeats(pairs.a[k], pairs.states_a[k], memory.last_a, memory.last_states_a)
+    result.stale_b[k] = repeats(pairs.b[k], pairs.states_b[k], memory.last_b, memory.last_states_b)
     if pairs.time_ns[k] - memory.before_ns[0] > FORGET_NS:
         memory.before_ns[1] = 0
     update_translation(model, memory, pairs, k)
@@ -187,7 +156,7 @@ def prepare(model, memory, result, pairs, k):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _store_frame(memory, positions, time_ns):  # type: ignore[no-untyped-def]
-    copy(positions, memory.before)
+    copy(positions, memory.last_fused)
     memory.before_ns[0], memory.before_ns[1] = time_ns, 1
 
 
@@ -229,7 +198,7 @@ def _project(positions, focal, pixels):  # type: ignore[no-untyped-def]
 def set_weights(model, memory, result, pairs, k):  # type: ignore[no-untyped-def]
     """w_A and w_B, eqs. (10), (11), or ½ each; 1 for a view if the other has no position."""
     states_a, states_b = pairs.states_a[k], pairs.states_b[k]
-    weights_a, weights_b, misleading = result.weights_a[k], result.weights_b[k], result.misleading[k]
+    weights_a, weights_b, misleading = result.weights_a[k], result.weights_b[k], result.misleading_joint[k]
     if model.weights == EQUAL:
         for i in range(len(states_a)):
             has_a, has_b = states_a[i] != 0, states_b[i] != 0
@@ -267,7 +236,7 @@ def set_targets(memory, result, a, k):  # type: ignore[no-untyped-def]
 @inner_kernel
 def first_guess(model, memory):  # type: ignore[no-untyped-def]
     """Uses the targets as previous frame; a joint without target is placed as in the rest pose."""
-    before, targets = memory.before, memory.targets
+    before, targets = memory.last_fused, memory.targets
     root = model.order[0]
     for c in range(3):
         total, count = 0.0, 0

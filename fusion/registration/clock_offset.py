@@ -8,15 +8,16 @@ used are those that an exchange of left and right does not move.
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.registration.robust_fit import relative_noise
+from fusion.registration.error_model import relative_noise
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TRACKED, Skeleton, SkeletonPair
 
@@ -104,7 +105,9 @@ class ClockOffsetEstimator:
         if self._pending and pair.time_ns - self._pending[0][0].time_ns >= _WINDOW_NS:
             pairs = [pair for pair, _ in self._pending]
             skews = np.array([skew for _, skew in self._pending])
-            self._windows.extend(_windows(self._points, pairs, a_from_b, skews, 0.0))
+            times = np.array([pair.time_ns for pair in pairs], dtype=np.float64)
+            views = self._points.of(pairs, a_from_b)
+            self._windows.extend(_windows(self._points, views, times, skews, 0.0))
             self._pending = [(pair, skew_ns)]
             return self._news()
         self._pending.append((pair, skew_ns))
@@ -145,17 +148,17 @@ def clock_offset_of(
     skews = np.zeros(len(pairs)) if skews_ns is None else np.array(skews_ns, dtype=np.float64)
     interval = float(np.median(np.diff([pair.time_ns for pair in pairs])))
     reach = int(_LONGEST_NS / max(interval, _SHORTEST_NS))
+    times = np.array([pair.time_ns for pair in pairs], dtype=np.float64)
     views = points.of(pairs, a_from_b)
-    costs = [_cost(points, views, pairs, skews, shift * interval) for shift in range(-reach, reach + 1)]
+    costs = [_cost(points, views, times, skews, shift * interval) for shift in range(-reach, reach + 1)]
     if not np.isfinite(costs).any():
         return None
     offset_ns = (int(np.nanargmin(costs)) - reach) * interval
     found: ClockOffset | None = None
-    times = np.array([pair.time_ns for pair in pairs], dtype=np.float64)
     skew_ppm = 0.0
     for _ in range(4):
         drifted = skews + skew_ppm * 1e-6 * (times - times.mean())
-        windows = _windows(points, pairs, a_from_b, drifted, offset_ns)
+        windows = _windows(points, views, times, drifted, offset_ns)
         correction = _combined(windows)
         if correction is None:
             return found
@@ -176,33 +179,32 @@ class _Points:
 
     def of(self, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform) -> tuple[Array, Array]:
         """(T, M, 3) the points of A and of B, in K_A's frame; NaN where not tracked."""
-        a = np.array([self._view(pair.a) for pair in pairs])
-        b = np.array([self._view(pair.b) for pair in pairs])
+        a, b = (
+            self._view([view for view in each if view is not None])
+            for each in zip(*((pair.a, pair.b) for pair in pairs), strict=True)
+        )
         return a, a_from_b.apply(b)
 
-    def _view(self, skeleton: Skeleton | None) -> Array:
-        if skeleton is None:
-            return np.full((len(self.own), 3), np.nan)
-        positions = np.where((skeleton.states == TRACKED)[:, None], skeleton.positions, np.nan)
-        return np.asarray(0.5 * (positions[self.own] + positions[self.other]), dtype=np.float64)
+    def _view(self, skeletons: Sequence[Skeleton]) -> Array:
+        positions = np.array([skeleton.positions for skeleton in skeletons])
+        positions[np.array([skeleton.states for skeleton in skeletons]) != TRACKED] = np.nan
+        return np.asarray(0.5 * (positions[:, self.own] + positions[:, self.other]), dtype=np.float64)
 
 
 def _windows(
     points: _Points,
-    pairs: Sequence[SkeletonPair],
-    a_from_b: RigidTransform,
+    views: tuple[Array, Array],
+    times: Array,
     skews_ns: Array,
     offset_ns: float,
 ) -> list[_Window]:
     """The regression of each second, for what remains of the offset beyond ``offset_ns``."""
-    if len(pairs) < 2 * _SLOPE + 3:
+    if len(times) < 2 * _SLOPE + 3:
         return []
-    times, residual, velocity = _residuals(points.of(pairs, a_from_b), pairs, skews_ns, offset_ns)
+    residual, velocity = _residuals(views, times, skews_ns, offset_ns)
     windows = []
-    number = (times - times[0]) // _WINDOW_NS
-    for k in range(int(number[-1]) + 1):
-        inside = number == k
-        if np.count_nonzero(inside) < 8:
+    for inside in _seconds(times):
+        if inside.stop - inside.start < 8:
             continue
         r, v, weight = _centred(points, residual[inside], velocity[inside])
         moment, power = float(np.sum(weight * r * v)), float(np.sum(weight * v * v))
@@ -212,12 +214,18 @@ def _windows(
     return windows
 
 
+def _seconds(times: Array) -> Iterator[slice]:
+    """The frames of each second since the first."""
+    number = (times - times[0]) // _WINDOW_NS
+    ends = np.searchsorted(number, np.arange(number[-1] + 1.0), side="right").tolist()
+    return itertools.starmap(slice, itertools.pairwise([0, *ends]))
+
+
 def _residuals(
-    views: tuple[Array, Array], pairs: Sequence[SkeletonPair], skews_ns: Array, offset_ns: float
-) -> tuple[Array, Array, Array]:
-    """Times (T,), p − q' (T, M, 3) with B taken at A's times, and the velocity (T, M, 3) in m/s."""
+    views: tuple[Array, Array], times: Array, skews_ns: Array, offset_ns: float
+) -> tuple[Array, Array]:
+    """p − q' (T, M, 3) with B taken at A's times, and the velocity (T, M, 3) in m/s."""
     a, b = views
-    times = np.array([pair.time_ns for pair in pairs], dtype=np.float64)
     at_b = times + skews_ns + offset_ns  # when B's points were truly captured
     index = np.clip(np.searchsorted(at_b, times), 1, len(times) - 1)
     gap = at_b[index] - at_b[index - 1]
@@ -230,7 +238,7 @@ def _residuals(
     elapsed = (times[2 * _SLOPE :] - times[: -2 * _SLOPE]) * 1e-9
     velocity[_SLOPE:-_SLOPE] = (middle[2 * _SLOPE :] - middle[: -2 * _SLOPE]) / elapsed[:, None, None]
     velocity[_SLOPE:-_SLOPE][elapsed > 0.3] = np.nan  # across a gap
-    return times, a - b, velocity
+    return a - b, velocity
 
 
 def _centred(points: _Points, residual: Array, velocity: Array) -> tuple[Array, Array, Array]:
@@ -252,18 +260,12 @@ def _centred(points: _Points, residual: Array, velocity: Array) -> tuple[Array, 
 
 
 def _cost(
-    points: _Points,
-    views: tuple[Array, Array],
-    pairs: Sequence[SkeletonPair],
-    skews_ns: Array,
-    offset_ns: float,
+    points: _Points, views: tuple[Array, Array], times: Array, skews_ns: Array, offset_ns: float
 ) -> float:
     """Mismatch of the views' motions at an offset: mean robust penalty of the residuals."""
-    times, residual, velocity = _residuals(views, pairs, skews_ns, offset_ns)
+    residual, velocity = _residuals(views, times, skews_ns, offset_ns)
     penalty, count = 0.0, 0
-    number = (times - times[0]) // _WINDOW_NS
-    for k in range(int(number[-1]) + 1):
-        inside = number == k
+    for inside in _seconds(times):
         r, _, weight = _centred(points, residual[inside], velocity[inside])
         known = weight[..., 0] > 0.0
         size = np.linalg.norm(r, axis=2) / points.noise

@@ -7,11 +7,12 @@ Keyframes are stored by the person's place and heading, so that the set covers t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.array_fields import new_arrays
 from fusion.body import Body
 from fusion.joint_kinds import limbs
 from fusion.rigid import RigidTransform
@@ -34,29 +35,25 @@ class Evidence(NamedTuple):
     """Joints of K pairs, ready for a fit.
 
     Attributes:
-        a, b: (K, J, 3) metres, each in its sensor's frame; 0 where unknown.
-        weights: (K, J) 0 where one of the views has no position, 1 where both track the joint.
-        basis: (K, 3) 1, cos h, sin h of the person's heading h in K_A's frame.
-        time_ns: (K,) when.
+        a, b: Metres, each in its sensor's frame; 0 where unknown.
+        weights: 0 where one of the views has no position, 1 where both track the joint.
+        basis: 1, cos h, sin h of the person's heading h in K_A's frame.
+        time_ns: When.
     """
 
-    a: Array
-    b: Array
-    weights: Array
-    basis: Array
-    time_ns: NDArray[np.int64]
+    a: Annotated[Array, ("K", "J", 3)]
+    b: Annotated[Array, ("K", "J", 3)]
+    weights: Annotated[Array, ("K", "J")]
+    basis: Annotated[Array, ("K", 3)]
+    time_ns: Annotated[NDArray[np.int64], ("K",)]
 
     def chosen(self, index: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Evidence:
         """Some of the pairs."""
-        return Evidence(
-            self.a[index], self.b[index], self.weights[index], self.basis[index], self.time_ns[index]
-        )
+        return Evidence._make(values[index] for values in self)
 
     def copy(self) -> Evidence:
         """The same pairs in arrays of their own."""
-        return Evidence(
-            self.a.copy(), self.b.copy(), self.weights.copy(), self.basis.copy(), self.time_ns.copy()
-        )
+        return Evidence._make(values.copy() for values in self)
 
     @property
     def folds(self) -> NDArray[np.int64]:
@@ -97,14 +94,7 @@ class KeyframeSet:
     def __init__(self, body: Body, capacity: int = 128, *, selective: bool = True) -> None:
         self._body, self._capacity, self._selective = body, capacity, selective
         self._left, self._right = _sides(body)
-        count = len(body)
-        self._store = Evidence(
-            np.zeros((capacity, count, 3)),
-            np.zeros((capacity, count, 3)),
-            np.zeros((capacity, count)),
-            np.zeros((capacity, 3)),
-            np.zeros(capacity, dtype=np.int64),
-        )
+        self._store = new_arrays(Evidence, K=capacity, J=len(body))
         self._cells: list[tuple[int, int, int]] = []
         self._newest: int | None = None
 
@@ -116,11 +106,6 @@ class KeyframeSet:
     def evidence(self) -> Evidence:
         """All keyframes, as views of the store, not ordered by time."""
         return self._store.chosen(slice(0, len(self._cells)))
-
-    def clear(self) -> None:
-        """Forgets all keyframes."""
-        self._cells.clear()
-        self._newest = None
 
     def forget_before(self, time_ns: int) -> None:
         """Forgets the keyframes older than ``time_ns``."""

@@ -25,8 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.medians import median_of_known
+from fusion.registration.error_model import RobustFitSettings, cost_of
 from fusion.registration.keyframes import Evidence, match_sides
-from fusion.registration.robust_fit import Prior, RobustFit, RobustFitSettings, cost_of, fit_robust
+from fusion.registration.robust_fit import Prior, RobustFit, fit_robust
 from fusion.rigid import RigidTransform
 from fusion.skeleton import TRACKED, Skeleton, SkeletonPair
 
@@ -160,7 +162,7 @@ class KnockDetector:
     def _offsets(self, blocks: Sequence[_Block]) -> Array:
         """(N, 3) the median difference of the views over the points of each block."""
         apart = np.array([b.a for b in blocks]) - self.a_from_b.apply(np.array([b.b for b in blocks]))
-        return np.asarray(np.nanmedian(apart, axis=1))
+        return median_of_known(apart)
 
     def _mean_points(self, view: Sequence[Skeleton | None]) -> Array:
         """(M, 3) mean over time of the midpoints that are tracked in every frame of the block."""

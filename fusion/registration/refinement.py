@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.errors import CalibrationError
+from fusion.registration.error_model import RobustFitSettings, disagreement
 from fusion.registration.keyframes import Evidence, KeyframeSet
-from fusion.registration.robust_fit import Prior, RobustFit, RobustFitSettings, disagreement, fit_robust
+from fusion.registration.robust_fit import Prior, RobustFit, fit_robust
 from fusion.rigid import RigidTransform
 from fusion.skeleton import SkeletonPair
 
@@ -78,16 +79,11 @@ class Refinement:
         self._proposal: Generator[None, None, RobustFit | None] | None = None
         self._proposed_ns = 0
 
-    def restart(
-        self, a_from_b: RigidTransform, keep_from_ns: int | None = None, prior: Prior | None = None
-    ) -> None:
-        """Puts another transform in force and forgets the keyframes, or those before a time."""
-        self._in_force, self.prior, self._proposal = a_from_b, prior, None
+    def restart(self, a_from_b: RigidTransform, keep_from_ns: int, prior: Prior | None = None) -> None:
+        """Puts another transform in force and forgets the keyframes before a time."""
+        self.adopt(a_from_b, prior)
         self._biases, self._next_ns = None, None
-        if keep_from_ns is None:
-            self.keyframes.clear()
-        else:
-            self.keyframes.forget_before(keep_from_ns)
+        self.keyframes.forget_before(keep_from_ns)
 
     def adopt(self, a_from_b: RigidTransform, prior: Prior | None = None) -> None:
         """Puts another transform in force and keeps the evidence."""

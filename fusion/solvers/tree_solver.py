@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from fusion.array_fields import new_arrays
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.solvers import MAX_ITERATIONS
 from fusion.solvers.tree_elimination import (
@@ -27,11 +28,11 @@ from fusion.solvers.tree_start import (
     BENT_AWAY,
     FROM_START,
     FROM_TARGETS,
+    TreeWorkspace,
     aim_at,
     copy,
     leave_saddle,
     load,
-    new_tree_workspace,
     place,
     stretch,
 )
@@ -236,5 +237,5 @@ def compile_tree_solver(matrices: bool = False) -> None:
     parents, order, rest = np.array([-1, 0]), np.array([0, 1]), np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     weights = np.tile(np.eye(3), (2, 1, 1)) if matrices else np.ones(2)
     start, positions = np.full((2, 3), np.nan), np.empty((2, 3))
-    work = new_tree_workspace(2)
+    work = new_arrays(TreeWorkspace, J=2)
     solve_tree(parents, order, rest, np.zeros((2, 3)), weights, np.ones(2), start, work, positions)

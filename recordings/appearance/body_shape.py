@@ -38,6 +38,8 @@ _RADII = {
 }
 """Metres by kind of bone: somewhat slimmer than an adult's, so that S_A and S_B are seen beside the body."""
 _FACE = ("nose", "eye", "ear")
+_NOSE = 0.15
+"""Metres from the middle of the head to the tip of the nose."""
 _ROOT_RADIUS = 0.085
 _BACK = -0.9999
 """Cosine below which a direction counts as −z, about which the shortest rotation is undetermined."""
@@ -108,6 +110,24 @@ def capsule_rotations(body: Body, positions: NDArray[np.floating]) -> NDArray[np
     rotations = _rounded(rotations)
     rotations[along[..., 2] < _BACK] = (1.0, 0.0, 0.0, 0.0)
     return rotations
+
+
+def nose_vectors(body: Body, positions: NDArray[np.floating]) -> NDArray[np.float32]:
+    """(T, 1, 3) metres from the head to the tip of the nose: at right angles to shoulders and neck.
+
+    The head is drawn as if it faced where the chest does. Zero where a joint is missing.
+
+    Args:
+        body: The body that defines the joints.
+        positions: (T, J, 3) metres.
+    """
+    at = np.asarray(positions, dtype=np.float32)
+    shoulders = at[:, body.joint("shoulder right")] - at[:, body.joint("shoulder left")]
+    neck = at[:, body.root] - at[:, body.joint("head")]
+    forward = np.cross(shoulders, neck)
+    length = np.linalg.norm(forward, axis=1, keepdims=True)
+    forward = np.nan_to_num(forward / np.where(length > 0.0, length, 1.0))
+    return _rounded(np.float32(_NOSE) * forward)[:, None]
 
 
 def parents(body: Body) -> NDArray[np.int64]:

@@ -9,16 +9,11 @@ from typing import Any, Literal
 import rerun as rr
 
 from recordings import layout
-from recordings.appearance.colors import Color
+from recordings.appearance.colors import MARK_COLORS
 
 Point = tuple[float, float, float]
 Meaning = Literal["do", "mend", "better"]
 
-_COLORS: dict[Meaning, Color] = {
-    "do": (64, 168, 96),  # green: go here
-    "mend": (220, 60, 60),  # red: something is wrong here
-    "better": (226, 168, 60),  # amber: it could stand here
-}
 _MANY = 3  # paragraphs
 _LINE_RADIUS = rr.components.Radius.ui_points(2.0)
 
@@ -45,10 +40,12 @@ class CoachPage:
     Attributes:
         text: The advice in Markdown.
         marks: The marks by their name in :data:`layout.COACH_MARKS`. Missing marks are not drawn.
+        from_start: Whether the page holds from the first frame on, even if it is written later.
     """
 
     text: str
     marks: tuple[tuple[str, Mark], ...] = ()
+    from_start: bool = False
 
     def entities(self) -> Iterator[tuple[str, Any]]:
         """Pairs of entity and archetype to log. An absent mark is logged as empty, which clears it."""
@@ -63,7 +60,7 @@ class CoachPage:
                 layout.coach_mark(name),
                 rr.LineStrips3D(
                     mark.lines,
-                    colors=_COLORS[mark.meaning],
+                    colors=MARK_COLORS[mark.meaning],
                     radii=_LINE_RADIUS,
                     labels=[mark.words, *[""] * (len(mark.lines) - 1)],
                     show_labels=True,

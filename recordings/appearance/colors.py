@@ -1,28 +1,36 @@
-"""Colours of skeletons, joints and states, and what is shown by default."""
+"""Colours of skeletons, joints, states and advice, and what is shown by default.
+
+People with protanopia or deuteranopia tell them apart as well; a test computes the distances (CIEDE2000, with
+the model of colour vision of Machado et al. 2009).
+"""
 
 from __future__ import annotations
 
 Color = tuple[int, int, int]
 
 SKELETON_COLORS: dict[str, Color] = {
-    "a": (184, 115, 51),  # the paper's brown,
-    "b": (58, 134, 255),  # blue
-    "fused": (178, 78, 232),  # and purple
-    "truth": (64, 168, 96),
-    "exchanged_a": (240, 220, 70),  # yellow, and cyan: each next to the color of its own view
-    "exchanged_b": (70, 225, 225),
+    "a": (197, 96, 0),  # orange
+    "b": (32, 97, 172),  # blue
+    "fused": (215, 134, 255),  # light violet
+    "truth": (20, 188, 149),  # green
+    "exchanged_a": (250, 240, 60),  # yellow, and cyan: each next to the colour of its own view
+    "exchanged_b": (90, 220, 235),
 }
 """By the names of :data:`recordings.layout.SKELETON_NAMES`."""
 VIEW_COLORS: dict[str, tuple[Color, Color, Color]] = {
-    "a": (SKELETON_COLORS["a"], (134, 104, 76), (176, 156, 36)),
-    "b": (SKELETON_COLORS["b"], (92, 116, 164), (28, 164, 164)),
+    "a": (SKELETON_COLORS["a"], (134, 92, 56), (186, 170, 36)),
+    "b": (SKELETON_COLORS["b"], (66, 94, 128), (40, 170, 175)),
 }
 """Of a joint of S_A and S_B that is tracked, that is inferred, and whose sides were exchanged. The last two
 are dimmed."""
-PREDICTED_COLOR: Color = (150, 150, 150)
+PREDICTED_COLOR: Color = (97, 97, 97)
 """Colour of a joint of S* without data from any sensor."""
-STATE_COLORS: tuple[Color, ...] = ((190, 60, 60), (226, 168, 60), (86, 160, 96))
+MARK_COLORS: dict[str, Color] = {"do": (20, 188, 149), "mend": (190, 10, 60), "better": (240, 192, 24)}
+"""Of the coach's marks: where to go, what is wrong, and where a sensor could stand: green, red, amber."""
+STATE_COLORS: tuple[Color, ...] = (PREDICTED_COLOR, MARK_COLORS["better"], MARK_COLORS["do"])
 """By the indices of :data:`recordings.layout.STATE_NAMES`."""
+FACE_COLOR: Color = (235, 225, 205)
+"""Of the nose of S*, which shows where the person faces."""
 TARGET_COLOR = (128, 128, 128)
 """Colour of the target bone length. Unlike the paper's black, it is readable on light and dark
 backgrounds."""

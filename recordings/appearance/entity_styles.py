@@ -13,6 +13,7 @@ from fusion.intrinsics import Intrinsics
 from recordings import layout
 from recordings.appearance.body_shape import capsule_radii
 from recordings.appearance.colors import (
+    FACE_COLOR,
     JOINT_RADII,
     PREDICTED_COLOR,
     PROMINENT_JOINTS,
@@ -24,6 +25,7 @@ from recordings.appearance.colors import (
 from recordings.appearance.joint_trust import SOURCE_COLORS, SOURCES
 
 _CLOUD_RADIUS = rr.components.Radius.ui_points(0.5)  # metres would hide the person behind points near the eye
+_NOSE_RADIUS = 0.022  # metres
 _BONE_RADIUS = 1.2  # points on the screen: seen beside the body from where the eye stands, light and dark
 _FRUSTUM_DEPTH = 0.25  # metres
 _ABOVE_SENSOR = (0.0, -0.42, 0.0)  # above the frustum, which is drawn 0.2 or 0.3 m deep
@@ -217,6 +219,14 @@ def body_capsules(body: Body) -> Visualizer:
             translations="Points3D:positions",
             colors="Points3D:colors",
         )
+    )
+
+
+def nose() -> Visualizer:
+    """An arrow out of the head of S*: the side to which the person faces."""
+    look = rr.Arrows3D.from_fields(radii=_NOSE_RADIUS, colors=FACE_COLOR, show_labels=False)
+    return look.visualizer(
+        mappings=_mapped("Arrows3D", vectors=layout.NOSE_VECTOR, origins=layout.NOSE_ORIGIN)
     )
 
 

@@ -6,6 +6,8 @@ dropped; frames are never interpolated. TRC has y up, one time per frame, and em
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +32,7 @@ def write_c3d(session: Session, path: Path) -> str:
 
     Raises:
         RecordingError: ``ezc3d`` is not installed, or the session is too long for the format.
+        OSError: The file could not be written completely.
     """
     try:
         import ezc3d
@@ -61,6 +64,10 @@ def write_c3d(session: Session, path: Path) -> str:
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, J, N), dtype=bool)
     file["data"]["analogs"] = np.zeros((1, 0, N))
     file.write(str(path))
+    with path.open("rb") as written:  # ezc3d does not notice a full disk
+        begin = 512 * (int.from_bytes(written.read(18)[16:], "little") - 1)
+    if path.stat().st_size < begin + points.astype(np.float32).nbytes:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     return even.in_words(len(session))
 
 

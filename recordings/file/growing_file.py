@@ -131,7 +131,7 @@ def partial_beside(path: Path) -> Path:
 
     It has the suffix of `path` in lower case, because ezc3d appends the suffix to any other name.
     """
-    return path.with_name(f".{crc32(path.name.encode()):08x}.{os.getpid()}.partial{path.suffix.lower()}")
+    return path.with_name(f".{crc32(os.fsencode(path.name)):08x}.{os.getpid()}.partial{path.suffix.lower()}")
 
 
 def _write_whole(file: FileIO, block: bytes | memoryview, at: int) -> None:

@@ -36,6 +36,8 @@ from recordings.writing.checksums import (
 _TIME = layout.QUALITY, layout.TIME
 _FRAME_CRC, _FUSED_CRC = (layout.QUALITY, FRAME_CRC), (layout.QUALITY, FUSED_CRC)
 _JOINT_DIGESTS = layout.QUALITY, layout.JOINT_DIGESTS
+_PROVISIONAL = ("none yet", "provisional")
+"""How descriptions of provisional calibrations begin in sessions of 1.0 and earlier."""
 
 
 def read_session(path: Path) -> SessionData:
@@ -124,7 +126,9 @@ def _calibrations_of(path: Path, body: Body, found: Columns) -> list[tuple[int, 
                 body,
                 float(of.get("translation_sd", [np.nan])[0]),
             )
-        at[frame] = Calibration(body, a_from_b, lengths, str(of["how"][0]), registration)
+        how = str(of["how"][0])
+        provisional = of.get("provisional", [how.startswith(_PROVISIONAL)])[0]
+        at[frame] = Calibration(body, a_from_b, lengths, how, registration, bool(provisional))
     if 0 not in at:
         raise RecordingError(
             f"{path}: its calibration is missing" + (f"; {found.damage}." if found.damage else ".")

@@ -33,7 +33,8 @@ _BLOCK = 300
 """Frames per write: a file that is cut off loses at most ten seconds more than what is missing."""
 _FLUSH_WITHIN = 60  # seconds
 _FULL = 65_536  # bytes: with less space, a disk is full
-_LEFT_AFTER = 2.0  # seconds
+LEFT_AFTER = 2.0
+"""Seconds to wait for a stream whose file may have failed."""
 
 
 def write_session(
@@ -131,7 +132,7 @@ def whole_recording(
         # Rerun's, once its thread could not write
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
     finally:
-        _disconnect(stream, _FLUSH_WITHIN if sys.exception() is None else _LEFT_AFTER)
+        disconnect(stream, _FLUSH_WITHIN if sys.exception() is None else LEFT_AFTER)
     check_whole(path)
 
 
@@ -153,12 +154,13 @@ def _flush(stream: rr.RecordingStream, path: Path) -> None:
                 raise
 
 
-def _disconnect(stream: rr.RecordingStream, within: float) -> None:
+def disconnect(stream: rr.RecordingStream, within: float) -> None:
     """Disconnects a stream; leaves it behind where Rerun waits for ever, as after a failed write."""
     waiting = threading.Thread(target=stream.disconnect, daemon=True)
     waiting.start()
     waiting.join(within)
     if waiting.is_alive():
+        _LEFT_BEHIND.append(stream)
         rr.unregister_shutdown()  # at exit it would wait for this stream, too
 
 
@@ -196,9 +198,16 @@ def _copy_images(session: SessionData, recorder: Recorder, first: int, end: int)
 # internal functions of Rerun as these two, which is safe while ``pyproject.toml`` pins Rerun's minor version.
 
 
+_LEFT_BEHIND: list[rr.RecordingStream] = []
+
+
 def _free_dropped_streams() -> None:
-    """Frees all disconnected streams to which the program no longer refers."""
-    rerun_bindings.flush_and_cleanup_orphaned_recordings()
+    """Frees all disconnected streams to which the program no longer refers.
+
+    Rerun looks at all streams for that, and would wait for ever for one that was left behind.
+    """
+    if not _LEFT_BEHIND:
+        rerun_bindings.flush_and_cleanup_orphaned_recordings()
 
 
 def _send_blueprint(stream: rr.RecordingStream, blueprint: Any) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +20,11 @@ from fusion.errors import CalibrationError
 from fusion.handedness import mirrored_share
 from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings, Hindsight
-from recordings.fusing.pairs import Segments, calibrated, fuse_segments, setups_of
-from recordings.fusing.view_events import view_events
+from recordings.fusing.pairs import Segments, calibration_event, fuse_segments, setups_of
+from recordings.fusing.view_events import watch
 from recordings.images import RecordingImages
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 
 _UNRELATED = 0.2  # metres
 
@@ -88,8 +90,8 @@ def fuse(
     if not force:
         check_related(read, plan, str(a), str(b))
     segments = setups_of(plan, settings, read.cameras(depth))
-    frames = list(fuse_segments(segments, pairs, plan.codes))
-    return fused_session(read, plan, segments, frames, (str(a), str(b)), depth)
+    frames = fuse_segments(segments, pairs, plan.codes)
+    return fused_session(read, plan, segments, frames, without_folders((str(a), str(b))), depth)
 
 
 def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> None:
@@ -121,11 +123,20 @@ def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> N
     )
 
 
+def without_folders(sources: tuple[str, str]) -> tuple[str, str]:
+    """The names of the sensors; for files, the shortest end of the path that distinguishes them."""
+    a, b = (re.split(r"[/\\]", source) for source in sources)
+    for parts in range(1, min(len(a), len(b)) + 1):
+        if a[-parts:] != b[-parts:]:
+            return "/".join(a[-parts:]), "/".join(b[-parts:])
+    return a[-1], b[-1]
+
+
 def fused_session(
     read: TwoRecordings,
     plan: RecordingPlan,
     segments: Segments,
-    frames: Sequence[RecordedFrame],
+    frames: Iterable[SessionFrame],
     sources: tuple[str, str],
     depth: Depth,
     progress: Progress = quietly,
@@ -136,16 +147,18 @@ def fused_session(
         read: The recordings.
         plan: Plan of the recordings.
         segments: Setups with which they were fused.
-        frames: Fused frames.
+        frames: Fused frames; they are not kept.
         sources: Names of the recordings.
         depth: How many depth images the session contains; they are read from the recordings on demand.
         progress: Shows the progress of reading the depth images.
     """
     first_ns = read.pairing.pairs[0].time_ns
+    events = _events_of(read, plan, segments, first_ns)
+    watched = watch(read.body, frames, first_ns, events)
     return Session.of(
-        [(setup, frames[own]) for setup, own in segments],
+        [(setup, islice(watched, own.stop - own.start)) for setup, own in segments],
         sources,
-        events=[*_events_of(read, plan, segments, first_ns), *view_events(read.body, frames, first_ns)],
+        events=events,  # those of the views come in while the frames are taken
         images=RecordingImages(read, depth, progress),
         about=_about(read, plan),
     )
@@ -164,7 +177,7 @@ def _events_of(read: TwoRecordings, plan: RecordingPlan, segments: Segments, fir
     """Returns calibrations, warnings and events of the learner, in time order."""
     pairs = read.pairing.pairs
     times = np.array([pair.time_ns for pair in pairs], dtype=np.int64)
-    events = [calibrated(setup, own, times - first_ns) for setup, own in segments]
+    events = [calibration_event(setup, own, times - first_ns) for setup, own in segments]
     events += [Event(text, "WARN") for text in read.warnings]
     if plan.clock is not None:
         events.append(Event(plan.clock.event))

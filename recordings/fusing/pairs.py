@@ -14,7 +14,7 @@ from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
 from fusion.plan import RecordingPlan
 from fusion.setup import FuserSettings, FusionSetup
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 
 Segments = Sequence[tuple[FusionSetup, slice]]
 """The setups of successive parts of a recording."""
@@ -29,7 +29,7 @@ def setups_of(
 
 def fuse_segments(
     segments: Segments, pairs: Sequence[FramePair], codes: NDArray[np.int64] | None = None
-) -> Iterator[RecordedFrame]:
+) -> Iterator[SessionFrame]:
     """Fuses a recording with the calibration of each segment.
 
     The method ``duplex`` keeps its state from segment to segment; the paper's methods start each one anew.
@@ -51,20 +51,20 @@ def fuse_segments(
             smoothed = fuser.smooth_sequence([pair.skeletons for pair in pairs[own]], known)
             each = (time.perf_counter_ns() - before) // max(len(smoothed), 1)
             for pair, fused in zip(pairs[own], smoothed, strict=True):
-                yield RecordedFrame(pair, fused, each)
+                yield SessionFrame(pair, fused, each)
             continue
         for k, pair in enumerate(pairs[own]):
             yield fuse_one(fuser, pair, None if known is None else (int(known[k, 0]), int(known[k, 1])))
 
 
-def fuse_one(fuser: Fuser, pair: FramePair, codes: tuple[int, int] | None = None) -> RecordedFrame:
+def fuse_one(fuser: Fuser, pair: FramePair, codes: tuple[int, int] | None = None) -> SessionFrame:
     """Fuses a pair and measures the time; ``codes`` as in :meth:`fusion.fuser.Fuser.update`."""
     before = time.perf_counter_ns()
     fused = fuser.update(pair.skeletons, codes)
-    return RecordedFrame(pair, fused, time.perf_counter_ns() - before)
+    return SessionFrame(pair, fused, time.perf_counter_ns() - before)
 
 
-def calibrated(setup: FusionSetup, own: slice, time_ns: NDArray[np.int64]) -> Event:
+def calibration_event(setup: FusionSetup, own: slice, time_ns: NDArray[np.int64]) -> Event:
     """Returns the event that a calibration takes effect, at the frame before its first.
 
     Args:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from devices.events import Event
 from fusion.body import Body
 from fusion.fused_frame import FusedFrame
+from fusion.joint_kinds import of_kind
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 
 _PARTS = {0: "trunk", 1: "arms", 2: "legs", 3: "whole body"}
-_LIMBS = {"arm": ("elbow", "wrist", "hand"), "leg": ("knee", "ankle", "foot")}
+_LIMBS = {"arm": ("elbow", "wrist", "hand", "tip"), "leg": ("knee", "ankle", "foot")}  # kinds of joints
 _FEWEST = 2  # joints
 _OVERRULED = 0.1  # share in S* below which a view does not count
 _FAR = 0.2  # metres from S*: seven times the usual distance of a view's joint
@@ -46,8 +47,10 @@ class ViewEvents:
 
     def __init__(self, body: Body) -> None:
         self._limbs = {
-            f"{side} {limb}": _joints_of(body, side, parts)
-            for limb, parts in _LIMBS.items()
+            f"{side} {limb}": np.flatnonzero(
+                of_kind(body, *kinds) & [side in name.lower() for name in body.joints]
+            )
+            for limb, kinds in _LIMBS.items()
             for side in ("left", "right")
         }
         self._exchanged_since_ns: dict[str, int] = {}
@@ -114,18 +117,12 @@ class ViewEvents:
         return events
 
 
-def view_events(body: Body, frames: Iterable[RecordedFrame], first_ns: int) -> list[Event]:
-    """Returns the events of frames in time order; ``first_ns`` is the time of the session's first pair."""
+def watch(
+    body: Body, frames: Iterable[SessionFrame], first_ns: int, events: list[Event]
+) -> Iterator[SessionFrame]:
+    """Passes frames on in time order and appends their events; the first pair is at ``first_ns``."""
     views = ViewEvents(body)
-    return [
-        event.placed(number, frame.fused.time_ns - first_ns)
-        for number, frame in enumerate(frames)
-        for event in views.observe(frame.pair.skeletons, frame.fused)
-    ]
-
-
-def _joints_of(body: Body, side: str, parts: tuple[str, ...]) -> NDArray[np.int64]:
-    names = [name.lower() for name in body.joints]
-    return np.array(
-        [j for j, name in enumerate(names) if side in name and any(part in name for part in parts)]
-    )
+    for number, frame in enumerate(frames):
+        found = views.observe(frame.pair.skeletons, frame.fused)
+        events += [event.placed(number, frame.fused.time_ns - first_ns) for event in found]
+        yield frame

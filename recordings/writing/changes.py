@@ -12,7 +12,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from devices.capture.sensor_pair import StreamFigures
+from devices.capture.stream_pairing import PairingFigures
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles
@@ -135,7 +135,7 @@ class StreamFiguresLog:
         self._stream = stream
         self._last: dict[str, tuple[int, list[float]]] = {}
 
-    def record(self, frame: int, time_ns: int, figures: StreamFigures) -> None:
+    def record(self, frame: int, time_ns: int, figures: PairingFigures) -> None:
         """Logs the figures known at a frame."""
         by_name = {
             "drift_ppm": [figures.drift_ppm],
@@ -161,9 +161,9 @@ def jitter(positions: NDArray[np.float32]) -> float:
     Args:
         positions: (T, J, 3) metres, NaN where not tracked; T ≥ 3.
     """
-    bends = np.linalg.norm(positions[:-2] - 2.0 * positions[1:-1] + positions[2:], axis=2)
-    bends = bends[np.isfinite(bends)]
-    return float(np.median(bends)) if bends.size else float("nan")
+    accelerations = np.linalg.norm(positions[:-2] - 2.0 * positions[1:-1] + positions[2:], axis=2)
+    accelerations = accelerations[np.isfinite(accelerations)]
+    return float(np.median(accelerations)) if accelerations.size else float("nan")
 
 
 class Lanes:

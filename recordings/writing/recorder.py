@@ -18,7 +18,7 @@ from recordings import layout
 from recordings.appearance import entity_styles
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.joint_trust import LIMBS, SOURCES, LimbSources, TrustColors
-from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.session_arrays import SessionArrays, SessionFrame
 from recordings.writing.arrow_columns import Times, depth_image, points
 from recordings.writing.changes import Lanes, PlacementLog, QualityLog, StreamFiguresLog, set_time
 from recordings.writing.checksums import FusedChecks, event_checksum, image_checksum, properties_checksum
@@ -60,7 +60,7 @@ class Recorder:
         self._calibration = setup.calibration
         self._frames, self._start_ns = 0, start_ns
         self._pause = pause or (lambda: None)
-        self._plots_every, self._unplotted = plots_every, list[tuple[RecordedFrame, int]]()
+        self._plots_every, self._unplotted = plots_every, list[tuple[SessionFrame, int]]()
         self._like: SessionArrays | None = None
         self._last: tuple[int, int] | None = None
         self._depth_every, self._points = depth_every, points
@@ -88,6 +88,7 @@ class Recorder:
         registration = calibration.registration
         values: dict[str, Any] = {
             "how": calibration.how,
+            "provisional": calibration.provisional,
             "rotation": calibration.a_from_b.rotation.ravel(),
             "translation": calibration.a_from_b.translation,
             "bone_lengths": calibration.bone_lengths,
@@ -105,7 +106,7 @@ class Recorder:
         self._stream.log(layout.CALIBRATION, rr.AnyValues(**values, calibration_crc32=check))
 
     def record_all(
-        self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None = None
+        self, frames: Sequence[SessionFrame], numbers: Sequence[int] | None = None
     ) -> SessionArrays:
         """Logs many frames by columns; may be called again for the following frames.
 
@@ -164,7 +165,7 @@ class Recorder:
             self._stream.send_columns(entity, times, columns)
             self._pause()
 
-    def record_images(self, number: int, frame: RecordedFrame) -> None:
+    def record_images(self, number: int, frame: SessionFrame) -> None:
         """Logs the images of a frame, in time order. The frame must be recorded later without images."""
         time_ns = frame.pair.time_ns - self._begun_by(frame)
         if self._depth_every == 0 or number % self._depth_every:
@@ -210,8 +211,8 @@ class Recorder:
         self._stream.log(layout.EVENTS, rr.TextLog(event.text, level=event.level), values)
 
     def coach(self, page: CoachPage) -> None:
-        """Logs the coach's page at the time of the last frame."""
-        set_time(self._stream, *(self._last or (0, 0)))
+        """Logs the coach's page at the time of the last frame, or at the start."""
+        set_time(self._stream, *((0, 0) if page.from_start or self._last is None else self._last))
         for entity, what in page.entities():
             self._stream.log(entity, what)
 
@@ -220,14 +221,14 @@ class Recorder:
         self.plot()
         self._stream.send_property("end", rr.AnyValues(frames=self._frames))
 
-    def _log_sensors(self, frames: Sequence[RecordedFrame], rows: SessionArrays) -> None:
+    def _log_sensors(self, frames: Sequence[SessionFrame], rows: SessionArrays) -> None:
         """Logs sensor data other than skeletons."""
         for frame, number, time_ns in zip(frames, rows.frame.tolist(), rows.time_ns.tolist(), strict=True):
             if frame.streams is not None:
                 self._figures.record(number, time_ns, frame.streams)
             self.record_images(number, frame)
 
-    def _stack(self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None) -> SessionArrays:
+    def _stack(self, frames: Sequence[SessionFrame], numbers: Sequence[int] | None) -> SessionArrays:
         if numbers is None:
             numbers = range(self._frames, self._frames + len(frames))
         calibration = self._calibration
@@ -239,7 +240,7 @@ class Recorder:
         self._frames = numbers[-1] + 1
         return rows
 
-    def _begun_by(self, frame: RecordedFrame) -> int:
+    def _begun_by(self, frame: SessionFrame) -> int:
         """The start time of the session; set by this frame if it is the first."""
         if self._start_ns is None:
             self._start_ns = frame.pair.time_ns

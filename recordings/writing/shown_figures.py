@@ -18,6 +18,7 @@ from recordings.appearance.body_shape import (
     bone_vectors,
     capsule_lengths,
     capsule_rotations,
+    nose_vectors,
     parents,
     pelvis_rotations,
 )
@@ -125,6 +126,18 @@ SHOWN_FIGURES = (
         np.float32,
         lambda rows: capsule_lengths(rows.body, rows.bone_lengths),
     ),
+    ShownFigure(
+        layout.FUSED_SKELETON,
+        layout.NOSE_ORIGIN,
+        np.float32,
+        lambda rows: rows.fused[:, [rows.body.joint("head")]],
+    ),
+    ShownFigure(
+        layout.FUSED_SKELETON,
+        layout.NOSE_VECTOR,
+        np.float32,
+        lambda rows: nose_vectors(rows.body, rows.fused),
+    ),
     ShownFigure(layout.skeleton("a"), "Points3D:class_ids", np.uint16, _view_class("a")),
     ShownFigure(layout.skeleton("b"), "Points3D:class_ids", np.uint16, _view_class("b")),
     ShownFigure(layout.FUSED_SKELETON, layout.SIGMA_SPHERES, np.float32, _sigma_spheres),
@@ -148,8 +161,3 @@ SHOWN_FIGURES = (
     ),
     ShownFigure(layout.QUALITY, "sensors.tracked_joints", np.uint8, _tracked_joints),
 )
-
-
-def shown_values(rows: SessionArrays, entity: str, component: str) -> NDArray[Any] | None:
-    """(T, …) values of one derived figure; None where there are none."""
-    return next(f for f in SHOWN_FIGURES if (f.entity, f.component) == (entity, component)).values(rows)

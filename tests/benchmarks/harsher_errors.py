@@ -5,7 +5,7 @@ They test whether a method that was developed on the simulator generalizes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from typing import Any
 
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.simulated.tracking.mirroring import Mirroring
-from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
+from devices.simulated.tracking.tracker_errors import ByKind, TrackerErrors
 from fusion.body import Body
-from fusion.joint_kinds import kind_of
+from fusion.joint_kinds import by_joint, kind_of
 
 SIZES = frozenset(
     {"view_bias", "skin", "inferred_error", "outlier_size", "rescale", "jitter", "moving_jitter"}
@@ -56,15 +56,17 @@ def scaled(errors: TrackerErrors, factor: float) -> TrackerErrors:
     return replace(errors, **larger)
 
 
-_TAIL = JointGroups(
-    spine=0.012, head=0.012, girdle=0.012, elbow=0.012, wrist=0.015, hand=0.018, tip=0.018, thumb=0.018,
-    knee=0.006, ankle=0.006, foot=0.006, face=0.012,
-)  # fmt: skip
+_TAIL = {
+    "spine": 0.012, "head": 0.012, "girdle": 0.012, "elbow": 0.012, "wrist": 0.015, "hand": 0.018,
+    "tip": 0.018, "thumb": 0.018,
+    "knee": 0.006, "ankle": 0.006, "foot": 0.006, "face": 0.012,
+}  # fmt: skip
 """Median size of heavy-tailed errors per axis, metres, by kind of joint."""
-_SPREAD = JointGroups(
-    spine=0.5, head=0.9, girdle=0.5, elbow=0.9, wrist=1.2, hand=1.4, tip=1.4, thumb=1.4, knee=0.5, ankle=0.5,
-    foot=0.5, face=0.9,
-)  # fmt: skip
+_SPREAD = {
+    "spine": 0.5, "head": 0.9, "girdle": 0.5, "elbow": 0.9, "wrist": 1.2, "hand": 1.4, "tip": 1.4,
+    "thumb": 1.4, "knee": 0.5, "ankle": 0.5,
+    "foot": 0.5, "face": 0.9,
+}  # fmt: skip
 """Standard deviation of the logarithm of their size. With 1.4, the 99th percentile is 30 times the median."""
 _ERROR_SECONDS = 0.3  # correlation time of an error's direction
 _SIZE_SECONDS = 1.0  # correlation time of its size: a hand passes in front of the trunk in about a second
@@ -82,7 +84,7 @@ def heavy_tails(
     of three such values, both first-order autoregressive. Both belong to the joint's limb (trunk, head, each
     arm, each leg).
     """
-    size, spread, limb = _TAIL.of(body), _SPREAD.of(body), limbs(body)
+    size, spread, limb = by_joint(body, _TAIL), by_joint(body, _SPREAD), limbs(body)
     count = int(limb.max()) + 1
     g, h = random.standard_normal((count, 3)), random.standard_normal(count)
     keep_g, keep_h = (np.exp(-frame_seconds / seconds) for seconds in (_ERROR_SECONDS, _SIZE_SECONDS))
@@ -122,23 +124,20 @@ def heavy_tailed(errors: TrackerErrors) -> TrackerErrors:
         outliers=0.0,
         rescale=0.0,
         moving_jitter=0.0,
-        jitter=JointGroups(
-            spine=0.0003, head=0.0005, girdle=0.0003, elbow=0.0007, wrist=0.001, hand=0.0013, tip=0.0013,
-            thumb=0.0013, knee=0.0003, ankle=0.0003, foot=0.0003, face=0.0005,
-        ),
+        jitter={
+            "spine": 0.0003, "head": 0.0005, "girdle": 0.0003, "elbow": 0.0007, "wrist": 0.001,
+            "hand": 0.0013, "tip": 0.0013,
+            "thumb": 0.0013, "knee": 0.0003, "ankle": 0.0003, "foot": 0.0003, "face": 0.0005,
+        },
         added=heavy_tails,
     )  # fmt: skip
 
 
-def _times(
-    value: float | JointGroups | Mirroring, factor: float, *, share: bool
-) -> float | JointGroups | Mirroring:
+def _times(value: float | ByKind | Mirroring, factor: float, *, share: bool) -> float | ByKind | Mirroring:
     if isinstance(value, Mirroring):
         return replace(value, back=_product(value.back, factor, share))
-    if isinstance(value, JointGroups):
-        return JointGroups(
-            **{kind.name: _product(getattr(value, kind.name), factor, share) for kind in fields(JointGroups)}
-        )
+    if isinstance(value, Mapping):
+        return {kind: _product(each, factor, share) for kind, each in value.items()}
     return _product(value, factor, share)
 
 

@@ -26,7 +26,7 @@ from fusion.body import AZURE_KINECT, Body
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from tests.benchmarks import results
 from tests.experiments.soak import soak
 from viewer_app.addresses import LOOPBACK
@@ -62,7 +62,7 @@ class _Departures(Sink):
     def __init__(self) -> None:
         self.times: list[tuple[int, int]] = []  # perf_counter, time of the pair
 
-    def write(self, frame: RecordedFrame) -> None:
+    def write(self, frame: SessionFrame) -> None:
         self.times.append((time.perf_counter_ns(), frame.pair.time_ns))
 
 

@@ -25,8 +25,8 @@ from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton
+from recordings.fusing.live_fusion import LiveFusion
 from recordings.fusing.pairs import fuse_segments, setups_of
-from recordings.fusing.sensors import LiveFusion
 from tests.benchmarks import baselines
 
 Array = NDArray[np.float64]

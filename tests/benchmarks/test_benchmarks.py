@@ -14,7 +14,7 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import KINECT_V1, KINECT_V2
 from fusion.rigid import RigidTransform
 from fusion.setup import FuserSettings, FusionSetup
-from recordings.fusing.sensors import LiveFusion
+from recordings.fusing.live_fusion import LiveFusion
 from tests.benchmarks import accuracy, speed
 from tests.benchmarks.harsher_errors import heavy_tailed, scaled
 from tests.benchmarks.methods import ABLATIONS, METHODS, OURS, WITHOUT_DEPTH

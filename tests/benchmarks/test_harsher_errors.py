@@ -40,8 +40,8 @@ def test_once_as_large_is_the_same() -> None:
 def test_sizes_and_shares_grow_and_shapes_stay() -> None:
     larger = scaled(FITTED, 1.5)
     assert larger.view_bias == pytest.approx(1.5 * FITTED.view_bias)
-    assert larger.jitter.thumb == pytest.approx(1.5 * FITTED.jitter.thumb)
-    assert larger.unsure.hand == pytest.approx(1.5 * FITTED.unsure.hand)
+    assert larger.jitter["thumb"] == pytest.approx(1.5 * FITTED.jitter["thumb"])
+    assert larger.unsure["hand"] == pytest.approx(1.5 * FITTED.unsure["hand"])
     assert larger.mirroring.back == pytest.approx(1.5 * FITTED.mirroring.back)
     assert replace(larger.mirroring, back=FITTED.mirroring.back) == FITTED.mirroring
     often = TrackerErrors.of(KINECT_V2)

@@ -12,7 +12,7 @@ from devices.azure.kinect import KinectSensor
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.blazepose.settings import BlazePoseSettings
 from devices.blazepose.tracked_images import TrackedImages
-from devices.connected_sensors import connected_sensors
+from devices.live_sensors import connected_sensors
 from devices.sensor import DeviceError
 from devices.tracker_choice import TrackerChoice, choose_tracker, tracker_name
 from tests.helpers.orbbec.standin import Orbbec, OrbbecBus

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from devices.depth.witness import with_witness
 from devices.simulated.kinect import PERSON, SimulatedKinect, simulated_pair
+from fusion.array_fields import new_arrays
 from fusion.body import BODIES, Body
 from fusion.joint_kinds import kind_of
 from fusion.rigid import RigidTransform
@@ -25,7 +26,7 @@ from fusion.witness import (
     KNOTS,
     LARGEST,
     SURFACE_SD,
-    new_joint_evidence,
+    JointEvidence,
     new_witness_model,
     weigh_witness,
 )
@@ -103,7 +104,7 @@ def collect(view: View, flesh: dict[str, float], sums: Sums) -> None:
     for kind, group in _GROUPS.items():
         for row, of_it in enumerate((error < GOOD, error > BAD)):
             sums.counts[group][row] += hats(clearance[tracked & of_it & (kinds == kind)])
-    result = new_joint_evidence(joints)
+    result = new_arrays(JointEvidence, J=joints)
     everywhere = model._replace(information=np.ones((joints, 3)))
     for at, states, witness, truth in zip(view.positions, view.states, view.witness, view.truth, strict=True):
         weigh_witness(everywhere, np.eye(3), np.zeros(3), at, states, witness, result)

@@ -27,7 +27,6 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from devices.blazepose.networks.files import cache_folder, missing
-from fusion.setup import FusionSetup
 from recordings import Session, layout
 from recordings.file.rrd_file import RrdFile
 from tests.helpers.waiting import eventually
@@ -67,11 +66,11 @@ def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout
     with RrdFile(file) as opened:
         identity = opened.identity()
     assert identity is not None
-    setup = setup_of(session)
+    setup = session.last_setup
     found = {}
     with viewer(file) as (client, port):
         if clouds:
-            send_clouds(file, port)
+            send_clouds(file, f"rerun+http://{LOOPBACK}:{port}/proxy")
         stream = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
         stream.connect_grpc(f"rerun+http://{LOOPBACK}:{port}/proxy")
         for name, moment in moments.items():
@@ -83,12 +82,6 @@ def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout
             found[name] = settled_picture(client, moment)
         stream.disconnect()
     return found
-
-
-def setup_of(session: Session) -> FusionSetup:
-    """The last setup of a session."""
-    calibration = session.calibrations[-1][1]
-    return FusionSetup(calibration, session.settings, session.intrinsics_a, session.intrinsics_b)
 
 
 def blueprint_of(client: ViewerClient) -> str:

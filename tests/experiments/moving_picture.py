@@ -26,7 +26,7 @@ from devices.simulated.demonstration import MIRRORED, MISPLACED
 from fusion.rigid import RigidTransform
 from recordings import Session, layout
 from recordings.appearance.body_shape import capsule_lengths, capsule_radii, capsule_rotations, parents
-from recordings.appearance.colors import SKELETON_COLORS
+from recordings.appearance.colors import SKELETON_COLORS, Color
 from recordings.appearance.floor import find_floor
 from tests.helpers.waiting import eventually
 from viewer_app.cli import main
@@ -143,7 +143,7 @@ def _write_scene(file: Path, session: Session, skeletons: Skeletons, rows: Seque
             known = np.isfinite(at).all(axis=1)
             unseen = skeletons.unseen[key][row]
             colors = np.tile(SKELETON_COLORS[key], (len(body), 1))
-            colors[skeletons.wrong[key][row]] = WRONG
+            colors[skeletons.wrong[key][row]] = color_of_fault(skeletons, key, row)
             colors[unseen | unseen[parents(body)]] = _GHOST  # a bone needs both of its ends
             capsules = rr.Capsules3D(
                 lengths=lengths[known],
@@ -229,7 +229,7 @@ def with_captions(picture: Image.Image, skeletons: Skeletons, row: int) -> Image
         pen.text((middle, 24), _TITLES[key], fill=SKELETON_COLORS[key], font=title, anchor="mm")
         fault = fault_of(skeletons, key, row)
         if fault or (key == "fused" and any(fault_of(skeletons, side, row) for side in layout.SIDES)):
-            color = WRONG if fault else SKELETON_COLORS[key]
+            color = color_of_fault(skeletons, key, row) if fault else SKELETON_COLORS[key]
             pen.text(
                 (middle, picture.height - 20), fault or "stays right", fill=color, font=text, anchor="mm"
             )
@@ -238,6 +238,11 @@ def with_captions(picture: Image.Image, skeletons: Skeletons, row: int) -> Image
         if place:
             pen.line([(place * width, 12), (place * width, picture.height - 12)], fill=_GRID)
     return picture
+
+
+def color_of_fault(skeletons: Skeletons, key: str, row: int) -> Color:
+    """That of an exchanged view, as in the viewer; red for a single wrong joint."""
+    return SKELETON_COLORS[f"exchanged_{key}"] if skeletons.exchanged[key][row] else WRONG
 
 
 def fault_of(skeletons: Skeletons, key: str, row: int) -> str:

@@ -36,7 +36,7 @@ from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.session_arrays import SessionArrays, SessionFrame
 from recordings.writing.recorder import Recorder
 from tests.helpers.network import free_address
 from tests.helpers.programs import running
@@ -105,7 +105,7 @@ class _Timed(FanOut):
         super().__init__(sinks)
         self._seen = seen
 
-    def write(self, frame: RecordedFrame) -> None:
+    def write(self, frame: SessionFrame) -> None:
         """Takes a frame."""
         before = time.perf_counter_ns()
         super().write(frame)
@@ -120,7 +120,7 @@ class _TimedRecorder(Recorder):
     shown: ClassVar[list[float]] = []
 
     def record_all(
-        self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None = None
+        self, frames: Sequence[SessionFrame], numbers: Sequence[int] | None = None
     ) -> SessionArrays:
         rows = super().record_all(frames, numbers)
         now = time.perf_counter_ns()
@@ -129,7 +129,7 @@ class _TimedRecorder(Recorder):
         return rows
 
 
-def _arrived(frame: RecordedFrame) -> int:
+def _arrived(frame: SessionFrame) -> int:
     """When the later of a pair's frames reached this machine."""
     return max(seen.host_ns or 0 for seen in (frame.pair.a, frame.pair.b) if seen is not None)
 

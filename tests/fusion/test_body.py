@@ -47,3 +47,5 @@ def test_the_body_follows_from_the_joint_names() -> None:
     assert body_of(set(BLAZEPOSE.joints) - {"HEEL_LEFT"}) is BLAZEPOSE
     with pytest.raises(FusionError, match="Unknown joint 'Tail'"):
         body_of({*KINECT_V1.joints, "Tail"})
+    with pytest.raises(FusionError, match=r"table\['joint'\].replace\({'l_ankle': 'NAME'}\)\.$"):
+        body_of({*KINECT_V1.joints, "l_ankle"})

@@ -78,7 +78,7 @@ def test_a_mistracked_elbow_follows_the_view_that_keeps_it_apart() -> None:
     frame = Fuser(FusionSetup(calibration_of(body), PAPER)).update(
         SkeletonPair(Skeleton.of(body, mixed_up), pair.b, pair.time_ns)
     )
-    assert frame.misleading[elbow] == hip
+    assert frame.misleading_joint[elbow] == hip
     assert frame.weights_b[elbow] > 0.99
     off = np.linalg.norm(frame.positions[elbow] - truth[elbow])
     equal = Fuser(FusionSetup(calibration_of(body), FuserSettings(method="paper", weights="equal"))).update(
@@ -366,7 +366,7 @@ def test_the_order_of_joints_does_not_matter_to_the_skeleton(seed: int) -> None:
     # t sums the torso in another order, so no more than rounding in double precision differs; the solver's
     # own criterion allows 1e-8 m (SAME in test_tree_solver)
     np.testing.assert_allclose(other.positions, plain.positions[new], rtol=0, atol=1e-8)
-    np.testing.assert_array_equal(other.misleading >= 0, plain.misleading[new] >= 0)
+    np.testing.assert_array_equal(other.misleading_joint >= 0, plain.misleading_joint[new] >= 0)
 
 
 @settings(max_examples=25, deadline=None)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fusion.array_fields import new_arrays
 from fusion.body import BODIES, KINECT_V2, Body
 from fusion.joint_kinds import kind_of
 from fusion.skeleton import Skeleton, TrackingState
@@ -15,12 +16,12 @@ from fusion.witness import (
     KNOTS,
     LARGEST,
     SURFACE_SD,
-    evidence,
-    new_joint_evidence,
+    JointEvidence,
     new_witness_model,
     weigh_witness,
 )
 from tests.helpers.two_views import standing
+from tests.helpers.witnesses import evidence_in
 
 BODY = KINECT_V2
 WRIST, ELBOW = BODY.joint("WristLeft"), BODY.joint("ElbowLeft")
@@ -55,7 +56,7 @@ def test_evidence_follows_the_table(skeleton: Skeleton) -> None:
         (witness_of(gap=np.nan), 0.0),
     ]
     for witness, expected in cases:
-        assert evidence(witness, skeleton).evidence[WRIST] == pytest.approx(expected, abs=1e-5)
+        assert evidence_in(witness, skeleton).log_odds[WRIST] == pytest.approx(expected, abs=1e-5)
 
 
 def test_only_tracked_joints_are_judged(skeleton: Skeleton) -> None:
@@ -63,9 +64,9 @@ def test_only_tracked_joints_are_judged(skeleton: Skeleton) -> None:
     states[WRIST] = TrackingState.INFERRED
     inferred = Skeleton.of(BODY, skeleton.positions, states)
     witness = witness_of(gap=1.0, edge=-0.1)
-    assert evidence(witness, skeleton).evidence[WRIST] < -1.0
-    assert evidence(witness, inferred).evidence[WRIST] == 0.0
-    _, places, information = evidence(witness_of(), inferred)
+    assert evidence_in(witness, skeleton).log_odds[WRIST] < -1.0
+    assert evidence_in(witness, inferred).log_odds[WRIST] == 0.0
+    _, places, information = evidence_in(witness_of(), inferred)
     assert np.isnan(places[WRIST]).all()
     assert not information[WRIST].any()
 
@@ -91,7 +92,7 @@ def test_every_joint_has_a_kind_and_a_neighbour(body: Body) -> None:
 
 def test_the_surface_places_a_joint_below_the_middle_of_its_silhouette(skeleton: Skeleton) -> None:
     witness = witness_of(gap=-0.01, offset_x=0.02, offset_y=-0.01)
-    _, places, information = evidence(witness, skeleton)
+    _, places, information = evidence_in(witness, skeleton)
     at = skeleton.positions.astype(np.float64)
     ray = at[WRIST] / np.linalg.norm(at[WRIST])
     offset = np.array([0.02, -0.01, 0.0])
@@ -114,7 +115,7 @@ def test_the_surface_places_a_joint_below_the_middle_of_its_silhouette(skeleton:
 def test_a_surface_that_is_not_the_joints_measures_nothing(
     skeleton: Skeleton, wrist: dict[str, float]
 ) -> None:
-    _, places, information = evidence(witness_of(**wrist), skeleton)
+    _, places, information = evidence_in(witness_of(**wrist), skeleton)
     assert np.isnan(places[WRIST]).all()
     assert not information[WRIST].any()
     assert np.isfinite(places[ELBOW]).all()
@@ -122,10 +123,10 @@ def test_a_surface_that_is_not_the_joints_measures_nothing(
 
 def test_a_rotated_frame_rotates_places_and_information(skeleton: Skeleton) -> None:
     witness = witness_of(gap=-0.04, offset_x=0.015)
-    _, places, information = evidence(witness, skeleton)
+    _, places, information = evidence_in(witness, skeleton)
     R, t = Rotation.from_rotvec([0.3, -1.2, 0.4]).as_matrix(), np.array([1.0, -0.2, 2.0])
-    found = new_joint_evidence(len(BODY))
+    found = new_arrays(JointEvidence, J=len(BODY))
     weigh_witness(new_witness_model(BODY), R, t, skeleton.positions, skeleton.states, witness, found)
     np.testing.assert_allclose(found.places, places @ R.T + t, atol=1e-12)
     np.testing.assert_allclose(found.information, R @ information @ R.T, rtol=1e-9, atol=1e-6)
-    np.testing.assert_array_equal(found.evidence, evidence(witness, skeleton).evidence)
+    np.testing.assert_array_equal(found.log_odds, evidence_in(witness, skeleton).log_odds)

@@ -15,9 +15,9 @@ from fusion.calibration.calibration import Calibration, calibrate, nominal_calib
 from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
 from fusion.setup import FusionSetup
+from recordings.fusing.live_fusion import LiveFusion
 from recordings.fusing.pairs import fuse_one
-from recordings.fusing.sensors import LiveFusion
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.setup_coach import Coach, Situation
 
@@ -33,7 +33,7 @@ class Run:
     """The frames of a demonstration, and the events of its fusion: seconds and text."""
 
     shown: Demonstration
-    frames: list[RecordedFrame]
+    frames: list[SessionFrame]
     events: list[tuple[float, str]]
 
 
@@ -65,7 +65,7 @@ def advice_over(
     for pair in pairs_of(a, b):
         first = first or fuse_one(Fuser(FusionSetup(calibration)), pair)
         frame = replace(first, pair=pair)
-        for advice in coach.watch(frame, Situation(calibration, settled=True, held=0.0)):
+        for advice in coach.watch(frame, Situation(calibration, final=True, held=0.0)):
             said.setdefault(advice.topic, advice)
     return said
 

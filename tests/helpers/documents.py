@@ -11,6 +11,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("fusion", "devices", "recordings", "viewer_app")
 _FENCE = re.compile(r"^```sh\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _PYTHON = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_FIELD = re.compile(r"\{[^{}]*\}")  # of str.format
 _SPAN = re.compile(r"(?<!`)`(duplex [a-z][^`\n]*)`")
 
 
@@ -48,5 +49,5 @@ def message_templates() -> set[str]:
                     parts = [part.value if isinstance(part, ast.Constant) else "…" for part in node.values]
                     found.add("".join(map(str, parts)))
                 elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-                    found.add(node.value)
+                    found.add(_FIELD.sub("…", node.value))
     return found

@@ -16,7 +16,7 @@ from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 class KnownSensors:
     """Two sensors that give the live loop these pairs. `waiting`: the next frame has already arrived."""
 
-    stream_figures = None
+    figures = None
 
     def __init__(self, pairs: Iterable[FramePair], waiting: bool = False) -> None:
         self._pairs, self.waiting = pairs, waiting

@@ -14,10 +14,10 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings.fusing.pairs import fuse_one
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from tests.helpers.two_views import FRAME_NS, calibration_of, pair_of, standing
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.viewer.blueprint import session_blueprint
+from viewer_app.viewer.blueprint import Layout, session_blueprint
 from viewer_app.viewer.rerun_process import Hub
 from viewer_app.viewer.viewer_choice import Viewing
 
@@ -29,7 +29,7 @@ def known_fuser() -> Fuser:
     return Fuser(FusionSetup(calibration_of(BODY)))
 
 
-def frames(fuser: Fuser, count: int, depth: bool = False) -> list[RecordedFrame]:
+def frames(fuser: Fuser, count: int, depth: bool = False) -> list[SessionFrame]:
     """A standing person who sways; with `depth`, each sensor has an image in every frame."""
     image = np.random.default_rng(0).integers(0, 4000, (424, 512)).astype(np.uint16) if depth else None
     made = []
@@ -50,11 +50,15 @@ def frames(fuser: Fuser, count: int, depth: bool = False) -> list[RecordedFrame]
 
 
 def session(
-    fuser: Fuser, file: Path | None = None, hub: Hub | None = None, window: bool = False
+    fuser: Fuser,
+    file: Path | None = None,
+    hub: Hub | None = None,
+    window: bool = False,
+    active: Layout = "inspect",
 ) -> LiveSession:
     """A session into a file, a hub or both."""
     viewing = Viewing(window=window, hub=hub, headless=True)
-    blueprint = session_blueprint(fuser.setup, np.array([0.0, 0.0, 2.6]), "inspect")
+    blueprint = session_blueprint(fuser.setup, np.array([0.0, 0.0, 2.6]), active)
     return LiveSession(fuser.setup, ("a", "b"), blueprint, file=file, viewing=viewing)
 
 
@@ -65,7 +69,7 @@ def numbers_in(file: Path) -> list[int]:
     return [int(number) for number in read.rows.frame]
 
 
-def session_of_view(view: rrb.View, made: list[RecordedFrame], folder: Path) -> Path:
+def session_of_view(view: rrb.View, made: list[SessionFrame], folder: Path) -> Path:
     """A session whose viewer shows one view only."""
     file = folder / "s.rrd"
     blueprint = rrb.Blueprint(view, auto_views=False)

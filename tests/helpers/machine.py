@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import functools
 import shutil
+import subprocess
 import tempfile
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
@@ -144,3 +147,16 @@ class _SkipList:
 
     def pytest_sessionfinish(self) -> None:
         self._file.write_text("".join(f"{test}\n" for test in self._tests), encoding="utf-8")
+
+
+@contextmanager
+def small_disk(folder: Path, kilobytes: int) -> Iterator[Path]:
+    """Makes an empty disk of some kilobytes; skips the running test where this user may not mount one."""
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", str(folder)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True, check=False).returncode:
+        lacks("the right to mount a small disk", "run the tests as root, in a container", required=False)
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)

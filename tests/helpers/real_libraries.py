@@ -21,7 +21,7 @@ from tests.helpers import pyk4a_contract
 from tests.helpers.machine import lacks
 
 _ROOT = Path(__file__).resolve().parents[2]
-_CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "duplex-kinects"
+CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "duplex-kinects"
 Results = dict[str, dict[str, object]]
 
 
@@ -46,7 +46,7 @@ class Library:
     @property
     def folder(self) -> Path:
         """Where its environment is, made or not."""
-        return _CACHE / f"real-{self.package.replace('==', '-')}-{sys.implementation.cache_tag}"
+        return CACHE / f"real-{self.package.replace('==', '-')}-{sys.implementation.cache_tag}"
 
     @property
     def interpreter(self) -> str | None:
@@ -69,7 +69,7 @@ class Library:
             [target, "-m", "pip", "install", "--only-binary=:all:", *self.options, self.package],
             [target, "-c", f"import {self.module}"],
         ]
-        _CACHE.mkdir(parents=True, exist_ok=True)
+        CACHE.mkdir(parents=True, exist_ok=True)
         for command in commands:
             # The output of pip is not shown: it may name a private package registry.
             subprocess.run(command, check=True, capture_output=True, timeout=600.0, env=self._environment())

@@ -15,7 +15,7 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 
 
@@ -31,7 +31,7 @@ def record_recalibrated(
         if first > 0:
             recorder.recalibrated(fuser.setup)
         recorder.event(Event(f"calibrated: {fuser.setup.calibration.how}"))
-        recorder.record_all([RecordedFrame(p, fuser.update(p.skeletons), 0) for p in pairs[first:end]])
+        recorder.record_all([SessionFrame(p, fuser.update(p.skeletons), 0) for p in pairs[first:end]])
     recorder.finish()
     stream.disconnect()
     return Session.open(path)

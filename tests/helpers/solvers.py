@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fusion.array_fields import new_arrays
 from fusion.solvers.published import solve_published
 from fusion.solvers.tree_solver import solve_tree
-from fusion.solvers.tree_start import new_tree_workspace
+from fusion.solvers.tree_start import TreeWorkspace
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +33,7 @@ class TreeSolver:
 
     def __init__(self, parents: ArrayLike, order: ArrayLike, rest: ArrayLike) -> None:
         self.parents, self.order = (np.array(each, dtype=np.int64) for each in (parents, order))
-        self.rest, self._work = _floats(rest), new_tree_workspace(len(self.parents))
+        self.rest, self._work = _floats(rest), new_arrays(TreeWorkspace, J=len(self.parents))
 
     def solve(
         self,

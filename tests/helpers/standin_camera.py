@@ -2,19 +2,24 @@
 
 After libk4a 1.4: without colour, depth goes to the queue of captures as it comes. With colour, capture sync
 holds depth back until the colour image of its moment is there; where that is missing, depth goes alone when
-the next colour image comes, or after half a second, or never with synchronized_images_only.
+the next colour image comes, or after half a second, or never with synchronized_images_only. A device that is
+opened with K4A_DISABLE_SYNCHRONIZATION gives depth as it comes, and colour in captures of its own. Starting
+the colour camera resets the clock; capture sync drops all depth if it is beyond ten frames then.
 """
 
 from __future__ import annotations
 
+import heapq
+import random
 import time
 import types
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 QUEUE = 7  # captures; one more drops the oldest
 HELD = 15  # depth images that capture sync holds back
+FIRST = 10  # frames within which the first colour image must come
 DEPTH_LATENCY_NS = 15_000_000  # from exposure until the depth image is on the host
 _MASTER, _SUBORDINATE, _WFOV_UNBINNED, _3072P = 1, 2, 4, 6
 
@@ -71,7 +76,14 @@ class Device:
     captures: int = 0
     interval_usec: int = 33_333
     color: bool = True  # the colour camera works
+    depth_latency_ns: int = DEPTH_LATENCY_NS
     color_latency_ns: int = 40_000_000
+    first_usec: int | None = None  # the clock when colour starts; None: as it is
+    lost_on_usb: float = 0.0  # share of the depth images
+    open_s: float = 0.0
+    start_s: float = 0.0
+    stop_s: float = 0.0
+    log: dict[str, str] = field(default_factory=dict)  # what libk4a logs where open or start fail
     color_lost: Callable[[int], bool] = lambda _number: False
     skips: int = 0  # captures before each one that the full queue of the SDK dropped
     paced: bool = False  # captures arrive when they are due; otherwise one per wait
@@ -79,18 +91,28 @@ class Device:
     at: dict[int, Callable[[], object]] = field(default_factory=dict)  # called at these capture numbers
     opened_by: object = None
     color_runs: bool = False
+    joins_color: bool = True  # capture sync
     synchronized_only: bool = False
     begun_ns: Callable[[], int | None] = lambda: None
     ready: list[int] = field(default_factory=list)  # when each capture with depth was in the queue
     _made: int = 0
+    _blinded: bool = False
     _queue: deque[Shot] = field(default_factory=deque)
-    _next: Shot | None = None
+    _due: list[tuple[int, int, bool, Shot]] = field(default_factory=list)
 
     def start(self, color: bool, synchronized_only: bool, begun_ns: Callable[[], int | None]) -> None:
         """Starts the cameras; ``begun_ns`` is the time of the first exposure once the master runs."""
         self.color_runs, self.synchronized_only, self.begun_ns = color, synchronized_only, begun_ns
-        self._made, self._next = 0, None
+        if color and self.first_usec is not None:
+            self.clock_usec = self.first_usec
+        self._blinded = self._sync_drops_depth()
+        self._made = 0
+        self._due.clear()
         self._queue.clear()
+
+    def _sync_drops_depth(self) -> bool:
+        late = self.first_usec is not None and self.first_usec > FIRST * self.interval_usec
+        return late and self.color_runs and self.joins_color
 
     def next_shot(self, timeout_ms: int) -> Shot | None:
         """Returns the oldest capture in the queue after a bounded wait; None if none arrives."""
@@ -99,38 +121,46 @@ class Device:
         until_ns = self.time.now_ns() + timeout_ms * 1_000_000
         self._fill()
         while not self._queue:
-            following = None if self.silent else self._upcoming()
             # A subordinate waits for a master that another thread will start.
-            ready_ns = self.time.now_ns() + 2_000_000 if following is None else following.ready_ns
-            self.time.wait_until(min(ready_ns, until_ns))
+            soon_ns = self.time.now_ns() + 2_000_000
+            following = (self._next_exposure_ns() or soon_ns, *(due[0] for due in self._due[:1]))
+            self.time.wait_until(min(until_ns, *(following if not self.silent else (soon_ns,))))
             if self.time.now_ns() >= until_ns:
                 return None
             self._fill()
         return self._queue.popleft()
 
     def _fill(self) -> None:
-        while (shot := self._upcoming()) is not None and shot.ready_ns <= self.time.now_ns():
-            self._next = None
+        while (next_ns := self._next_exposure_ns()) is not None and next_ns <= self.time.now_ns():
+            self._expose(next_ns)
+        while self._due and self._due[0][0] <= self.time.now_ns():
+            shot = heapq.heappop(self._due)[-1]
             self.ready += [shot.ready_ns] * shot.has_depth
             self._queue.append(shot)
             if len(self._queue) > QUEUE:
                 self._queue.popleft()
 
-    def _upcoming(self) -> Shot | None:
+    def _next_exposure_ns(self) -> int | None:
         begun_ns = self.begun_ns()
-        while self._next is None and begun_ns is not None:
-            exposed_ns = begun_ns + (self._made + 1) * self.interval_usec * 1000
-            shot = self._make(exposed_ns + DEPTH_LATENCY_NS)
-            if self.color_runs:
-                shot = self._synchronized(shot, exposed_ns)
-            self._next = shot
-        return self._next
+        return None if begun_ns is None else begun_ns + (self._made + 1) * self.interval_usec * 1000
+
+    def _expose(self, exposed_ns: int) -> None:
+        """Takes the images of one moment; each capture is due when libk4a releases it."""
+        shot = self._make(exposed_ns + self.depth_latency_ns)
+        captures: list[Shot | None] = [None if random.random() < self.lost_on_usb else shot]
+        if self.color_runs and self.joins_color:
+            captures = [self._synchronized(shot, exposed_ns)] if captures[0] else []
+        elif self.color_runs and self.color:  # colour comes in captures of its own
+            ready_ns = exposed_ns + self.color_latency_ns
+            captures.append(replace(shot, ready_ns=ready_ns, has_depth=False, has_color=True))
+        for capture in filter(None, captures):
+            heapq.heappush(self._due, (capture.ready_ns, capture.number, capture.has_depth, capture))
 
     def _make(self, host_ns: int) -> Shot:
         self._made += 1
         self.clock_usec += self.interval_usec * (1 + self.skips)
-        color = self.color_runs and self.color and not self.color_lost(self._made)
-        return Shot(self._made, self.clock_usec, host_ns, host_ns, not self.blind, color)
+        color = self.color_runs and self.joins_color and self.color and not self.color_lost(self._made)
+        return Shot(self._made, self.clock_usec, host_ns, host_ns, not (self.blind or self._blinded), color)
 
     def _synchronized(self, shot: Shot, exposed_ns: int) -> Shot | None:
         """The capture when capture sync releases it; None if it never does."""
@@ -142,9 +172,7 @@ class Device:
             ready_ns = max(shot.ready_ns, exposed_ns + self.interval_usec * 1000 + self.color_latency_ns)
         else:
             ready_ns = shot.ready_ns + HELD * self.interval_usec * 1000
-        return Shot(
-            shot.number, shot.clock_usec, shot.depth_host_ns, ready_ns, shot.has_depth, shot.has_color
-        )
+        return replace(shot, ready_ns=ready_ns)
 
 
 def refused(config: types.SimpleNamespace, device: Device) -> str:

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import ctypes
 import enum
+import os
 import sys
 import time
 import types
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -53,9 +55,15 @@ class Bus:
         self.counts = self.failed_opens = 0  # searches of the bus, and references to None that pyk4a lost
         self.master_begun_ns: int | None = None
         self.gives_none_away = False  # as pyk4a 1.5.0 does
+        self.log_handler: Callable[..., None] | None = None
 
     def plugged(self) -> list[Device]:
         return [device for device in self.devices if device.plugged]
+
+    def log(self, device: Device | None, when: str) -> None:
+        """Calls the handler of libk4a's log, as where a device does not open or start."""
+        if self.log_handler is not None and device is not None and when in device.log:
+            self.log_handler(None, 1, b"", 0, device.log[when].encode())
 
     @property
     def open_serials(self) -> list[str]:
@@ -82,15 +90,18 @@ def make_module(bus: Bus) -> types.ModuleType:
                 raise K4AException("Device already opened")
             plugged = bus.plugged()
             device = plugged[self._device_id] if self._device_id < len(plugged) else None
-            taken = device is not None and (device.busy or device.opened_by is not None)
+            taken = device is not None and (device.busy or device.opened_by or "open" in device.log)
             if device is None or (taken and not device.orbbec):
                 bus.failed_opens += 1
+                bus.log(device, "open")
                 if bus.gives_none_away:
                     give_none_away()
                 raise K4AException
             self._device = device
             if not taken:
                 device.opened_by = self
+                device.joins_color = os.environ.get("K4A_DISABLE_SYNCHRONIZATION", "0").startswith("0")
+            device.time.wait_until(device.time.now_ns() + round(1e9 * device.open_s))
             self._number = ctypes.c_void_p(1 + bus.devices.index(device))
             self._device_handle = new_capsule(self._number, DEVICE_NAME)
 
@@ -110,7 +121,9 @@ def make_module(bus: Bus) -> types.ModuleType:
                 self.open()
             device, config = self._present(), self._config
             if not device.starts or device.busy or refused(config, device):
+                bus.log(device, "start")
                 raise K4AException
+            device.time.wait_until(device.time.now_ns() + round(1e9 * device.start_s))
             self.is_running = True
             bus.started.append(device.serial)
             bus.configs.append(config)
@@ -131,6 +144,8 @@ def make_module(bus: Bus) -> types.ModuleType:
         def stop(self) -> None:
             if not self.opened:
                 raise WouldCrashError("stop() of a device that is not open")
+            device = self._device
+            device.time.wait_until(device.time.now_ns() + round(1e9 * device.stop_s))
             self.close()  # like the real one, even if the device is disconnected
             self.is_running = False
 
@@ -152,25 +167,21 @@ def make_module(bus: Bus) -> types.ModuleType:
         @property
         def calibration(self) -> Calibration:
             self._present()
-            return Calibration(self._config.depth_mode, self._config.color_resolution)
+            return Calibration(self._config.depth_mode, self._config.color_resolution, self._number.value - 1)
 
         def get_capture(self, timeout: int = -1) -> PyK4ACapture:
             if self._device is None:
                 raise K4AException("Device is not opened")
             bus.timeouts.append(timeout)
             self._device.at.pop(self._device.captures, lambda: None)()
-            if not self._device.plugged:
-                if not self._device.orbbec:
-                    raise K4AException
-                self._device.time.wait_until(self._device.time.now_ns() + timeout * 1_000_000)
-                raise K4ATimeoutException
             device = self._device
-            if device.silent and device.paced:
+            silent = device.silent or not device.plugged  # on Linux libk4a tells of neither
+            if silent and (device.paced or device.orbbec):
                 device.time.wait_until(device.time.now_ns() + timeout * 1_000_000)
-            shot = None if device.silent else device.next_shot(timeout)
+            shot = None if silent else device.next_shot(timeout)
             if shot is None:
                 raise K4ATimeoutException
-            device.captures += 1
+            device.captures += shot.has_depth or not shot.has_color  # colour alone is not counted
             return self._capture(device, shot)
 
         def _capture(self, device: Device, shot: Shot) -> PyK4ACapture:

@@ -96,9 +96,10 @@ class LeakyCapture(PyK4ACapture):
 class Calibration:
     """Two made-up cameras."""
 
-    def __init__(self, depth_mode: int, color_resolution: int) -> None:
+    def __init__(self, depth_mode: int, color_resolution: int, device: int = 0) -> None:
         self._depth_mode, self._color_resolution = int(depth_mode), int(color_resolution)
         self._struct = ctypes.create_string_buffer(1032)
+        ctypes.c_int.from_buffer(self._struct, 0).value = device
         ctypes.c_int.from_buffer(self._struct, 1024).value = int(depth_mode)
         self._calibration_handle = _new_capsule(ctypes.addressof(self._struct), _CALIBRATION_NAME, None)
 

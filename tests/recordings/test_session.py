@@ -21,7 +21,7 @@ from recordings.errors import RecordingError
 from recordings.file.rrd_file import _decode_names
 from recordings.file.session_writer import write_session
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from recordings.testing import FusedRun, assert_sessions_match, fused_run, record_fused
 from recordings.writing.checksums import event_checksum, frame_checksums, fused_checksums
 from recordings.writing.recorder import Recorder
@@ -230,7 +230,7 @@ def test_each_frame_is_judged_by_the_bone_lengths_it_was_fused_with(tmp_path: Pa
     for fuser, own in zip(fusers, (pairs[:5], pairs[5:]), strict=True):
         if fuser is not fusers[0]:
             recorder.recalibrated(fuser.setup)
-        recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in own])
+        recorder.record_all([SessionFrame(pair, fuser.update(pair.skeletons), 0) for pair in own])
     recorder.finish()
     stream.disconnect()
     session = Session.open(tmp_path / "s.rrd")
@@ -272,7 +272,7 @@ def test_an_event_moved_to_another_time_is_damage(tmp_path: Path) -> None:
             stream.set_sinks(rr.FileSink(str(file)))
             recorder = Recorder(stream, fuser.setup, ("a", "b"))
             pairs = frame_pairs(KINECT_V1, 3)
-            recorder.record_all([RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
+            recorder.record_all([SessionFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs])
             check = event_checksum(Event("lost").placed(2, 5))
             with mock.patch("recordings.writing.recorder.event_checksum", return_value=check):
                 recorder.event(Event("lost").placed(*at), placed=True)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import weakref
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
+from fusion.medians import median_of_known
 from fusion.setup import FusionSetup
 from recordings.fusing.pairs import fuse_one
-from recordings.session_arrays import SessionArrays
+from recordings.session import Session
+from recordings.session_arrays import SessionArrays, SessionFrame
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 
@@ -45,3 +49,41 @@ def test_stacking_keeps_what_the_loop_gave() -> None:
     assert rows.disagreement[1:].max() < 3e-6
     assert np.isnan(rows.disagreement[0])
     assert rows.bone_error.max() < 1e-9
+
+
+def test_a_session_of_frames_is_theirs_and_does_not_keep_them() -> None:
+    setup = FusionSetup(calibration_of(KINECT_V1))
+    fuser = Fuser(setup)
+    made = [fuse_one(fuser, pair) for pair in frame_pairs(KINECT_V1, 60, only_a=(0,), no_b=(20,))]
+    alive: list[weakref.ref[SessionFrame]] = []
+    most = 0
+
+    def passing() -> Iterator[SessionFrame]:
+        nonlocal most
+        for number in range(1000):
+            frame = replace(made[number % 60])
+            alive.append(weakref.ref(frame))
+            most = max(most, sum(one() is not None for one in alive))
+            yield frame
+
+    session = Session.of([(setup, passing())])
+    assert most <= 302  # the block, and the frame that is made
+    whole = SessionArrays.stack(
+        KINECT_V1, setup.calibration.bone_lengths, [made[k % 60] for k in range(1000)]
+    )
+    for name, _, values in whole.figures():
+        np.testing.assert_array_equal(getattr(session.rows, name), values)
+    np.testing.assert_array_equal(session.rows.frame, whole.frame)
+    np.testing.assert_array_equal(session.rows.time_ns, whole.time_ns)
+    np.testing.assert_array_equal(session.bone_lengths, whole.bone_lengths)
+
+
+def test_the_median_of_what_is_known_is_that_of_numpy() -> None:
+    values = np.random.default_rng(3).normal(size=(200, 6, 3))
+    values[values > 0.5] = np.nan
+    some = np.isfinite(values).any(axis=1)
+    assert not some.all()
+    found = median_of_known(values)
+    assert np.isnan(found[~some]).all()
+    filled = np.where(some[:, None], values, 0.0)
+    np.testing.assert_array_equal(found[some], np.nanmedian(filled, axis=1)[some])

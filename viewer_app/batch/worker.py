@@ -11,16 +11,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from devices.sensor import DeviceError
-from fusion.errors import FusionError
-from recordings.errors import RecordingError
 from viewer_app.batch.figures import session_figures
 from viewer_app.batch.jobs import RECORD, Job, Outcome, Record
 from viewer_app.commands.fuse import fuse_files
-from viewer_app.errors import UsageError
+from viewer_app.errors import mistakes
 from viewer_app.report.figures import truth_free_figures
 
-_MISTAKES = (DeviceError, FusionError, RecordingError, UsageError)
 _ONE_AT_A_TIME = threading.Lock()
 """A Dask worker may have several threads; the memory of one recording is enough."""
 
@@ -30,7 +26,7 @@ def fuse_job(job: Job) -> Outcome:
     with _ONE_AT_A_TIME:
         try:
             return Outcome(job.name, _fuse(job))
-        except _MISTAKES as error:
+        except mistakes() as error:
             return Outcome(job.name, None, _one_line(str(error)))
         except OSError as error:
             name = f"{error.filename}: " if error.filename else ""

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from fusion.calibration.calibration import Calibration
+from fusion.calibration.calibration import CERTAIN_TURN_DEG, Calibration
 
 Level = Literal["INFO", "WARN"]
 
@@ -16,8 +16,6 @@ ANGLES = (60.0, 120.0)
 """Range of the angle between the sensors, degrees, in which they complement each other best."""
 GOOD, USABLE = 40.0, 80.0
 """Thresholds for the median distance between the calibrated views, mm; real Kinects reach 25 to 60 mm."""
-CERTAIN_TURN = 2.0
-"""Degrees, largest standard deviation of a good rotation: 17 mm at half a metre from the torso."""
 
 
 @dataclass(frozen=True)
@@ -70,15 +68,15 @@ def verdict(calibration: Calibration) -> Advice:
     word = quality(apart)
     worst = ", ".join(f"{spoken(name)} {1e3 * off:.0f} mm" for name, off in registration.worst_joints(2))
     limit = f"limited by {worst}" if worst else "no joint was seen by both"
-    if (uncertain := math.degrees(registration.rotation_sd)) > CERTAIN_TURN:
+    if (uncertain := math.degrees(registration.rotation_sd)) > CERTAIN_TURN_DEG:
         limit += (
-            f"; its rotation is certain to {uncertain:.1f}° only (limit {CERTAIN_TURN:g}°): step about while "
-            "it is made"
+            f"; its rotation is certain to {uncertain:.1f}° only (limit {CERTAIN_TURN_DEG:g}°): step about "
+            "while it is made"
         )
     return Advice(
         "calibration",
-        f"Calibration {word}: the views differ by {apart:.0f} mm (good below {GOOD:.0f}, usable below "
-        f"{USABLE:.0f}); {limit}.",
+        f"Calibration {word}: on its {registration.frames} frames the views differ by {apart:.0f} mm (good "
+        f"below {GOOD:.0f}, usable below {USABLE:.0f}); {limit}.",
         "WARN" if word == "poor" else "INFO",
     )
 

@@ -15,9 +15,8 @@ from fusion.calibration.calibration import Calibration
 from fusion.fuser import FusedFrame
 from fusion.intrinsics import Intrinsics
 from fusion.rigid import RigidTransform
-from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage, Mark, Point
-from viewer_app.coach.advice import ANGLES, Advice, placement, to_markdown, verdict
+from viewer_app.coach.advice import ANGLES, Advice, to_markdown
 from viewer_app.coach.setup_coach import HOLD, Situation
 from viewer_app.coach.standing_spot import CAMERA_HEIGHT, FARTHEST, StandingSpot, standing_spot
 
@@ -91,7 +90,7 @@ class CoachScene:
         return self._found[2]
 
     def _spot(self, now: Situation, person: NDArray[np.float64] | None) -> Mark | None:
-        if now.settled:
+        if now.final:
             return None
         place, floor = self._place(now.calibration), self._floor
         round_it = np.linspace(0.0, 2.0 * np.pi, 33)
@@ -149,14 +148,6 @@ class CoachScene:
         lines = (*_frustum(self._cameras[1], best), _line(way))
         reached = math.degrees(math.acos(float(np.clip(best.rotation[2, 2], -1.0, 1.0))))
         return Mark(lines, f"better for B: {reached:.0f}°", "better")
-
-
-def verdict_page(setup: FusionSetup) -> CoachPage:
-    """The page of a recording that nobody was coached in: how well the two views fit, and what to improve."""
-    calibration = setup.calibration
-    advice = list(placement(calibration)) or [verdict(calibration)]
-    scene = CoachScene(setup.body, setup.intrinsics)
-    return scene.page(advice, Situation(calibration, settled=True, held=0.0))
 
 
 def _frustum(camera: Intrinsics, in_a: RigidTransform) -> Iterator[tuple[Point, ...]]:

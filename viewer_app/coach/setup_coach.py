@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from devices.capture.causes import Cause
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.intrinsics import Intrinsics
 from fusion.skeleton import Skeleton
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from viewer_app.coach.advice import Advice, placement
 from viewer_app.coach.standing_spot import CAMERA_HEIGHT, FARTHEST, nearest, standing_spot
 
@@ -38,11 +39,13 @@ MOVED = 0.25
 WARM_UP = 2400.0
 """Seconds until an Azure Kinect's distances stay the same (Tölgyessy et al. 2021: 40 to 50 minutes)."""
 DROPPED = 0.05
-"""Largest accepted share of frames that this machine is too slow for."""
+"""Largest accepted share of frames that this machine is too slow for, or that are lost on USB."""
 _BUSY = "The body tracker needs more of this machine. Close other programs."
 _SLOW = "This machine is too slow. Close other programs, or use --depth none."
 _USB = "Give it a USB controller of its own, and light."
+_NETWORK = "Check its program and the network."
 _SECOND, _RATE_WINDOW, _MOVED_WINDOW = 1.0, 2.0, 8.0  # seconds
+_SILENT = 0.3  # seconds without a frame: no low rate, but a sensor that is gone, of which its thread tells
 
 
 @dataclass(frozen=True)
@@ -51,16 +54,18 @@ class Situation:
 
     Attributes:
         calibration: The current calibration.
-        settled: Whether it comes from a start-up pose or a file.
+        final: Whether it is kept, or only refined, from now on.
         held: Seconds for which the start-up pose has been held.
         dropped: Frames so far that the program was too slow for, of A and B.
+        lost: Frames so far that were lost on USB, of A and B.
         step: Every which frame both sensors go on with, for the slower body tracker; 1 is every one.
     """
 
     calibration: Calibration
-    settled: bool
+    final: bool
     held: float
     dropped: tuple[int, int] = (0, 0)
+    lost: tuple[int, int] = (0, 0)
     step: int = 1
 
 
@@ -84,6 +89,7 @@ class Coach:
         rate: Nominal frames per second.
         warm_up: Seconds until the sensors' distances are stable.
         simulated: Whether this machine simulates the sensors, so that only it can be too slow.
+        remote: The sides, of ``AB``, whose sensors are on other PCs.
     """
 
     def __init__(
@@ -93,20 +99,22 @@ class Coach:
         rate: float = 30.0,
         warm_up: float = 0.0,
         simulated: bool = False,
+        remote: str = "",
     ) -> None:
         self.body, self.intrinsics = body, intrinsics
-        self._rate, self._warm_up, self._simulated = rate, warm_up, simulated
+        self._rate, self._warm_up, self._simulated, self._remote = rate, warm_up, simulated, remote
         self._feet = np.array([body.joint("ANKLE_LEFT"), body.joint("ANKLE_RIGHT")])
         self._views: tuple[deque[_View], deque[_View]] = (deque(), deque())
         self._seen_at: list[float | None] = [None, None]
         self._skews: deque[tuple[float, float]] = deque()
-        self._drops: deque[tuple[float, tuple[int, int]]] = deque()
+        self._came_at, self._since = [-math.inf, -math.inf], [-math.inf, -math.inf]  # last, and again from
+        self._counts: deque[tuple[float, tuple[int, int], tuple[int, int]]] = deque()
         self._shifts: deque[tuple[float, NDArray[np.float64]]] = deque()
         self._began: float | None = None
         self._calibration: Calibration | None = None
         self._overlap_of: tuple[Calibration | None, float] = (None, math.inf)
 
-    def watch(self, frame: RecordedFrame, now: Situation) -> list[Advice]:
+    def watch(self, frame: SessionFrame, now: Situation) -> list[Advice]:
         """Processes the next frame.
 
         Returns:
@@ -125,18 +133,24 @@ class Coach:
         ]
         return sorted(advice, key=lambda each: each.level != "WARN")
 
-    def _remember(self, frame: RecordedFrame, now: Situation, time: float) -> None:
+    def _remember(self, frame: SessionFrame, now: Situation, time: float) -> None:
         pair, skeletons = frame.pair, frame.pair.skeletons
         for k, (sensor_frame, skeleton) in enumerate(((pair.a, skeletons.a), (pair.b, skeletons.b))):
             if skeleton is not None:
                 self._seen_at[k] = time
+            if sensor_frame is not None:
+                if time - self._came_at[k] > _SILENT:
+                    self._since[k] = time
+                    if skeleton is None and self._seen_at[k] is not None:
+                        self._seen_at[k] = time
+                self._came_at[k] = time
             feet = skeleton is not None and self._feet_gone(skeleton, self.intrinsics[k])
             self._views[k].append(_View(time, sensor_frame is not None, skeleton is not None, feet, now.step))
             while time - self._views[k][0].time > _RATE_WINDOW:
                 self._views[k].popleft()
         if pair.a is not None and pair.b is not None:
             self._skews.append((time, abs(pair.skew_ns) * 1e-6))
-        self._drops.append((time, now.dropped))
+        self._counts.append((time, now.dropped, now.lost))
         if now.calibration is not self._calibration:
             self._calibration = now.calibration
             self._shifts.clear()
@@ -146,7 +160,7 @@ class Coach:
                 self._shifts.append((time, shift))
         for history, window in (
             (self._skews, _RATE_WINDOW),
-            (self._drops, _RATE_WINDOW),
+            (self._counts, _RATE_WINDOW),
             (self._shifts, _MOVED_WINDOW),
         ):
             while history and time - history[0][0] > window:
@@ -183,18 +197,22 @@ class Coach:
             # What is left out for a slow body tracker is no fault of USB or light, and is told as it begins.
             step = max(view.step for view in self._views[k])
             least = RATE * self._rate / step
-            dropped = self._drops[-1][1][k] - self._drops[0][1][k]
+            (_, *first), (_, *last) = self._counts[0], self._counts[-1]
+            dropped, lost = (now[k] - then[k] for then, now in zip(first, last, strict=True))
             most = int(DROPPED * self._rate * _RATE_WINDOW)
-            if came < least:
+            if time - self._came_at[k] > _SILENT:
+                continue
+            if came < least and time - self._since[k] >= _RATE_WINDOW:
                 few = int(came)  # rounded it might be the limit itself
                 slow = self._simulated or dropped > most
-                remedy = _BUSY if step != 1 else _SLOW if slow else _USB
+                remedy = _NETWORK if side in self._remote else _USB
+                remedy = _BUSY if step != 1 else _SLOW if slow else remedy
                 missed = f"below {least:.3g} movements are missed. {remedy}"
                 text = f"Sensor {side} gives {few} frames per second; {missed}"
                 yield _problem("rate", side, text, f"{few} frames per second")
-            elif dropped > most:
-                remedy = f"in {_RATE_WINDOW:g} s (limit {most}). Close other programs."
-                text = f"{dropped} frames of {side} came too fast for this machine {remedy}"
+            elif max(dropped, lost) > most:
+                cause = Cause.TOO_FAST if dropped >= lost else Cause.LOST_ON_USB
+                text = cause.says(count=max(dropped, lost), label=side, seconds=_RATE_WINDOW, most=most)
                 yield _problem("drops", side, text, "drops frames")
         if self._skews:
             skew, limit = float(np.median([ms for _, ms in self._skews])), SKEW * 1e3 / self._rate
@@ -214,13 +232,13 @@ class Coach:
                 "INFO",
             )
 
-    def _people(self, frame: RecordedFrame, time: float) -> Iterator[Advice]:
+    def _people(self, frame: SessionFrame, time: float) -> Iterator[Advice]:
         assert self._began is not None
         skeletons = (frame.pair.skeletons.a, frame.pair.skeletons.b)
         for k, (side, skeleton) in enumerate(zip("AB", skeletons, strict=True)):
             since = time - (self._began if self._seen_at[k] is None else self._seen_at[k] or 0.0)
             if skeleton is None:
-                if since >= UNSEEN:
+                if since >= UNSEEN and time - self._came_at[k] <= _SILENT:
                     text = f"Sensor {side} has seen no one for {since:.0f} s (more than {UNSEEN:g} s)."
                     remedy = "Step into its view, and turn off what stands in the way."
                     yield _problem("person", side, f"{text} {remedy}", "sees no one")
@@ -265,7 +283,7 @@ class Coach:
             )
 
     def _pose(self, now: Situation) -> Iterator[Advice]:
-        if now.settled:
+        if now.final:
             return
         if now.held > 0.0:
             left = max(0.0, HOLD - now.held)
@@ -279,7 +297,7 @@ class Coach:
             )
 
     def _moved(self, now: Situation, time: float) -> Iterator[Advice]:
-        if not now.settled or not self._shifts or time - self._shifts[0][0] < 0.9 * _MOVED_WINDOW:
+        if not now.final or not self._shifts or time - self._shifts[0][0] < 0.9 * _MOVED_WINDOW:
             return
         shift = float(np.linalg.norm(np.median([shift for _, shift in self._shifts], axis=0)))
         if shift > MOVED:

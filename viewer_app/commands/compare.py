@@ -120,7 +120,7 @@ def _blueprint() -> rrb.Blueprint:
         rrb.Vertical(
             rrb.Spatial3DView(
                 origin=layout.ROOT,
-                name="first S* purple, second green",
+                name="first S* violet, second green",
                 line_grid=rrb.LineGrid3D(visible=False),
             ),
             rrb.Horizontal(

@@ -30,7 +30,7 @@ from fusion.body import BLAZEPOSE, BODIES
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.session_arrays import SessionArrays, SessionFrame
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 _SAVED_WITHOUT_DISPLAY = Path("demo.rrd")
 _FPS = 30.0
 _MOST_NAMED = 4  # times of one fault
-_NEXT = "Next: --motion walk, {other}, or your own sensors (duplex doctor)."
+_NEXT = "Next: {walk}{other}, or your own sensors (duplex doctor)."
 
 
 def run(options: DemoOptions) -> None:
@@ -146,7 +146,8 @@ def _show(
         runner.print_end()
         if not options.quiet:
             other = "the demo without --bad-setup" if options.bad_setup else "--bad-setup"
-            console.print(_NEXT.format(other=other))
+            walk = "" if options.motion == "walk" else "--motion walk, "
+            console.print(_NEXT.format(walk=walk, other=other))
         runner.check_saved()
 
 
@@ -185,7 +186,7 @@ def _own_tracker(options: DemoOptions, console: Console) -> TrackingPace:
 
     settings = BlazePoseSettings(options.tracker_network, options.tracker_model)
     ensure_networks(settings, console)
-    return TrackingPace(_FPS, settings)
+    return TrackingPace(_FPS, settings, simulated=True)
 
 
 def _together(a: SimulatedKinect, b: SimulatedKinect, pace: TrackingPace | None) -> TwoSensors:
@@ -200,7 +201,7 @@ def _together(a: SimulatedKinect, b: SimulatedKinect, pace: TrackingPace | None)
 
 
 def _print_truth(
-    console: Console, setup: FusionSetup, frames: list[RecordedFrame], truth: Truth, verbose: bool
+    console: Console, setup: FusionSetup, frames: list[SessionFrame], truth: Truth, verbose: bool
 ) -> None:
     rows = SessionArrays.stack(setup.body, setup.calibration.bone_lengths, frames)
     assert rows.truth is not None

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
-from contextlib import closing, nullcontext
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,15 +28,16 @@ from fusion.skeleton import SkeletonPair
 from recordings import layout
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.file.session_writer import write_session
-from recordings.fusing.files import check_related, fused_session
+from recordings.fusing.files import check_related, fused_session, without_folders
 from recordings.fusing.pairs import fuse_segments, setups_of
 from recordings.session import Session
-from viewer_app.coach.scene import verdict_page
+from recordings.session_arrays import SessionFrame
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import FuseOptions
 from viewer_app.options.shared import check_paper_options
 from viewer_app.output_files import check_outputs, whole_file, write_text
 from viewer_app.report.figures import Figures, report, save_report
+from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.loop import warm_up
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
@@ -45,6 +46,9 @@ from viewer_app.sinks.viewer_images import ShownImages
 from viewer_app.sinks.viewer_sink import ViewerSink
 from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
+
+_QUEUED = 300  # frames
+_SHOWN_WITHIN = 60.0  # seconds
 
 
 def run(options: FuseOptions) -> None:
@@ -66,7 +70,12 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     Raises:
         DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
     """
-    viewing = choose_viewing(options, options.save, live=False)
+    try:
+        viewing = choose_viewing(options, options.save, live=False)
+    except UsageError:
+        if not any(choice.is_tracked for choice in _choices(options)):
+            _read(options, console)  # a file that cannot be read is the greater fault
+        raise
     outputs = (options.report, options.save_calibration)
     inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
     check_outputs(outputs, filter(None, inputs), options.force, options.save)
@@ -80,23 +89,22 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     warm_up(Fuser(setup), console)
     depth = options.depth != "none" and any(camera is not None for camera in read.intrinsics)
     blueprint = session_blueprint(setup, _whereabouts(read), options.layout, depth=depth)
-    sources, page = (str(options.a), str(options.b)), verdict_page(setup)
+    sources = without_folders((str(options.a), str(options.b)))
     announce(viewing, console)
     shown = None
     if viewing is not None and viewing.opens:
         shown = ViewerSink(setup, sources, blueprint, viewing, uuid4(), complete=True)
     with closing(shown or Sink()) as viewer:
         viewer.event(Event(f"calibrated: {setup.calibration.how}"))
-        viewer.coach(page)
         for warning in read.warnings:
             viewer.event(Event(warning, "WARN"))
-        frames = []
-        fused = fuse_segments(segments, read.pairing.pairs, plan.codes)
         progress = _progress(console)
-        for frame in progress(fused, "fusing", len(read.pairing.pairs)):
-            viewer.write(frame)
-            frames.append(frame)
+        fused = fuse_segments(segments, read.pairing.pairs, plan.codes)
+        frames = _written(progress(fused, "fusing", len(read.pairing.pairs)), viewer)
         session = fused_session(read, plan, segments, frames, sources, options.depth, progress)
+        figures = report(session)
+        page = session_page(setup, figures)
+        viewer.coach(page)
         if shown is not None:
             session = replace(session, images=ShownImages(session, shown.offer))
         if options.save is None:
@@ -106,10 +114,18 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
             with whole_file(options.save) as partial:
                 write_session(session, partial, blueprint=blueprint, page=page)
         viewer.finish()
-        figures = report(session)
         _summarise(console, options, session, figures)
         stay_for_visitors(viewing, console)
         return session, figures
+
+
+def _written(frames: Iterable[SessionFrame], viewer: Sink) -> Iterator[SessionFrame]:
+    """Passes frames on, and to a viewer, which gets all of them: its queue must not hold the recording."""
+    for number, frame in enumerate(frames, start=1):
+        viewer.write(frame)
+        if number % _QUEUED == 0:
+            viewer.rest(_SHOWN_WITHIN)
+        yield frame
 
 
 def _settings(options: FuseOptions) -> FuserSettings:
@@ -143,8 +159,9 @@ def _plan(
     skeletons = [pair.skeletons for pair in read.pairing.pairs]
     calibration = _calibrate(options.calibrate, read.body, skeletons)
     kept = calibration is not None and not options.calibrate.startswith("seconds:")
-    with console.status("Learning the registration …") if console.is_terminal else nullcontext():
-        return plan_recording(read.body, skeletons, settings, calibration, not (options.no_refine or kept))
+    refine = not (options.no_refine or kept)
+    shown = partial(_progress(console), description="learning the registration")
+    return plan_recording(read.body, skeletons, settings, calibration, refine, shown)
 
 
 def _choices(options: FuseOptions) -> tuple[RecordingChoice, RecordingChoice]:

@@ -16,6 +16,7 @@ from devices.azure.tracking.body_tracker import check_smoothing
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth.image_thinning import thinned_camera
+from devices.network.remote_sensor import RemoteSensor
 from devices.sensor import Sensor
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
@@ -30,7 +31,7 @@ from viewer_app.output_files import check_outputs, write_text
 from viewer_app.running.interruption import CtrlC, call_after
 from viewer_app.running.loop import Status, run_live, warm_up
 from viewer_app.running.runner import Runner
-from viewer_app.sensors.local import kinect_settings, one_of_live, two_kinects
+from viewer_app.sensors.local import capture_settings, one_of_live, two_connected_sensors
 from viewer_app.sensors.remote import names_remote, sensors_by_network
 from viewer_app.viewer.blueprint import session_blueprint
 
@@ -51,7 +52,7 @@ def run(options: LiveOptions) -> None:
         with sensors_by_network(options, console, partial(one_of_live, options, console)) as sensors:
             _show(options, sensors, runner, console)
     else:
-        _show(options, two_kinects(options, console), runner, console)
+        _show(options, two_connected_sensors(options, console), runner, console)
 
 
 def _check(options: LiveOptions) -> None:
@@ -60,7 +61,7 @@ def _check(options: LiveOptions) -> None:
     Raises:
         DeviceError, UsageError: With one line for the person who asked.
     """
-    check_modes(kinect_settings(options, "", None))
+    check_modes(capture_settings(options, "", None))
     check_smoothing(options.smoothing)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
     check_outputs((options.report, options.save_calibration), read, options.force, options.save)
@@ -89,7 +90,8 @@ def _show(options: LiveOptions, sensors: TwoSensors, runner: Runner, console: Co
                 stack.enter_context(sensors)
             ctrl_c.calls(sensors.stop)
             nominal = FusionSetup(nominal.calibration, settings, _camera(options, a), _camera(options, b))
-            coach = Coach(a.body, nominal.intrinsics, options.fps, warm_up=WARM_UP)
+            remote = "".join("AB"[k] for k, each in enumerate((a, b)) if isinstance(each, RemoteSensor))
+            coach = Coach(a.body, nominal.intrinsics, options.fps, warm_up=WARM_UP, remote=remote)
             images = {"depth": options.depth != "none", "color": options.color != "off"}
             layout = partial(session_blueprint, nominal, _PERSON_AT, options.layout, live=True, **images)
             infrared = _has_infrared(options, sensors)
@@ -110,7 +112,7 @@ def _show(options: LiveOptions, sensors: TwoSensors, runner: Runner, console: Co
         runner.summarise(setup, frames, sensors)
         runner.print_end()
         if options.save_calibration is not None:
-            _save_calibration(options.save_calibration, watch.settled)
+            _save_calibration(options.save_calibration, watch.final)
         runner.check_saved()
 
 
@@ -126,12 +128,12 @@ class _Watch:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self.settled: Calibration | None = None
+        self.final: Calibration | None = None
 
     def __call__(self, status: Status) -> bool:
-        if self.settled is None and status.calibrator.settled:
-            self.settled = status.calibrator.calibration
-            self._console.print(f"[bold]Calibrated[/]: {escape(self.settled.how)}.")
+        if self.final is None and status.calibrator.final:
+            self.final = status.calibrator.calibration
+            self._console.print(f"[bold]Calibrated[/]: {escape(self.final.how)}.")
         return True
 
 

@@ -18,13 +18,12 @@ from fusion.fuser import Fuser
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
 from recordings.file.session_writer import write_session
-from recordings.fusing.pairs import Segments, calibrated, fuse_segments, setups_of
-from recordings.fusing.view_events import view_events
+from recordings.fusing.pairs import Segments, calibration_event, fuse_segments, setups_of
+from recordings.fusing.view_events import watch
 from recordings.images import NO_IMAGES
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from recordings.writing.checksums import fused_checksums, joint_digests
-from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReplayOptions
 from viewer_app.options.shared import check_paper_options
@@ -32,10 +31,11 @@ from viewer_app.output_files import check_outputs
 from viewer_app.outputs.opening import OutputPlan, announce_outputs, plan_outputs, print_outputs
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.figures import report, save_report
+from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images, print_summary, say_more, say_saved
 from viewer_app.running.loop import played, warm_up
 from viewer_app.sinks.sink import FanOut
-from viewer_app.viewer.blueprint import inspect_blueprint
+from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.display import has_display
 from viewer_app.viewer.file_window import written_and_shown
 from viewer_app.viewer.stored_clouds import has_depth
@@ -70,14 +70,15 @@ def run(options: ReplayOptions) -> None:
         announce_outputs(console, outputs)
         frames = _fused(options, session, segments, codes, outputs, console)
     replayed = _replayed(session, segments, frames, with_images=options.save is not None)
+    figures = report(replayed)
     damaged = 0
     window = not options.no_viewer and not options.verify and has_display()
     with written_and_shown(options.save, window) as path:
         if path is not None:
-            blueprint = inspect_blueprint(session.body, session.whereabouts, has_depth(replayed))
-            page = verdict_page(segments[-1][0])
+            setup, depth = segments[-1][0], has_depth(replayed)
+            blueprint = session_blueprint(setup, session.whereabouts, "inspect", depth=depth)
+            page = session_page(setup, figures)
             damaged = write_session(replayed, path, blueprint=blueprint, page=page)
-    figures = report(replayed)
     if outputs:
         figures["outputs"] = [output.figures() for output in outputs]
     save_report(options.report, figures)
@@ -116,10 +117,10 @@ def _fused(
     codes: NDArray[np.int64] | None,
     outputs: Sequence[LiveOutput],
     console: Console,
-) -> list[RecordedFrame]:
+) -> list[SessionFrame]:
     """Fuses the pairs of a session, at the recorded times where S* is sent to outputs."""
     pairs = list(session.pairs())
-    fused: Iterator[RecordedFrame] = fuse_segments(segments, pairs, codes)
+    fused: Iterator[SessionFrame] = fuse_segments(segments, pairs, codes)
     if options.pace == "live":
         warm_up(Fuser(segments[0][0]), console)
         setups = {own.start: setup for setup, own in segments}
@@ -128,13 +129,11 @@ def _fused(
     return list(track(fused, "fusing", len(pairs), console=console, transient=True, disable=quiet))
 
 
-def _replayed(
-    session: Session, segments: Segments, frames: list[RecordedFrame], with_images: bool
-) -> Session:
+def _replayed(session: Session, segments: Segments, frames: list[SessionFrame], with_images: bool) -> Session:
     """The session of the replay, with the events that it found itself."""
     first_ns = frames[0].pair.time_ns
-    events = [calibrated(setup, own, session.time_ns) for setup, own in segments]
-    events += view_events(session.body, frames, first_ns)
+    events = [calibration_event(setup, own, session.time_ns) for setup, own in segments]
+    frames = list(watch(session.body, frames, first_ns, events))
     about = session.origin | {"first_frame": session.first_frame, "replay_of": session.name}
     return Session.of(
         [(setup, frames[own]) for setup, own in segments],

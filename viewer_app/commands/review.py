@@ -10,11 +10,19 @@ from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReviewOptions
 from viewer_app.output_files import check_outputs, write_text
-from viewer_app.report.events import ListedEvent, list_events, opening_event, seconds_of, settled_frame
+from viewer_app.report.events import (
+    ListedEvent,
+    first_calibrated_frame,
+    list_events,
+    opening_event,
+    seconds_of,
+)
 from viewer_app.report.figures import report, truth_free_figures
+from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_events, print_summary, say_more
 from viewer_app.viewer.display import has_display
-from viewer_app.viewer.file_window import in_this_layout, show
+from viewer_app.viewer.file_window import in_this_layout, served, show
+from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
 
 
 def run(options: ReviewOptions) -> None:
@@ -24,6 +32,7 @@ def run(options: ReviewOptions) -> None:
         RecordingError, UsageError: With one line for the person who asked.
     """
     console = Console(highlight=False)
+    viewing = choose_viewing(options, options.session, live=False)
     check_outputs([options.html], [options.session], options.force)
     session = Session.open(options.session)
     events = list_events(session.events)
@@ -45,13 +54,20 @@ def run(options: ReviewOptions) -> None:
         console.print(f"Wrote {options.html}.", markup=False, soft_wrap=True)
     elif not options.verbose:
         say_more(console, "every bone, with plots, with --html FILE.html")
-    if options.no_viewer:
+    if viewing is None:
         return
-    if not has_display():
+    page = session_page(session.last_setup, figures)
+    in_layout = in_this_layout(session, options.session, page)
+    if viewing.hub is not None:
+        with in_layout as file, served(file, viewing.hub):
+            announce(viewing, console)
+            console.print(f"Move its time cursor by hand; a window would open {where}.", markup=False)
+            stay_for_visitors(viewing, console)
+    elif not has_display():
         console.print(f"There is no display; a viewer would open {where}.", markup=False)
     else:
         console.print(f"The viewer opens {where}.", markup=False)
-        with in_this_layout(session, options.session) as file:
+        with in_layout as file:
             stands_there = show(file, at_ns)
         if not stands_there:
             console.print("The viewer did not take the time; move its time cursor by hand.", style="yellow")
@@ -76,7 +92,7 @@ def opening_time(options: ReviewOptions, session: Session, events: Sequence[List
             raise UsageError(f"--event {options.event}: no such event; {known}.")
         chosen: ListedEvent | None = events[options.event - 1]
     else:
-        chosen = opening_event(events, settled_frame(session))
+        chosen = opening_event(events, first_calibrated_frame(session))
     if chosen is None:
         return 0, "at the beginning: no event calls for a look"
     time_ns = chosen.event.time_ns

@@ -23,7 +23,7 @@ from viewer_app.options.sensing import PublishOptions
 from viewer_app.options.shared import check_seconds
 from viewer_app.running.interruption import CtrlC, call_after
 from viewer_app.sensors.local import one_sensor
-from viewer_app.sensors.remote import teller
+from viewer_app.sensors.remote import teller, warn_of_others
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
 
 _EVERY_S = 10.0  # seconds between two lines about what was sent
@@ -40,6 +40,7 @@ def run(options: PublishOptions) -> None:
     checked_key(options.publish)
     load_zenoh()
     check_seconds(options.seconds)
+    warn_of_others(addresses, console)
     sensor = _sensor(options, console)
     tell = teller(console)
     stopped = threading.Event()

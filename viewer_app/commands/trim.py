@@ -7,12 +7,13 @@ from rich.console import Console
 
 from recordings.file.session_writer import write_session
 from recordings.session import Session
-from viewer_app.coach.scene import verdict_page
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import TrimOptions
 from viewer_app.output_files import check_outputs, whole_file
+from viewer_app.report.figures import report
+from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images
-from viewer_app.viewer.blueprint import inspect_blueprint
+from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.stored_clouds import has_depth
 
 
@@ -36,8 +37,10 @@ def run(options: TrimOptions) -> None:
             f"No frame from {options.start:g} s to {last:g} s; {session} runs from 0 to {time[-1]:.3f} s."
         )
     with whole_file(options.save) as partial:
-        blueprint = inspect_blueprint(session.body, session.whereabouts, has_depth(session))
-        page = verdict_page(next(setup for setup, own in session.setups() if end <= own.stop))
+        setup = next(setup for setup, own in session.setups() if end <= own.stop)
+        about = f"These figures are of {session}, of which this session is a part."
+        blueprint = session_blueprint(setup, session.whereabouts, "inspect", depth=has_depth(session))
+        page = session_page(setup, report(session), about)
         damaged = write_session(
             session, partial, blueprint=blueprint, page=page, first=int(first), end=int(end)
         )

@@ -12,7 +12,7 @@ from viewer_app.options.shared import (
     SENSORS,
     TRACKER,
     VIEWER,
-    WHOLE,
+    WHOLE_NUMBER,
     FusionOptions,
     LiveOutputOptions,
     MethodOptions,
@@ -64,7 +64,7 @@ class DemoOptions(LiveOutputOptions, TerminalOptions, ViewerOptions, OutputOptio
     """A movement of the library (duplex demo --motion list names them), or a BVH file."""
     seconds: float = 30.0
     """How long."""
-    seed: Annotated[int, SENSORS, WHOLE] = 0
+    seed: Annotated[int, SENSORS, WHOLE_NUMBER] = 0
     """Seed of the simulated sensors' errors; the same seed gives the same skeletons."""
     angle: Annotated[float, SENSORS] = 90.0
     """Degrees between the two sensors."""
@@ -174,7 +174,7 @@ class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
     """A folder of recordings, or a manifest (.csv) with paths relative to its own folder."""
     out: Annotated[Path, OUTPUTS]
     """Folder for the sessions, one subfolder each, and the summary (summary.html, summary.parquet)."""
-    processes: Annotated[int, WHOLE] = 0
+    processes: Annotated[int, WHOLE_NUMBER] = 0
     """How many recordings are fused at the same time on this machine; 0: one per processor."""
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://HOST:PORT, whose workers fuse. They must see the same paths as this

@@ -14,10 +14,11 @@ from viewer_app.options.shared import (
     METHOD,
     OUTPUTS,
     VIEWER,
-    WHOLE,
+    WHOLE_NUMBER,
     LiveOutputOptions,
     OutputOptions,
     SummaryOptions,
+    WebOptions,
 )
 
 
@@ -86,7 +87,7 @@ class CompareOptions(SummaryOptions):
     """Another of the same capture: a replay with other settings, say."""
     save: Annotated[Path | None, OUTPUTS] = None
     """Keep both S* and their difference as an .rrd file."""
-    worst: Annotated[int, WHOLE] = 5
+    worst: Annotated[int, WHOLE_NUMBER] = 5
     """How many of the moments in which they differ most to list."""
     no_viewer: Annotated[bool, VIEWER] = False
     """Do not open the viewer."""
@@ -95,20 +96,18 @@ class CompareOptions(SummaryOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReviewOptions(SummaryOptions):
+class ReviewOptions(WebOptions, SummaryOptions):
     """Show a saved session: a summary, its events, the viewer at one of them, and an HTML page."""
 
     session: Annotated[Path, ARGUMENT] = field(kw_only=False)
     """The .rrd to show."""
-    event: Annotated[int | None, VIEWER, WHOLE] = None
+    event: Annotated[int | None, VIEWER, WHOLE_NUMBER] = None
     """Open the viewer at the event of this number. If neither this nor --at is given: at the first warning
     after the calibration, else where a view first had left and right exchanged, else at the beginning."""
     at: Annotated[float | None, VIEWER] = None
     """Open the viewer at this time, in seconds since the first pair."""
     html: Annotated[Path | None, OUTPUTS] = None
     """Write a self-contained page: bone lengths, jitter, trust, disagreement, calibration, timing."""
-    no_viewer: Annotated[bool, VIEWER] = False
-    """Do not open the viewer."""
     force: Annotated[bool, OUTPUTS] = False
     """Overwrite a file that exists."""
 

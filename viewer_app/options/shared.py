@@ -32,7 +32,7 @@ def _whole(kind: type, tokens: Sequence[Token]) -> int:
         raise CoercionError(token=tokens[0], target_type=kind) from None
 
 
-WHOLE = Parameter(converter=_whole)
+WHOLE_NUMBER = Parameter(converter=_whole)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,16 +48,23 @@ class OutputOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewerOptions:
-    """How a running session is shown."""
+class WebOptions:
+    """Whether a session is shown in a window or in a browser."""
 
     no_viewer: Annotated[bool, VIEWER] = False
     """Do not open the viewer."""
     web: Annotated[bool, VIEWER] = False
-    """Show the session in a browser instead of a window."""
+    """Show the session in a browser instead of a window: a page on port 9090, its data on port 9876, or on
+    the next free ones."""
     listen: Annotated[str | None, VIEWER] = None
     """With --web, --websocket or --lsl: the address of this machine to listen on, also for other machines.
     If not given: this machine only."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewerOptions(WebOptions):
+    """How a running session is shown."""
+
     layout: Annotated[Literal["setup", "inspect", "report"], VIEWER] = "inspect"
     """Which of the viewer's tabs is open at first."""
 
@@ -175,7 +182,7 @@ class LiveOutputOptions(ZenohOptions):
     """HOST:PORT of VRChat's OSC trackers; usually port 9000."""
     lsl: Annotated[str | None, OUTPUTS] = None
     """Name of a Lab Streaming Layer stream; needs the extra lsl."""
-    websocket: Annotated[int | None, OUTPUTS, WHOLE] = None
+    websocket: Annotated[int | None, OUTPUTS, WHOLE_NUMBER] = None
     """Port of a WebSocket server: JSON, and a page that draws the skeleton."""
     zenoh: Annotated[str | None, OUTPUTS] = None
     """Zenoh key to publish JSON under; needs the extra zenoh."""

@@ -1,7 +1,8 @@
 """A WebSocket server: the JSON of :mod:`viewer_app.outputs.skeleton_json` for browsers and scripts.
 
-The same port serves a page that draws the skeleton. Each client has a slot for the newest frame: a slow
-client skips frames, a blocked one is disconnected. Messages of clients are counted and ignored.
+The same port serves a page that draws the skeleton. Each client has a slot for the newest frame, and a ping
+follows each frame: a slow client skips frames, because only some frames may be unanswered, and a blocked one
+is disconnected. Messages of clients are counted and ignored.
 """
 
 from __future__ import annotations
@@ -9,9 +10,9 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import logging
-import socket
 import threading
 from collections import deque
+from collections.abc import Awaitable
 from contextlib import suppress
 from http import HTTPStatus
 from importlib import resources
@@ -20,8 +21,8 @@ from urllib.parse import urlsplit
 
 from devices.events import Event
 from fusion.setup import FusionSetup
-from recordings.session_arrays import RecordedFrame
-from viewer_app.addresses import LOOPBACK, in_url, reached_at
+from recordings.session_arrays import SessionFrame
+from viewer_app.addresses import LOOPBACK, in_url, is_loopback, reached_at
 from viewer_app.errors import UsageError
 from viewer_app.outputs.output import LATE_NS, LiveOutput
 from viewer_app.outputs.skeleton_json import SkeletonJson
@@ -35,7 +36,8 @@ _LARGEST = 4096  # bytes of a client's message
 _MOST_CLIENTS = 32
 _PATIENCE = 10.0  # seconds without an answer to a ping
 _OPENS_WITHIN = 10.0
-_WRITE_LIMIT = 32_768  # bytes: some frames
+UNANSWERED = 4
+"""Maximum number of frames on the way to a client, 0.13 s at 30 fps: buffers of the network hold seconds."""
 _SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self' ws:"
 )
@@ -66,7 +68,7 @@ class WebSocketOutput(LiveOutput):
         self.host = listen or LOOPBACK
         super().__init__(f"WebSocket on ws://{in_url(self.host)}:{port}")
         self.page = f"http://{reached_at(self.host)}:{port}"
-        if not _is_local(self.host):
+        if not is_loopback(self.host):
             self.note = f"Whoever reaches {self.host}:{port} can read the skeleton, without a password."
         self._json = SkeletonJson(setup)
         self._hello = self._json.hello(setup)
@@ -91,7 +93,7 @@ class WebSocketOutput(LiveOutput):
         """The counts, and the messages of clients."""
         return {**super().figures(), "ignored_messages": self.ignored}
 
-    def write(self, frame: RecordedFrame) -> None:
+    def write(self, frame: SessionFrame) -> None:
         """Takes a frame, if there is a client."""
         if self._clients or self._start_ns is None:
             super().write(frame)
@@ -149,21 +151,23 @@ class WebSocketOutput(LiveOutput):
             ping_interval=_PATIENCE,
             ping_timeout=_PATIENCE,
             close_timeout=1.0,
-            write_limit=_WRITE_LIMIT,
             server_header=None,
             logger=logger,
         )
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Serves the page; refuses pages of other sites, which any browser would let in."""
-        origin, host = request.headers.get("Origin"), request.headers.get("Host", "")
+        try:
+            origin, host = request.headers.get("Origin"), request.headers.get("Host", "")
+        except LookupError:
+            return connection.respond(HTTPStatus.BAD_REQUEST, "Two hosts or two origins.\n")
         try:
             trusted = self._trusts(host, origin)
         except ValueError:  # no address at all
             trusted = False
         if not trusted:
             return connection.respond(HTTPStatus.FORBIDDEN, "This site may not read the skeleton.\n")
-        if "websocket" in request.headers.get("Upgrade", "").lower():
+        if "websocket" in ",".join(request.headers.get_all("Upgrade")).lower():
             if len(self._clients) >= _MOST_CLIENTS:
                 return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "Too many clients.\n")
             return None
@@ -186,23 +190,20 @@ class WebSocketOutput(LiveOutput):
         A name that an attacker's DNS turns to this machine must not count as this server. So a page of this
         server must have been opened under an address or under a name of the local network.
         """
-        local = _is_local(self.host)
+        local = is_loopback(self.host)
         named = urlsplit(f"//{host}").hostname
-        if local and not _is_local(named):
+        if local and not is_loopback(named):
             return False
         if origin is None:
             return True
         parts = urlsplit(origin)
-        return _is_local(parts.hostname) or (
+        return is_loopback(parts.hostname) or (
             not local and parts.netloc == host and _is_of_local_network(named)
         )
 
     async def _attend(self, connection: ServerConnection) -> None:
         from websockets.exceptions import ConnectionClosed
 
-        # the system's own buffer would hold half a minute of old frames for a slow client
-        raw = connection.transport.get_extra_info("socket")
-        raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _WRITE_LIMIT)
         client = _Client()
         self._clients.add(client)
         sending = asyncio.create_task(self._feed(connection, client))
@@ -218,6 +219,7 @@ class WebSocketOutput(LiveOutput):
     async def _feed(self, connection: ServerConnection, client: _Client) -> None:
         from websockets.exceptions import ConnectionClosed
 
+        unanswered: deque[Awaitable[float]] = deque()
         with suppress(ConnectionClosed):
             await connection.send(self._hello)
             while True:
@@ -225,9 +227,12 @@ class WebSocketOutput(LiveOutput):
                 client.more.clear()
                 while client.others:
                     await connection.send(client.others.popleft())
+                if len(unanswered) == UNANSWERED:
+                    await unanswered.popleft()
                 if client.frame is not None:
                     (text, written_ns), client.frame = client.frame, None
                     await connection.send(text)
+                    unanswered.append(await connection.ping())
                     self._sent += 1
                     self._late += self._clock() - written_ns > LATE_NS
 
@@ -240,13 +245,6 @@ class WebSocketOutput(LiveOutput):
         self._serving.join(2.0)
         if not self._serving.is_alive():
             self._loop.close()
-
-
-def _is_local(host: str | None) -> bool:
-    try:
-        return host == "localhost" or ipaddress.ip_address(host or "").is_loopback
-    except ValueError:
-        return False
 
 
 def _is_of_local_network(host: str | None) -> bool:

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from devices.events import Event
 from devices.network.zenoh_session import ZenohAddresses, checked_key, load_zenoh, zenoh_session
 from fusion.setup import FusionSetup
+from viewer_app.addresses import zenoh_warning
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.outputs.skeleton_json import SkeletonJson
 from viewer_app.sinks.queued_sink import QueuedFrame
@@ -24,6 +25,7 @@ class ZenohOutput(LiveOutput):
 
     def __init__(self, key: str, addresses: ZenohAddresses, setup: FusionSetup) -> None:
         super().__init__(f"Zenoh key {key}", keep=_KEEP)
+        self.note = zenoh_warning(addresses.listen)
         self._key, self._setup = checked_key(key), setup
         self._json = SkeletonJson(setup)
         self._opened = ExitStack()

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from devices.events import Event, Spell, spells_of
-from fusion.calibration.calibration import PROVISIONAL
 from recordings.session import Session
 
 
@@ -34,7 +33,7 @@ def list_events(events: Iterable[Event]) -> list[ListedEvent]:
     return [ListedEvent(number, event, spells.get(id(event))) for number, event in enumerate(listed, start=1)]
 
 
-def opening_event(events: Sequence[ListedEvent], settled_frame: int = 0) -> ListedEvent | None:
+def opening_event(events: Sequence[ListedEvent], first_calibrated_frame: int = 0) -> ListedEvent | None:
     """The event at which a review opens; None where nothing happened.
 
     The first of: a warning or an error once the session is calibrated, a spell once it is calibrated, a
@@ -43,10 +42,10 @@ def opening_event(events: Sequence[ListedEvent], settled_frame: int = 0) -> List
 
     Args:
         events: Of :func:`list_events`.
-        settled_frame: The frame from which the session is calibrated.
+        first_calibrated_frame: The frame from which the session is calibrated.
     """
     happened = [each for each in events if each.event.frame > 0]
-    later = [each for each in happened if each.event.frame >= settled_frame]
+    later = [each for each in happened if each.event.frame >= first_calibrated_frame]
     for choice in (later, happened):
         for kind in (
             [each for each in choice if each.event.level != "INFO"],
@@ -57,9 +56,9 @@ def opening_event(events: Sequence[ListedEvent], settled_frame: int = 0) -> List
     return None
 
 
-def settled_frame(session: Session) -> int:
+def first_calibrated_frame(session: Session) -> int:
     """The first frame fused with a calibration that is not provisional; 0 where all are."""
-    return next((first for first, one in session.calibrations if not one.how.startswith(PROVISIONAL)), 0)
+    return next((first for first, one in session.calibrations if not one.provisional), 0)
 
 
 def shortest_list(events: Sequence[ListedEvent], most: int) -> list[ListedEvent]:

@@ -17,10 +17,11 @@ from fusion.errors import FusionError
 from fusion.handedness import mirrored_share
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
-from fusion.setup import FuserSettings
+from fusion.setup import FusionSetup
 from fusion.without_truth import FiguresWithoutTruth, FusedPair, figures_without_truth, judge_registration
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
+from viewer_app.coach.standing_spot import FARTHEST, nearest
 from viewer_app.output_files import write_text
 from viewer_app.report.verdict import Figures as Figures
 from viewer_app.report.verdict import verdict
@@ -32,15 +33,16 @@ def report(session: Session) -> Figures:
     Args:
         session: The session.
     """
-    pairing = session.pairing
+    counts = session.frame_counts
+    alone = {side: counts[f"alone_{side}"] for side in "ab"}
     return with_verdict(
         {
-            "frames": {"a": pairing.frames_a, "b": pairing.frames_b},
-            "paired": len(pairing.pairs) - pairing.alone_a - pairing.alone_b,
-            "alone": {"a": pairing.alone_a, "b": pairing.alone_b},
+            "frames": {side: counts[f"frames_{side}"] for side in "ab"},
+            "paired": len(session) - sum(alone.values()),
+            "alone": alone,
             "dropped": dict(zip("ab", session.dropped, strict=True)),
             "clock": session.clock,
-            **fusion_figures(session.calibration, session.settings, session.rows),
+            **fusion_figures(session.last_setup, session.rows),
         }
     )
 
@@ -50,8 +52,9 @@ def with_verdict(figures: Figures) -> Figures:
     return figures | {"verdict": verdict(figures)._asdict()}
 
 
-def fusion_figures(calibration: Calibration, settings: FuserSettings, rows: SessionArrays) -> Figures:
-    """The figures of fused frames from any source."""
+def fusion_figures(setup: FusionSetup, rows: SessionArrays) -> Figures:
+    """The figures of fused frames from any source, with the last setup that applies to them."""
+    settings = setup.settings
     return {
         "stale": {"a": int(rows.stale_a.sum()), "b": int(rows.stale_b.sum())},
         "without_person": {
@@ -60,7 +63,8 @@ def fusion_figures(calibration: Calibration, settings: FuserSettings, rows: Sess
             "both": int(rows.predicted.all(axis=1).sum()),
         },
         "settings": {name: getattr(settings, name) for name in ("method", "h", "weights", "smoothing")},
-        "calibration": calibration_figures(calibration),
+        "calibration": calibration_figures(setup.calibration),
+        "distance_m": _distances(setup, rows),
         **method_figures(rows),
     }
 
@@ -70,6 +74,7 @@ def calibration_figures(calibration: Calibration) -> Figures:
     fit = calibration.registration
     return {
         "how": calibration.how,
+        "provisional": calibration.provisional,
         "residual_mm": None
         if fit is None
         else {"median": fit.residual_median * 1e3, "rms": fit.residual_rms * 1e3},
@@ -104,20 +109,21 @@ def truth_free_figures(session: Session) -> dict[str, float | None]:
         values["halves_rotation_off"] = halves.rotation_off
         values["halves_position_off"] = halves.position_off
     names += ["roughness_ratio", "halves_rotation_off", "halves_position_off"]
-    return {name: _of(np.mean, np.array([values.get(name, np.nan)])) for name in names}
+    return {name: _of_finite(np.mean, np.array([values.get(name, np.nan)])) for name in names}
 
 
 def method_figures(rows: SessionArrays) -> Figures:
     """Bones, errors, repaired data, time, and how well the views agree since the calibration."""
     lengths, target = rows.bone_length_of_each, rows.bone_lengths
-    calibrated = (rows.rotation != np.eye(3)).any(axis=(1, 2)) | rows.translation.any(axis=1)
-    apart = rows.disagreement[calibrated] * 1e3
+    apart = rows.views_agree
     bones = {}
     for joint in rows.body.bone_joints:
         of_bone: Figures = {"target_m": float(target[-1, joint])}
         for key, length in zip(("a", "b", "fused"), lengths[:, :, joint], strict=True):
-            of_bone[key] = {"mean_m": _of(np.mean, length), "std_mm": _of(np.std, length * 1e3)}
-        of_bone["fused"]["max_error_mm"] = _of(np.max, np.abs(lengths[2, :, joint] - target[:, joint]) * 1e3)
+            of_bone[key] = {"mean_m": _of_finite(np.mean, length), "std_mm": _of_finite(np.std, length * 1e3)}
+        of_bone["fused"]["max_error_mm"] = _of_finite(
+            np.max, np.abs(lengths[2, :, joint] - target[:, joint]) * 1e3
+        )
         bones[rows.body.bones[joint]] = of_bone
     error = (lengths - target)[:, :, rows.body.bone_joints] * 1e3
     seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
@@ -132,15 +138,32 @@ def method_figures(rows: SessionArrays) -> Figures:
         },
         "bones": bones,
         "bone_error_mm": {
-            key: {"rms": _of(_rms, error[k]), "max": _of(np.max, np.abs(error[k]))}
+            key: {"rms": _of_finite(_rms, error[k]), "max": _of_finite(np.max, np.abs(error[k]))}
             for k, key in enumerate(("a", "b", "fused"))
         },
-        "views_agree_mm": {"median": _of(np.median, apart), "p95": _percentile(apart, 95)},
+        "views_agree_mm": {
+            "median": _in_mm(apart.median),
+            "p95": _in_mm(apart.percentile_95),
+        },
         "fuse_ms": {
             "p50": _percentile(rows.fuse_ms, 50),
             "p99": _percentile(rows.fuse_ms, 99),
-            "max": _of(np.max, rows.fuse_ms),
+            "max": _of_finite(np.max, rows.fuse_ms),
         },
+    }
+
+
+def _in_mm(metres: float) -> float | None:
+    return None if math.isnan(metres) else metres * 1e3
+
+
+def _distances(setup: FusionSetup, rows: SessionArrays) -> Figures:
+    """Median distance of the trunk from each sensor along its axis, and the sensor's range, metres."""
+    torso, far = list(rows.body.torso), FARTHEST[rows.body.name]
+    positions, cameras = (rows.positions_a, rows.positions_b), (setup.intrinsics_a, setup.intrinsics_b)
+    return {
+        side: {"median": _of_finite(np.median, at[:, torso, 2]), "near": nearest(camera), "far": far}
+        for side, at, camera in zip("ab", positions, cameras, strict=True)
     }
 
 
@@ -152,8 +175,10 @@ def _repaired(rows: SessionArrays) -> Figures:
     seen = ~rows.predicted.all(axis=1)
     exchanged = None
     if rows.exchanged is not None:
-        exchanged = {key: _of(np.mean, rows.exchanged[seen, k] != 0) for k, key in enumerate(("a", "b"))}
-    return {"exchanged": exchanged, "unseen_joints": _of(np.mean, rows.predicted[seen])}
+        exchanged = {
+            key: _of_finite(np.mean, rows.exchanged[seen, k] != 0) for k, key in enumerate(("a", "b"))
+        }
+    return {"exchanged": exchanged, "unseen_joints": _of_finite(np.mean, rows.predicted[seen])}
 
 
 def save_report(path: Path | None, figures: Figures) -> None:
@@ -163,7 +188,7 @@ def save_report(path: Path | None, figures: Figures) -> None:
         write_text(path, text)
 
 
-def _of(figure: Any, values: NDArray[Any]) -> float | None:
+def _of_finite(figure: Any, values: NDArray[Any]) -> float | None:
     """A figure of the finite values; None if there are none."""
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]
@@ -175,4 +200,4 @@ def _rms(values: NDArray[np.float64]) -> float:
 
 
 def _percentile(values: NDArray[Any], percent: float) -> float | None:
-    return _of(lambda finite: np.percentile(finite, percent), values)
+    return _of_finite(lambda finite: np.percentile(finite, percent), values)

@@ -1,13 +1,11 @@
-"""A session's quality on one self-contained HTML page: no network, no script, light and dark.
+"""A session on one self-contained HTML page: its quality and its motion; no network, light and dark.
 
-This module collects the content of the page; ``templates/review_page.html`` defines its form. Jinja escapes
-all text from the session.
+This module collects the content of the page; ``templates/review_page.html`` defines its form, and
+``templates/player.js`` plays the motion. Jinja escapes all text from the session.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,14 +13,23 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from recordings.appearance.colors import PROMINENT_BONES
+from recordings.fusing.files import without_folders
 from recordings.session import Session
 from recordings.session_comparison import frame_noise_of
-from viewer_app.report.events import ListedEvent, event_in_words, list_events, seconds_of, shortest_list
+from viewer_app.report.events import (
+    event_in_words,
+    first_calibrated_frame,
+    list_events,
+    opening_event,
+    seconds_of,
+    shortest_list,
+)
+from viewer_app.report.motion import encoded_motion
 from viewer_app.report.svg_plots import bar_plot, line_plot, skeleton_color, trust_map
 from viewer_app.report.words import BONE_HEAD, bone_rows, detail_lines, lead_lines
 
 _MOST_EVENTS = 12
-"""Listed at first; the others open below."""
+"""Printed on paper; the screen lists all."""
 
 
 def review_page(session: Session, figures: dict[str, Any]) -> str:
@@ -35,10 +42,11 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
     environment = Environment(
         loader=PackageLoader("viewer_app.report"), autoescape=True, undefined=StrictUndefined
     )
-    source_a, source_b = _without_folders(session.sources)
+    source_a, source_b = without_folders(session.sources)
     lead = list(lead_lines(figures))
     events = list_events(session.events)
-    shortest = shortest_list(events, _MOST_EVENTS)
+    printed = {each.number for each in shortest_list(events, _MOST_EVENTS)}
+    opening = opening_event(events, first_calibrated_frame(session))
     time_ns = session.rows.time_ns
     return environment.get_template("review_page.html").render(
         name=session.name,
@@ -61,8 +69,18 @@ def review_page(session: Session, figures: dict[str, Any]) -> str:
         trust_plot=_trust_plot(session),
         disagreement_plot=_disagreement_plot(session),
         timing_plots=_timing_plots(session),
-        events=_event_rows(shortest),
-        all_events=_event_rows(events) if len(shortest) < len(events) else [],
+        events=[
+            {
+                "number": each.number,
+                "at": each.event.time_ns * 1e-9,
+                "time": seconds_of(each.event.time_ns),
+                "text": event_in_words(each),
+                "printed": each.number in printed,
+            }
+            for each in events
+        ],
+        motion=encoded_motion(session, [each.event.time_ns * 1e-9 for each in events]),
+        start=0.0 if opening is None else opening.event.time_ns * 1e-9,
     )
 
 
@@ -116,16 +134,3 @@ def _timing_plots(session: Session) -> Markup:
     if not rows.skew_ns.any():
         return Markup(fusion)
     return Markup(fusion) + Markup(line_plot("skew of B", "ms", time, {"skew": (rows.skew_ns * 1e-6, "b")}))
-
-
-def _event_rows(events: Sequence[ListedEvent]) -> list[tuple[str, str, str]]:
-    return [(str(each.number), seconds_of(each.event.time_ns), event_in_words(each)) for each in events]
-
-
-def _without_folders(sources: tuple[str, str]) -> tuple[str, str]:
-    """The names of the sensors; for files, the shortest end of the path that distinguishes them."""
-    a, b = (re.split(r"[/\\]", source) for source in sources)
-    for parts in range(1, min(len(a), len(b)) + 1):
-        if a[-parts:] != b[-parts:]:
-            return "/".join(a[-parts:]), "/".join(b[-parts:])
-    return a[-1], b[-1]

@@ -15,10 +15,10 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.appearance.colors import SKELETON_COLORS
+from recordings.appearance.colors import PREDICTED_COLOR, SKELETON_COLORS, Color
 
 _INK = "#010203"  # placeholder for the page's text colour
-_MOST_POINTS = 1500  # about one point per pixel
+_POINTS_PER_INCH = 120  # of the width of a plot: about one point per pixel
 _TRUST_COLUMNS = 600
 _WIDE = 11.0  # inches, of a plot across the page
 Line = tuple[NDArray[Any], str]
@@ -34,9 +34,10 @@ def line_plot(
     wide: bool = False,
 ) -> str:
     """Plots values over seconds; each line has the key of its skeleton's colour. A level is dashed."""
-    figure, axes = _figure(_WIDE if wide else 6.0, 2.4)
+    width = _WIDE if wide else 6.0
+    figure, axes = _figure(width, 2.4)
     for name, (values, key) in lines.items():
-        at, thinned = _thinned(time, np.asarray(values, dtype=np.float64))
+        at, thinned = _thinned(time, np.asarray(values, dtype=np.float64), int(width * _POINTS_PER_INCH))
         axes.plot(
             at, thinned, color=skeleton_color(key), linewidth=1.6 if key == "fused" else 0.8, label=name
         )
@@ -71,11 +72,12 @@ def bar_plot(unit: str, names: Sequence[str], bars: Mapping[str, Line]) -> str:
 
 
 def trust_map(time: NDArray[Any], names: Sequence[str], share: NDArray[Any]) -> str:
-    """Plots the share of A (T, J), one row per joint: from A's colour over that of S* to B's, empty
+    """Plots the share of A (T, J), one row per joint: from A's colour over that of S* to B's, grey
     without data."""
     from matplotlib.colors import LinearSegmentedColormap
 
     figure, axes = _figure(_WIDE, 0.16 * len(names) + 1.0)
+    axes.set_facecolor(_css(PREDICTED_COLOR))
     mean = _columns_of_time(time, share)
     colors = LinearSegmentedColormap.from_list(
         "trust", [skeleton_color("b"), skeleton_color("fused"), skeleton_color("a")]
@@ -161,14 +163,18 @@ def _svg(figure: Any, label: str, wide: bool = False) -> str:
 
 def skeleton_color(key: str) -> str:
     """The colour of a skeleton as CSS and SVG write it."""
-    return "#{:02x}{:02x}{:02x}".format(*SKELETON_COLORS[key])
+    return _css(SKELETON_COLORS[key])
 
 
-def _thinned(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _css(color: Color) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+def _thinned(time: NDArray[Any], values: NDArray[Any], most: int) -> tuple[NDArray[Any], NDArray[Any]]:
     """Minimum and maximum of each span, so that no peak is lost."""
-    if len(values) <= _MOST_POINTS:
+    if len(values) <= most:
         return time, values
-    blocks = np.array_split(np.arange(len(values)), _MOST_POINTS // 2)
+    blocks = np.array_split(np.arange(len(values)), most // 2)
     kept = []
     for block in blocks:
         part = values[block]

@@ -140,7 +140,8 @@ def print_events(console: Console, events: Sequence[ListedEvent], all_of_them: b
     for each in shown:
         style = "" if each.event.level == "INFO" else "yellow"
         grid.add_row(str(each.number), seconds_of(each.event.time_ns), Text(event_in_words(each), style))
-    console.print("[bold]Events[/]")
+    some = f", {len(shown)} of {len(events)}, with the numbers of --verbose and --event"
+    console.print(f"[bold]Events[/]{some if len(shown) < len(events) else ''}")
     console.print(grid)
     if len(shown) < len(events):
         console.print(f"and {len(events) - len(shown)} more: --verbose.")

@@ -6,6 +6,7 @@ figure                                                 good       usable
 views agree, median over all frames since calibration  < 40 mm    < 80 mm
 rotation of B certain to (standard deviation)          <= 2°      <= 4°
 angle between the sensors                              60–120°    40–140°
+distance of the person, of the sensor's range          within     25 % off
 offset between the clocks less two standard deviations < 17 ms    < 50 ms
 frames without a partner                               < 10 %     < 30 %
 =====================================================  =========  =========
@@ -19,8 +20,8 @@ import math
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
-from fusion.calibration.calibration import FEWEST_PAIRS, PROVISIONAL
-from viewer_app.coach.advice import ANGLES, CERTAIN_TURN, GOOD, USABLE
+from fusion.calibration.calibration import CERTAIN_TURN_DEG, FEWEST_PAIRS
+from viewer_app.coach.advice import ANGLES, GOOD, USABLE
 
 Figures = dict[str, Any]
 Word = Literal["good", "usable", "poor", "unknown"]
@@ -28,6 +29,7 @@ Word = Literal["good", "usable", "poor", "unknown"]
 USABLE_ANGLES = (40.0, 140.0)
 _OFFSETS = (17.0, 50.0)  # ms: half a frame, one and a half
 _UNPAIRED = (0.1, 0.3)
+_OUT_OF_RANGE = 0.25
 _MIRRORED = 0.8
 _CALIBRATE = "Calibrate: stand still for a second, arms and legs apart, where both sensors see all of you"
 _ANOTHER_PART = "Calibrate on another part: --calibrate seconds:N"
@@ -70,7 +72,7 @@ def _shortcomings(figures: Figures) -> Iterator[Verdict]:
         files = "in the file of " + " and in that of ".join(mirrored)
         remedy = "Switch the mirroring off" if live else f"Change the sign of x {files}"
         yield Verdict("poor", f"{' and '.join(mirrored)} {image} of a person", remedy)
-    if calibration["how"].startswith(PROVISIONAL):
+    if calibration["provisional"]:
         yield Verdict("unknown", "not calibrated yet", calibrate)
     elif calibration["residual_mm"] is not None and calibration["frames"] < FEWEST_PAIRS:
         few = f"calibrated on {calibration['frames']} frames; at least {FEWEST_PAIRS} are needed"
@@ -96,16 +98,29 @@ def _shortcomings(figures: Figures) -> Iterator[Verdict]:
             f"the sensors look {angle:.0f}° apart; good is {low:.0f}° to {high:.0f}°",
             f"Move them {way} round the person" if live else f"Record with them {way}",
         )
+    for side, distance in figures["distance_m"].items():
+        yield from _distance(side.upper(), live, **distance)
     turn = calibration["rotation_sd_deg"]
-    if turn is not None and turn > CERTAIN_TURN:
-        word = "usable" if turn <= 2.0 * CERTAIN_TURN else "poor"
-        text = f"B's rotation is certain to {turn:.1f}° only; good is {CERTAIN_TURN:g}°"
+    if turn is not None and turn > CERTAIN_TURN_DEG:
+        word = "usable" if turn <= 2.0 * CERTAIN_TURN_DEG else "poor"
+        text = f"B's rotation is certain to {turn:.1f}° only; good is {CERTAIN_TURN_DEG:g}°"
         yield Verdict(word, text, "Walk about while both sensors see you" if live else _ANOTHER_PART)
     share = _unpaired_share(figures)
     if share >= _UNPAIRED[0]:
         text = f"{100.0 * share:.0f} % of the frames have no partner"
         remedy = "Check the frame rates of both sensors" if live else "Check clocks and frame rates"
         yield Verdict(_graded(share, _UNPAIRED), text, remedy)
+
+
+def _distance(side: str, live: bool, median: float | None, near: float, far: float) -> Iterator[Verdict]:
+    if median is None or near <= median <= far:
+        return
+    way = "further away" if median < near else "nearer"
+    yield Verdict(
+        "usable" if (1.0 - _OUT_OF_RANGE) * near <= median <= (1.0 + _OUT_OF_RANGE) * far else "poor",
+        f"the person is {median:.2g} m from {side}; good is {near:.2g} to {far:.2g} m",
+        f"Stand {way}" if live else f"Record with the person {way}",
+    )
 
 
 def _unpaired_share(figures: Figures) -> float:

@@ -162,10 +162,12 @@ def _shortfalls(figures: Figures) -> Iterator[Line]:
 def _stream_trouble(figures: Figures) -> Iterator[Line]:
     """What someone should fix: frames dropped, sensors and messages lost, clocks reset or not related."""
     streams = figures["streams"]
-    slow, back = streams["too_slow_for"], streams["lost_and_back"]
+    slow, lost, back = (streams[key] for key in ("too_slow_for", "lost_on_usb", "lost_and_back"))
     trouble = {
         "frames of A dropped (too slow)": slow["a"],
         "frames of B dropped (too slow)": slow["b"],
+        "frames of A lost on USB": lost["a"],
+        "frames of B lost on USB": lost["b"],
         "reconnects of A": back["a"],
         "reconnects of B": back["b"],
         "clocks reset": streams["clock_resets"],

@@ -1,4 +1,7 @@
-"""The loops at the pace of sensors or of a recording, and the compilation before them."""
+"""The loops at the pace of sensors or of a recording, and the compilation before them.
+
+:class:`recordings.fusing.live_fusion.LiveFusion` fuses and learns; the loop hands its frames to sinks.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +25,15 @@ from devices.events import Event
 from fusion.calibration.calibrator import Calibrator
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings.fusing.sensors import LiveFusion
-from recordings.session_arrays import RecordedFrame
+from recordings.fusing.live_fusion import LiveFusion
+from recordings.session_arrays import SessionFrame
 from viewer_app.running.interruption import call_after
 from viewer_app.sinks.sink import Sink
 
 _KEPT_FRAMES = 1_800
 """One minute at 30 fps: the frames that the final summary covers."""
 _SWITCH_INTERVAL = 0.0005  # seconds
-_REST = 0.010
+_LEARNING_DELAY = 0.010
 """Seconds, a third of a frame: for so long, learning waits for the threads that pass the frame on."""
 
 
@@ -38,7 +41,7 @@ _REST = 0.010
 class Status:
     """What the loop reports to its observer after each frame."""
 
-    frame: RecordedFrame
+    frame: SessionFrame
     calibrator: Calibrator
     sensors: TwoSensors
     events: tuple[Event, ...]
@@ -89,7 +92,7 @@ def run_live(
     truth_at: Callable[[int], NDArray[np.float64]] | None = None,
     go_on: Callable[[Status], bool] = lambda _: True,
     clock: Callable[[], int] = time.perf_counter_ns,
-) -> tuple[FusionSetup, list[RecordedFrame]]:
+) -> tuple[FusionSetup, list[SessionFrame]]:
     """Fuses and records the frames of two open sensors until they end or ``go_on`` returns False.
 
     Args:
@@ -106,7 +109,7 @@ def run_live(
         The last setup, and the frames of the last minute without their images.
     """
     fusion = LiveFusion(setup, calibrated)
-    kept: deque[RecordedFrame] = deque(maxlen=_KEPT_FRAMES)
+    kept: deque[SessionFrame] = deque(maxlen=_KEPT_FRAMES)
     ahead_ns = 0
     for frame in fusion.frames(sensors, depth, clock):
         pair, recalibrated = frame.pair, fusion.setup is not setup
@@ -126,7 +129,7 @@ def run_live(
         kept.append(replace(frame, pair=without_images(pair)))
         goes_on = go_on(Status(frame, fusion.calibrator, sensors, events))
         if not sensors.waiting:
-            sink.rest(_REST)
+            sink.rest(_LEARNING_DELAY)
         for event in fusion.learn(frame):
             sink.event(event)
         if not goes_on:
@@ -138,13 +141,13 @@ def run_live(
 
 
 def played(
-    frames: Iterable[RecordedFrame],
+    frames: Iterable[SessionFrame],
     sink: Sink,
     setups: Mapping[int, FusionSetup],
     events: Sequence[Event],
     clock: Callable[[], float] = time.monotonic,
     wait: Callable[[float], object] = time.sleep,
-) -> Iterator[RecordedFrame]:
+) -> Iterator[SessionFrame]:
     """Gives each frame to the sink when it is due, then yields it. A frame that comes late is not skipped.
 
     Args:

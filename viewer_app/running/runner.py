@@ -13,7 +13,7 @@ from devices.capture.sensor_pair import TwoSensors
 from devices.tracker_choice import tracker_name
 from fusion.setup import FusionSetup
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from viewer_app.coach.setup_coach import Coach
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import DemoOptions, LiveOptions
@@ -22,8 +22,8 @@ from viewer_app.outputs.opening import announce_outputs, plan_outputs, print_out
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.figures import save_report
 from viewer_app.report.terminal import print_details, print_summary, say_more, say_saved
+from viewer_app.running.session_report import session_report
 from viewer_app.running.status import LiveDisplay
-from viewer_app.running.summary import session_report
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.viewer.viewer_choice import announce, choose_viewing
 
@@ -95,7 +95,7 @@ class Runner:
         console, options, a, b = self._console, self._options, sensors.a.sensor, sensors.b.sensor
         if self._save is not None:
             warn_of_little_room(self._save, console)
-        announce(self.viewing, console)
+        announce(self.viewing, console, live=True)
         self.session = stack.enter_context(
             LiveSession(
                 setup,
@@ -111,7 +111,7 @@ class Runner:
         )
         return stack.enter_context(LiveDisplay(console, self.session, coach, options.quiet, options.verbose))
 
-    def summarise(self, setup: FusionSetup, frames: Sequence[RecordedFrame], sensors: TwoSensors) -> None:
+    def summarise(self, setup: FusionSetup, frames: Sequence[SessionFrame], sensors: TwoSensors) -> None:
         """Prints the figures of the session, and writes them if that is wanted.
 
         Frames are counted since the start. The method's figures are those of ``duplex review`` where the

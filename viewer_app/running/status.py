@@ -130,9 +130,10 @@ class LiveDisplay:
         sensors = status.sensors
         situation = Situation(
             calibrator.calibration,
-            calibrator.settled,
+            calibrator.final,
             calibrator.held,
             (sensors.a.dropped, sensors.b.dropped),
+            (sensors.a.lost, sensors.b.lost),
             sensors.step,
         )
         advice = self._coach.watch(status.frame, situation)

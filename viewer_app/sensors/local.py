@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from rich.console import Console
 
 from devices.azure.settings import KinectSettings
-from devices.capture.connected import (
+from devices.capture.sensor_choice import (
     ConnectedSensor,
     NeedsChoiceError,
     cable_notes,
@@ -20,7 +20,7 @@ from devices.capture.sensor_pair import TwoSensors
 from devices.capture.sensor_state import TimeLimits
 from devices.capture.settings import LASER_GAP_US
 from devices.capture.stream_pairing import LivePairing
-from devices.connected_sensors import connected_sensors, decimation_of, live_sensor
+from devices.live_sensors import connected_sensors, decimation_of, live_sensor
 from devices.sensor import Sensor
 from devices.tracker_choice import TrackerChoice
 from viewer_app.options.sensing import LiveOptions
@@ -28,7 +28,7 @@ from viewer_app.sensors.remote import teller
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
 
 
-def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
+def two_connected_sensors(options: LiveOptions, console: Console) -> TwoSensors:
     """Chooses the two sensors from the options, the sync cable and the user's answers; opens neither.
 
     Raises:
@@ -59,7 +59,7 @@ def two_kinects(options: LiveOptions, console: Console) -> TwoSensors:
         console.print("TensorRT builds its engine; minutes the first time.")
     decimation = decimation_of(tracker, options.fps)
     a, b = (
-        live_sensor(kinect, kinect_settings(options, str(kinect.serial), master), tracker, decimation)
+        live_sensor(kinect, capture_settings(options, str(kinect.serial), master), tracker, decimation)
         for kinect in (kinect_a, kinect_b)
     )
     delay_ns = {None: None, serials[0]: 1000 * LASER_GAP_US}.get(master, -1000 * LASER_GAP_US)
@@ -78,7 +78,7 @@ def one_of_live(options: LiveOptions, console: Console, serial: str | None) -> S
     """The sensor of this PC, where the other one is on another PC; it runs without a sync cable."""
     tracker = tracker_of(options, options.tracker_smoothing)
     named = "--kinect-a or --kinect-b"
-    return one_sensor(serial, named, tracker, kinect_settings(options, "", None), console)
+    return one_sensor(serial, named, tracker, capture_settings(options, "", None), console)
 
 
 def one_sensor(
@@ -130,7 +130,7 @@ def _ask(choice: NeedsChoiceError, console: Console) -> str:
             return two
 
 
-def kinect_settings(options: LiveOptions, serial: str, master: str | None) -> KinectSettings:
+def capture_settings(options: LiveOptions, serial: str, master: str | None) -> KinectSettings:
     """The settings of a libk4a sensor, which has its place on the cable that leads out of ``master``."""
     return KinectSettings(
         depth_mode=options.depth_mode,

@@ -13,6 +13,7 @@ from devices.events import Event
 from devices.network.remote_sensor import PREFIX, RemoteSensor
 from devices.network.zenoh_session import ZenohAddresses, zenoh_session
 from devices.sensor import Sensor
+from viewer_app.addresses import zenoh_warning
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import LiveOptions
 
@@ -42,6 +43,8 @@ def sensors_by_network(
     if options.kinect_a == options.kinect_b:
         raise UsageError(f"Kinect A and B are both {options.kinect_a}. Name two different sensors.")
     addresses = ZenohAddresses.of_meeting_point(options.zenoh_listen, options.zenoh_connect)
+    if options.zenoh is None:  # else its output warns
+        warn_of_others(addresses, console)
     names = options.kinect_a, options.kinect_b
     a, b = (
         RemoteSensor(name.removeprefix(PREFIX), addresses) if (name or "").startswith(PREFIX) else None
@@ -66,6 +69,12 @@ def sensors_by_network(
                 f"body tracker."
             )
         yield TwoSensors(sensor_a, sensor_b, pairing=LivePairing(interval_ns), tell=teller(console))
+
+
+def warn_of_others(addresses: ZenohAddresses, console: Console) -> None:
+    """Warns where other machines can reach Zenoh."""
+    if warning := zenoh_warning(addresses.listen):
+        console.print(warning, style="yellow", markup=False, soft_wrap=True)
 
 
 def teller(console: Console) -> Callable[[Event], None]:

@@ -13,7 +13,7 @@ import rerun as rr
 
 from devices.depth.image_thinning import has_images
 from recordings.file.growing_file import partial_beside
-from recordings.file.session_writer import check_whole
+from recordings.file.session_writer import LEFT_AFTER, check_whole, disconnect
 from recordings.writing.recorder import Recorder
 from viewer_app.sinks.queued_sink import Item, Opening, QueuedFrame, write_items
 
@@ -61,12 +61,12 @@ class CompactCopy:
     def take_place(self) -> None:
         """Ends the session, and replaces the grown file atomically."""
         if self._recorder is not None:
-            write_items(self._recorder, self._waiting)
-            self._waiting.clear()
-            self._recorder.finish()
-            with suppress(OSError, TimeoutError):
+            with suppress(OSError, RuntimeError):  # Rerun raises the second once its thread could not write
+                write_items(self._recorder, self._waiting)
+                self._waiting.clear()
+                self._recorder.finish()
                 self._stream.flush(timeout_sec=_FLUSH_WITHIN)
-                self._stream.disconnect()
+                disconnect(self._stream, _FLUSH_WITHIN)
                 check_whole(self._written)
                 if self._written != self._partial:
                     shutil.copyfile(self._written, self._partial)
@@ -80,7 +80,7 @@ class CompactCopy:
             self._waiting.clear()
             with suppress(OSError):
                 self._file.truncate(0)  # on a full disk, frees space for the rest of the stream
-            self._stream.disconnect()
+            disconnect(self._stream, LEFT_AFTER)
             self._file.close()
             with suppress(OSError):
                 self._partial.unlink(missing_ok=True)

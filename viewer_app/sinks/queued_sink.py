@@ -17,7 +17,7 @@ from devices.events import Event
 from fusion.fused_frame import FusedFrame
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from viewer_app.sinks.sink import Sink
 
@@ -37,7 +37,7 @@ class QueuedFrame:
     """
 
     number: int
-    frame: RecordedFrame
+    frame: SessionFrame
     time_ns: int
     written_ns: int
 
@@ -99,7 +99,7 @@ class QueuedSink(Sink):
         """Frames dropped because the receiver was too slow."""
         self._thread = threading.Thread(target=self._run, name=name, daemon=daemon)
 
-    def write(self, frame: RecordedFrame) -> None:
+    def write(self, frame: SessionFrame) -> None:
         """Queues a frame."""
         if self._start_ns is None:
             self._start_ns = frame.pair.time_ns

@@ -149,9 +149,9 @@ class SessionFile(QueuedSink):
         while not ending and time.monotonic() - begun < _BLOCK_SECONDS:
             self._turn(_LOOK_SECONDS)
             ending = self._ending  # before the last items are taken
-            items = self._take(0.0)
-            compact.add(items)
-            for item in items:
+            for _ in range(len(self._queue)):
+                (item,) = self._take(0.0, most=1)  # the others stay in the queue, whose length is limited
+                compact.add([item])
                 if isinstance(item, QueuedFrame):
                     recorder.record_images(item.number, item.frame)
                     item = _without_images(item)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from typing import Any
 
 from devices.events import Event
 from fusion.setup import FusionSetup
 from recordings.appearance.coach_page import CoachPage
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 
 
 class Sink:
@@ -18,7 +19,7 @@ class Sink:
     process or a network puts its items into a queue.
     """
 
-    def write(self, frame: RecordedFrame) -> None:
+    def write(self, frame: SessionFrame) -> None:
         """Takes the next frame."""
 
     def event(self, event: Event) -> None:
@@ -40,41 +41,22 @@ class Sink:
         """Writes the queued items and closes. Closing twice has no effect."""
 
 
+def _to_each(method: str) -> Callable[..., None]:
+    def call(self: Any, *arguments: object) -> None:
+        for sink in self.sinks:
+            getattr(sink, method)(*arguments)
+
+    return call
+
+
 class FanOut(Sink):
     """Passes everything on to several sinks, in their order."""
 
     def __init__(self, sinks: Sequence[Sink]) -> None:
         self.sinks = tuple(sinks)
 
-    def write(self, frame: RecordedFrame) -> None:
-        """To each."""
-        for sink in self.sinks:
-            sink.write(frame)
-
-    def event(self, event: Event) -> None:
-        """To each."""
-        for sink in self.sinks:
-            sink.event(event)
-
-    def recalibrated(self, setup: FusionSetup) -> None:
-        """To each."""
-        for sink in self.sinks:
-            sink.recalibrated(setup)
-
-    def coach(self, page: CoachPage) -> None:
-        """To each."""
-        for sink in self.sinks:
-            sink.coach(page)
-
-    def rest(self, seconds: float) -> None:
-        """To each."""
-        for sink in self.sinks:
-            sink.rest(seconds)
-
-    def finish(self) -> None:
-        """To each."""
-        for sink in self.sinks:
-            sink.finish()
+    write, event, recalibrated = _to_each("write"), _to_each("event"), _to_each("recalibrated")
+    coach, rest, finish = _to_each("coach"), _to_each("rest"), _to_each("finish")
 
     def close(self) -> None:
         """Closes each sink, even if closing another one fails."""

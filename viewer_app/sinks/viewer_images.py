@@ -12,7 +12,7 @@ from devices.depth.image_thinning import has_images, without_images
 from devices.sensor import ColorImage
 from recordings.images import Images, MadeImages
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from viewer_app.sinks.queued_sink import DepthImage
 
 _EARLY = 0.9  # share of the interval: a frame that arrives slightly early still counts
@@ -33,7 +33,7 @@ class ImageTurns:
         self._interval_ns = int(_EARLY * 1e9 / rate)
         self._next_ns: dict[str, int] = {}
 
-    def capped(self, frame: RecordedFrame) -> RecordedFrame:
+    def capped(self, frame: SessionFrame) -> SessionFrame:
         """The next frame, with only the images that are due."""
         if not has_images(frame.pair):
             return frame

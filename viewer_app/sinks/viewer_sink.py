@@ -19,7 +19,7 @@ import rerun.blueprint as rrb
 
 from fusion.setup import FusionSetup
 from recordings import layout
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from viewer_app.errors import UsageError
 from viewer_app.sinks.queued_sink import Item, Opening, QueuedSink, write_items
@@ -226,7 +226,7 @@ class ViewerSink(ViewerFeed):
         """Whether the user closed the window; it does not reopen by itself."""
         return self.window is not None and self.window.closed
 
-    def write(self, frame: RecordedFrame) -> None:
+    def write(self, frame: SessionFrame) -> None:
         """Queues a frame, with the images whose turn it is."""
         super().write(self._turns.capped(frame))
 

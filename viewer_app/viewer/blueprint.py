@@ -17,7 +17,6 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.calibration.calibration import nominal_calibration
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance import entity_styles
@@ -26,7 +25,7 @@ from recordings.appearance.colors import PROMINENT_JOINTS
 Layout = Literal["setup", "inspect", "report"]
 LAYOUTS: tuple[Layout, ...] = ("setup", "inspect", "report")
 
-SCENE = "S*: brown from A, blue from B, purple from both; lines: S_A, S_B"
+SCENE = "S*: orange from A, blue from B, violet from both, grey unseen; lines: S_A, S_B"
 """Title of the scene in *inspect*, which is its legend."""
 
 _FIGURES = (
@@ -47,10 +46,9 @@ _LIMBS = {
     "shin": "shins (m)",
 }
 _OVERVIEW, _HIGH = 2.1, 1.4
-"""In *setup*: from behind both sensors, times their distance from the person, and metres above."""
-_BEHIND, _ABOVE = 2.5, 0.7
-"""In *inspect*: metres behind the person and over their middle, who then stands before both sensors. The eye
-does not follow the person: floor and sensors would move instead."""
+"""In *setup*: times the distance of the sensors from the person, and metres above."""
+_AWAY, _ABOVE = 2.9, 0.5
+"""In *inspect*: metres from the person and over their middle. The eye follows the person."""
 _PLOTS_A_ROW = 6
 """In *report*: at most, so that a laptop's screen has room for their titles."""
 _FRUSTA = {"setup": 0.3, "inspect": 0.2}  # metres
@@ -80,9 +78,9 @@ def session_blueprint(
     body = setup.body
     return rrb.Blueprint(
         rrb.Tabs(
-            _setup(setup, person_at, depth, color, infrared),
+            _setup(setup, person_at, live, depth, color, infrared),
             _inspect(setup, person_at, live, depth),
-            _report(body),
+            _report(setup.calibration.bone_lengths, body),
             active_tab=LAYOUTS.index(active),
         ),
         rrb.BlueprintPanel(state="collapsed"),
@@ -92,13 +90,8 @@ def session_blueprint(
     )
 
 
-def inspect_blueprint(body: Body, person_at: NDArray[np.float64], depth: bool = True) -> rrb.Blueprint:
-    """All layouts for a session whose sensors' placement is in its frames, with *inspect* open."""
-    return session_blueprint(FusionSetup(nominal_calibration(body)), person_at, "inspect", depth=depth)
-
-
 def _setup(
-    setup: FusionSetup, person_at: NDArray[np.float64], depth: bool, color: bool, infrared: bool
+    setup: FusionSetup, person_at: NDArray[np.float64], live: bool, depth: bool, color: bool, infrared: bool
 ) -> rrb.Container:
     shown = ", infrared" if infrared else "" if depth else ": its skeleton"
     depths = [
@@ -116,17 +109,19 @@ def _setup(
             rrb.Tabs(_color_view(side), depth) for side, depth in zip(layout.SIDES, depths, strict=True)
         ]
     forth = 0.5 * _place_of_b(setup, person_at) - person_at  # to half-way between the sensors
+    eye = person_at + _OVERVIEW * float(np.linalg.norm(forth)) * _towards_eye(setup, person_at)
     scene = _scene(
-        person_at + _OVERVIEW * forth - np.array([0.0, _HIGH, 0.0]),
+        eye - np.array([0.0, _HIGH, 0.0]),
         person_at + 0.4 * forth,
-        "where to stand",
+        "where to stand" if live else "sensors and person",
         setup.body,
         frustum=_FRUSTA["setup"],
     )
-    advice = rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name="what to do next")
+    advice_name = "what to do next" if live else "how good"
+    advice = rrb.TextDocumentView(origin=layout.COACH, contents=[layout.COACH], name=advice_name)
     return rrb.Horizontal(
         rrb.Vertical(*images),
-        rrb.Vertical(advice, scene, row_shares=[3, 5]),
+        rrb.Vertical(advice, scene, row_shares=[2, 3]),
         column_shares=[1, 2],
         name="setup",
     )
@@ -153,24 +148,38 @@ def _place_of_b(setup: FusionSetup, person_at: NDArray[np.float64]) -> NDArray[n
     return np.asarray(person_at + np.linalg.norm(person_at) * np.array([1.0, 0.0, 0.0]))
 
 
+def _towards_eye(setup: FusionSetup, person_at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) horizontal unit vector from the person to the eye, which looks so that A is on the left."""
+    b_at = _place_of_b(setup, person_at)
+    back = 0.5 * b_at - person_at
+    back[1] = 0.0
+    back /= max(float(np.linalg.norm(back)), 1e-6)
+    to_the_right = float(np.array([-back[2], 0.0, back[0]]) @ b_at)  # of B from A, seen from there
+    return back if to_the_right >= 0.0 else -back
+
+
 def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, depth: bool) -> rrb.Container:
     body = setup.body
-    away = person_at - 0.5 * _place_of_b(setup, person_at)
-    away /= max(float(np.linalg.norm(away)), 1e-6)
-    behind = person_at + _BEHIND * away - np.array([0.0, _ABOVE, 0.0])
+    eye = person_at + _AWAY * _towards_eye(setup, person_at) - np.array([0.0, _ABOVE, 0.0])
+    lengths = setup.calibration.bone_lengths
     prominent = [body.joints[body.joint(name)] for name in PROMINENT_JOINTS]
     disagreement, *others = (_plot(*figure) for figure in _FIGURES)
     hidden = [*(layout.points(side) for side in layout.SIDES), f"{layout.COACH}/**"]
 
     def scene(name: str, *hidden: str, sigma: bool = False) -> rrb.View:
         frustum = _FRUSTA["inspect"]
-        return _scene(behind, person_at, name, body, frustum, hidden, sigma)
+        return _scene(eye, person_at, name, body, frustum, hidden, sigma, follow=True)
 
     return rrb.Horizontal(
         rrb.Vertical(
             rrb.Tabs(
                 scene(SCENE, *hidden),
-                scene("with 1 σ", *hidden, *(layout.skeleton(side) for side in layout.SIDES), sigma=True),
+                scene(
+                    "spheres: 1 σ of a joint",
+                    *hidden,
+                    *(layout.skeleton(side) for side in layout.SIDES),
+                    sigma=True,
+                ),
                 *([scene("point clouds", f"{layout.COACH}/**")] if depth else []),
                 active_tab=0,
             ),
@@ -202,7 +211,10 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
         ),
         rrb.Vertical(
             rrb.StateTimelineView(origin=layout.TRUST_LANES, name="which sensor each limb follows"),
-            rrb.Grid(*(_bone_plot(f"{bone}_left", title) for bone, title in _LIMBS.items()), grid_columns=2),
+            rrb.Grid(
+                *(_bone_plot(body, lengths, f"{bone}_left", title) for bone, title in _LIMBS.items()),
+                grid_columns=2,
+            ),
             row_shares=[1, 1],
         ),
         column_shares=[7, 5],
@@ -210,9 +222,11 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
     )
 
 
-def _report(body: Body) -> rrb.Container:
+def _report(lengths: NDArray[np.float64], body: Body) -> rrb.Container:
     bones = [body.bones[joint] for joint in body.bone_joints]
-    plots = [_bone_plot(bone, bone_title(bone)) for bone in bones if not bone.endswith("_right")]
+    plots = [
+        _bone_plot(body, lengths, bone, bone_title(bone)) for bone in bones if not bone.endswith("_right")
+    ]
     rows = np.array_split(np.arange(len(plots)), math.ceil(len(plots) / _PLOTS_A_ROW))
     return rrb.Vertical(
         rrb.Horizontal(
@@ -245,8 +259,12 @@ def _quality_plot(name: str, title: str) -> rrb.View:
     )
 
 
-def _bone_plot(bone: str, title: str) -> rrb.View:
-    """Lengths of a bone in S_A, S_B and S*; a left bone comes with the right one, in darker colours."""
+def _bone_plot(body: Body, lengths: NDArray[np.float64], bone: str, title: str) -> rrb.View:
+    """Lengths of a bone in S_A, S_B and S*; a left bone comes with the right one, in darker colours.
+
+    The axis ends half a target length from the target: otherwise single spikes of a tracker would scale it.
+    """
+    target = float(lengths[body.bone(bone)])
     lines = [entity_styles.bone_lines(bone)]
     if bone.endswith("_left"):
         lines.insert(0, entity_styles.bone_lines(bone.replace("_left", "_right"), mirrored=True))
@@ -254,15 +272,16 @@ def _bone_plot(bone: str, title: str) -> rrb.View:
         origin=layout.BONES,
         name=title,
         plot_legend=rrb.PlotLegend(visible=False),
+        axis_y=rrb.ScalarAxis(range=(0.5 * target, 1.5 * target)),
         overrides={layout.BONES: lines},
     )
 
 
 def bone_title(bone: str) -> str:
-    """upper_arm_left as ``upper arm L R``: short enough for one plot among twenty, in metres."""
+    """upper_arm_left as ``upper arm L R (m)``: short enough for one plot among twenty."""
     name, _, side = bone.rpartition("_")
     words = f"{name} L R" if side in ("left", "right") else bone
-    return words.replace("_", " ")
+    return words.replace("_", " ") + " (m)"
 
 
 def _plot(name: str, title: str) -> rrb.TimeSeriesView:
@@ -289,10 +308,12 @@ def _scene(
     frustum: float,
     hidden: Sequence[str] = (),
     sigma: bool = False,
+    follow: bool = False,
 ) -> rrb.Spatial3DView:
     """Everything in K_A's frame; depth cameras as frusta: their points are an entity of their own.
 
-    With `sigma`, a sphere of one standard deviation is drawn about each joint of S*.
+    With `sigma`, a sphere of one standard deviation is drawn about each joint of S*. With `follow`, the eye
+    moves with the person.
     """
     infrared = [layout.infrared(side) for side in layout.SIDES]
     left_out = [layout.TRUTH_SKELETON, *infrared, *hidden]
@@ -309,10 +330,19 @@ def _scene(
                 layout.skeleton(side): [entity_styles.lone_joints(), entity_styles.thin_bones()]
                 for side in layout.SIDES
             },
-            layout.FUSED_SKELETON: [rr.Points3D.from_fields().visualizer(), entity_styles.sigma_spheres()]
+            layout.FUSED_SKELETON: [
+                rr.Points3D.from_fields().visualizer(),
+                entity_styles.sigma_spheres(),
+                entity_styles.nose(),
+            ]
             if sigma
-            else [entity_styles.lone_joints(), entity_styles.body_capsules(body)],
+            else [entity_styles.lone_joints(), entity_styles.body_capsules(body), entity_styles.nose()],
         },
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=looks_at, eye_up=(0.0, -1.0, 0.0)),
+        eye_controls=rrb.EyeControls3D(
+            position=eye,
+            look_target=looks_at,
+            eye_up=(0.0, -1.0, 0.0),
+            tracking_entity=layout.PELVIS if follow else None,
+        ),
         line_grid=rrb.LineGrid3D(visible=False),
     )

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from recordings import layout
+from recordings.appearance.coach_page import CoachPage
 from recordings.file.session_writer import write_session
 from recordings.session import Session
 from viewer_app.addresses import LOOPBACK
-from viewer_app.coach.scene import verdict_page
 from viewer_app.output_files import whole_file
-from viewer_app.viewer.blueprint import inspect_blueprint
-from viewer_app.viewer.rerun_process import start_viewer
+from viewer_app.viewer.blueprint import session_blueprint
+from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
 from viewer_app.viewer.stored_clouds import add_clouds, has_depth, has_depth_images
 
 _READS_WITHIN, _LOOKS_EVERY = 20.0, 0.1  # seconds
@@ -54,7 +54,7 @@ def written_and_shown(save: Path | None, window: bool) -> Iterator[Path | None]:
 
 
 @contextmanager
-def in_this_layout(session: Session, path: Path) -> Iterator[Path]:
+def in_this_layout(session: Session, path: Path, page: CoachPage) -> Iterator[Path]:
     """Yields a file of a session that the layouts of this version can show.
 
     A session of an older version lacks what draws S* as a body, the floor and the names of the sensors. It is
@@ -63,6 +63,7 @@ def in_this_layout(session: Session, path: Path) -> Iterator[Path]:
     Args:
         session: The open session.
         path: Its file.
+        page: The page about it.
 
     Yields:
         `path`, or a temporary file.
@@ -72,9 +73,10 @@ def in_this_layout(session: Session, path: Path) -> Iterator[Path]:
         return
     with tempfile.TemporaryDirectory() as folder:
         shown = Path(folder) / path.name
-        blueprint = inspect_blueprint(session.body, session.whereabouts, has_depth(session))
-        *_, (setup, _) = session.setups()
-        write_session(session, shown, blueprint=blueprint, page=verdict_page(setup))
+        blueprint = session_blueprint(
+            session.last_setup, session.whereabouts, "inspect", depth=has_depth(session)
+        )
+        write_session(session, shown, blueprint=blueprint, page=page)
         yield shown
 
 
@@ -92,13 +94,32 @@ def show(path: Path, at_ns: int | None = None) -> bool:
         UsageError: The viewer does not start.
     """
     with path.open("rb") as file:
-        started = start_viewer(["--hide-welcome-screen", "-"], file)
+        process, port = start_viewer(["--hide-welcome-screen", "-"], file)
+        url = f"rerun+http://{LOOPBACK}:{port}/proxy"
         if has_depth_images(path):
-            add_clouds(file, started[1])
-    return at_ns is None or _set_time(*started, at_ns)
+            add_clouds(file, url)
+    return at_ns is None or _set_time(process, url, at_ns)
 
 
-def _set_time(process: subprocess.Popen[bytes], port: int, at_ns: int) -> bool:
+@contextmanager
+def served(path: Path, hub: Hub) -> Iterator[None]:
+    """Serves a session to browsers during the block.
+
+    Raises:
+        UsageError: The hub does not start.
+    """
+    with path.open("rb") as file:
+        process = hub.start(file)
+        try:
+            hub.wait_until_listening(process)
+            if has_depth_images(path):
+                add_clouds(file, hub.url)
+            yield
+        finally:
+            stop(process)
+
+
+def _set_time(process: subprocess.Popen[bytes], url: str, at_ns: int) -> bool:
     """Sets the time cursor of a viewer once it has read so far; False if it is closed or takes too long."""
     from rerun.experimental import ViewerClient
 
@@ -106,7 +127,7 @@ def _set_time(process: subprocess.Popen[bytes], port: int, at_ns: int) -> bool:
     while process.poll() is None and time.monotonic() < deadline:
         # The interface is experimental: whatever fails in it must not end a command that is done.
         with contextlib.suppress(Exception):
-            viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+            viewer = ViewerClient.connect(url)
             state = viewer.get_state()
             read = [line for each in state.recordings for line in each.timelines if line.name == layout.TIME]
             if any(line.end is not None and line.end >= at_ns for line in read) and not state.loading:

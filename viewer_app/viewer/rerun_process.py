@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import errno
 import importlib.util
 import os
 import platform
@@ -30,9 +31,12 @@ from viewer_app.addresses import LOOPBACK, reached_at
 from viewer_app.errors import UsageError
 
 _STARTS_WITHIN = 20.0  # seconds
-_HUB_MEMORY = "512MiB"
+_HUB_MEMORY, _FILE_MEMORY = "512MiB", "75%"
 _VIEWER_MEMORY = "2GiB"
 _LOOKED_AFTER_EVERY = 0.5  # seconds
+PAGE_PORT, DATA_PORT = 9090, 9876
+"""The first ports to try for browsers; Rerun's own defaults."""
+_PORTS_TRIED = 20
 
 
 @dataclass(frozen=True)
@@ -51,42 +55,49 @@ class Hub:
 
     @staticmethod
     def on_free_ports(web: bool, address: str | None = None) -> Hub:
-        """A hub that is not started yet.
+        """A hub that is not started yet; for browsers on the usual ports, or the next free ones.
 
         Raises:
             UsageError: The address is none of this machine's.
         """
         host = address or LOOPBACK
-        return Hub(free_port(host), free_port(host) if web else None, host)
-
-    @property
-    def reached_at(self) -> str:
-        """The host name to reach it by, from this machine."""
-        return reached_at(self.address)
+        if not web:
+            return Hub(free_port(host), None, host)
+        return Hub(free_port(host, DATA_PORT), free_port(host, PAGE_PORT), host)
 
     @property
     def url(self) -> str:
         """What ``rerun --connect`` takes."""
-        return f"rerun+http://{self.reached_at}:{self.port}/proxy"
+        return f"rerun+http://{reached_at(self.address)}:{self.port}/proxy"
+
+    @property
+    def site(self) -> str:
+        """Where the web viewer is."""
+        return f"http://{reached_at(self.address)}:{self.web_port}"
 
     @property
     def page(self) -> str:
         """What a browser opens."""
-        return f"http://{self.reached_at}:{self.web_port}/?url={quote(self.url, safe='')}"
+        return f"{self.site}/?url={quote(self.url, safe=':/')}"
 
-    def start(self) -> subprocess.Popen[bytes]:
-        """Starts the hub. It reads a session from its standard input, and listens once it has received
-        data."""
+    def start(self, session: IO[bytes] | None = None) -> subprocess.Popen[bytes]:
+        """Starts the hub, which listens once it has received data.
+
+        Args:
+            session: A file that it serves as a whole. None: it reads from its standard input, a pipe, and
+                forgets the oldest data when its memory is full.
+        """
         web = ["--serve-grpc"]
         if self.web_port is not None:
-            web = ["--serve-web", "--web-viewer-port", str(self.web_port)]
+            # without the last, a browser may read the data only from a page of this machine
+            web = ["--serve-web", "--web-viewer-port", str(self.web_port), "--cors-allow-origin", self.site]
         return _start(
             [
                 *web,
                 *("--bind", self.address, "--port", str(self.port)),
-                *("--server-memory-limit", _HUB_MEMORY, "-"),
+                *("--server-memory-limit", _HUB_MEMORY if session is None else _FILE_MEMORY, "-"),
             ],
-            stdin=subprocess.PIPE,
+            stdin=subprocess.PIPE if session is None else session,
             dies_with_us=True,
         )
 
@@ -98,7 +109,7 @@ class Hub:
         """
         for port in (self.port, self.web_port):
             if port is not None:
-                _wait_for(process, self.reached_at.strip("[]"), port, "Rerun's server")
+                _wait_for(process, reached_at(self.address).strip("[]"), port, "Rerun's server")
 
 
 def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
@@ -182,22 +193,28 @@ class ViewerWindow:
                 stop(self.process)
 
 
-def free_port(address: str = LOOPBACK) -> int:
-    """A port of the address that nothing listens on.
+def free_port(address: str = LOOPBACK, first: int = 0) -> int:
+    """A port of the address that nothing listens on: `first` or the next free one; 0: any.
 
     Raises:
-        UsageError: The address is none of this machine's.
+        UsageError: The address is none of this machine's, or 20 ports are taken.
     """
-    try:
-        family = socket.AF_INET6 if ":" in address else socket.AF_INET
-        with socket.socket(family) as probe:
-            probe.bind((address, 0))
-            return int(probe.getsockname()[1])
-    except OSError as error:
-        raise UsageError(
-            f"Cannot listen on {address!r}: {error.strerror or error}. Give an address of this machine, or "
-            "0.0.0.0 for all."
-        ) from None
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    for port in range(first, first + _PORTS_TRIED):
+        try:
+            with socket.socket(family) as probe:
+                if os.name == "posix":  # else closed connections of the run before would hold the port
+                    probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind((address, port))
+                return int(probe.getsockname()[1])
+        except OSError as error:
+            fault = error
+            if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+                break
+    raise UsageError(
+        f"Cannot listen on {address!r}: {fault.strerror or fault}. Give an address of this machine, or "
+        "0.0.0.0 for all."
+    )
 
 
 _DIES_WITH_ITS_PARENT = """

@@ -15,6 +15,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
+from urllib.parse import urlsplit
 
 import numpy as np
 import rerun as rr
@@ -25,7 +26,6 @@ from recordings.errors import RecordingError
 from recordings.file.rrd_file import RrdFile
 from recordings.session import Session
 from recordings.writing.shown_images import thin_points
-from viewer_app.addresses import LOOPBACK
 
 _MOST = 1000
 """Clouds of both sensors, 120 MB: the viewer keeps them in memory."""
@@ -34,13 +34,13 @@ _LOOKS_EVERY = 20
 _SENT_WITHIN = 20.0  # seconds
 
 
-def add_clouds(session: IO[bytes], port: int) -> subprocess.Popen[bytes]:
+def add_clouds(session: IO[bytes], url: str) -> subprocess.Popen[bytes]:
     """Starts the program that adds a session's point clouds to a viewer.
 
     Args:
         session: The open file. On Linux it may be deleted after this returns; elsewhere there are no clouds
             then.
-        port: Where the viewer listens, on this machine.
+        url: Where the viewer or its hub listens.
 
     Returns:
         The program.
@@ -48,7 +48,7 @@ def add_clouds(session: IO[bytes], port: int) -> subprocess.Popen[bytes]:
     shared = platform.system() == "Linux"  # elsewhere, reading would move the viewer's place in the file
     path = f"/dev/fd/{session.fileno()}" if shared else session.name
     return subprocess.Popen(
-        [sys.executable, "-m", __name__, path, str(port)],
+        [sys.executable, "-m", __name__, path, url],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -90,12 +90,12 @@ def clouds(session: Session) -> Iterator[tuple[str, int, NDArray[np.float32]]]:
                 yield side, found[0], thin_points(found[1], cameras[side])
 
 
-def send_clouds(path: Path, port: int) -> int:
+def send_clouds(path: Path, url: str) -> int:
     """Sends the clouds of a session to the viewer that shows it.
 
     Args:
         path: The session.
-        port: Where the viewer listens, on this machine.
+        url: Where the viewer or its hub listens.
 
     Returns:
         The number of clouds that were sent.
@@ -109,10 +109,10 @@ def send_clouds(path: Path, port: int) -> int:
     if identity is None:
         return 0
     stream = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
-    stream.connect_grpc(f"rerun+http://{LOOPBACK}:{port}/proxy")
+    stream.connect_grpc(url)
     count = 0
     for side, frame, points in clouds(session):
-        if count % _LOOKS_EVERY == 0 and not _listens(port):
+        if count % _LOOKS_EVERY == 0 and not _listens(url):
             return count
         stream.set_time(layout.FRAME, sequence=frame)
         stream.set_time(layout.TIME, duration=np.timedelta64(int(session.time_ns[frame]), "ns"))
@@ -122,9 +122,10 @@ def send_clouds(path: Path, port: int) -> int:
     return count
 
 
-def _listens(port: int) -> bool:
+def _listens(url: str) -> bool:
+    where = urlsplit(url)
     try:
-        socket.create_connection((LOOPBACK, port), timeout=1.0).close()
+        socket.create_connection((where.hostname, where.port), timeout=1.0).close()
     except OSError:
         return False
     return True
@@ -132,5 +133,5 @@ def _listens(port: int) -> bool:
 
 if __name__ == "__main__":
     with contextlib.suppress(Exception):  # nobody reads what this program would say
-        send_clouds(Path(sys.argv[1]), int(sys.argv[2]))
+        send_clouds(Path(sys.argv[1]), sys.argv[2])
     os._exit(0)  # at a normal exit, the SDK would wait for a viewer that is gone

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import ipaddress
 import threading
 import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO, cast
 
 from rich.console import Console
 
+from viewer_app.addresses import is_loopback
 from viewer_app.errors import UsageError
-from viewer_app.options.shared import ViewerOptions
+from viewer_app.options.shared import WebOptions
 from viewer_app.viewer.display import has_display, why_no_window
-from viewer_app.viewer.rerun_process import Hub
+from viewer_app.viewer.rerun_process import DATA_PORT, PAGE_PORT, Hub
 
 _DEPTH_HZ = 10.0  # limited by the viewer's memory for images
 
@@ -43,7 +44,7 @@ class Viewing:
 
 
 def choose_viewing(
-    options: ViewerOptions, save: Path | None, *, live: bool, served: bool = False
+    options: WebOptions, save: Path | None, *, live: bool, served: bool = False
 ) -> Viewing | None:
     """The viewer that the options ask for.
 
@@ -78,8 +79,9 @@ def choose_viewing(
     return Viewing(why_not=why_not)
 
 
-def announce(viewing: Viewing | None, console: Console) -> None:
-    """Prints the address of the viewer and who else can see it; opens the browser if there is one."""
+def announce(viewing: Viewing | None, console: Console, live: bool = False) -> None:
+    """Prints the address of the viewer, who else can see it, and, if it is live, how a slow browser shows;
+    opens the browser if there is one."""
     if viewing is None:
         return
     if viewing.why_not:
@@ -90,12 +92,24 @@ def announce(viewing: Viewing | None, console: Console) -> None:
     if hub.web_port is None:
         console.print(f"Reopen a closed viewer with: rerun --connect {hub.url}")
         return
-    if not _is_loopback(hub.address):
+    for port, usual in ((hub.web_port, PAGE_PORT), (hub.port, DATA_PORT)):
+        if port != usual:
+            console.print(f"Port {usual} is taken: using {port}.")
+    others = not is_loopback(hub.address)
+    if others:
         console.print(
             f"[bold yellow]Warning[/]: listening on {hub.address}: whoever reaches this machine's ports "
             f"{hub.port} and {hub.web_port} sees the session, video included, without a password."
         )
     console.print(f"[bold]Viewer[/]: {hub.page}", soft_wrap=True)
+    if others and console.is_terminal and console.encoding.startswith("utf"):
+        import segno
+
+        segno.make(hub.page).terminal(
+            cast(TextIO, console.file), compact=True
+        )  # for the camera of a phone or tablet
+    if live:  # Rerun's server does not say how far a browser is behind
+        console.print("Seconds of latency at its top: a slow browser shows the past. Try --depth none.")
     if has_display():
         webbrowser.open(hub.page)
 
@@ -111,10 +125,3 @@ def stay_for_visitors(
         (until or threading.Event()).wait()
     except KeyboardInterrupt:
         return
-
-
-def _is_loopback(address: str) -> bool:
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return address == "localhost"

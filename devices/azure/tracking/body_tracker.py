@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from devices.azure.tracking.native_library import Prototypes, declare, load_library
+from devices.capture.causes import Cause
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT
 from fusion.skeleton import Skeleton, TrackingState
@@ -133,10 +134,7 @@ class BodyTracker:
         if status == _TIMEOUT:
             raise self._stalled("took no capture")
         if status != _SUCCEEDED:
-            raise DeviceError(
-                f"The body tracker refused a capture (status {status}). It needs depth and infrared of one "
-                f"libk4a: install pyk4a built on the same SDK as libk4abt, not pyk4a-bundle."
-            )
+            raise (Cause.TRACKER_FAILED if self._results else Cause.CAPTURE_REFUSED).error(status=status)
 
     def pop(self, wait_s: float | None = None) -> SensorFrame | None:
         """Returns the people of the next capture by body id, without images.
@@ -155,11 +153,7 @@ class BodyTracker:
         if status == _TIMEOUT:
             raise self._stalled("gave no result")
         if status != _SUCCEEDED or not frame:
-            raise DeviceError(
-                f"The body tracker failed (status {status}). It must be started again; if it fails at once, "
-                f"the GPU is out of memory or its driver was reset: close other programs, or use processing "
-                f"cpu."
-            )
+            raise Cause.TRACKER_FAILED.error(status=status)
         try:
             self._results += 1
             return _bodies(library, frame)
@@ -187,10 +181,7 @@ class BodyTracker:
         return round(1000 * self.patience_s)
 
     def _stalled(self, what: str) -> DeviceError:
-        return DeviceError(
-            f"The body tracker stalls: it {what} for {self._timeout_ms() / 1000:g} s. Its GPU is too slow or "
-            f"busy: close other programs, or record now and track later (duplex fuse a.mkv b.mkv)."
-        )
+        return Cause.TRACKER_STALLS.error(what=what, seconds=self._timeout_ms() / 1000)
 
 
 def check_smoothing(smoothing: float) -> None:

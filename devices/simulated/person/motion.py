@@ -1,8 +1,9 @@
 """A person's movement as a function of time: control channels, keyframes, footsteps and inverse kinematics.
 
 A movement defines the pelvis, the trunk, the head, the wrists and the toes. Elbows and knees follow by
-inverse kinematics of two bones. Toes stay where they are planted, so feet do not slide. Every movement begins
-with the start-up pose, standing still, so that the program can calibrate. Then it repeats its loop.
+inverse kinematics of two bones. Toes stay where they are planted, so feet do not slide. A movement begins
+with the start-up pose, standing still, so that the program can calibrate, unless it has ``startup=False``.
+Then it repeats its loop.
 """
 
 from __future__ import annotations

@@ -15,6 +15,13 @@ from numpy.typing import NDArray
 
 from devices.simulated.person.anatomy import Array
 from fusion.body import Body
+from fusion.joint_kinds import by_joint, of_kind
+
+_TURNED = {
+    "spine": 0.0, "head": 0.0, "girdle": 0.0, "elbow": 0.35, "wrist": 0.5, "hand": 0.3, "tip": 0.3,
+    "thumb": 0.6, "knee": 0.1, "ankle": 0.0, "foot": 0.9, "face": 0.9,
+}  # fmt: skip
+"""Share of a joint's offset from its parent, along the front, that is turned to the back, by kind."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +40,6 @@ class Mirroring:
         seconds: Time constant with which the share is reached.
         crossing_seconds: Duration of a change of labels.
         legs_later: Largest delay of the legs after the trunk, seconds; drawn uniformly.
-        believed: Share of a joint's offset from its parent, along the front, that is turned to the back; for
-            feet, face, thumb, hand, wrist, elbow and knee.
     """
 
     back: float = 0.0
@@ -43,14 +48,10 @@ class Mirroring:
     seconds: float = 0.12
     crossing_seconds: float = 0.25
     legs_later: float = 0.5
-    believed: tuple[float, float, float, float, float, float, float] = (0.9, 0.9, 0.6, 0.3, 0.5, 0.35, 0.1)
 
     def share(self, cosine: float) -> float:
         """Returns the share of mirrored frames; ``cosine`` is between front and direction to the sensor."""
         return float(self.back / (1.0 + np.exp((cosine - self.centre) / self.width)))
-
-
-_BELIEVED_NAMES = ("foot heel", "nose eye ear", "thumb", "hand", "wrist", "elbow", "knee")
 
 
 class MirroringTracker:
@@ -67,13 +68,8 @@ class MirroringTracker:
         self, body: Body, mirroring: Mirroring, frame_seconds: float, random: np.random.Generator
     ) -> None:
         self._body, self._mirroring, self._dt, self._random = body, mirroring, frame_seconds, random
-        plain = [name.replace("_", "").lower() for name in body.joints]
-        self._believed = np.zeros(len(body))
-        for share, parts in zip(mirroring.believed, _BELIEVED_NAMES, strict=True):
-            self._believed[[any(part in name for part in parts.split()) for name in plain]] = share
-        self._legs = np.array(
-            [any(part in name for part in ("knee", "ankle", "foot", "heel")) for name in plain]
-        )
+        self._turned = by_joint(body, _TURNED)
+        self._legs = of_kind(body, "knee", "ankle", "foot")
         self._mirrored = False
         self._crossed = np.zeros(2)  # progress of the exchange of the trunk's and the legs' labels, 0 to 1
         self._legs_wait = 0.0
@@ -110,18 +106,16 @@ class MirroringTracker:
         if max(trunk, legs) == 0.0:
             return at, states
         weight = np.where(self._legs, legs, trunk)
-        turned = self._turn_believed(at, front, weight)
+        turned = self._turn_offsets(at, front, weight)
         blended = turned + weight[:, None] * (turned[self._body.mirror] - turned)
         return blended, np.where(weight > 0.5, states[self._body.mirror], states)
 
-    def _turn_believed(self, at: Array, front: Array, weight: Array) -> Array:
+    def _turn_offsets(self, at: Array, front: Array, weight: Array) -> Array:
         """Returns (J, 3) the joints with their offsets along the front turned as the tracker assumes."""
         turned = at.copy()
         for joint in self._body.order[1:]:
             parent = self._body.parents[joint]
             offset = at[joint] - at[parent]
-            ahead = offset @ front
-            turned[joint] = (
-                turned[parent] + offset - 2.0 * weight[joint] * self._believed[joint] * ahead * front
-            )
+            share = 2.0 * weight[joint] * self._turned[joint]
+            turned[joint] = turned[parent] + offset - share * (offset @ front) * front
         return turned

@@ -14,9 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from fusion.joint_kinds import kind_of
-
-_ARM = ("elbow", "wrist", "hand", "tip", "thumb")
+from fusion.joint_kinds import of_kind
 
 
 @dataclass(frozen=True)
@@ -71,5 +69,5 @@ class ScriptedFaults:
 
     @cached_property
     def _joints(self) -> NDArray[np.bool_]:
-        names = self.body.joints
-        return np.array(["left" in name.lower() and kind_of(name) in _ARM for name in names])
+        left = ["left" in name.lower() for name in self.body.joints]
+        return np.asarray(of_kind(self.body, "elbow", "wrist", "hand", "tip", "thumb") & left)

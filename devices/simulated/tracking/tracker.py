@@ -15,14 +15,18 @@ from numpy.typing import NDArray
 from devices.simulated.person.anatomy import Array
 from devices.simulated.tracking.mirroring import MirroringTracker
 from devices.simulated.tracking.scripted_faults import ScriptedFaults
-from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
+from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import Body
 from fusion.compiling.kernels import njit
 from fusion.intrinsics import Intrinsics
+from fusion.joint_kinds import by_joint
 from fusion.skeleton import Skeleton, TrackingState
 
 # Bias of each kind of joint as a multiple of the median: it is larger at the ends of limbs.
-_BIAS = JointGroups(0.7, 0.9, 0.9, 1.1, 1.1, 1.1, 1.2, 1.3, 0.9, 1.0, 1.2, 0.9)
+_BIAS = {
+    "spine": 0.7, "head": 0.9, "girdle": 0.9, "elbow": 1.1, "wrist": 1.1, "hand": 1.1, "tip": 1.2,
+    "thumb": 1.3, "knee": 0.9, "ankle": 1.0, "foot": 1.2, "face": 0.9,
+}  # fmt: skip
 _HIDING_SECONDS = 0.08  # time constant of the transition from observation to guess
 _GUESS_SECONDS = 0.6  # correlation time of the error of a guess
 _UNSURE_SECONDS = 0.4
@@ -55,10 +59,10 @@ class Tracker:
         self._body, self._errors, self._flesh, self._intrinsics = body, errors, flesh, intrinsics
         self._dt, self._random, self._script = frame_seconds, random, script
         count = len(body)
-        self._jitter_size, self._unsure_share = errors.jitter.of(body), errors.unsure.of(body)
+        self._jitter_size, self._unsure_share = by_joint(body, errors.jitter), by_joint(body, errors.unsure)
         self._corners = [body.joint(n) for n in ("ShoulderLeft", "HipLeft", "ShoulderRight", "HipRight")]
         # Coefficients of 1, cos and sin of the view's azimuth: the bias changes smoothly with the view.
-        spread = errors.view_bias * _BIAS.of(body)[:, None, None] / np.sqrt(2.0)
+        spread = errors.view_bias * by_joint(body, _BIAS)[:, None, None] / np.sqrt(2.0)
         self._bias = random.standard_normal((count, 3, 3)) * spread
         # A separate generator, so that the other errors do not depend on these.
         added = errors.added

@@ -2,40 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from devices.simulated.person.anatomy import Array
 from devices.simulated.tracking.mirroring import Mirroring
 from fusion.body import AZURE_KINECT, BLAZEPOSE, Body
-from fusion.joint_kinds import by_joint
+from fusion.joint_kinds import KINDS
 
-
-@dataclass(frozen=True)
-class JointGroups:
-    """One value for each kind of joint."""
-
-    spine: float = 0.0
-    head: float = 0.0
-    girdle: float = 0.0
-    """Hips, shoulders, clavicles."""
-    elbow: float = 0.0
-    wrist: float = 0.0
-    hand: float = 0.0
-    tip: float = 0.0
-    thumb: float = 0.0
-    knee: float = 0.0
-    ankle: float = 0.0
-    foot: float = 0.0
-    face: float = 0.0
-
-    def of(self, body: Body) -> Array:
-        """Returns (J,) the value of each joint."""
-        return by_joint(body, asdict(self))
-
-
+ByKind = Mapping[str, float]
+"""One value for each kind of joint (:mod:`fusion.joint_kinds`)."""
 AddedErrors = Callable[[Body, float, np.random.Generator], Iterator[Array]]
 """From the body, the frame interval in seconds and a generator: (J, 3) errors per frame, metres."""
 
@@ -79,7 +57,7 @@ class TrackerErrors:
     view_bias: float = 0.0
     skin: float = 0.0
     seen_share: float = 0.0
-    unsure: JointGroups = field(default_factory=JointGroups)
+    unsure: ByKind = field(default_factory=lambda: dict.fromkeys(KINDS, 0.0))
     inferred_error: float = 0.0
     inferred_jitter: float = 1.0
     not_tracked: float = 0.0
@@ -90,7 +68,7 @@ class TrackerErrors:
     outlier_size: float = 0.0
     rescale: float = 0.0
     rescale_seconds: float = 1.0
-    jitter: JointGroups = field(default_factory=JointGroups)
+    jitter: ByKind = field(default_factory=lambda: dict.fromkeys(KINDS, 0.0))
     moving_jitter: float = 0.0
     jitter_memory: float = 0.5
     mirroring: Mirroring = field(default_factory=Mirroring)
@@ -107,32 +85,51 @@ class TrackerErrors:
 
 _KINECT_V2 = TrackerErrors(
     view_bias=0.023, skin=0.25, seen_share=0.35,
-    unsure=JointGroups(hand=0.03, tip=0.05, thumb=0.05, foot=0.05),
+    unsure={
+        "spine": 0.0, "head": 0.0, "girdle": 0.0, "elbow": 0.0, "wrist": 0.0, "hand": 0.03, "tip": 0.05,
+        "thumb": 0.05,
+        "knee": 0.0, "ankle": 0.0, "foot": 0.05, "face": 0.0,
+    },
     inferred_error=0.14, inferred_jitter=2.0, not_tracked=0.02, mistracked=0.4, snap=0.6,
     stretch=0.12, outliers=0.0065, outlier_size=0.17, rescale=0.018, rescale_seconds=2.0,
-    jitter=JointGroups(spine=0.0016, head=0.001, girdle=0.0024, elbow=0.0024, wrist=0.0036, hand=0.005,
-                       tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
+    jitter={
+        "spine": 0.0016, "head": 0.001, "girdle": 0.0024, "elbow": 0.0024, "wrist": 0.0036, "hand": 0.005,
+        "tip": 0.005,
+        "thumb": 0.014, "knee": 0.0018, "ankle": 0.001, "foot": 0.002, "face": 0.003,
+    },
     moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.97),
     stale=0.05, lost=0.002,
 )  # fmt: skip
 _AZURE = TrackerErrors(
     view_bias=0.009, skin=0.15, seen_share=0.35,
-    unsure=JointGroups(hand=0.10, tip=0.2, thumb=0.3, foot=0.16),
+    unsure={
+        "spine": 0.0, "head": 0.0, "girdle": 0.0, "elbow": 0.0, "wrist": 0.0, "hand": 0.10, "tip": 0.2,
+        "thumb": 0.3,
+        "knee": 0.0, "ankle": 0.0, "foot": 0.16, "face": 0.0,
+    },
     inferred_error=0.06, inferred_jitter=2.5, not_tracked=0.65, mistracked=0.25, snap=0.6,
     stretch=0.16, outliers=0.005, outlier_size=0.20, rescale=0.028, rescale_seconds=0.6,
-    jitter=JointGroups(spine=0.0012, head=0.001, girdle=0.0020, elbow=0.0024, wrist=0.0036, hand=0.005,
-                       tip=0.005, thumb=0.014, knee=0.0018, ankle=0.001, foot=0.002, face=0.003),
+    jitter={
+        "spine": 0.0012, "head": 0.001, "girdle": 0.0020, "elbow": 0.0024, "wrist": 0.0036, "hand": 0.005,
+        "tip": 0.005,
+        "thumb": 0.014, "knee": 0.0018, "ankle": 0.001, "foot": 0.002, "face": 0.003,
+    },
     moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.35),
     stale=0.04, lost=0.001,
 )  # fmt: skip
 _BLAZEPOSE = TrackerErrors(
     view_bias=0.012, skin=0.0, seen_share=0.35,
-    unsure=JointGroups(spine=0.03, girdle=0.35, elbow=0.12, wrist=0.2, hand=0.3, thumb=0.35, knee=0.02,
-                       ankle=0.05, foot=0.2, face=0.03),
+    unsure={
+        "spine": 0.03, "head": 0.0, "girdle": 0.35, "elbow": 0.12, "wrist": 0.2, "hand": 0.3, "tip": 0.0,
+        "thumb": 0.35,
+        "knee": 0.02, "ankle": 0.05, "foot": 0.2, "face": 0.03,
+    },
     inferred_error=0.08, inferred_jitter=2.0, not_tracked=0.0, mistracked=0.08, snap=0.6,
     stretch=0.5, outliers=0.02, outlier_size=0.20, rescale=0.02, rescale_seconds=0.6,
-    jitter=JointGroups(spine=0.0037, head=0.0026, girdle=0.0035, elbow=0.0037, wrist=0.0056, hand=0.0048,
-                       tip=0.0048, thumb=0.0049, knee=0.0033, ankle=0.0044, foot=0.0057, face=0.0033),
+    jitter={
+        "spine": 0.0037, "head": 0.0026, "girdle": 0.0035, "elbow": 0.0037, "wrist": 0.0056, "hand": 0.0048,
+        "tip": 0.0048, "thumb": 0.0049, "knee": 0.0033, "ankle": 0.0044, "foot": 0.0057, "face": 0.0033,
+    },
     moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.12),
 )  # fmt: skip
 """Rounded from four simulated scenes (seed 100). It repeats no frame: it works on each image."""

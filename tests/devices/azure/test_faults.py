@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import sys
 from itertools import islice
 from pathlib import Path
 
@@ -14,9 +15,11 @@ from devices.azure.kinect import KinectSensor
 from devices.azure.pyk4a_access import connected_kinects
 from devices.azure.settings import KinectSettings
 from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
-from devices.capture.connected import choose_two
+from devices.capture.sensor_choice import choose_two
 from devices.capture.usb import usb_kinects
-from devices.sensor import DeviceError
+from devices.live_sensors import connected_sensors
+from devices.sensor import AbsentError, DeviceError
+from devices.tracker_choice import choose_tracker
 from tests.helpers.standin_camera import VirtualTime
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import Bus, Device
@@ -47,6 +50,17 @@ def test_one_device(bus: Bus) -> None:
         choose_two(connected_kinects())
     with pytest.raises(DeviceError, match=r"No Kinect with serial 000123\. Connected: 000456"):
         _kinect().__enter__()
+
+
+@pytest.mark.usefixtures("orbbecs")
+def test_a_pyk4a_that_cannot_be_imported_is_told_beside_orbbecs_sdk(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "pyk4a.py").write_text("raise ImportError('libk4a.so.1.4: cannot open shared object file')")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "pyk4a", raising=False)
+    with pytest.raises(DeviceError, match=r"cannot be imported \(libk4a\.so\.1\.4"):
+        connected_sensors(choose_tracker("k4abt"))
 
 
 def test_device_busy(bus: Bus) -> None:
@@ -131,9 +145,13 @@ def test_stream_stalls(device: Device, fault: str) -> None:
 
 def test_stream_of_a_subordinate_stalls(device: Device) -> None:
     device.jacks, device.silent = (True, False), True
-    with _kinect(sync="subordinate", start_s=30.0, stall_s=5.0) as sensor:
+    with _kinect(sync="subordinate", start_s=30.0, stall_s=5.0, color="720P") as sensor:
         with pytest.raises(DeviceError, match=r"no depth for 30 s.*check the master"):
             next(sensor.frames())
+        device.silent, device.blind = False, True  # colour comes, so the master runs
+        with pytest.raises(DeviceError, match=r"colour comes, but no depth for 5 s. Run it without --color"):
+            next(sensor.frames())
+        device.blind = False
         device.silent = False
         frames = sensor.frames()
         next(frames)
@@ -176,9 +194,10 @@ def test_an_orbbec_that_is_unplugged_shows_by_time_outs_and_is_called_so(bus: Bu
     with _kinect("CL8H741005K", stall_s=3.0) as sensor:
         frames = sensor.frames()
         next(frames)
-        device.plugged = False
-        with pytest.raises(DeviceError, match="was unplugged"):
+        device.plugged, since_ns = False, device.time.now_ns()
+        with pytest.raises(AbsentError, match="was unplugged"):
             next(frames)
+        assert device.time.now_ns() - since_ns <= 500_000_000, "at the first time-out"
 
 
 @pytest.mark.parametrize("sync", ["standalone", "master"])
@@ -202,8 +221,12 @@ def test_a_kinect_says_what_it_waits_for(bus: Bus, standin: Standin, monkeypatch
     with sensor:
         heard.append(sensor.waits_for)
         frames = sensor.frames()
+        bus.devices[0].at[0] = lambda: heard.append("depth")
+        pop = BodyTracker.pop
+        monkeypatch.setattr(BodyTracker, "pop", lambda *given: heard.append(sensor.waits_for) or pop(*given))
         next(frames)
-        heard.append(sensor.waits_for)
         frames.close()
-    assert heard == ["its body tracker, which loads its network", "", ""]
+    loads, result = "its body tracker, which loads its network", "its body tracker's result"
+    assert list(dict.fromkeys(heard)) == [loads, "", "depth", result]
+    assert sensor.waits_for == ""
     gc.collect()

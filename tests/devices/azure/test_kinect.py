@@ -22,7 +22,7 @@ from devices.azure.pyk4a_access import connected_kinects
 from devices.azure.pyk4a_internals import capsule_pointer, loaded_libk4a
 from devices.azure.settings import KinectSettings
 from devices.azure.tracking.body_tracker import TrackerSettings
-from devices.capture.connected import ConnectedSensor
+from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.sensor_thread import SensorThread
 from devices.sensor import AbsentError, ColorCamera, ColorImage, DeviceError
 from fusion.intrinsics import Intrinsics
@@ -63,27 +63,27 @@ def test_frames_carry_images_and_the_sensors_own_time_and_the_lens_is_in_opencvs
     assert lens.distortion == (0.5, -0.02, 1e-5, -7e-5, -0.003, 0.9, 0.09, -0.01)
 
 
-def test_frames_that_the_sdk_had_no_room_for_are_counted(two: Bus) -> None:
+def test_frames_that_were_lost_on_usb_are_counted(two: Bus) -> None:
     (device,) = (device for device in two.devices if device.serial == "000123")
-    device.skips = 3  # the tracker takes four frames' time for each
+    device.skips = 3
     thread = SensorThread(sensor := _sensor())
     with sensor:
         frames = sensor.frames()
         next(frames)
-        assert sensor.missed == 0, "before the first frame nothing is known"
+        assert sensor.lost == 0, "before the first frame nothing is known"
         next(frames)
         next(frames)
-        assert sensor.missed == thread.dropped == 6
+        assert (sensor.lost, thread.lost, thread.dropped) == (6, 6, 0)
         device.skips, device.clock_usec = 0, 5_000  # a reset
         next(frames)
         next(frames)
         device.interval_usec = 40_000  # 5 fps slower: nothing is missing
         next(frames)
-        assert sensor.missed == 6
+        assert sensor.lost == 6
     device.clock_usec += 10_000_000
     with sensor:
         next(sensor.frames())
-    assert sensor.missed == 6, "closed meanwhile"
+    assert sensor.lost == 6, "closed meanwhile"
 
 
 def test_the_gil_is_never_held_and_every_wait_is_finite(two: Bus) -> None:
@@ -267,7 +267,7 @@ def test_depth_comes_also_where_its_colour_image_does_not(bus: Bus, lost: str) -
     device.color_lost = lambda number: number % 2 == 0 or lost.startswith("every colour")
     bus.devices = [device]
     with _sensor(color="720P") as sensor:
-        sensor._clock = device.time.now_ns
+        sensor.clock = device.time.now_ns
         frames = list(itertools.islice(sensor.frames(), 30))
     assert sensor.missed == 0
     assert {round(later.time_ns - first.time_ns, -6) for first, later in itertools.pairwise(frames)} == {
@@ -276,11 +276,28 @@ def test_depth_comes_also_where_its_colour_image_does_not(bus: Bus, lost: str) -
     assert any(frame.color for frame in frames) != lost.startswith("every colour")
 
 
+@pytest.mark.parametrize("color", [None, "720P"])
+def test_depth_waits_for_colour_only_if_colour_is_wanted(bus: Bus, color: str | None) -> None:
+    device = Device(
+        "000123", jacks=(False, True), paced=True, time=VirtualTime(), color_latency_ns=200_000_000
+    )
+    bus.devices = [device]
+    with _sensor(color=color, sync="master") as sensor:
+        sensor.clock = device.time.now_ns
+        frames = list(itertools.islice(sensor.frames(), 10))
+    ages = {
+        round((ready - (frame.host_ns or 0)) / 1e6)
+        for ready, frame in zip(device.ready, frames, strict=False)
+    }
+    assert ages == ({0} if color is None else {185}), "ms after the depth image is on the host"
+    assert all((frame.color is None) == (color is None) for frame in frames)
+
+
 def test_the_newest_capture_is_taken_not_the_oldest(bus: Bus) -> None:
     device = Device("000123", paced=True, time=VirtualTime())
     bus.devices = [device]
     with _sensor() as sensor:
-        sensor._clock = device.time.now_ns
+        sensor.clock = device.time.now_ns
         frames = sensor.frames()
         next(frames)
         device.time.wait_until(device.time.now_ns() + 500_000_000)  # the reader was busy for half a second

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -55,10 +56,22 @@ def test_a_tracker_that_stays_slow_goes_on_with_lite_and_every_frame_again(
 def test_a_hitch_costs_no_accuracy(networks: BlazePoseSettings) -> None:
     pace = TrackingPace(30.0, networks)
     work(pace, 10, 50)
-    work(pace, 40, 15)
+    work(pace, 90, 15)
     assert (pace.step, pace.network) == (1, "full")
+    work(pace, 200, 15)
     work(pace, 20, 50)
     assert pace.network == "full", "results of the first hitch do not count"
+
+
+def test_trackers_that_are_fast_enough_only_at_half_the_rate_go_on_with_lite(
+    networks: BlazePoseSettings,
+) -> None:
+    pace, steps = TrackingPace(30.0, networks), []
+    for _ in range(200):
+        steps.append(pace.step)
+        work(pace, 1, 15 if pace.step > 1 or pace.network == "lite" else 35)
+    assert (pace.step, pace.network) == (1, "lite")
+    assert sum(first != later for first, later in pairwise(steps)) == 4
 
 
 @pytest.mark.parametrize("lacks", ["the file", "a lighter one"])
@@ -73,6 +86,13 @@ def test_without_a_lighter_network_only_frames_are_left_out(networks: BlazePoseS
     assert (pace.step, pace.network) == (2, networks.network)
     assert ("fetch --network lite" in pace.advice) == (lacks == "the file")
     assert pace.take_news() == []
+
+
+def test_who_simulates_sensors_is_not_told_to_record_them(networks: BlazePoseSettings) -> None:
+    assert "track later" in TrackingPace(30.0, networks).advice
+    advice = TrackingPace(30.0, networks, simulated=True).advice
+    assert "track later" not in advice
+    assert advice == advice.strip()
 
 
 def test_changes_and_advice_reach_the_reader_of_the_sensors(networks: BlazePoseSettings) -> None:

@@ -14,7 +14,7 @@ from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
 from devices.pairing import FramePair
-from devices.sensor import DeviceError
+from devices.sensor import DeviceError, SensorFrame
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 from tests.helpers.two_clocks import INTERVAL_NS
 
@@ -50,7 +50,7 @@ class _Bench:
 
 def test_fusion_goes_on_with_the_sensor_that_is_left_and_takes_the_other_back() -> None:
     # Pairing that by itself would wait forever: what goes on does so because the sensor is known to be gone.
-    bench = _Bench(pairing=LivePairing(max_wait_ns=10**18, gone_after_ns=10**18))
+    bench = _Bench(pairing=LivePairing(max_lag_ns=10**18, gone_after_ns=10**18))
     with bench.two as two:
         for _ in range(3):
             bench.put(bench.a, bench.b)
@@ -98,6 +98,29 @@ def test_a_pause_of_the_reader_is_not_one_of_the_sensors() -> None:
             put_and_wait()
         assert [pair.b is not None for pair in two.poll()] == [True] * 8
         assert (two.a.dropped, two.b.dropped) == (0, 0)
+
+
+@pytest.mark.parametrize(("lag_ms", "words"), [(90, None), (150, "which wait for them"), (900, "too late")])
+@pytest.mark.parametrize("late", ["a", "b"])
+def test_a_sensor_whose_frames_come_late_is_named_once(late: str, lag_ms: int, words: str | None) -> None:
+    pairing = LivePairing(INTERVAL_NS)
+    told: list[str] = []
+    two = TwoSensors(
+        ScriptedSensor("000123"),
+        ScriptedSensor("000456"),
+        pairing=pairing,
+        tell=lambda e: told.append(e.text),
+    )
+    for index in range(60):
+        host_ns = index * INTERVAL_NS
+        for side in ("a", "b"):
+            frame = SensorFrame(host_ns, host_ns=host_ns)
+            pairing.add(side, frame, host_ns + (lag_ms * 1_000_000 if side == late else 0))  # type: ignore[arg-type]
+        two.poll(0.0)
+    name, other = ("000123", "000456") if late == "a" else ("000456", "000123")
+    expected = [] if words is None else [f"The frames of {name} come {lag_ms} ms later than those of {other}"]
+    assert [text[: len(expected[0])] for text in told] == expected
+    assert words is None or words in told[0]
 
 
 def test_a_sensor_that_does_not_open_closes_the_other() -> None:

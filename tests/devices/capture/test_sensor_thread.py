@@ -122,6 +122,16 @@ def test_a_lost_sensor_is_reopened_until_it_is_back(sensor: ScriptedSensor) -> N
     assert (sensor.opened, sensor.closed) == (2, 2)
 
 
+def test_a_lost_sensor_is_reported_before_its_driver_has_closed_it(sensor: ScriptedSensor) -> None:
+    seen: list[SensorState] = []
+    with SensorThread(sensor) as thread:
+        sensor.close_hook = lambda: seen.append(thread.state)
+        sensor.put(unplugged())
+        assert eventually(lambda: bool(seen), PATIENCE_S)
+    assert seen[0] is SensorState.LOST
+    assert sum("unplugged" in event.text for event in thread.events()) == 1
+
+
 def test_a_slow_first_frame_is_allowed_and_reported_once(sensor: ScriptedSensor) -> None:
     now = [100.0]
     with SensorThread(
@@ -132,9 +142,7 @@ def test_a_slow_first_frame_is_allowed_and_reported_once(sensor: ScriptedSensor)
             assert all("is back" in event.text for event in thread.events())
             now[0] += 57.9
             assert thread.state is SensorState.RUNNING
-            assert [event.text for event in thread.events()] == [
-                "000123: waiting for the body tracker's first result."
-            ]
+            assert [event.text for event in thread.events()] == ["000123: waiting for its first frame."]
             assert thread.events() == []
             if opening == 0:
                 sensor.put(frame_at(1), unplugged())

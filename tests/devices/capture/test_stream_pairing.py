@@ -191,13 +191,40 @@ def test_a_sensor_reported_as_gone_is_not_waited_for() -> None:
     assert pairing.add("a", SensorFrame(32 * INTERVAL_NS), 32 * INTERVAL_NS) == []
 
 
-def test_waiting_for_a_partner_is_bounded() -> None:
-    pairing = LivePairing(INTERVAL_NS, max_wait_ns=100_000_000)
-    pairing.add("b", SensorFrame(0), 0)
-    assert [pair.b is None for pair in pairing.add("a", SensorFrame(0), 0)] == [False]
-    assert pairing.add("a", SensorFrame(INTERVAL_NS), INTERVAL_NS) == []
-    assert pairing.poll(INTERVAL_NS + 99_999_999) == []
-    (pair,) = pairing.poll(INTERVAL_NS + 100_000_000)
+@pytest.mark.parametrize("late", ["a", "b"])
+@pytest.mark.parametrize("lag_ms", [0, 60, 150, 240])
+def test_a_sensor_whose_frames_come_steadily_later_still_pairs(late: str, lag_ms: int) -> None:
+    streams = []
+    for side in ("a", "b"):
+        held_ns = lag_ms * MILLISECOND_NS if side == late else 0
+        stream = shots(side, 10, clock_ns=10**10 * (side == "b"))  # type: ignore[arg-type]
+        streams.append([replace(shot, arrives_ns=shot.arrives_ns + held_ns) for shot in stream])
+    pairing = LivePairing(INTERVAL_NS)
+    pairs = run(pairing, *streams)
+    assert len(_both(pairs)) == 300
+    expected_ns = lag_ms * MILLISECOND_NS * (1 if late == "b" else -1)
+    assert abs(pairing.lag_ns - expected_ns) < 3 * MILLISECOND_NS
+
+
+@pytest.mark.parametrize(("lag_ms", "waits_ms"), [(0, 0), (100, 100), (600, 250)])
+def test_a_frame_waits_as_long_as_the_other_sensor_takes_and_an_interval_more(
+    lag_ms: int, waits_ms: int
+) -> None:
+    pairing = LivePairing(INTERVAL_NS, gone_after_ns=10**18)
+    events = [(index * INTERVAL_NS, "a", index) for index in range(60)]
+    events += [(index * INTERVAL_NS + lag_ms * MILLISECOND_NS, "b", index) for index in range(60)]
+    for at_ns, side, index in sorted(events):
+        if at_ns < 30 * INTERVAL_NS:
+            pairing.add(side, SensorFrame(index * INTERVAL_NS, host_ns=index * INTERVAL_NS), at_ns)  # type: ignore[arg-type]
+    last_ns = 29 * INTERVAL_NS
+    pairing.poll(last_ns + INTERVAL_NS)
+    begun_ns = last_ns + INTERVAL_NS
+    pairing.restart("a")  # what still waits goes out
+    frame_ns = begun_ns + 10 * INTERVAL_NS
+    assert pairing.add("a", SensorFrame(frame_ns, host_ns=frame_ns), frame_ns) == []
+    patience_ns = waits_ms * MILLISECOND_NS + INTERVAL_NS
+    assert pairing.poll(frame_ns + patience_ns - 1) == []
+    (pair,) = pairing.poll(frame_ns + patience_ns)
     assert pair.b is None
 
 
@@ -244,7 +271,7 @@ def test_time_never_goes_back_when_a_returns() -> None:
 
 
 def test_memory_is_bounded_when_the_other_sensor_hangs() -> None:
-    pairing = LivePairing(INTERVAL_NS, max_wait_ns=10**18, gone_after_ns=10**18)
+    pairing = LivePairing(INTERVAL_NS, max_lag_ns=10**18, gone_after_ns=10**18)
     pairing.add("b", SensorFrame(0), 0)
     given_out = sum(len(pairing.add("a", SensorFrame(i * INTERVAL_NS), i * INTERVAL_NS)) for i in range(1000))
     assert given_out >= 1000 - 8

@@ -73,7 +73,7 @@ def test_unplugged_at_open(one: Orbbec, orbbecs: OrbbecBus, monkeypatch: pytest.
         one.plugged = False
 
     monkeypatch.setattr(OrbbecSensor, "_read_calibration", pull_the_plug)
-    with pytest.raises(DeviceError, match=f"Orbbec {A} was unplugged while it opened"):
+    with pytest.raises(DeviceError, match=f"Orbbec {A} was unplugged or lost its power"):
         _sensor().__enter__()
     assert orbbecs.open_serials == []
 

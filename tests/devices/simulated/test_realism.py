@@ -12,8 +12,9 @@ import pytest
 
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.rig import Rig
-from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
+from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
+from fusion.joint_kinds import KINDS
 from fusion.skeleton import Skeleton, TrackingState
 from tests.helpers.pair_statistics import PairStatistics, statistics
 
@@ -88,7 +89,7 @@ def read_csv(path: Path) -> list[Skeleton]:
 
 def test_white_jitter_is_found_with_its_size() -> None:
     size = 0.005
-    jitter = JointGroups(**dict.fromkeys(JointGroups.__dataclass_fields__, size))
+    jitter = dict.fromkeys(KINDS, size)
     found = statistics(*views("still", replace(NONE, jitter=jitter, jitter_memory=0.0), 20.0))
     # Against a mean over 5 frames a white sample keeps 1 − 1/5 of its variance, in 3 coordinates.
     expected = size * np.sqrt(3 * 0.8)

@@ -13,7 +13,7 @@ import pytest
 
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.tracking.tracker import Tracker
-from devices.simulated.tracking.tracker_errors import JointGroups, TrackerErrors
+from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, BLAZEPOSE, BODIES, KINECT_V2, Body
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.joint_kinds import kind_of
@@ -76,7 +76,7 @@ def test_without_errors_the_truth_is_reported_and_all_is_tracked(errors: Tracker
 
 
 def test_jitter_has_the_size_the_knob_says_by_kind_of_joint() -> None:
-    jitter = JointGroups(spine=0.001, hand=0.008, thumb=0.02)
+    jitter = NONE.jitter | {"spine": 0.001, "hand": 0.008, "thumb": 0.02}
     skeletons, true = stand(replace(NONE, jitter=jitter, jitter_memory=0.0), 1800)
     spread = errors_of(skeletons, true).std(axis=(0, 2))
     for name, size in (("SPINE_CHEST", 0.001), ("HAND_LEFT", 0.008), ("THUMB_RIGHT", 0.02)):
@@ -87,7 +87,7 @@ def test_jitter_has_the_size_the_knob_says_by_kind_of_joint() -> None:
 
 @pytest.mark.parametrize("memory", [0.0, 0.7])
 def test_jitter_remembers_from_frame_to_frame(memory: float) -> None:
-    jitter = JointGroups(**dict.fromkeys(("spine", "elbow", "knee", "hand"), 0.01))
+    jitter = NONE.jitter | dict.fromkeys(("spine", "elbow", "knee", "hand"), 0.01)
     skeletons, true = stand(replace(NONE, jitter=jitter, jitter_memory=memory), 1200)
     error = errors_of(skeletons, true)[
         :, [AZURE_KINECT.joint(n) for n in ("PELVIS", "ELBOW_LEFT", "KNEE_LEFT")]
@@ -158,7 +158,7 @@ def test_hidden_joints_are_inferred_and_their_guess_errs_smoothly() -> None:
 
 
 def test_a_hidden_joint_jitters_more_by_the_factor_the_knob_says() -> None:
-    jitter = JointGroups(elbow=0.01, knee=0.01)
+    jitter = NONE.jitter | {"elbow": 0.01, "knee": 0.01}
     joints, visible = standing(), np.ones(32)
     elbow, knee = AZURE_KINECT.joint("ELBOW_LEFT"), AZURE_KINECT.joint("KNEE_LEFT")
     visible[elbow] = 0.0
@@ -208,7 +208,7 @@ def test_a_mistracked_joint_is_reported_as_tracked_at_the_joint_in_front_of_it_i
 
 
 def test_unsure_joints_are_inferred_for_the_share_of_time_the_knob_says() -> None:
-    errors = replace(NONE, unsure=JointGroups(thumb=0.3))
+    errors = replace(NONE, unsure=NONE.jitter | {"thumb": 0.3})
     skeletons, _ = stand(errors, 3600)
     inferred = np.stack([s.states == TrackingState.INFERRED for s in skeletons if s is not None])
     thumbs = [AZURE_KINECT.joint(n) for n in ("THUMB_LEFT", "THUMB_RIGHT")]

@@ -31,7 +31,7 @@ def watched(
     for pair in pairs:
         if pair.time_ns >= first_ns:
             calibrator.watch(pair)
-            if calibrator.settled:
+            if calibrator.final:
                 break
     return calibrator, (pair.time_ns - first_ns) * 1e-9, truth.a_from_b
 
@@ -47,7 +47,7 @@ def errors(found: RigidTransform, truth: RigidTransform) -> tuple[float, float]:
 @pytest.mark.parametrize("angle", [120.0, 135.0])
 def test_sensors_that_each_see_one_side_are_calibrated(body: Body, angle: float) -> None:
     calibrator, seconds, truth = watched(body, "badminton", angle, 12.0)
-    assert calibrator.settled
+    assert calibrator.final
     assert seconds < 12.0  # on the pose after three seconds, or on the movement that follows
     turn, shift = errors(calibrator.calibration.a_from_b, truth)
     assert turn < 5.0
@@ -70,7 +70,7 @@ def test_a_pose_that_both_sensors_see_whole_is_preferred() -> None:
 def test_a_person_who_walks_needs_no_pose(body: Body, angle: float) -> None:
     """The recording begins after the pose. 16 keyframes 0.2 s apart and a second fit take 4 s."""
     calibrator, seconds, truth = watched(body, "walk", angle, 17.0, from_second=5.0)
-    assert calibrator.settled
+    assert calibrator.final
     assert calibrator.calibration.how.startswith("movement, ")
     assert 3.9 < seconds < 12.0
     turn, shift = errors(calibrator.calibration.a_from_b, truth)
@@ -81,7 +81,7 @@ def test_a_person_who_walks_needs_no_pose(body: Body, angle: float) -> None:
 def test_a_person_who_shows_too_little_leaves_the_calibration_provisional() -> None:
     """At 180° a squat seen from two sides leaves a solution turned by half a circle nearly as good."""
     calibrator, _, _ = watched(KINECT_V2, "squat", 180.0, 12.0)
-    assert not calibrator.settled
+    assert not calibrator.final
 
 
 def test_no_pair_waits_for_more_than_one_start_of_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,7 +115,7 @@ def test_calibration_is_provisional_at_first_and_settles_on_the_start_up_pose() 
             found.append((t, calibration.how.split(",")[0]))
     assert [how for _, how in found] == ["provisional", "provisional", "start-up pose"]
     assert found[0][0] == 0
-    assert calibrator.settled
+    assert calibrator.final
     np.testing.assert_allclose(calibrator.calibration.bone_lengths, KINECT_V2.nominal_lengths, atol=1e-5)
 
 

@@ -20,11 +20,11 @@ from fusion.calibration.online import (
 )
 from fusion.compiling.kernels import kernel
 from fusion.fuser import Fuser
-from fusion.registration import refinement, robust_fit
+from fusion.registration import error_model, refinement
+from fusion.registration.error_model import RobustFitSettings
 from fusion.registration.keyframes import evidence_of
 from fusion.registration.knock import fit_knock
 from fusion.registration.refinement import RefinementSettings
-from fusion.registration.robust_fit import RobustFitSettings
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
@@ -149,8 +149,8 @@ def test_learning_twice_gives_the_same_to_the_last_bit() -> None:
 
 
 def test_a_learner_compiles_nothing_after_the_fuser_is_warm(monkeypatch: pytest.MonkeyPatch) -> None:
-    fresh: Any = kernel(robust_fit._accumulate.py_func)  # as in a new process
-    monkeypatch.setattr(robust_fit, "_accumulate", fresh)
+    fresh: Any = kernel(error_model._accumulate.py_func)  # as in a new process
+    monkeypatch.setattr(error_model, "_accumulate", fresh)
     pairs = walk(200)
     start = Calibration(KINECT_V2, OFF, KINECT_V2.nominal_lengths, "start")
     Fuser(FusionSetup(start)).warm_up()

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from devices.pairing import pair_recordings
 from devices.simulated.kinect import PERSON, simulated_pair
+from fusion.array_fields import new_arrays
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.estimator import outliers
-from fusion.estimator.arrays import Model, Views, new_model, new_solve, new_state, new_views
+from fusion.estimator.arrays import Model, Solve, State, Views, new_model
 from fusion.estimator.evidence import depth_evidence, measure_surface
 from fusion.facing.model import ARMS, WHOLE, new_facing_model
 from fusion.fused_frame import FusedFrame
@@ -22,9 +23,10 @@ from fusion.fuser import Fuser
 from fusion.pair_arrays import PairStacker
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
-from fusion.witness import evidence, new_witness_model
+from fusion.witness import new_witness_model
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, noisy, pair_of, standing
+from tests.helpers.witnesses import evidence_in
 
 BODY = KINECT_V2
 J = len(BODY)
@@ -74,7 +76,7 @@ def asked(code: int, witness: NDArray[np.float32]) -> tuple[Model, Views, Skelet
     pair = pair_of(BODY, standing(BODY), 0)
     assert pair.a is not None
     assert pair.b is not None
-    views = new_views(J)
+    views = new_arrays(Views, J=J)
     views.reported[0] = views.positions[0] = pair.a.positions
     views.reported[1] = views.positions[1] = A_FROM_B.apply(pair.b.positions.astype(np.float64))
     views.states[:] = TrackingState.TRACKED
@@ -112,29 +114,29 @@ def test_the_evidence_of_an_image_follows_its_joint(code: int) -> None:
     witness = confirming()
     witness[LEFT] = 0.5, -0.1, 0.0, 0.0  # seen past
     _, views, skeleton = asked(code, witness)
-    told, places, information = evidence(witness, skeleton)
+    told, places, information = evidence_in(witness, skeleton)
     named = RIGHT if code else LEFT
     assert told[LEFT] < -2.0 < 0.0 < told[RIGHT]
-    assert views.evidence[0, named] == told[LEFT]
-    assert views.evidence[0, RIGHT if named == LEFT else LEFT] == told[RIGHT]
+    assert views.log_odds[0, named] == told[LEFT]
+    assert views.log_odds[0, RIGHT if named == LEFT else LEFT] == told[RIGHT]
     elbow, other = BODY.joint("ElbowLeft"), BODY.joint("ElbowRight")
     named = other if code else elbow
     np.testing.assert_allclose(views.places[0, named], places[elbow], atol=FLOAT32)
     np.testing.assert_allclose(
         views.place_information[0, named], information[elbow], atol=FLOAT32 * np.abs(information).max()
     )
-    assert not views.evidence[1].any()
+    assert not views.log_odds[1].any()
     assert np.isnan(views.places[1]).all()
 
 
 def test_evidence_multiplies_the_odds_of_an_outlier() -> None:
     model, views, _ = asked(0, confirming())
-    state = new_state(J)
-    views.evidence[:] = 0.0
+    state = new_arrays(State, J=J)
+    views.log_odds[:] = 0.0
     prior = interpreted(outliers.prior_outlier)
     before = prior(model, state, views, 0, LEFT)
     for said in (-2.0, 1.5):
-        views.evidence[0, LEFT] = said
+        views.log_odds[0, LEFT] = said
         after = prior(model, state, views, 0, LEFT)
         assert after / (1.0 - after) == pytest.approx(before / (1.0 - before) * np.exp(-said))
         assert prior(model, state, views, 1, LEFT) == before
@@ -148,7 +150,7 @@ def test_the_surface_is_joined_with_the_tracker_by_information() -> None:
         views.slow[0, i] = root @ root.T + 1e-5 * np.eye(3)
     views.fast[:] = 1e-5
     z, C = views.positions[0].copy(), views.slow[0].copy()
-    interpreted(measure_surface)(model, views, new_solve(J))
+    interpreted(measure_surface)(model, views, new_arrays(Solve, J=J))
     measured = 0
     for i in range(J):
         if np.isnan(views.places[0, i, 0]):

@@ -84,7 +84,15 @@ def test_one_by_one_and_all_at_once_are_the_same_bits() -> None:
     singly, together = fuser(), fuser().fuse_sequence(pairs)
     for pair, expected in zip(pairs, together, strict=True):
         found = singly.update(pair)
-        for name in ("positions", "sigma", "covariance", "weights_a", "weights_b", "predicted", "misleading"):
+        for name in (
+            "positions",
+            "sigma",
+            "covariance",
+            "weights_a",
+            "weights_b",
+            "predicted",
+            "misleading_joint",
+        ):
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
     assert not together[21].has_person
     assert together[22].has_person

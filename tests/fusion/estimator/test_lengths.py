@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fusion.array_fields import new_arrays
 from fusion.body import KINECT_V2
 from fusion.estimator import outliers
-from fusion.estimator.arrays import Model, Views, new_model, new_state, new_views
+from fusion.estimator.arrays import Model, State, Views, new_model
 from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.estimator.estimator import elapsed
@@ -32,7 +33,7 @@ def two_views(random: np.random.Generator) -> tuple[Model, Views]:
     """A standing person in both views, with errors of centimetres and of decimetres."""
     lengths = np.linalg.norm(standing(BODY) - standing(BODY)[BODY.parent_indices], axis=1)
     model = new_model(BODY, lengths, A_FROM_B)
-    seen = new_views(J)
+    seen = new_arrays(Views, J=J)
     seen.positions[:] = standing(BODY) + random.normal(0.0, 0.01, (2, J, 3))
     far = random.random((2, J)) < 0.2
     seen.positions[far] += random.normal(0.0, 0.2, (int(far.sum()), 3))
@@ -45,10 +46,10 @@ def two_views(random: np.random.Generator) -> tuple[Model, Views]:
 def test_the_worst_tracked_bone_at_a_joint_counts_against_it() -> None:
     random = np.random.default_rng(3)
     model, seen = two_views(random)
-    state = new_state(J)
+    state = new_arrays(State, J=J)
     state.velocities[:] = random.normal(0.0, 1.0, (J, 3))
     image = random.normal(0.0, 1.0, (2, J))
-    seen.evidence[:] = image
+    seen.log_odds[:] = image
     interpreted(length_evidence)(model, state, seen)
     k, u = model.constants, state.velocities
     costs = []
@@ -62,7 +63,7 @@ def test_the_worst_tracked_bone_at_a_joint_counts_against_it() -> None:
                 if seen.states[v, j] == seen.states[v, p] == 2
             ]
             costs.append(min(max(errors, default=0.0), k.length_limit))
-            assert seen.evidence[v, i] == pytest.approx(image[v, i] - costs[-1], abs=ROUNDING)
+            assert seen.log_odds[v, i] == pytest.approx(image[v, i] - costs[-1], abs=ROUNDING)
     assert max(costs) == k.length_limit, "some bones are decimetres off"
     assert 0.0 in costs, "some joints have no tracked bone"
 
@@ -70,22 +71,22 @@ def test_the_worst_tracked_bone_at_a_joint_counts_against_it() -> None:
 def test_bones_of_the_right_lengths_are_no_evidence() -> None:
     model, seen = two_views(np.random.default_rng(3))
     seen.positions[:], seen.states[:] = standing(BODY), 2
-    interpreted(length_evidence)(model, new_state(J), seen)
-    np.testing.assert_allclose(seen.evidence, 0.0, atol=ROUNDING)
+    interpreted(length_evidence)(model, new_arrays(State, J=J), seen)
+    np.testing.assert_allclose(seen.log_odds, 0.0, atol=ROUNDING)
 
 
 def test_a_wrong_length_says_less_of_a_limb_that_swings() -> None:
     model, seen = two_views(np.random.default_rng(3))
-    state, wrist, elbow = new_state(J), BODY.joint("WristLeft"), BODY.joint("ElbowLeft")
+    state, wrist, elbow = new_arrays(State, J=J), BODY.joint("WristLeft"), BODY.joint("ElbowLeft")
     seen.positions[:], seen.states[:] = standing(BODY), 2
     seen.positions[0, wrist] += 0.03 * (standing(BODY)[wrist] - standing(BODY)[elbow]) / 0.25
     costs = []
     for own, trunk in ((0.0, 0.0), (3.0, 0.0), (3.0, 3.0)):
         state.velocities[:] = trunk
         state.velocities[[wrist, *(BODY.joint(f"{j}Left") for j in ("Hand", "HandTip", "Thumb"))]] = own
-        seen.evidence[:] = 0.0
+        seen.log_odds[:] = 0.0
         interpreted(length_evidence)(model, state, seen)
-        costs.append(-seen.evidence[0, elbow])
+        costs.append(-seen.log_odds[0, elbow])
     assert costs[1] < 0.5 * costs[0]
     assert costs[2] == pytest.approx(costs[0]), "the whole person moves: the bone does not swing"
 
@@ -127,28 +128,34 @@ def test_the_bones_tell_which_view_of_a_wrist_is_wrong() -> None:
 
 
 def test_doubt_about_most_joints_of_a_view_is_doubt_about_the_others() -> None:
-    model, state, seen = two_views(np.random.default_rng(3))[0], new_state(J), new_views(J)
+    model, state, seen = (
+        two_views(np.random.default_rng(3))[0],
+        new_arrays(State, J=J),
+        new_arrays(Views, J=J),
+    )
     seen.states[0] = 2
     seen.trust[0, : J - 5] = 0.0
     seen.trust[0, J - 5 :] = 1.0
     prior = interpreted(outliers.prior_outlier)
     before = prior(model, state, seen, 0, J - 1)
     interpreted(outliers.store_outlier_state)(model, state, seen)
-    assert state.view_doubt[0] == pytest.approx((J - 5) / J)
+    assert state.view_outlier_probability[0] == pytest.approx((J - 5) / J)
     k = model.constants
     expected = k.outlier + (k.outlier_lasts - k.outlier) * (J - 5) / J
     assert before == pytest.approx(k.outlier)
     assert prior(model, state, seen, 0, J - 1) == pytest.approx(expected)
     seen.states[0] = 0
     interpreted(outliers.store_outlier_state)(model, state, seen)
-    assert state.view_doubt[0] == pytest.approx(0.9 * (J - 5) / J), "it fades while the view sees no one"
+    assert state.view_outlier_probability[0] == pytest.approx(0.9 * (J - 5) / J), (
+        "it fades while the view sees no one"
+    )
 
 
 def test_a_new_person_starts_without_doubt_about_the_view() -> None:
-    state = new_state(J)
-    state.clock[:] = 0, 1
-    state.view_doubt[:] = 0.5
+    state = new_arrays(State, J=J)
+    state.last_time[:] = 0, 1
+    state.view_outlier_probability[:] = 0.5
     interpreted(elapsed)(state, 900_000_000)
-    assert (state.view_doubt == 0.5).all()
+    assert (state.view_outlier_probability == 0.5).all()
     interpreted(elapsed)(state, 1_100_000_000)
-    assert (state.view_doubt == 0.0).all()
+    assert (state.view_outlier_probability == 0.0).all()

@@ -6,7 +6,7 @@ A little over 300 lines: each step has its reference beside it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,17 @@ import pytest
 from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
+from devices.simulated.tracking.tracker_errors import TrackerErrors
+from fusion import joint_kinds
+from fusion.array_fields import new_arrays
 from fusion.body import AZURE_KINECT, KINECT_V2
 from fusion.estimator import covariance, kalman, offsets, outliers, smoother, views
-from fusion.estimator.arrays import Model, Solve, State, Views, new_model, new_solve, new_state, new_views
+from fusion.estimator.arrays import Model, Solve, State, Views, new_model
 from fusion.estimator.bones import enforce_hinges, joint_covariances
 from fusion.estimator.constants import Constants
-from fusion.joint_kinds import KINDS, kind_of, value_of
+from fusion.facing.model import new_facing_model
+from fusion.joint_kinds import KINDS, by_joint, kind_of, limbs, of_kind, value_of
+from recordings.fusing.view_events import ViewEvents
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, standing
 
@@ -43,7 +48,7 @@ def scene() -> Scene:
     """A standing person whom both views report with errors, and a filter that knows all joints."""
     random = np.random.default_rng(7)
     model = new_model(BODY, BODY.nominal_lengths, A_FROM_B)
-    state, seen = new_state(J), new_views(J)
+    state, seen = new_arrays(State, J=J), new_arrays(Views, J=J)
     truth = standing(BODY)
     state.positions[:] = truth + random.normal(0.0, 0.01, (J, 3))
     state.velocities[:] = random.normal(0.0, 0.3, (J, 3))
@@ -59,15 +64,15 @@ def scene() -> Scene:
     state.known[:] = True
     state.offsets[:] = random.normal(0.0, 0.02, (2, J, 3))
     state.offset_variances[:] = random.uniform(1e-5, 1e-3, (2, J))
-    state.doubt[:] = random.uniform(0.0, 0.6, (2, J))
-    state.view_doubt[:] = 0.1, 0.3
+    state.outlier_probability[:] = random.uniform(0.0, 0.6, (2, J))
+    state.view_outlier_probability[:] = 0.1, 0.3
     seen.positions[:] = truth + random.normal(0.0, 0.03, (2, J, 3))
     seen.states[:] = random.integers(0, 3, (2, J))
     seen.fast[:] = random.uniform(1e-5, 1e-4, (2, J))
     seen.trust[:] = np.where(seen.states > 0, random.uniform(0.1, 1.0, (2, J)), 0.0)
     seen.delays[1] = 0.004
     seen.side_doubt[:] = 0.1, 0.4
-    return Scene(model, state, seen, new_solve(J), random)
+    return Scene(model, state, seen, new_arrays(Solve, J=J), random)
 
 
 def innovations(scene: Scene) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -85,6 +90,31 @@ def test_every_joint_of_every_body_has_a_kind_of_its_own_name() -> None:
     assert kinds["HANDTIP_LEFT"] == kinds["HandTipRight"] == "tip"
     assert kinds["SHOULDER_LEFT"] == "girdle"
     assert kinds["SpineShoulder"] == kinds["PELVIS"] == "spine"
+    with pytest.raises(KeyError, match="TOE_LEFT"):
+        kind_of("TOE_LEFT")
+
+
+def test_a_joint_of_a_new_kind_is_in_the_groups_of_the_kind_it_resembles(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(joint_kinds.KINDS, "toe", "foot")
+    monkeypatch.setitem(joint_kinds._KIND_OF_NAME, "toe", "toe")
+    renamed = replace(AZURE_KINECT, joints=tuple(j.replace("FOOT", "TOE") for j in AZURE_KINECT.joints))
+    toes = np.array(["TOE" in joint for joint in renamed.joints])
+    assert of_kind(renamed, "foot")[toes].all()
+    np.testing.assert_array_equal(limbs(renamed), limbs(AZURE_KINECT))
+    np.testing.assert_array_equal(
+        new_facing_model(renamed).heading_placed, new_facing_model(AZURE_KINECT).heading_placed
+    )
+    errors = TrackerErrors.of(renamed)
+    np.testing.assert_array_equal(by_joint(renamed, errors.jitter), by_joint(AZURE_KINECT, errors.jitter))
+    assert (
+        ViewEvents(renamed)._limbs["left leg"].tolist()
+        == ViewEvents(AZURE_KINECT)._limbs["left leg"].tolist()
+    )
+    monkeypatch.setitem(joint_kinds.KINDS, "toe", None)
+    with pytest.raises(KeyError, match="toe"):
+        by_joint(renamed, errors.jitter)
 
 
 def test_a_new_kind_takes_the_values_of_the_one_it_resembles(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,7 +190,9 @@ def test_trust_is_the_posterior_over_all_hypotheses(scene: Scene) -> None:
         prior = []
         for v in range(2):
             rare = k.outlier if seen.states[v, i] == 2 else k.inferred_outlier
-            p = rare + max(k.outlier_lasts - rare, 0.0) * max(state.doubt[v, i], state.view_doubt[v])
+            p = rare + max(k.outlier_lasts - rare, 0.0) * max(
+                state.outlier_probability[v, i], state.view_outlier_probability[v]
+            )
             doubted = min(k.sides_doubted * seen.side_doubt[v], 0.99) if model.lateral[i] else 0.0
             prior.append(max(p, doubted))
         noise = seen.fast[:, i] + state.offset_variances[:, i]
@@ -192,7 +224,7 @@ def test_a_surprise_lets_both_views_through(scene: Scene) -> None:
     state, seen, i = scene.state, scene.views, 7
     seen.states[:, i] = 2
     state.offsets[:] = 0.0
-    state.doubt[:] = state.view_doubt[:] = 0.0
+    state.outlier_probability[:] = state.view_outlier_probability[:] = 0.0
     seen.delays[:] = seen.side_doubt[:] = 0.0
     state.variances[i] = 1e-4, 1e-3, 0.1
     for v in range(2):
@@ -249,7 +281,7 @@ def test_offsets_return_to_the_usual_ones(scene: Scene) -> None:
     usual = scene.random.normal(0.0, 0.05, (2, J, 3))
     state.usual_offsets[:], before = usual, state.offsets.copy()
     interpreted(offsets.decay_offsets)(scene.model, state, seen, DT)
-    agreed = (seen.states > 0).all(axis=0) & (state.doubt < 0.5).all(axis=0)
+    agreed = (seen.states > 0).all(axis=0) & (state.outlier_probability < 0.5).all(axis=0)
     kept = np.exp(-DT / np.where(agreed, k.agreement_seconds, k.alone_seconds))[None, :, None]
     np.testing.assert_allclose(state.offsets, usual + kept * (before - usual), atol=1e-12)
     assert 3 < agreed.sum() < J - 3
@@ -354,7 +386,7 @@ def test_covariances_are_those_of_the_joints_that_keep_their_bones(scene: Scene)
 
 def test_a_step_back_is_that_of_rauch_tung_and_striebel(scene: Scene) -> None:
     random, model, i = scene.random, scene.model, BODY.joint("WristLeft")
-    trace = smoother.new_trace(2, J)
+    trace = new_arrays(smoother.Trace, T=2, J=J)
     trace.seconds[1] = DT
     kept = math.exp(-DT / model.constants.velocity_seconds)
     F = np.array(((1.0, kept * DT), (0.0, kept)))

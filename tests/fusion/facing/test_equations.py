@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fusion.array_fields import new_arrays
 from fusion.body import KINECT_V2
 from fusion.facing.filter import update_facing
 from fusion.facing.model import (
@@ -15,7 +16,6 @@ from fusion.facing.model import (
     FacingConstants,
     FacingState,
     new_facing_model,
-    new_facing_state,
 )
 from tests.helpers.labelled_views import UP, Floats, Views, simulated_views, step
 
@@ -100,7 +100,7 @@ def reference_prediction(before: Floats, state: FacingState) -> Floats:
 def test_a_frame_is_what_the_equations_say() -> None:
     views = simulated_views("walk", tracker="perfect", seconds=8.0)
     constants = FacingConstants.of(KINECT_V2)
-    model, state = new_facing_model(KINECT_V2, constants), new_facing_state(KINECT_V2)
+    model, state = new_facing_model(KINECT_V2, constants), new_arrays(FacingState, J=len(KINECT_V2))
     for k in range(240):
         before = state.belief.copy()
         step(model, state, views, k)
@@ -118,7 +118,7 @@ def test_a_frame_is_what_the_equations_say() -> None:
 
 def test_smoothing_is_the_forward_backward_algorithm() -> None:
     views = simulated_views("turn", seconds=6.0)
-    model, state = new_facing_model(KINECT_V2), new_facing_state(KINECT_V2)
+    model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     kept = []
     count = 60
     part = replace(views, **{name: getattr(views, name)[60 : 60 + count] for name in (
@@ -151,7 +151,7 @@ def test_smoothing_is_the_forward_backward_algorithm() -> None:
 def test_live_and_sequence_agree_bit_for_bit_and_repeat() -> None:
     views = simulated_views("walk", seconds=8.0)
     one, other = views.relabel(up=UP, smooth=False), views.relabel(up=UP, smooth=False)
-    model, state = new_facing_model(KINECT_V2), new_facing_state(KINECT_V2)
+    model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     for name in ("codes", "facing", "doubt", "mirrored"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     seconds = np.diff(views.time_ns, prepend=views.time_ns[0]) * 1e-9

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fusion.array_fields import new_arrays
 from fusion.body import AZURE_KINECT, BLAZEPOSE, KINECT_V2
 from fusion.facing.filter import update_facing
-from fusion.facing.model import WHOLE, FacingConstants, new_facing_model, new_facing_state
+from fusion.facing.model import WHOLE, FacingConstants, FacingState, new_facing_model
 from tests.helpers.labelled_views import (
     FRAME,
     UNKNOWN,
@@ -144,7 +145,7 @@ def test_the_smoothed_heading_never_flips(motion: str, angle: float) -> None:
 
 def test_stale_skeletons_are_no_evidence() -> None:
     views = simulated_views("walk", tracker="right")
-    model, state = new_facing_model(KINECT_V2), new_facing_state(KINECT_V2)
+    model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     for k in range(200):
         step(model, state, views, k)
     codes, facing, mirrored_before = state.codes.copy(), state.facing.copy(), state.mirrored.copy()
@@ -159,7 +160,7 @@ def test_stale_skeletons_are_no_evidence() -> None:
 
 def test_a_held_posture_does_not_change_the_labels() -> None:
     views = simulated_views("walk", tracker="right")
-    model, state = new_facing_model(KINECT_V2), new_facing_state(KINECT_V2)
+    model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     for k in range(60):
         step(model, state, views, k)
     assert (state.codes == 0).all()
@@ -191,7 +192,7 @@ def test_heads_that_both_trackers_place_too_far_back_do_not_turn_the_person(moti
 
 def test_a_missing_view_and_a_missing_person() -> None:
     views = simulated_views("walk", tracker="right")
-    model, state = new_facing_model(KINECT_V2), new_facing_state(KINECT_V2)
+    model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     gone = replace(views, b_in_a=np.full_like(views.b_in_a, np.nan), states_b=np.zeros_like(views.states_b))
     nobody = replace(gone, a=np.full_like(views.a, np.nan), states_a=np.zeros_like(views.states_a))
     for k in range(150):
@@ -213,7 +214,7 @@ def test_the_way_up_is_learnt_where_the_sensor_is_tilted(tilt_deg: float) -> Non
     views = simulated_views("walk")
     tilted = replace(views, a=views.a @ R.T, b_in_a=views.b_in_a @ R.T, sensor_b=R @ views.sensor_b,
                      truth=views.truth @ R.T)  # fmt: skip
-    model, state = new_facing_model(KINECT_V2), new_facing_state(KINECT_V2)
+    model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     for k in range(len(views.a)):
         step(model, state, tilted, k, up=UNKNOWN)
     assert np.degrees(np.arccos(state.up @ (R @ UP))) < 6.0
@@ -236,11 +237,11 @@ def test_a_rough_registration_is_good_enough() -> None:
 
 def test_two_seconds_apart_is_someone_else() -> None:
     views = simulated_views("walk", tracker="right")
-    model, state = new_facing_model(KINECT_V2), new_facing_state(KINECT_V2)
+    model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     for k in range(100):
         step(model, state, views, k)
     update_facing(model, state, views.reported_at(100, UP), 2.0)
-    fresh = new_facing_state(KINECT_V2)
+    fresh = new_arrays(FacingState, J=len(KINECT_V2))
     step(model, fresh, views, 100)
     # The axes show it within one frame; the prediction contains nothing of the 100 frames before.
     np.testing.assert_allclose(state.predicted, fresh.predicted, atol=1e-9)
@@ -248,7 +249,7 @@ def test_two_seconds_apart_is_someone_else() -> None:
 
 def test_every_body_has_a_model() -> None:
     azure = new_facing_model(AZURE_KINECT)
-    assert azure.believed[AZURE_KINECT.joint("Nose")]
+    assert azure.heading_placed[AZURE_KINECT.joint("Nose")]
     assert azure.face[AZURE_KINECT.joint("EarLeft")]
     shares = [FacingConstants.of(body).mirrored_back for body in (BLAZEPOSE, AZURE_KINECT, KINECT_V2)]
     assert shares == sorted(set(shares)), "of the trackers, from the one that errs least"
@@ -257,7 +258,7 @@ def test_every_body_has_a_model() -> None:
 def frames_until_turned(spell: int, constants: FacingConstants) -> int:
     """Frames until the heading follows a person who turns round at once, after a spell facing one way."""
     front, back = (simulated_views(motion, seconds=9.0) for motion in ("walk", "walk@180"))
-    model, state = new_facing_model(KINECT_V2, constants), new_facing_state(KINECT_V2)
+    model, state = new_facing_model(KINECT_V2, constants), new_arrays(FacingState, J=len(KINECT_V2))
     one_second = [*range(120, 150), *range(149, 119, -1)]  # there and back
     for k in range(spell):
         step(model, state, front, one_second[k % 60])

@@ -15,9 +15,10 @@ from fusion.body import KINECT_V2
 from fusion.calibration.calibrator import Calibrator
 from fusion.calibration.offline import learn_from_recording
 from fusion.calibration.online import CalibrationLearner
+from fusion.registration.error_model import RobustFitSettings
 from fusion.registration.keyframes import Evidence, evidence_of
 from fusion.registration.knock import KnockFit, KnockSettings, fit_knock
-from fusion.registration.robust_fit import Prior, RobustFitSettings
+from fusion.registration.robust_fit import Prior
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
@@ -105,7 +106,7 @@ def test_nothing_was_moved_before_two_real_kinects(name: str, shared: Path) -> N
     for pair in pairs:
         if learner is None:
             found = calibrator.watch(pair)
-            learner = CalibrationLearner(read.body, found) if found and calibrator.settled else None
+            learner = CalibrationLearner(read.body, found) if found and calibrator.final else None
         elif pair.a is not None and pair.b is not None:
             stale = pair.a.repeats(before.a), pair.b.repeats(before.b)
             kinds |= {change.kind for change in learner.observe(pair, stale=stale)}

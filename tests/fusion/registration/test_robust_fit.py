@@ -9,10 +9,11 @@ from scipy.spatial.transform import Rotation
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.errors import CalibrationError
 from fusion.joint_kinds import limbs
+from fusion.registration.error_model import RobustFitSettings, disagreement
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
 from fusion.registration.refinement import held_out_gain
 from fusion.registration.rigid_fit import fit_rigid
-from fusion.registration.robust_fit import RobustFitSettings, disagreement, fit_robust
+from fusion.registration.robust_fit import fit_robust
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton, SkeletonPair
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving, pair_of

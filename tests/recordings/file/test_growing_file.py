@@ -33,11 +33,12 @@ from recordings.errors import RecordingError
 from recordings.file import growing_file
 from recordings.file.rrd_file import RrdFile
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from recordings.testing import assert_sessions_match, record_fused
 from recordings.writing.recorder import Recorder
 from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.machine import small_disk
 from tests.helpers.telling_demo import telling_demo, wait_for_frames
 from tests.helpers.two_views import calibration_of
 from tests.helpers.waiting import eventually
@@ -65,10 +66,10 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session_file, "_LOOK_SECONDS", 0.01)
 
 
-def fused_frames(count: int, depth: bool = False) -> tuple[Fuser, list[RecordedFrame]]:
+def fused_frames(count: int, depth: bool = False) -> tuple[Fuser, list[SessionFrame]]:
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V1)))
     pairs = frame_pairs(KINECT_V1, count, no_b=(5,), depth=depth)
-    return fuser, [RecordedFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
+    return fuser, [SessionFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
 
 
 def file_of(path: Path, fuser: Fuser, **options: object) -> SessionFile:
@@ -83,7 +84,7 @@ def file_of(path: Path, fuser: Fuser, **options: object) -> SessionFile:
     return file
 
 
-def finished(file: SessionFile, frames: list[RecordedFrame]) -> None:
+def finished(file: SessionFile, frames: list[SessionFrame]) -> None:
     """Writes frames and ends the file."""
     for frame in frames:
         file.write(frame)
@@ -284,11 +285,8 @@ def disk(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
     if request.param == "gone":
         yield Disk(folder, lambda: str(folder.rename(tmp_path / "elsewhere")), "moved or deleted")
     elif request.param == "full":
-        mount = ["mount", "-t", "tmpfs", "-o", "size=2M", "tmpfs", str(folder)]
-        if subprocess.run(mount, capture_output=True, check=False).returncode:
-            pytest.skip("this user may not mount a small disk")
-        yield Disk(folder, lambda: "", "No space left on device")
-        subprocess.call(["umount", "-l", str(folder)])
+        with small_disk(folder / "small", 2048) as small:
+            yield Disk(small, lambda: "", "No space left on device")
     else:
         number, most = {"read-only": (errno.EROFS, 0), "limit": (errno.EFBIG, 1_000_000)}[request.param]
         real, failing = growing_file.FileIO.write, threading.Event()

@@ -36,7 +36,7 @@ def fused(at: NDArray[np.float64] = PERSON) -> FusedFrame:
 
 
 def marks(now: Situation | None = None, seen: FusedFrame | None = None, *advice: Advice) -> dict[str, Mark]:
-    now = now or Situation(KNOWN, settled=False, held=0.0)
+    now = now or Situation(KNOWN, final=False, held=0.0)
     return dict(CoachScene(BODY, CAMERAS).page(advice, now, seen).marks)
 
 
@@ -85,13 +85,13 @@ def test_the_pose_is_requested_on_the_circle_and_counted_down() -> None:
     torso = PERSON[list(BODY.torso)].mean(axis=0)
     there = fused(PERSON + [spot.x - torso[0], 0.0, spot.z - torso[2]])
     assert "hold still" in marks(seen=there)["spot"].words
-    now = Situation(KNOWN, settled=False, held=HOLD - 1.4)
+    now = Situation(KNOWN, final=False, held=HOLD - 1.4)
     assert marks(now, there)["spot"].words == "hold still: 2 s"
-    assert "spot" not in marks(replace(now, settled=True), there)
+    assert "spot" not in marks(replace(now, final=True), there)
 
 
 def test_before_the_first_person_a_circle_is_shown_in_front_of_a() -> None:
-    mark = marks(Situation(nominal_calibration(BODY), settled=False, held=0.0))["spot"]
+    mark = marks(Situation(nominal_calibration(BODY), final=False, held=0.0))["spot"]
     x, y, z = middle_of_ring(mark)
     assert (abs(x), y) == pytest.approx((0.0, 1.0), abs=0.1)
     assert nearest(CAMERA) < z < FARTHEST[BODY.name]
@@ -126,7 +126,7 @@ def test_a_moved_sensor_marks_both_because_either_may_have_moved() -> None:
 @pytest.mark.parametrize("angle", [30.0, 150.0])
 def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle: float) -> None:
     a_from_b = turned_around(angle)
-    now = Situation(calibrated_on(BODY, a_from_b), settled=True, held=0.0)
+    now = Situation(calibrated_on(BODY, a_from_b), final=True, held=0.0)
     mark = marks(now, fused())["better_b"]
     way = np.array(mark.lines[-1])
     assert way[0] == pytest.approx(a_from_b.translation, abs=1e-3)
@@ -140,7 +140,7 @@ def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle: f
 
 
 def test_a_good_angle_needs_no_better_place() -> None:
-    now = Situation(calibrated_on(BODY), settled=True, held=0.0)
+    now = Situation(calibrated_on(BODY), final=True, held=0.0)
     assert "better_b" not in marks(now, fused())
 
 

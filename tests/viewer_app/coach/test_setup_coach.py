@@ -42,12 +42,16 @@ def watched(
     every: int = 1,
     lost_feet: Sequence[str] = (),
     dropping: int = 0,
+    losing: int = 0,
+    b_gone: tuple[float, float] = (np.inf, np.inf),
     frame_ns: int = FRAME_NS,
     simulated: bool = False,
+    remote: str = "",
 ) -> dict[str, Advice]:
     """The coach's advice by topic after some seconds of unchanged frames."""
-    now = now or Situation(KNOWN, settled=True, held=0.0)
-    coach, fuser = Coach(BODY, (CAMERA, CAMERA), simulated=simulated), Fuser(FusionSetup(now.calibration))
+    now = now or Situation(KNOWN, final=True, held=0.0)
+    coach = Coach(BODY, (CAMERA, CAMERA), simulated=simulated, remote=remote)
+    fuser = Fuser(FusionSetup(now.calibration))
     joints = standing(BODY) if truth is None else truth
     advice: list[Advice] = []
     for k in range(0, round(seconds * 1e9 / frame_ns) + 1, every):
@@ -61,10 +65,9 @@ def watched(
                 states[[BODY.joint(f"ANKLE_{foot}") for foot in lost_feet]] = TrackingState.INFERRED
                 skeleton = Skeleton.of(BODY, skeleton.positions, states, time_ns)
             people.append({"1": skeleton} if shown else {})
-        pair = FramePair.of(
-            SensorFrame(time_ns, people[0]), SensorFrame(time_ns, people[1]), "1", "1", time_ns, skew_ns
-        )
-        drops = replace(now, dropped=(k * dropping, 0))
+        from_b = None if b_gone[0] <= time_ns * 1e-9 < b_gone[1] else SensorFrame(time_ns, people[1])
+        pair = FramePair.of(SensorFrame(time_ns, people[0]), from_b, "1", "1", time_ns, skew_ns)
+        drops = replace(now, dropped=(k * dropping, 0), lost=(0, k * losing))
         advice = coach.watch(fuse_one(fuser, pair), drops)
     return {each.topic: each for each in advice}
 
@@ -122,7 +125,7 @@ def test_a_tall_person_fits_into_the_image_at_the_nearest_distance() -> None:
 @pytest.mark.parametrize(("angle", "advice"), [(30.0, "apart"), (150.0, "together"), (90.0, None)])
 def test_the_angle_between_the_sensors_is_judged(angle: float, advice: str | None) -> None:
     a_from_b = turned_around(angle)
-    now = Situation(calibrated_on(BODY, a_from_b), settled=True, held=0.0)
+    now = Situation(calibrated_on(BODY, a_from_b), final=True, held=0.0)
     said = watched(now=now, really=a_from_b)
     if advice is None:
         assert "angle" not in said
@@ -133,7 +136,7 @@ def test_the_angle_between_the_sensors_is_judged(angle: float, advice: str | Non
 
 def test_the_start_up_pose_is_counted_down() -> None:
     def text(held: float) -> str:
-        return watched(now=Situation(KNOWN, settled=False, held=held))["pose"].text
+        return watched(now=Situation(KNOWN, final=False, held=held))["pose"].text
 
     assert "arms out" in text(0.0)
     assert text(0.5) == "Hold still: 3 s more."
@@ -142,7 +145,7 @@ def test_the_start_up_pose_is_counted_down() -> None:
 
 
 def test_frames_left_out_for_a_slow_tracker_are_not_blamed_on_usb_or_light() -> None:
-    halved = Situation(KNOWN, settled=True, held=0.0, step=2)
+    halved = Situation(KNOWN, final=True, held=0.0, step=2)
     assert wrong(watched(every=2, now=halved)) == set()
     said = watched(every=3, now=halved)["rate A"]
     assert said.text.startswith("Sensor A gives 10 frames per second; below 12 movements are missed.")
@@ -158,6 +161,20 @@ def test_slow_late_and_dropping_sensors_are_named() -> None:
     said = watched(dropping=1)
     assert wrong(said) == {"drops A"}
     assert said["drops A"].text.startswith("60 frames of A came too fast for this machine in 2 s")
+    said = watched(losing=1)
+    assert wrong(said) == {"drops B"}
+    assert said["drops B"].text.startswith("60 frames of B were lost on USB in 2 s")
+
+
+@pytest.mark.parametrize("seconds", [3.3, 4.0, 5.5, 7.1, 8.5, 9.5])
+def test_a_sensor_that_is_gone_from_3_to_7_s_gets_no_advice_on_its_place_or_usb(seconds: float) -> None:
+    assert wrong(watched(seconds=seconds, b_gone=(3.0, 7.0))) == set()
+
+
+def test_a_sensor_on_another_pc_gets_advice_about_its_program_and_the_network() -> None:
+    said = watched(every=2, remote="B")
+    assert "USB" in said["rate A"].text
+    assert said["rate B"].text.endswith("Check its program and the network.")
 
 
 def test_this_machine_is_blamed_for_a_low_rate_where_it_is_too_slow() -> None:
@@ -208,7 +225,7 @@ def test_a_joint_is_named_as_one_says_it(joint: str, words: str) -> None:
 
 
 def test_problems_come_first_on_the_page() -> None:
-    page = to_markdown(list(watched(b=False, now=Situation(KNOWN, settled=False, held=0.0)).values()))
+    page = to_markdown(list(watched(b=False, now=Situation(KNOWN, final=False, held=0.0)).values()))
     assert page.startswith("**Fix:** Sensor B has seen no one")
     assert "arms out" in page
     assert to_markdown([]).startswith("## All is well")

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +10,9 @@ import pytest
 import rerun as rr
 
 from fusion.body import AZURE_KINECT, KINECT_V1, KINECT_V2
+from recordings import Session, fuse
 from tests.helpers.command_line import duplex, one_line
+from tests.helpers.machine import small_disk
 from tests.helpers.recorded_pairs import REAL, write_recordings, write_view
 from tests.helpers.two_views import moving
 
@@ -53,6 +54,30 @@ def test_two_recordings_become_a_session_a_report_and_a_summary(
     assert figures["views_agree_mm"]["median"] == pytest.approx(21.7, rel=0.1)
     assert rr.chunk.RrdReader(session).store().schema() is not None
     assert {p.name for p in tmp_path.iterdir()} == {"a.csv", "b.csv", "s.rrd", "r.json"}
+
+
+def test_a_file_that_cannot_be_read_is_told_before_a_missing_display(
+    recordings: tuple[Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")
+    junk = tmp_path / "junk.csv"
+    junk.write_text("no recording\n")
+    assert duplex("fuse", junk, recordings[1]) == 2
+    assert "junk.csv" in one_line(capsys)
+    assert duplex("fuse", *recordings) == 2
+    assert "There is no display" in one_line(capsys)
+
+
+def test_a_session_keeps_the_names_of_its_recordings_without_the_folders(
+    recordings: tuple[Path, Path], tmp_path: Path
+) -> None:
+    session = tmp_path / "s.rrd"
+    assert duplex("fuse", *recordings, "--no-viewer", "--save", session) == 0
+    assert Session.open(session).sources == ("a.csv", "b.csv")
+    assert fuse(*recordings).sources == ("a.csv", "b.csv")
 
 
 def test_what_was_dropped_goes_with_the_session(
@@ -235,12 +260,7 @@ def test_the_installed_program_answers_with_exit_code_2_and_no_traceback(tmp_pat
 
 @pytest.mark.parametrize("kilobytes", [64, 512, 1000, 1400])
 def test_a_full_disk_ends_with_one_line(shared: Path, tmp_path: Path, kilobytes: int) -> None:
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", str(disk)]
-    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode != 0:
-        pytest.skip("this machine lets nobody mount a small disk")
-    try:
+    with small_disk(tmp_path / "disk", kilobytes) as disk:
         pair = shared / "real" / "kinect_v2_90deg_steps"
         command = (sys.executable, "-m", "viewer_app.cli", "fuse", pair / "a.csv", pair / "b.csv")
         ended = subprocess.run(
@@ -248,8 +268,6 @@ def test_a_full_disk_ends_with_one_line(shared: Path, tmp_path: Path, kilobytes:
             capture_output=True, text=True, timeout=90,
         )  # fmt: skip
         assert list(disk.iterdir()) == []
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
     assert ended.returncode == 2
     assert "Traceback" not in ended.stderr
     assert "s.rrd could not be written: " in ended.stderr.splitlines()[-1]

@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import MagicMock
+from urllib.request import urlopen
 
 import pytest
+from rerun.experimental import ViewerClient
+from rich.console import Console
 
 from devices.events import Event
 from fusion.body import KINECT_V2
+from recordings import layout
 from recordings.file.session_writer import write_session
 from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.machine import need_viewer
 from tests.helpers.two_views import calibration_of
+from tests.helpers.waiting import eventually
+from viewer_app.addresses import LOOPBACK
 from viewer_app.commands import review
+from viewer_app.viewer.rerun_process import Hub, free_port, start_viewer, stop
+from viewer_app.viewer.viewer_choice import Viewing
 
 __all__ = ["fused_run"]  # a fixture
 EVENTS = (
@@ -47,6 +60,32 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> MagicMock:
     monkeypatch.setattr(review, "show", viewer)
     monkeypatch.setattr(review, "has_display", lambda: True)
     return viewer
+
+
+def test_a_short_list_says_that_its_numbers_are_those_of_the_whole(
+    session: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = [Event(f"note {k}", "WARN" if k % 2 else "INFO").placed(k, k * 1_000_000) for k in range(24)]
+    write_session(replace(session, events=tuple(told)), tmp_path / "many.rrd")
+    assert duplex("review", tmp_path / "many.rrd", "--no-viewer") == 0
+    said = capsys.readouterr().out
+    assert "Events, 10 of 24, with the numbers of --verbose and --event" in said
+    assert re.search(r"^ *2 +0\.00 s +Warning: Note 1\.", said, re.M)
+    assert duplex("review", tmp_path / "many.rrd", "--no-viewer", "--verbose") == 0
+    said = capsys.readouterr().out
+    assert "with the numbers" not in said
+    assert re.search(r"^ *2 +0\.00 s +Warning: Note 1\.", said, re.M)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has file names of another encoding")
+def test_a_page_names_a_file_that_the_locale_cannot_spell(path: Path, tmp_path: Path) -> None:
+    session, page = tmp_path / "ä.rrd", tmp_path / "ö.html"
+    path.rename(session)
+    settings = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    command = [sys.executable, "-m", "viewer_app.cli", "review", session, "--no-viewer", "--html", page]
+    done = subprocess.run(command, env=os.environ | settings, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert "<title>ä.rrd</title>" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -120,7 +159,43 @@ def test_a_wrong_time_or_number_gives_one_line_and_opens_nothing(
 def test_the_page_has_the_same_list(path: Path, tmp_path: Path) -> None:
     page = tmp_path / "s.html"
     assert duplex("review", path, "--no-viewer", "--html", page) == 0
-    text = page.read_text(encoding="utf-8")
-    assert "<td>2</td><td>0.50 s</td><td>A reports left and right exchanged. It lasted 1.0 s.</td>" in text
-    assert "<td>3</td><td>1.00 s</td><td>Warning: A sensor seems to have been moved.</td>" in text
+    text = re.sub(r"<[^>]*>|\s+", " ", page.read_text(encoding="utf-8"))
+    assert "2 0.50 s A reports left and right exchanged. It lasted 1.0 s." in re.sub(" +", " ", text)
+    assert "3 1.00 s Warning: A sensor seems to have been moved." in re.sub(" +", " ", text)
     assert "A is right again" not in text
+
+
+def test_a_browser_gets_the_saved_session_and_the_moment_in_words(
+    session: Session, path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    need_viewer()
+    hub = Hub(free_port(), free_port())
+    monkeypatch.setattr(Hub, "on_free_ports", lambda **_: hub)
+    shown: list[str] = []
+
+    def visit(viewing: Viewing, _: Console) -> None:
+        assert viewing.hub is hub
+        with urlopen(hub.page, timeout=5.0) as page:
+            assert b"<canvas" in page.read()
+        process, port = start_viewer(["--headless", "--connect", hub.url])
+        try:
+            viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+
+            def arrived() -> bool:
+                read = [line for each in viewer.get_state().recordings for line in each.timelines]
+                return any(line.name == layout.TIME and line.end == session.time_ns[-1] for line in read)
+
+            assert eventually(arrived, 30.0)
+            shown.append(hub.page)
+        finally:
+            stop(process)
+
+    monkeypatch.setattr(review, "stay_for_visitors", visit)
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
+    assert duplex("review", path, "--web", "--event", 2) == 0
+    said = capsys.readouterr().out
+    assert shown == [hub.page]
+    assert hub.page in said.replace("\n", "")
+    assert "a window would open at 0.50 s, event 2." in said.replace("\n", " ")
+    with pytest.raises(OSError, match="refused"):
+        urlopen(hub.page, timeout=5.0)

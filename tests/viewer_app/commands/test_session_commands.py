@@ -18,6 +18,7 @@ from recordings.session import Session
 from recordings.testing import FusedRun, fused_run
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.machine import small_disk
 from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.recorded_pairs import REAL
 from tests.helpers.session_text import rows_of
@@ -325,3 +326,19 @@ def test_a_demo_with_its_changing_calibrations_replays_bit_for_bit(
     assert duplex("trim", saved, "--from", "2", "--save", part) == 0
     assert Session.open(part).calibrations[0][1].how == session.calibrations[-2][1].how
     assert duplex("replay", part, "--verify") == 0
+
+
+@pytest.mark.parametrize("ending", ["rrd", "bvh", "c3d", "trc", "csv", "npz", "parquet", "html"])
+def test_a_full_disk_ends_with_one_line_and_no_file(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str
+) -> None:
+    name = f"s.{ending}"
+    for kilobytes in (4, 20):  # the smallest file has 37 kB
+        with small_disk(tmp_path / str(kilobytes), kilobytes) as disk:
+            command = {
+                "rrd": ("trim", session, "--save", disk / name),
+                "html": ("review", session, "--no-viewer", "--html", disk / name),
+            }.get(ending, ("export", session, "--to", disk / name))
+            assert duplex(*command) == 2
+            assert list(disk.iterdir()) == []
+        assert f"{name} could not be written: " in one_line(capsys)

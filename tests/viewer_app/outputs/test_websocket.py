@@ -28,14 +28,15 @@ from websockets.sync.client import ClientConnection, connect
 from devices.events import Event
 from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from tests.helpers.live_frames import frames
 from tests.helpers.machine import need_browser
 from tests.helpers.network import free_port
 from tests.helpers.waiting import eventually
+from viewer_app.addresses import reached_at
 from viewer_app.errors import UsageError
 from viewer_app.outputs.output import confidence
-from viewer_app.outputs.websocket import WebSocketOutput
+from viewer_app.outputs.websocket import UNANSWERED, WebSocketOutput
 
 
 @pytest.fixture
@@ -100,7 +101,7 @@ def test_an_empty_view_is_reported(server: WebSocketOutput, fuser: Fuser) -> Non
     assert said["positions"] is said["rotations"] is said["confidence"] is said["sigma"] is None
 
 
-def without_person(frame: RecordedFrame) -> RecordedFrame:
+def without_person(frame: SessionFrame) -> SessionFrame:
     nowhere = np.full_like(frame.fused.positions, np.nan)
     return replace(frame, fused=replace(frame.fused, positions=nowhere))
 
@@ -126,6 +127,22 @@ def test_a_client_that_does_not_read_skips_frames_and_costs_others_nothing(
             assert numbers == list(range(300))
             assert server.counts.dropped > 0
             assert slowest < 3.0  # a loop that waited would never return
+
+
+def test_a_client_slower_than_the_frames_gets_new_ones(server: WebSocketOutput, fuser: Fuser) -> None:
+    made = frames(fuser, 1)[0]
+    ahead = 2  # frames that the client's library reads ahead
+    ages = []
+    with client_of(server, max_queue=ahead) as client:
+        read(client)
+        for written in range(600):  # at 30 per second, of which the client reads 25
+            server.write(made)
+            assert eventually(lambda: not server._queue)
+            if written % 6:
+                ages.append(written - read(client)["number"])
+    assert len(ages) == 500
+    # on the way, answered when the client paused reading, read ahead, in the slot and on the server's thread
+    assert max(ages) <= 2 * UNANSWERED + ahead + 2
 
 
 def handshake(port: int) -> bytes:
@@ -170,7 +187,7 @@ def test_pages_of_other_sites_may_not_read(server: WebSocketOutput, fuser: Fuser
         urlopen(f"{server.page}/etc/passwd", timeout=30)
     with closing(WebSocketOutput(free_port(), fuser.setup, "0.0.0.0")) as open_to_all:
         port = port_of(open_to_all)
-        assert open_to_all.page == f"http://127.0.0.1:{port}"
+        assert open_to_all.page == f"http://{reached_at('0.0.0.0')}:{port}"
         for name, answer in (("rebound.example.org", b"403"), ("192.168.0.20", b"101"), ("pc.local", b"101")):
             with socket.create_connection(("127.0.0.1", port)) as raw:
                 named = f"{name}:{port}\r\nOrigin: http://{name}:{port}"
@@ -182,6 +199,14 @@ def test_pages_of_other_sites_may_not_read(server: WebSocketOutput, fuser: Fuser
             assert raw.recv(12) == b"HTTP/1.1 101"
         with pytest.raises(InvalidStatus, match="403"):
             connect(f"ws://127.0.0.1:{port}", origin="http://example.org", open_timeout=30)
+
+
+@pytest.mark.parametrize("twice", ["Host: 127.0.0.1", "Origin: http://localhost\r\nOrigin: http://localhost"])
+def test_two_hosts_or_two_origins_are_a_bad_request(server: WebSocketOutput, twice: str) -> None:
+    port = port_of(server)
+    with socket.create_connection(("127.0.0.1", port)) as raw:
+        raw.sendall(handshake(port).replace(b"\r\n\r\n", f"\r\n{twice}\r\n\r\n".encode()))
+        assert raw.recv(12) == b"HTTP/1.1 400"
 
 
 def test_a_foreign_address_is_refused(fuser: Fuser) -> None:

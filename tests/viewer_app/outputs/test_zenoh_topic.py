@@ -15,6 +15,7 @@ from fusion.fuser import Fuser
 from tests.helpers.live_frames import frames
 from tests.helpers.network import free_address
 from tests.helpers.waiting import eventually
+from viewer_app.addresses import zenoh_warning
 from viewer_app.outputs.zenoh_topic import ZenohOutput
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed: pip install -e '.[zenoh]'")
@@ -53,6 +54,31 @@ def test_a_second_session_reads_the_description_frames_and_events(fuser: Fuser) 
     # 1.3 s of frames: at the start, and again after a second for latecomers
     assert len(got["hello"]) <= 2
     assert got["event"][-1]["text"] == "B lost"
+
+
+@pytest.mark.parametrize(
+    ("listening", "reached"),
+    [
+        (LOOPBACK, ""),
+        ("tcp/[::1]:7447", ""),
+        ("udp/localhost:7447", ""),
+        ("tcp/0.0.0.0:7447", "Whoever reaches tcp/0.0.0.0:7447"),
+        ("tcp/[::]:7447", "Whoever reaches tcp/[::]:7447"),
+        ("tcp/lab-pc:7447", "Whoever reaches tcp/lab-pc:7447"),
+    ],
+)
+def test_addresses_that_others_reach_are_warned_of(listening: str, reached: str) -> None:
+    warning = zenoh_warning((LOOPBACK, listening))
+    assert bool(warning) == bool(reached)
+    assert warning.startswith(reached)
+    assert LOOPBACK not in warning
+
+
+def test_the_output_on_all_networks_warns(fuser: Fuser) -> None:
+    address = free_address().replace("127.0.0.1", "0.0.0.0")
+    output = ZenohOutput("lab/person", ZenohAddresses(listen=(address,)), fuser.setup)
+    output.close()
+    assert output.note == zenoh_warning((address,)) != ""
 
 
 def test_this_machine_only_unless_an_address_is_given() -> None:

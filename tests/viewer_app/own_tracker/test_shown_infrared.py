@@ -16,7 +16,7 @@ from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.colors import SKELETON_COLORS
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import BODY, frames
 from tests.helpers.pictures import headless_viewer, pixels_near
@@ -26,7 +26,7 @@ from tests.helpers.waiting import eventually
 from viewer_app.viewer.blueprint import session_blueprint
 
 
-def with_infrared(frame: RecordedFrame) -> RecordedFrame:
+def with_infrared(frame: SessionFrame) -> SessionFrame:
     """The frame with infrared images of the size of its depth images."""
     pair = frame.pair
     assert pair.a is not None

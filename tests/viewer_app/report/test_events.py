@@ -13,9 +13,9 @@ from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.two_views import calibration_of
 from viewer_app.report.events import (
     event_in_words,
+    first_calibrated_frame,
     list_events,
     opening_event,
-    settled_frame,
     shortest_list,
 )
 
@@ -78,10 +78,9 @@ def test_a_review_opens_at_a_warning_then_at_a_spell(
 def test_a_session_is_settled_with_its_first_calibration_that_is_not_provisional(fused_run: FusedRun) -> None:
     session = fused_run(frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
     one = session.calibration
-    hows = ("none yet: an adult's proportions", "provisional, 1 frame of any pose", "start-up pose, 9 frames")
-    found = tuple((10 * k, replace(one, how=how)) for k, how in enumerate(hows))
-    assert settled_frame(replace(session, calibrations=found)) == 20
-    assert settled_frame(replace(session, calibrations=found[:2])) == 0
+    found = tuple((10 * k, replace(one, provisional=k < 2)) for k in range(3))
+    assert first_calibrated_frame(replace(session, calibrations=found)) == 20
+    assert first_calibrated_frame(replace(session, calibrations=found[:2])) == 0
 
 
 def test_a_short_list_keeps_warnings_then_spells_in_order_of_time() -> None:

@@ -62,6 +62,11 @@ def with_views(figures: Figures, median_mm: float | None) -> Figures:
     return figures | {"views_agree_mm": {"median": median_mm, "p95": median_mm}}
 
 
+def seen_at(metres: float) -> Figures:
+    limits = {"near": 1.8, "far": 3.9}
+    return {"distance_m": {"a": {"median": 2.5, **limits}, "b": {"median": metres, **limits}}}
+
+
 def test_the_verdict_leads_in_at_most_six_short_lines(figures: Figures) -> None:
     lines = said(with_verdict(with_views(figures, 31.0))).splitlines()
     labels = ["Verdict", "Views agree", "Calibration", "Repaired", "S*", "Bones"]
@@ -114,11 +119,20 @@ def test_a_verdict_is_a_word_and_says_what_to_do_where_it_is_poor(
         ({"mirrored": {"a": 1.0, "b": 0.97}}, "poor: A and B are mirror images of a person"),
         ({"dropped": {"a": 20, "b": 22}}, "poor: 33 % of the frames have no partner"),
         ({"dropped": {"a": 30, "b": 0}}, "good."),
+        (
+            seen_at(0.9),
+            "poor: the person is 0.9 m from B; good is 1.8 to 3.9 m. Record with the person further",
+        ),
+        (
+            seen_at(4.2),
+            "usable: the person is 4.2 m from B; good is 1.8 to 3.9 m. Record with the person nearer",
+        ),
+        (seen_at(3.9), "good."),
         ({"dropped": {"a": None, "b": None}}, "good."),
     ],
 )
 def test_the_verdict_names_what_is_worst(figures: Figures, changed: Figures, words: str) -> None:
-    assert judged(with_views(figures, 50.0 if words != "good." else 30.0) | changed).text.startswith(words)
+    assert judged(with_views(figures, 50.0 if words[0] == "p" else 30.0) | changed).text.startswith(words)
 
 
 @pytest.mark.parametrize(
@@ -129,8 +143,7 @@ def test_the_verdict_names_what_is_worst(figures: Figures, changed: Figures, wor
         ({"rotation_sd_deg": 2.1}, "usable: B's rotation is certain to 2.1° only"),
         ({"rotation_sd_deg": 7.4}, "poor: B's rotation is certain to 7.4° only"),
         ({"frames": FEWEST_PAIRS - 1}, "unknown: calibrated on 14 frames; at least 15 are needed"),
-        ({"how": "none yet: an adult's proportions"}, "unknown: not calibrated yet"),
-        ({"how": "provisional, 1 frame of any pose"}, "unknown: not calibrated yet"),
+        ({"provisional": True}, "unknown: not calibrated yet"),
     ],
 )
 def test_the_verdict_judges_the_calibration(figures: Figures, changed: Figures, words: str) -> None:

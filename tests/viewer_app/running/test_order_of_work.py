@@ -25,8 +25,8 @@ from fusion.registration import refinement
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 from recordings import layout
-from recordings.fusing.sensors import LiveFusion
-from recordings.session_arrays import RecordedFrame
+from recordings.fusing.live_fusion import LiveFusion
+from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import KnownSensors
 from tests.helpers.live_frames import frames, session
@@ -54,7 +54,7 @@ def test_a_frame_is_handed_over_before_the_program_learns_from_it(
     done: list[str] = []
 
     class Handed(Sink):
-        def write(self, frame: RecordedFrame) -> None:
+        def write(self, frame: SessionFrame) -> None:
             assert frame.fused.has_person
             done.append("handed over")
 
@@ -152,7 +152,7 @@ def test_nothing_is_compiled_after_the_first_frame(monkeypatch: pytest.MonkeyPat
     before = compiled()
     for pair in pairs:
         fusion.learn(fusion.fuse(fusion.chosen(pair)))
-    assert fusion.calibrator.settled
+    assert fusion.calibrator.final
     assert len(fits) >= 3, "a whole proposal"
     assert compiled() == before
 

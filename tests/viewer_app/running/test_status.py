@@ -27,8 +27,10 @@ WARNING = Advice("A's view", "Sensor A sees no one: 0 of 25 joints", "WARN", sen
 def statuses() -> list[Any]:
     """Two seconds at 30 fps; A has dropped 3 frames, B 4."""
     fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
-    sensors = SimpleNamespace(a=SimpleNamespace(dropped=3), b=SimpleNamespace(dropped=4), step=2)
-    calibrator = SimpleNamespace(calibration=fuser.setup.calibration, settled=True, held=0.0)
+    sensors = SimpleNamespace(
+        a=SimpleNamespace(dropped=3, lost=5), b=SimpleNamespace(dropped=4, lost=6), step=2
+    )
+    calibrator = SimpleNamespace(calibration=fuser.setup.calibration, final=True, held=0.0)
     return [
         SimpleNamespace(frame=frame, sensors=sensors, calibrator=calibrator, events=())
         for frame in frames(fuser, 60)
@@ -139,7 +141,7 @@ def test_the_coach_knows_what_the_sensors_do(statuses: list[Any]) -> None:
     shown = Shown()
     shown.display(statuses[0])
     situation = shown.coach.watch.call_args.args[1]
-    assert (situation.dropped, situation.step) == ((3, 4), 2)
+    assert (situation.dropped, situation.lost, situation.step) == ((3, 4), (5, 6), 2)
 
 
 def test_only_warnings_become_events(statuses: list[Any]) -> None:

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -18,7 +19,7 @@ import rerun as rr
 from devices.events import Event
 from fusion.fuser import Fuser
 from recordings import layout
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames, numbers_in, session
 from tests.helpers.machine import need_viewer
@@ -141,7 +142,7 @@ def test_a_complete_feed_passes_every_frame_on(fuser: Fuser) -> None:
     written: list[int] = []
 
     class Spy(Recorder):
-        def record_all(self, frames: Sequence[RecordedFrame], numbers: Sequence[int] | None = None) -> Any:
+        def record_all(self, frames: Sequence[SessionFrame], numbers: Sequence[int] | None = None) -> Any:
             written.extend(numbers or ())
             time.sleep(0.01)  # slower than the frames arrive
             return super().record_all(frames, numbers)
@@ -190,6 +191,33 @@ def test_a_blocked_disk_costs_images_first(
         item for item in file._queue if isinstance(item, QueuedFrame) and item.frame.pair.a.depth is not None
     ]
     assert len(with_images) == 60
+
+
+def test_images_that_wait_for_the_encoder_count_as_queued(fuser: Fuser, tmp_path: Path) -> None:
+    blocked, encoding = threading.Event(), threading.Event()
+
+    class Blocked(Recorder):
+        def record_images(self, *_: object) -> None:
+            encoding.set()
+            blocked.wait()
+
+    file = SessionFile(
+        tmp_path / "s.rrd",
+        lambda: rr.RecordingStream("test"),
+        lambda stream: Blocked(stream, fuser.setup, ("a", "b")),
+    )
+    made = frames(fuser, 70, depth=True)
+    with file._more:  # the thread takes nothing until the queue is full
+        for number in range(60):
+            file.write(made[number])
+    assert encoding.wait(20.0)
+    for number in range(200):
+        file.write(made[number % 70])
+    try:
+        assert file.without_images >= 199  # room for that which is being encoded
+    finally:
+        blocked.set()
+        file.close()
 
 
 def test_the_viewer_gets_images_at_a_capped_rate(fuser: Fuser) -> None:

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
-from devices.capture.sensor_pair import StreamFigures
+from devices.capture.stream_pairing import PairingFigures
 from devices.events import Event
 from fusion.body import BODIES, KINECT_V2, Body
 from fusion.calibration.calibration import Calibration, nominal_calibration
@@ -21,7 +21,7 @@ from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.appearance.colors import SKELETON_COLORS
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 from tests.helpers.live_frames import BODY, frames
 from tests.helpers.pictures import headless_viewer, pixels_near
 from tests.helpers.two_views import A_FROM_B
@@ -39,13 +39,13 @@ _INK = 60
 
 
 @pytest.fixture
-def seen() -> tuple[Fuser, list[RecordedFrame]]:
+def seen() -> tuple[Fuser, list[SessionFrame]]:
     """Two seconds with depth images."""
     fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     return fuser, frames(fuser, 60, depth=True)
 
 
-def saved(path: Path, fuser: Fuser, made: list[RecordedFrame], active: Layout) -> Path:
+def saved(path: Path, fuser: Fuser, made: list[SessionFrame], active: Layout) -> Path:
     blueprint = session_blueprint(fuser.setup, np.array([0.1, 0.1, 2.6]), active)
     with LiveSession(fuser.setup, ("a", "b"), blueprint, file=path) as live:
         live.coach(CoachPage("- **Mend:** step into the view of sensor A, to 2.5 m from both sensors\n" * 6))
@@ -62,7 +62,7 @@ def expected(active: Layout) -> set[str]:
         quality = {"how good", "views differ (mm)", "jitter (mm)", "placement of B"}
         return {bone_title(bone) for bone in bones if not bone.endswith("_right")} | quality
     if active == "setup":
-        return {"Kinect A", "Kinect B", "where to stand", "what to do next"}
+        return {"Kinect A", "Kinect B", "sensors and person", "how good"}
     limbs = {"upper arms (m)", "forearms (m)", "thighs (m)", "shins (m)"}
     return limbs | {SCENE, "which sensor each limb follows", "views differ (mm)"}
 
@@ -74,7 +74,7 @@ def ink(picture: NDArray[np.uint8]) -> float:
 
 @pytest.mark.parametrize("active", LAYOUTS)
 def test_no_view_of_a_layout_complains_or_is_empty(
-    active: Layout, seen: tuple[Fuser, list[RecordedFrame]], tmp_path: Path
+    active: Layout, seen: tuple[Fuser, list[SessionFrame]], tmp_path: Path
 ) -> None:
     file = saved(tmp_path / "s.rrd", *seen, active)
     with headless_viewer(str(file)) as viewer:
@@ -117,7 +117,9 @@ def ink_of(viewer: ViewerClient, view_id: str, folder: Path) -> float:
 def test_a_plot_of_one_figure_has_no_line_of_the_streams(tmp_path: Path) -> None:
     fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
     made = [
-        replace(frame, streams=StreamFigures(3.0, (5 * k, 9 * k), (7 * k, 4 * k)))
+        replace(
+            frame, streams=PairingFigures(drift_ppm=3.0, dropped=(5 * k, 9 * k), alone_a=7 * k, alone_b=4 * k)
+        )
         for k, frame in enumerate(frames(fuser, 90))
     ]
     blueprint = session_blueprint(fuser.setup, np.array([0.1, 0.1, 2.6]), "inspect", live=True)
@@ -180,7 +182,10 @@ def test_a_session_without_depth_images_promises_none() -> None:
         setup, inspect, _ = blueprint.root_container.contents
         tabs[depth] = [view.name for view in inspect.contents[0].contents[0].contents]
         images[depth] = [view.name for view in panes(setup)[:2]]
-    assert tabs == {False: [SCENE, "with 1 σ"], True: [SCENE, "with 1 σ", "point clouds"]}
+    assert tabs == {
+        False: [SCENE, "spheres: 1 σ of a joint"],
+        True: [SCENE, "spheres: 1 σ of a joint", "point clouds"],
+    }
     assert images == {
         False: ["Kinect A: its skeleton", "Kinect B: its skeleton"], True: ["Kinect A", "Kinect B"],
     }  # fmt: skip
@@ -207,5 +212,5 @@ def test_a_report_has_every_bone_in_full_rows_with_short_titles(body: Body) -> N
     assert sorted(titles) == sorted(shown)
     assert max(counts) <= 6
     assert max(counts) - min(counts) <= 1
-    assert max(map(len, titles)) <= len("upper arm L R")
+    assert max(map(len, titles)) <= len("upper arm L R (m)")
     assert quality.contents[0].name == "how good"

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from fusion.skeleton import TrackingState
 from recordings import layout
 from recordings.appearance.colors import SKELETON_COLORS, VIEW_COLORS
-from recordings.session_arrays import RecordedFrame, SessionArrays
-from recordings.writing.shown_figures import shown_values
+from recordings.session_arrays import SessionArrays, SessionFrame
 from tests.helpers.live_frames import BODY, frames, inspected_scenes, known_fuser, session_of_view
 from tests.helpers.pictures import headless_viewer, picture_of, pixels_near
+from tests.helpers.shown_values import shown_values
 from tests.helpers.waiting import eventually
 
 
-def picture(made: list[RecordedFrame], folder: Path) -> NDArray[np.uint8]:
+def picture(made: list[SessionFrame], folder: Path) -> NDArray[np.uint8]:
     """The scene, as soon as the viewer draws it."""
     with headless_viewer(str(session_of_view(inspected_scenes()[0], made, folder))) as viewer:
         drawn: list[NDArray[np.uint8]] = []

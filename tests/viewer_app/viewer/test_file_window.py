@@ -15,6 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from recordings import Session, layout
+from recordings.appearance.coach_page import CoachPage
 from recordings.file.rrd_file import damage_of
 from recordings.file.session_writer import whole_recording
 from tests.helpers.live_frames import frames, known_fuser, session
@@ -37,9 +38,10 @@ class Opened:
     def __init__(self) -> None:
         self.read: list[bytes] = []
 
-    def __call__(self, arguments: Sequence[str], stdin: IO[bytes]) -> None:
+    def __call__(self, arguments: Sequence[str], stdin: IO[bytes]) -> tuple[None, int]:
         assert "-" in arguments
         self.read.append(stdin.read())
+        return None, 0
 
 
 @pytest.fixture
@@ -128,7 +130,7 @@ def test_a_session_of_version_0_1_is_shown_in_the_layout_of_today(
     old = tmp_path / "live.rrd"  # with depth images
     old.write_bytes(lzma.decompress((DATA / "version_0_1" / "live.rrd.xz").read_bytes()))
     session = Session.open(old)
-    with file_window.in_this_layout(session, old) as file:
+    with file_window.in_this_layout(session, old, CoachPage("good")) as file:
         again = Session.open(file)
         assert again.fused.astype(np.float32).tobytes() == session.fused.astype(np.float32).tobytes()
         assert [event.text for event in again.events] == [event.text for event in session.events]
@@ -151,7 +153,7 @@ def test_a_session_of_version_1_0_is_shown_in_its_own_layout(
 
     path, picture = tmp_path / "walk.rrd", tmp_path / "trust.png"
     path.write_bytes(lzma.decompress((DATA / "version_1_0" / "walk.rrd.xz").read_bytes()))
-    with file_window.in_this_layout(Session.open(path), path) as file:
+    with file_window.in_this_layout(Session.open(path), path, CoachPage("good")) as file:
         file_window.show(file)
     ((_, port),) = headless
     viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
@@ -169,7 +171,7 @@ def test_a_session_of_today_is_shown_as_it_is(tmp_path: Path) -> None:
     with session(known_fuser(), path) as live:
         for frame in frames(known_fuser(), 3):
             live.write(frame)
-    with file_window.in_this_layout(Session.open(path), path) as file:
+    with file_window.in_this_layout(Session.open(path), path, CoachPage("good")) as file:
         assert file == path
 
 

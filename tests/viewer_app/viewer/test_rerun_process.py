@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 from tests.helpers.waiting import eventually
-from viewer_app.viewer.rerun_process import Hub, start_window_on_pipe, stop
+from viewer_app.viewer.rerun_process import Hub, free_port, start_window_on_pipe, stop
 
 ROOT = Path(__file__).resolve().parents[3]
 _STARTS_A_HUB = """
@@ -83,7 +83,7 @@ def _pressed(program: subprocess.Popen[bytes]) -> bool:
 
 
 def test_hub_and_viewer_have_a_bounded_memory() -> None:
-    hub = Hub.on_free_ports(web=True).start()
+    hub = Hub(free_port(), free_port()).start()
     window = start_window_on_pipe()
     try:
         for process, option in ((hub, "--server-memory-limit"), (window, "--memory-limit")):

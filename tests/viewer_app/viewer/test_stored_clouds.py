@@ -56,8 +56,12 @@ def test_only_a_session_with_images_has_clouds(saved: Path, tmp_path: Path) -> N
     assert not has_depth_images(file)
 
 
+def url_of(port: int) -> str:
+    return f"rerun+http://{LOOPBACK}:{port}/proxy"
+
+
 def test_without_its_viewer_nothing_is_sent(saved: Path) -> None:
-    assert send_clouds(saved, free_port()) == 0
+    assert send_clouds(saved, url_of(free_port())) == 0
 
 
 def test_the_viewer_gets_the_clouds_into_the_session_although_the_file_is_deleted(saved: Path) -> None:
@@ -69,11 +73,11 @@ def test_the_viewer_gets_the_clouds_into_the_session_although_the_file_is_delete
     assert identity is not None
     with saved.open("rb") as opened:
         viewer, port = start_viewer(["--headless", "-"], opened)
-        program = add_clouds(opened, port)
+        program = add_clouds(opened, url_of(port))
     saved.unlink()
     try:
         assert program.wait(timeout=60.0) == 0
-        client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+        client = ViewerClient.connect(url_of(port))
 
         def arrived() -> bool:
             ids = [recording.store_id for recording in client.get_state().recordings]

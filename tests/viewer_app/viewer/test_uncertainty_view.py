@@ -10,16 +10,16 @@ import pytest
 
 from fusion.setup import FuserSettings
 from recordings import layout
-from recordings.session_arrays import RecordedFrame, SessionArrays
-from recordings.writing.shown_figures import shown_values
+from recordings.session_arrays import SessionArrays, SessionFrame
 from tests.helpers.live_frames import BODY, frames, inspected_scenes, known_fuser, session_of_view
 from tests.helpers.pictures import headless_viewer, picture_of
+from tests.helpers.shown_values import shown_values
 from tests.helpers.waiting import eventually
 
 STEP = 1.0 / 512.0  # metres, of the spheres' radii
 
 
-def exchanged_in_b(made: list[RecordedFrame]) -> list[RecordedFrame]:
+def exchanged_in_b(made: list[SessionFrame]) -> list[SessionFrame]:
     """The frames as if B had reported left and right exchanged in them."""
     return [replace(frame, fused=replace(frame.fused, exchanged_b=3)) for frame in made]
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
-from urllib.request import urlopen
+from urllib.request import Request, urlopen
 
 import cv2
 import numpy as np
@@ -15,24 +16,32 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from fusion.fuser import Fuser
+from recordings import layout
 from recordings.appearance.colors import SKELETON_COLORS
 from tests.helpers.live_frames import frames, session
-from tests.helpers.machine import need_browser, need_viewer
+from tests.helpers.machine import lacks, need_browser, need_viewer
 from tests.helpers.pictures import pixels_near
 from tests.helpers.waiting import eventually
+from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import ViewerOptions
 from viewer_app.sinks.live_session import LiveSession
-from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
+from viewer_app.viewer import rerun_process
+from viewer_app.viewer.rerun_process import DATA_PORT, PAGE_PORT, Hub, free_port, start_viewer, stop
 from viewer_app.viewer.viewer_choice import Viewing, announce, choose_viewing
 
 _DRAWN_WITHIN = 60.0
 
 
+def web_hub(address: str = LOOPBACK) -> Hub:
+    """A hub on any ports: other tests run beside."""
+    return Hub(free_port(address), free_port(address), address)
+
+
 @pytest.fixture
 def served(fuser: Fuser) -> Iterator[LiveSession]:
     """A session that is served to browsers."""
-    with session(fuser, None, Hub.on_free_ports(web=True)) as live:
+    with session(fuser, None, web_hub(), active="setup") as live:
         yield live
 
 
@@ -60,8 +69,7 @@ def test_a_viewer_that_we_start_listens_on_loopback_only() -> None:
 
 
 def test_an_address_that_is_asked_for_is_listened_on(fuser: Fuser) -> None:
-    hub = Hub.on_free_ports(web=True, address="0.0.0.0")
-    with session(fuser, None, hub) as live:
+    with session(fuser, None, web_hub("0.0.0.0")) as live:
         assert live.viewer is not None
         assert listening(live.viewer.process.pid) == {"0.0.0.0"}
 
@@ -76,26 +84,95 @@ def test_the_page_is_the_viewer_with_the_session(served: LiveSession) -> None:
     assert hub is not None
     with urlopen(hub.page, timeout=5.0) as page:
         assert b"<canvas" in page.read()
-    assert f"%3A{hub.port}%2Fproxy" in hub.page
+    assert f":{hub.port}/proxy" in hub.page
 
 
-def said(viewing: Viewing | None, monkeypatch: pytest.MonkeyPatch) -> str:
+def said(viewing: Viewing | None, monkeypatch: pytest.MonkeyPatch, live: bool = False) -> str:
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
     out = io.StringIO()
-    announce(viewing, Console(file=out, width=300))
+    announce(viewing, Console(file=out, width=300), live)
     return out.getvalue()
 
 
 def test_listening_to_others_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
     alone, open_to_all = (
-        said(Viewing(hub=Hub.on_free_ports(web=True, address=address)), monkeypatch)
-        for address in (None, "0.0.0.0")
+        said(Viewing(hub=web_hub(address)), monkeypatch) for address in (LOOPBACK, "0.0.0.0")
     )
     assert "Warning" not in alone
     assert "http://127.0.0.1:" in alone
     assert "Warning" in open_to_all
     assert "video included" in open_to_all
     assert said(None, monkeypatch) == ""
+
+
+@pytest.fixture
+def own_address() -> str:
+    """This machine's address on its network, which is not the loopback one; skips where there is none."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as way:
+        try:
+            way.connect(("203.0.113.1", 9))
+        except OSError:
+            lacks("a network", "connect it to one with a default route", required=False)
+        return str(way.getsockname()[0])
+
+
+def test_a_browser_elsewhere_gets_an_address_that_it_reaches_and_may_read(
+    own_address: str, fuser: Fuser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hub = web_hub("0.0.0.0")
+    text = said(Viewing(hub=hub), monkeypatch)
+    assert "127.0.0.1" not in text
+    assert text.count(f"http://{own_address}:") == 2  # the page, and in its address the data
+    with session(fuser, None, hub):
+        origin = f"http://{own_address}:{hub.web_port}"
+        asked = {"Origin": origin, "Access-Control-Request-Method": "POST"}
+        url = f"http://{own_address}:{hub.port}/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
+        with urlopen(Request(url, method="OPTIONS", headers=asked), timeout=5.0) as answer:
+            assert answer.headers["Access-Control-Allow-Origin"] == origin
+
+
+def test_the_ports_for_browsers_are_fixed_and_the_next_ones_where_they_are_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(rerun_process, "PAGE_PORT", free_port())
+    with socket.socket() as other:
+        other.bind((LOOPBACK, 0))
+        other.listen()
+        taken = int(other.getsockname()[1])
+        monkeypatch.setattr(rerun_process, "DATA_PORT", taken)
+        hub = Hub.on_free_ports(web=True)
+    assert hub.web_port == rerun_process.PAGE_PORT
+    assert taken < hub.port < taken + 20
+    usual = said(Viewing(hub=Hub(DATA_PORT, PAGE_PORT)), monkeypatch)
+    assert usual == "Viewer: http://127.0.0.1:9090/?url=rerun%2Bhttp://127.0.0.1:9876/proxy\n"
+    assert "latency" in said(Viewing(hub=Hub(DATA_PORT, PAGE_PORT)), monkeypatch, live=True)
+    moved = said(Viewing(hub=Hub(DATA_PORT + 1, PAGE_PORT)), monkeypatch)
+    assert moved.startswith("Port 9876 is taken: using 9877.\n")
+
+
+def read_code(text: str) -> str:
+    """What a camera reads in a terminal with light letters on a dark ground; empty: no code."""
+    halves = {" ": (0, 0), "▀": (1, 0), "▄": (0, 1), "█": (1, 1)}
+    lines = [line for line in text.splitlines() if line and set(line) <= set(halves)]
+    rows = [[halves[letter][half] for letter in line] for line in lines for half in (0, 1)]
+    if not rows:
+        return ""
+    picture = np.repeat(np.repeat(np.array(rows, np.uint8) * 255, 8, axis=0), 8, axis=1)
+    return cv2.QRCodeDetector().detectAndDecode(picture)[0]
+
+
+def test_a_code_for_cameras_is_printed_for_others_and_to_terminals_only(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
+    for address in (LOOPBACK, "0.0.0.0"):
+        for terminal in (False, True):
+            raw, hub = io.BytesIO(), web_hub(address)
+            out = io.TextIOWrapper(raw, encoding="utf-8")
+            announce(Viewing(hub=hub), Console(file=out, force_terminal=terminal, width=300))
+            out.flush()
+            for_cameras = terminal and address != LOOPBACK
+            assert read_code(raw.getvalue().decode()) == (hub.page if for_cameras else "")
 
 
 @pytest.mark.parametrize(
@@ -148,8 +225,8 @@ def test_a_browser_sees_the_three_skeletons_and_a_later_visitor_the_history(
                 shot = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)  # type: ignore[attr-defined]
                 assert shot is not None
                 picture: NDArray[np.uint8] = np.asarray(shot[..., ::-1])
-                colors = (SKELETON_COLORS[key] for key in ("a", "b", "fused"))
-                return all(pixels_near(picture, color) > 50 for color in colors)
+                lines = all(pixels_near(picture, SKELETON_COLORS[side]) > 50 for side in layout.SIDES)
+                return lines and pixels_near(picture, SKELETON_COLORS["fused"], 70) > 50  # a body with shades
 
             assert eventually(sees_skeletons, _DRAWN_WITHIN)
             page.close()

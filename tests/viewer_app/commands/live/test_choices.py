@@ -17,11 +17,11 @@ from tests.helpers.live_program import Live
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import Bus
 from viewer_app.options.sensing import LiveOptions
-from viewer_app.sensors.local import two_kinects
+from viewer_app.sensors.local import two_connected_sensors
 
 
 def _pairing_settings(monkeypatch: pytest.MonkeyPatch, **options: object) -> dict[str, object]:
-    """The arguments that ``two_kinects`` passes to the pairing."""
+    """The arguments that ``two_connected_sensors`` passes to the pairing."""
     given: dict[str, object] = {}
 
     def pairing(interval_ns: int, **more: object) -> LivePairing:
@@ -29,7 +29,7 @@ def _pairing_settings(monkeypatch: pytest.MonkeyPatch, **options: object) -> dic
         return LivePairing(interval_ns, **more)  # type: ignore[arg-type]
 
     monkeypatch.setattr("viewer_app.sensors.local.LivePairing", pairing)
-    two_kinects(LiveOptions(**options), Console())  # type: ignore[arg-type]
+    two_connected_sensors(LiveOptions(**options), Console())  # type: ignore[arg-type]
     return given
 
 
@@ -54,7 +54,7 @@ def test_pairing_has_the_interval_of_the_cameras(
 
 @pytest.mark.usefixtures("kinects")
 def test_on_a_cpu_it_says_that_frames_are_few(capsys: pytest.CaptureFixture[str]) -> None:
-    two_kinects(LiveOptions(principal="000123", processing="cpu", tracker="k4abt"), Console())
+    two_connected_sensors(LiveOptions(principal="000123", processing="cpu", tracker="k4abt"), Console())
     said = " ".join(capsys.readouterr().out.split())
     assert "about one frame per second" in said
     assert "duplex fuse a.mkv b.mkv" in said
@@ -73,7 +73,7 @@ def test_tensorrt_has_time_to_build_its_engine(
 
     monkeypatch.setattr(SensorThread, "open", open_thread)
     options = LiveOptions(kinect_a="000123", kinect_b="000456", processing=processing, tracker="k4abt")
-    with two_kinects(options, Console()):
+    with two_connected_sensors(options, Console()):
         assert given == [within_s] * 4
     assert ("TensorRT builds its engine; minutes" in capsys.readouterr().out) == (processing == "tensorrt")
 

@@ -14,7 +14,7 @@ import pytest
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
-from fusion.setup import FuserSettings
+from fusion.setup import FusionSetup
 from recordings.calibration_file import calibration_to_json
 from recordings.file.rrd_file import read_columns
 from recordings.session import Session
@@ -119,7 +119,7 @@ def test_a_report_has_what_that_of_fuse_has(live: Live, tmp_path: Path) -> None:
     assert figures["frames"]["a"] >= figures["paired"] > 0
     assert figures["streams"]["clock_resets"] == 0
     rows = Session.open(live.saved).rows
-    of_fuse = fusion_figures(nominal_calibration(AZURE_KINECT), FuserSettings(), rows)
+    of_fuse = fusion_figures(FusionSetup(nominal_calibration(AZURE_KINECT)), rows)
     assert of_fuse.keys() <= figures.keys()
     live.saved = tmp_path / "t.rrd"
     assert "report.json exists already" in live("--report", report, codes=(2,))

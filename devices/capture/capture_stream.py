@@ -9,12 +9,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from devices.capture.causes import Cause, in_brackets
 from devices.capture.frame_decimation import FrameDecimation
 from devices.capture.settings import CaptureSettings
-from devices.sensor import ColorCamera, DeviceError, Sensor
+from devices.sensor import AbsentError, ColorCamera, DeviceError, Sensor
 from fusion.intrinsics import Intrinsics
 
 _SAME_CLOCK_NS = 5_000_000_000
+_QUEUE = 3  # frames that an SDK's queue holds at least, of seven captures; half may be colour alone
+_TOLD_S = 2.0  # a longer silence is told as such
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +44,8 @@ class CaptureStream(ABC, Generic[M]):
 
     Attributes:
         missed: Wanted moments that were dropped: the SDK's queue was full, or a newer moment was available
-            when the tracker was ready.
+            when the tracker was ready. Those before the first one given are not counted.
+        gaps: Moments that never reached the SDK's queue.
     """
 
     cable_advice = ""
@@ -60,7 +64,9 @@ class CaptureStream(ABC, Generic[M]):
         self._patience_s = settings.start_s if settings.sync == "subordinate" else settings.stall_s
         self._last_ns: int | None = None
         self._delayed: list[M] = []
-        self.missed = 0
+        self.missed = self.gaps = 0
+        self._gave = False
+        self._polled_ns = self._away_ns = 0  # end of the last poll; time without one before it
 
     @abstractmethod
     def poll(self, timeout_ms: int) -> M | None:
@@ -70,6 +76,12 @@ class CaptureStream(ABC, Generic[M]):
             TimeoutError: The queue was empty for ``timeout_ms``.
             DeviceError: The SDK reports a failure; see :meth:`lost`.
         """
+
+    @property
+    def waits_for(self) -> str:
+        """What a sensor without images waits for, where that is known; else empty."""
+        waits = self._silent_s > 0.0 and self.settings.sync == "subordinate"
+        return "the pulses of its master on the sync cable" if waits else ""
 
     @abstractmethod
     def is_connected(self) -> bool:
@@ -91,59 +103,69 @@ class CaptureStream(ABC, Generic[M]):
         """
         if self._delayed:
             return self._delayed.pop(0)
+        if self.sensor.clock() - self._polled_ns > _TOLD_S * 1e9:
+            self._gave = False
         newest: M | None = None
         timeout_ms = self.settings.timeout_ms if wait else 0
         while True:
+            self._away_ns = self.sensor.clock() - self._polled_ns
             try:
                 moment = self.poll(timeout_ms)
             except TimeoutError:
+                if timeout_ms and not self.is_connected():  # some SDKs show unplugging only by time-outs
+                    raise self.unplugged() from None
                 self._stay_silent(timeout_ms / 1000)
                 break
+            finally:
+                self._polled_ns = self.sensor.clock()
             timeout_ms = 0  # take what is in the queue, without waiting again
             if moment is None:
-                self._stay_silent(1 / self.settings.fps)
+                self._patience_s = self.settings.stall_s  # the cameras run: no master is waited for
+                self._stay_silent(1 / self.settings.fps, without_depth=True)
             elif self._is_wanted(moment):
                 if newest is not None and not self._delayed and self.comes_late(newest):
                     self._delayed.append(newest)
                 else:
-                    self.missed += newest is not None
+                    self.missed += self._gave and newest is not None
                 newest = moment
         if newest is not None and self._delayed:
             self._delayed.append(newest)
             newest = self._delayed.pop(0)
+        self._gave = self._gave or newest is not None
         return newest
 
     def lost(self, fault: Exception) -> DeviceError:
         """The error for a failure that the SDK reports."""
         if not self.is_connected():
-            return self._unplugged()
-        said = f" ({fault})" if str(fault) else ""
-        return DeviceError(f"{self.label} stopped giving frames{said}. Unplug it and plug it in again.")
+            return self.unplugged()
+        return Cause.STOPPED.error(label=self.label, said=in_brackets(fault))
+
+    def unplugged(self) -> DeviceError:
+        """The error for a sensor that is not connected."""
+        return AbsentError(Cause.UNPLUGGED.says(label=self.label))
 
     def _is_wanted(self, moment: M) -> bool:
         self._silent_s, self._patience_s = 0.0, self.settings.stall_s
         number = self.sensor.decimation.moment(self.sensor.name, moment.time_ns, moment.host_ns)
         if self._last_ns is not None:  # after a clock reset the gap is unknown
             gap = max(0, round((moment.time_ns - self._last_ns) * self.settings.fps / 1e9) - 1)
-            self.missed += self.sensor.decimation.kept_before(number, gap)
+            if gap >= _TOLD_S * self.settings.fps or not self._gave:
+                pass
+            elif max(self._away_ns, self._polled_ns - moment.host_ns) * self.settings.fps < _QUEUE * 1e9:
+                self.gaps += gap
+            else:
+                self.missed += self.sensor.decimation.kept_before(number, gap)
         self._last_ns = moment.time_ns
         return self.sensor.decimation.keeps(number)
 
-    def _stay_silent(self, seconds: float) -> None:
+    def _stay_silent(self, seconds: float, without_depth: bool = False) -> None:
         self._silent_s += seconds
         if self._silent_s < self._patience_s:
             return
-        if not self.is_connected():  # some SDKs report unplugging only through time-outs
-            raise self._unplugged()
-        cause = (
-            self.cable_advice
-            if self.settings.sync == "subordinate"
-            else "Check its USB 3 port and power supply; two sensors need two USB controllers."
-        )
-        raise DeviceError(f"{self.label} stalls: no depth for {self._silent_s:.0f} s. {cause}")
-
-    def _unplugged(self) -> DeviceError:
-        return DeviceError(f"{self.label} was unplugged or lost its power. Plug it in again.")
+        cause = Cause.NO_PULSES if self.settings.sync == "subordinate" else Cause.NO_DEPTH
+        if without_depth:
+            cause = Cause.NO_DEPTH if self.settings.color is None else Cause.ONLY_COLOR
+        raise cause.error(label=self.label, seconds=self._silent_s, advice=self.cable_advice)
 
 
 class LiveSensor(Sensor):
@@ -157,6 +179,7 @@ class LiveSensor(Sensor):
         warnings: Problems that did not stop the sensor.
         missed: Captured frames that were dropped because this program or its tracker was too slow. Moments
             skipped on purpose by the decimation are not counted.
+        lost: Captured frames that did not reach this machine.
     """
 
     def __init__(
@@ -169,7 +192,7 @@ class LiveSensor(Sensor):
         self.name = serial
         self.intrinsics: Intrinsics | None = None
         self.warnings: list[str] = []
-        self.missed = 0
+        self.missed = self.lost = 0
         self.decimation = decimation or FrameDecimation(settings.fps)
         self.clock = clock
         self._color: ColorCamera | None = None
@@ -186,9 +209,10 @@ class LiveSensor(Sensor):
 
     def _take(self, stream: CaptureStream[M], wait: bool = True) -> M | None:
         """The newest moment of a stream; counts what it missed."""
-        before = stream.missed
+        missed, gaps = stream.missed, stream.gaps
         moment = stream.take(wait)
-        self.missed += stream.missed - before
+        self.missed += stream.missed - missed
+        self.lost += stream.gaps - gaps
         return moment
 
 

@@ -10,12 +10,12 @@ import numpy as np
 from devices.capture.sensor_pair import TwoSensors
 from fusion.setup import FusionSetup
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame, SessionArrays
+from recordings.session_arrays import SessionArrays, SessionFrame
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.figures import Figures, fusion_figures, with_verdict
 
 
-def rows_of(setup: FusionSetup, frames: Sequence[RecordedFrame]) -> SessionArrays | None:
+def rows_of(setup: FusionSetup, frames: Sequence[SessionFrame]) -> SessionArrays | None:
     """The frames, each with the bone lengths that it was fused with; None if there are none."""
     if not frames:
         return None
@@ -26,7 +26,7 @@ def rows_of(setup: FusionSetup, frames: Sequence[RecordedFrame]) -> SessionArray
 
 def session_report(
     setup: FusionSetup,
-    frames: Sequence[RecordedFrame],
+    frames: Sequence[SessionFrame],
     sensors: TwoSensors,
     outputs: Sequence[LiveOutput] = (),
     session: Session | None = None,
@@ -44,8 +44,8 @@ def session_report(
     rows = rows_of(setup, frames) if session is None else session.rows
     if rows is None:
         return figures
-    calibration = setup.calibration if session is None else session.calibration
-    return with_verdict(figures | fusion_figures(calibration, setup.settings, rows))
+    setup = setup if session is None else session.last_setup
+    return with_verdict(figures | fusion_figures(setup, rows))
 
 
 def stream_figures(sensors: TwoSensors) -> Figures:
@@ -58,6 +58,7 @@ def stream_figures(sensors: TwoSensors) -> Figures:
         "dropped": {"a": a.dropped, "b": b.dropped + counted.unmatched_b},
         "streams": {
             "too_slow_for": {"a": a.dropped, "b": b.dropped},
+            "lost_on_usb": {"a": a.lost, "b": b.lost},
             "unmatched_b": counted.unmatched_b,
             "late": counted.late,
             "repeated": counted.repeated,
@@ -72,7 +73,7 @@ def stream_figures(sensors: TwoSensors) -> Figures:
     return figures | ({"network": links} if links else {})
 
 
-def latency_figures(frames: Sequence[RecordedFrame]) -> dict[str, float | None]:
+def latency_figures(frames: Sequence[SessionFrame]) -> dict[str, float | None]:
     """Milliseconds from the arrival of a pair's first images to S*: median, 99th percentile and largest."""
     known = [frame.latency_ns * 1e-6 for frame in frames if frame.latency_ns is not None]
     if not known:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from devices.capture.connected import ConnectedSensor, NeedsChoiceError, choose_two, sync_master
+from devices.capture.sensor_choice import ConnectedSensor, NeedsChoiceError, choose_two, sync_master
 from devices.sensor import DeviceError
 
 A, B = ConnectedSensor(0, "000123", False, False), ConnectedSensor(1, "000456", False, False)

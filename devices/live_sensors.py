@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.util import find_spec
 
 from devices.azure.kinect import KinectSensor
 from devices.azure.pyk4a_access import connected_kinects
 from devices.azure.settings import KinectSettings
 from devices.blazepose.pace import TrackingPace
 from devices.blazepose.tracked_images import TrackedImages
-from devices.capture.connected import ConnectedSensor
 from devices.capture.frame_decimation import FrameDecimation
+from devices.capture.sensor_choice import ConnectedSensor
 from devices.orbbec.sdk_access import connected_orbbecs
 from devices.orbbec.sensor import OrbbecSensor
 from devices.sensor import DeviceError, Sensor
@@ -32,6 +33,7 @@ def connected_sensors(tracker: TrackerChoice) -> list[ConnectedSensor]:
     faults: list[DeviceError] = []
     orbbecs: list[ConnectedSensor] = []
     kinects: list[ConnectedSensor] = []
+    broken = False
     try:
         orbbecs = connected_orbbecs()
     except DeviceError as fault:
@@ -40,8 +42,11 @@ def connected_sensors(tracker: TrackerChoice) -> list[ConnectedSensor]:
         kinects = connected_kinects()
     except DeviceError as fault:
         faults.insert(0, fault)
+        broken = find_spec("pyk4a") is not None  # installed, but it cannot be imported
     if len(faults) == 2:
         raise DeviceError(f"{faults[0]} Or, for Orbbec's sensors: {faults[1]}")
+    if broken and not orbbecs:
+        raise faults[0]  # else it would read as if nothing were connected
     by_wrapper = {kinect.serial for kinect in kinects if kinect.serial is not None}
     by_sdk = {orbbec.serial for orbbec in orbbecs}
     if tracker.name == "k4abt":

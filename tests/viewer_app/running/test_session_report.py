@@ -10,15 +10,16 @@ import pytest
 
 from devices.sensor import LinkFigures
 from viewer_app.report.words import Line, lead_lines
-from viewer_app.running.summary import stream_figures
+from viewer_app.running.session_report import stream_figures
 
 WELL = LinkFigures(received=900, round_trip_ns=2_000_000, clock_bound_ns=1_000_000)
 
 
 def sensors(links: tuple[LinkFigures | None, ...] = (None, None), **counts: int) -> Any:
     """The counts of two sensors that run well but for what is given."""
-    stream = {name: SimpleNamespace(dropped=0, returns=0, received=900) for name in ("a", "b")}
+    stream = {name: SimpleNamespace(dropped=0, lost=0, returns=0, received=900) for name in ("a", "b")}
     stream["b"].dropped = counts.pop("dropped_b", 0)
+    stream["a"].lost = counts.pop("lost_a", 0)
     stream["a"].returns = counts.pop("returns_a", 0)
     figures = SimpleNamespace(pairs=900, alone_a=0, alone_b=0, unmatched_b=0, offset_ns=None, drift_ppm=0.0)
     figures.late = figures.repeated = figures.reordered = 9
@@ -41,6 +42,7 @@ def test_streams_that_run_well_are_not_mentioned() -> None:
     ("counts", "words"),
     [
         ({"dropped_b": 4}, "frames of B dropped (too slow) 4."),
+        ({"lost_a": 5}, "frames of A lost on USB 5."),
         ({"returns_a": 2, "resets": 1}, "reconnects of A 2, clocks reset 1."),
     ],
 )

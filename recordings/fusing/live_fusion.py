@@ -1,4 +1,7 @@
-"""Fuses running sensors: follows one person, calibrates while pairs arrive, and fuses each pair."""
+"""Fuses running sensors: follows one person, calibrates while pairs arrive, and fuses each pair.
+
+:func:`fuse_live` is the loop for other programs; that of ``duplex live`` is ``viewer_app.running.loop``.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from recordings.errors import RecordingError
 from recordings.fusing.pairs import fuse_one
 from recordings.fusing.view_events import ViewEvents
 from recordings.session import Session
-from recordings.session_arrays import RecordedFrame
+from recordings.session_arrays import SessionFrame
 
 
 class LiveFusion:
@@ -51,7 +54,7 @@ class LiveFusion:
 
     def frames(
         self, sensors: TwoSensors, depth: Depth = "full", clock: Callable[[], int] = time.perf_counter_ns
-    ) -> Iterator[RecordedFrame]:
+    ) -> Iterator[SessionFrame]:
         """Fuses the pairs of two open sensors as they arrive, until both sensors end.
 
         Call :meth:`learn` with each frame before the next one.
@@ -63,20 +66,20 @@ class LiveFusion:
         """
         for pair in sensors.pairs():
             frame = self.fuse(self.chosen(with_depth(pair, depth)))
-            yield replace(frame, streams=sensors.stream_figures, latency_ns=_latency_ns(pair, clock()))
+            yield replace(frame, streams=sensors.figures, latency_ns=_latency_ns(pair, clock()))
 
     def chosen(self, pair: FramePair) -> FramePair:
         """Returns the pair with the followed person chosen."""
         calibrator = self.calibrator
-        b_from_a = self.setup.calibration.a_from_b.inverse() if calibrator.settled else None
+        b_from_a = self.setup.calibration.a_from_b.inverse() if calibrator.final else None
         return self._people.chosen(pair, b_from_a)
 
-    def fuse(self, pair: FramePair) -> RecordedFrame:
+    def fuse(self, pair: FramePair) -> SessionFrame:
         """Fuses a pair whose person is chosen, with the newest calibration; see :attr:`setup`."""
         self._recalibrate(pair)
         return replace(fuse_one(self._fuser, pair), bone_lengths=self.setup.calibration.bone_lengths)
 
-    def learn(self, frame: RecordedFrame) -> list[Event]:
+    def learn(self, frame: SessionFrame) -> list[Event]:
         """Learns from the frame that was fused last, and returns its events.
 
         Call it when the frame is handed over: a refinement of the calibration, which applies to the next
@@ -84,7 +87,7 @@ class LiveFusion:
         """
         fused, pair = frame.fused, frame.pair
         events = self._views.observe(pair.skeletons, fused)
-        if self._learner is not None and self.calibrator.settled:
+        if self._learner is not None and self.calibrator.final:
             codes = fused.exchanged_a & WHOLE, fused.exchanged_b & WHOLE
             stale = fused.stale_a, fused.stale_b
             changes = self._learner.observe(pair.skeletons, codes, stale, pair.skeletons.skew_ns)
@@ -113,7 +116,7 @@ class LiveFusion:
             self._fuser = Fuser(self.setup)
 
 
-class LiveFrames(Iterator[RecordedFrame]):
+class LiveFrames(Iterator[SessionFrame]):
     """The fused frames of two running sensors, one after another.
 
     Args:
@@ -125,12 +128,12 @@ class LiveFrames(Iterator[RecordedFrame]):
     def __init__(self, sensors: TwoSensors, setup: FusionSetup | None, keep: bool) -> None:
         self._sensors, self._given, self._keep = sensors, setup, keep
         self._setup: FusionSetup | None = None
-        self._kept: list[tuple[FusionSetup, list[RecordedFrame]]] = []
+        self._kept: list[tuple[FusionSetup, list[SessionFrame]]] = []
         self._events: list[Event] = []
         self._count, self._start_ns = 0, 0
         self._frames = self._fuse()
 
-    def __next__(self) -> RecordedFrame:
+    def __next__(self) -> SessionFrame:
         """Waits for the next pair and fuses it.
 
         Raises:
@@ -165,7 +168,7 @@ class LiveFrames(Iterator[RecordedFrame]):
         names = self._sensors.a.sensor.name, self._sensors.b.sensor.name
         return Session.of(self._kept, names, events=self._events)
 
-    def _fuse(self) -> Generator[RecordedFrame]:
+    def _fuse(self) -> Generator[SessionFrame]:
         a, b = self._sensors.a.sensor, self._sensors.b.sensor
         # The first call of a kernel may compile it, which must not happen while frames arrive. Kernels are
         # the same for all bodies; a sensor may know its body only once it is open.
@@ -178,7 +181,7 @@ class LiveFrames(Iterator[RecordedFrame]):
                 self._keep_frame(fusion.setup, frame, fusion.learn(frame))
                 yield frame
 
-    def _keep_frame(self, setup: FusionSetup, frame: RecordedFrame, events: list[Event]) -> None:
+    def _keep_frame(self, setup: FusionSetup, frame: SessionFrame, events: list[Event]) -> None:
         if self._setup is not setup:
             self._setup = setup
             self._kept = [*self._kept, (setup, [])] if self._keep else []

@@ -1,0 +1,116 @@
+"""Scenarios of live capture, on the stand-in and on the rig: the real libk4a with simulated sensors.
+
+What the program says and does is always tested. How fast it does it is tested with ``--figures``, on a
+machine that does nothing else: ``pytest -n 0 tests/scenarios --figures``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from devices.capture.causes import Cause
+from recordings.session import Session
+from tests.helpers.rig import built_rig
+from tests.scenarios import program
+from tests.scenarios.table import SCENARIOS, Scenario
+
+_ENDS = 2  # frames: the first and the last may lack their partner
+_LABEL = r"(?:Kinect )?\w+"
+_PATTERNS = {
+    cause: re.compile(
+        "".join(
+            _LABEL if part == "{label}" else ".*?" if part[:1] == "{" else re.escape(part)
+            for part in re.split(r"(\{.*?\})", cause.value[1])
+        )
+    )
+    for cause in Cause
+}
+_SLOW_MACHINE = {Cause.TOO_FAST, Cause.LOST_ON_USB}  # told rightly on a busy machine, the rig's bus included
+_ELSEWHERE = {
+    Cause.FORBIDDEN: "tests/devices/azure/test_faults.py: needs a list of USB devices",
+    Cause.CAMERAS_NOT_STARTED: "tests/devices/azure/test_kinect.py: libk4a logs a reason",
+    Cause.STOPPED: "tests/devices/orbbec/test_faults.py: libk4a reports no failure on Linux",
+    Cause.NO_PULSES: "tests/devices/azure/test_faults.py: after two minutes",
+    Cause.TOO_LATE: "tests/devices/capture/test_device_faults.py: in injected time",
+    Cause.TOO_FAST: "tests/viewer_app/coach/test_setup_coach.py: the machine must be too slow",
+    Cause.LEFT_BEHIND: "tests/devices/capture/test_device_faults.py: a driver that never returns",
+}
+"""Causes that no scenario shows: where they are tested, and why."""
+
+
+@pytest.fixture(params=["standin", pytest.param("rig", marks=pytest.mark.rig)])
+def rig(request: pytest.FixtureRequest) -> Path | None:
+    """Where the rig is built; None for the stand-in."""
+    return built_rig(request.getfixturevalue("shared")) if request.param == "rig" else None
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=[each.name.replace(" ", "_") for each in SCENARIOS])
+def test_scenario(
+    scenario: Scenario, rig: Path | None, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    if scenario.xfail:
+        request.applymarker(pytest.mark.xfail(reason=scenario.xfail, strict=True))
+    done = _run(scenario, rig, tmp_path)
+    figures = bool(request.config.getoption("--figures", default=False))
+    wrong = _wrong_words(scenario, done, perhaps=set() if figures else _SLOW_MACHINE)
+    if figures:
+        wrong += _wrong_figures(scenario, done)
+    assert not wrong, f"{wrong}\n{done.said}"
+
+
+def test_every_cause_is_shown_by_a_scenario_or_tested_elsewhere() -> None:
+    shown = {cause for scenario in SCENARIOS for cause in scenario.causes}
+    assert shown | set(_ELSEWHERE) == set(Cause)
+    assert not shown & set(_ELSEWHERE)
+
+
+def _run(scenario: Scenario, rig: Path | None, folder: Path) -> program.Run:
+    conf: dict[str, object] = dict(pair.split("=", 1) for pair in scenario.conf.split())
+    library = "libk4abt.so.1.1"
+    if rig is not None:
+        for file in (rig / "bus").iterdir():
+            (folder / file.name).symlink_to(file)
+        library = str(rig / "lib" / library)
+    options = ["live", "--no-viewer", "--k4abt", library, "--principal", "000001111111"]
+    options += [
+        "--save",
+        str(folder / "s.rrd"),
+        "--report",
+        str(folder / "r.json"),
+        *scenario.options.split(),
+    ]
+    return program.run(options, folder, conf, scenario.events, rig)
+
+
+def _wrong_words(scenario: Scenario, done: program.Run, perhaps: set[Cause]) -> list[str]:
+    """What the program should not have said or done."""
+    wrong = [] if done.code == scenario.code else [f"exit code {done.code}, not {scenario.code}"]
+    told = {cause for cause, pattern in _PATTERNS.items() if pattern.search(done.said)}
+    allowed = scenario.causes | scenario.perhaps | perhaps
+    if not scenario.causes <= told <= allowed:
+        wrong.append(f"told {sorted(map(str, told))}, not {sorted(map(str, scenario.causes))}")
+    wrong += [f"lacks {words!r}" for words in scenario.words if not re.search(words, done.said)]
+    wrong += [f"has {words!r}" for words in scenario.never if re.search(words, done.said)]
+    if scenario.code == 2 and (done.said.count("duplex: ") != 1 or "Traceback" in done.said):
+        wrong.append("not one line")
+    if (done.folder / "s.rrd").exists() and not len(Session.open(done.folder / "s.rrd").rows):
+        wrong.append("the session has no frame")
+    return wrong
+
+
+def _wrong_figures(scenario: Scenario, done: program.Run) -> list[str]:
+    """Figures that are not reached."""
+    wrong = [] if done.ended_s <= scenario.within_s else [f"ended {done.ended_s:.1f} s after the last event"]
+    if scenario.paired:
+        report = json.loads((done.folder / "r.json").read_text(encoding="utf-8"))
+        counted = report["frames"]["a"], report["frames"]["b"]
+        paired, age_ms = report["paired"] / (max(counted) - _ENDS), report["latency_ms"]["p50"]
+        if paired < scenario.paired:
+            wrong.append(f"{100 * paired:.1f} % of {counted} frames are paired")
+        if age_ms > scenario.age_ms:
+            wrong.append(f"S* is {age_ms:.0f} ms old")
+    return wrong

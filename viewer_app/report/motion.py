@@ -1,0 +1,92 @@
+"""The motion of S_A, S_B and S* as compact data for the player in a page, ``templates/player.js``."""
+
+from __future__ import annotations
+
+import zlib
+from base64 import b64encode
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.rigid import RigidTransform
+from recordings.appearance.floor import CAMERA_HEIGHT, find_floor, floor_frame
+from recordings.session import Session
+
+_MOST_BYTES = 650_000  # a page may have 1.5 MB, and the plots need most of the rest
+_FPS = 15.0
+_MOST_FRAMES = 9000  # ten minutes
+_AROUND = 1.5  # seconds before and after an event in which frames are left out last
+_UNSEEN = -32768
+
+
+def encoded_motion(session: Session, moments: Sequence[float]) -> dict[str, object]:
+    """The skeletons over time as what the canvas of the player takes, by the name of its ``data-`` attribute.
+
+    At most 15 frames per second are kept, and fewer of a long session: half of them near its events.
+
+    Args:
+        session: The session.
+        moments: Seconds of the events.
+
+    Returns:
+        ``motion``: base64 of a zlib stream: seconds, (T,) float32; then of positions in the floor's frame,
+        (3, J, 3, T) int16 millimetres, the differences from frame to frame in zigzag code, first all low
+        bytes, then all high bytes. A joint that was not seen is -32768. ``frames``: T. ``parents``: of the
+        joints. ``sensors``: (2, 3) positions of A and B in metres.
+    """
+    rows = session.rows
+    floor = _floor(session).inverse()
+    skeletons = np.stack((rows.positions_a, rows.b_in_a, rows.fused)).astype(np.float64)
+    seconds = rows.time_ns * 1e-9
+    most = _MOST_FRAMES
+    while True:
+        kept = _kept_frames(seconds, moments, most)
+        data = b64encode(_packed(seconds[kept], floor.apply(skeletons[:, kept]))).decode()
+        if len(data) <= _MOST_BYTES:
+            break
+        most = int(0.95 * len(kept) * _MOST_BYTES / len(data))
+    sensors = floor.apply(np.stack((np.zeros(3), rows.translation[-1])))
+    return {
+        "motion": data,
+        "frames": len(kept),
+        "parents": list(session.body.parents),
+        "sensors": sensors.round(3).tolist(),
+    }
+
+
+def _floor(session: Session) -> RigidTransform:
+    """K_A ← floor of the whole session; level and at the assumed height where no frame has both ankles."""
+    ankles = [session.body.joint(f"ankle {side}") for side in ("left", "right")]
+    whole = session.fused[np.isfinite(session.fused[:, ankles]).all(axis=(1, 2))]
+    if not len(whole):
+        return floor_frame(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT)
+    return find_floor(session.body, whole)
+
+
+def _kept_frames(seconds: NDArray[np.floating], moments: Sequence[float], most: int) -> NDArray[np.intp]:
+    """The indices of at most so many frames, in order: half of those that are too many are near no event."""
+    wanted = np.arange(0.0, seconds[-1] + 1.0 / _FPS, 1.0 / _FPS)
+    kept = np.unique(np.searchsorted(seconds, wanted - 1e-4).clip(max=len(seconds) - 1))
+    if len(kept) <= most:
+        return kept
+    near = np.zeros(len(kept), dtype=bool)
+    for moment in moments:
+        near |= np.abs(seconds[kept] - moment) <= _AROUND
+    close, others = _thinned(kept[near], most // 2), kept[~near]
+    return np.sort(np.concatenate((close, _thinned(others, most - len(close)))))
+
+
+def _thinned(frames: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """At most so many of the frames, evenly."""
+    return frames if len(frames) <= most else frames[np.linspace(0, len(frames) - 1, most).astype(np.intp)]
+
+
+def _packed(seconds: NDArray[np.floating], positions: NDArray[np.floating]) -> bytes:
+    """The zlib stream of (T,) seconds and (3, T, J, 3) metres."""
+    millimetres = np.clip(positions.transpose(0, 2, 3, 1) * 1e3, -32767.0, 32767.0)
+    series = np.where(np.isfinite(millimetres), millimetres.round(), _UNSEEN).astype(np.int16)
+    steps = np.diff(series, axis=-1, prepend=np.int16(0))  # modulo 2^16
+    codes = ((steps << 1) ^ (steps >> 15)).ravel().astype("<i2")
+    halves = codes.view(np.uint8).reshape(-1, 2)
+    return zlib.compress(seconds.astype("<f4").tobytes() + halves[:, 0].tobytes() + halves[:, 1].tobytes())

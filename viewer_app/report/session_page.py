@@ -1,0 +1,27 @@
+"""The viewer's page about a recorded session: its verdict, and the figures behind it."""
+
+from __future__ import annotations
+
+from fusion.setup import FusionSetup
+from recordings.appearance.coach_page import CoachPage
+from viewer_app.coach.scene import CoachScene
+from viewer_app.coach.setup_coach import Situation
+from viewer_app.report.figures import Figures
+from viewer_app.report.words import lead_lines
+
+_SHOWN = ("Verdict", "Views agree", "Calibration", "Repaired")
+
+
+def session_page(setup: FusionSetup, figures: Figures, about: str = "") -> CoachPage:
+    """The page, which holds from the first frame on.
+
+    Args:
+        setup: The last setup of the session.
+        figures: Of :func:`viewer_app.report.figures.report`.
+        about: A sentence that follows them.
+    """
+    lines = [line for line in lead_lines(figures) if line.label in _SHOWN]
+    text = "\n\n".join([*(f"**{line.label}:** {line.text}" for line in lines), about])
+    situation = Situation(setup.calibration, final=True, held=0.0)
+    marks = CoachScene(setup.body, setup.intrinsics).page((), situation).marks
+    return CoachPage(text, marks, from_start=True)

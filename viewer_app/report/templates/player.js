@@ -1,0 +1,184 @@
+"use strict";
+// Plays S_A, S_B and S*. The format of the data is described in viewer_app/report/motion.py.
+(async () => {
+const canvas = document.getElementById("person"), player = document.getElementById("player");
+const play = document.getElementById("play"), slider = document.getElementById("moment");
+const clock = document.getElementById("clock"), list = document.getElementById("events");
+const shown = [...player.querySelectorAll("input[type=checkbox]")];
+const jumps = [...list.querySelectorAll("button")];
+const parents = JSON.parse(canvas.dataset.parents), sensors = JSON.parse(canvas.dataset.sensors);
+const colors = ["--s-a", "--s-b", "--fused"], widths = [0.012, 0.012, 0.03];  // metres
+const count = +canvas.dataset.frames, series = 3 * parents.length * 3, distance = 6;  // metres to the eye
+const unseen = -32768;
+
+let seconds, positions;
+try {
+  [seconds, positions] = await decoded();
+} catch (error) {
+  clock.textContent = "This browser is too old to play the skeletons.";
+  return;
+}
+const end = seconds[count - 1], centres = followed();
+let time = 0, playing = false, before = 0, turn = between(), tilt = 0.2, here = null;
+for (const control of [play, slider, ...jumps, ...shown]) control.disabled = false;
+slider.max = end;
+go(+canvas.dataset.start);
+
+async function decoded() {
+  const packed = Uint8Array.from(atob(canvas.dataset.motion), letter => letter.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const data = new DataView(await new Response(stream).arrayBuffer());
+  const times = new Float32Array(count), values = new Int16Array(series * count);
+  for (let k = 0; k < count; k++) times[k] = data.getFloat32(4 * k, true);
+  for (let k = 0, low = 4 * count, high = low + values.length; k < values.length; k++) {
+    const code = data.getUint8(low + k) | data.getUint8(high + k) << 8;
+    values[k] = (k % count ? values[k - 1] : 0) + ((code >>> 1) ^ -(code & 1));
+  }
+  return [times, values];
+}
+
+// A joint's place in metres; null where it was not seen.
+function place(skeleton, joint, frame) {
+  const at = axis => positions[((skeleton * parents.length + joint) * 3 + axis) * count + frame];
+  return at(0) === unseen ? null : [at(0) / 1000, at(1) / 1000, at(2) / 1000];
+}
+
+// What the eye looks at in each frame: it follows the root of S* along the floor.
+function followed() {
+  const root = parents.indexOf(-1), track = [];
+  let x, z;
+  for (let k = 0; k < count; k++) {
+    const point = place(2, root, k);
+    if (point) {
+      const share = x === undefined ? 1 : Math.min(1, 2 * (seconds[k] - seconds[k - 1]));
+      x = share === 1 ? point[0] : x + share * (point[0] - x);
+      z = share === 1 ? point[2] : z + share * (point[2] - z);
+    }
+    track.push([x ?? sensors[0][0], z ?? sensors[0][2] + 2.5]);
+  }
+  return track;
+}
+
+// Unit vectors along the floor from a point to the sensors.
+function directions([x, z]) {
+  return sensors.map(at => {
+    const size = Math.hypot(at[0] - x, at[2] - z) || 1;
+    return [(at[0] - x) / size, (at[2] - z) / size];
+  });
+}
+
+// The turn with which the eye stands between the sensors.
+function between() {
+  const [a, b] = directions(centres[0]);
+  return Math.atan2(a[0] + b[0], -(a[1] + b[1]));
+}
+
+function frameAt(moment) {
+  let low = 0, high = count - 1;
+  while (low < high) {
+    const middle = (low + high + 1) >> 1;
+    if (seconds[middle] <= moment + 0.001) low = middle; else high = middle - 1;
+  }
+  return low;
+}
+
+function go(moment) {
+  time = Math.min(Math.max(moment, 0), end);
+  slider.value = time;
+  clock.textContent = `${time.toFixed(2)} of ${end.toFixed(2)} s`;
+  const latest = jumps.findLast(each => +each.dataset.at <= time + 0.001);
+  if (latest !== here) {
+    here?.closest("tr").removeAttribute("aria-current");
+    here = latest;
+    const row = here?.closest("tr");
+    row?.setAttribute("aria-current", "true");
+    list.scrollTop = row ? row.offsetTop - list.clientHeight / 2 : 0;
+  }
+  draw();
+}
+
+function step(now) {
+  if (!playing) return;
+  go(time + (now - before) / 1000);
+  before = now;
+  if (time >= end) pause(); else requestAnimationFrame(step);
+}
+
+function pause() {
+  playing = false;
+  play.textContent = "Play";
+}
+
+function draw() {
+  const scale = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
+  canvas.width = Math.round(width * scale);
+  canvas.height = Math.round(height * scale);
+  const pen = canvas.getContext("2d"), style = getComputedStyle(document.documentElement);
+  const frame = frameAt(time), centre = centres[frame], metre = Math.min(width / 2, height / 2.5);
+  const [cos, sin, down, flat] = [Math.cos(turn), Math.sin(turn), Math.sin(tilt), Math.cos(tilt)];
+  const project = ([x, y, z]) => {
+    const across = cos * (x - centre[0]) + sin * (z - centre[1]), depth = cos * (z - centre[1]) - sin * (x - centre[0]);
+    const size = metre * distance / (distance + flat * depth + down * (y + 0.9));
+    return [width / 2 + size * across, height / 2 + size * (flat * (y + 0.95) - down * depth), size];
+  };
+  const line = (from, to, thick) => {
+    const [start, stop] = [project(from), project(to)];
+    pen.lineWidth = Math.max(1, thick * (start[2] + stop[2]) / 2);
+    pen.beginPath();
+    pen.moveTo(start[0], start[1]);
+    pen.lineTo(stop[0], stop[1]);
+    pen.stroke();
+  };
+  pen.scale(scale, scale);
+  pen.lineCap = "round";
+  pen.strokeStyle = style.getPropertyValue("--grid");
+  const [left, near] = centre.map(at => Math.round(2 * at) / 2 - 1.5);
+  for (let k = 0; k <= 3; k += 0.5) {
+    line([left + k, 0, near], [left + k, 0, near + 3], 0);
+    line([left, 0, near + k], [left + 3, 0, near + k], 0);
+  }
+  pen.font = "600 16px system-ui, sans-serif";
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  directions(centre).forEach(([x, z], k) => {  // an arrow on the floor to each sensor
+    const at = away => [centre[0] + away * x, 0, centre[1] + away * z];
+    pen.strokeStyle = pen.fillStyle = style.getPropertyValue(colors[k]);
+    line(at(0.5), at(0.9), 0.02);
+    pen.fillText("AB"[k], ...project(at(1.05)).slice(0, 2));
+  });
+  colors.forEach((color, skeleton) => {
+    if (!shown[skeleton].checked) return;
+    pen.strokeStyle = style.getPropertyValue(color);
+    parents.forEach((parent, joint) => {
+      const [from, to] = [parent, joint].map(each => each < 0 ? null : place(skeleton, each, frame));
+      if (from && to) line(from, to, widths[skeleton]);
+    });
+  });
+}
+
+play.addEventListener("click", () => {
+  if (playing) { pause(); return; }
+  if (time >= end) go(0);
+  playing = true;
+  play.textContent = "Pause";
+  before = performance.now();
+  requestAnimationFrame(step);
+});
+slider.addEventListener("input", () => go(+slider.value));
+for (const jump of jumps) {
+  jump.addEventListener("click", () => {
+    go(+jump.dataset.at);
+    player.scrollIntoView({ block: "nearest" });
+  });
+}
+for (const box of shown) box.addEventListener("change", draw);
+canvas.addEventListener("pointerdown", event => canvas.setPointerCapture(event.pointerId));
+canvas.addEventListener("pointermove", event => {
+  if (!event.buttons) return;
+  turn -= event.movementX / 150;
+  tilt = Math.min(1.5, Math.max(0, tilt + event.movementY / 150));
+  draw();
+});
+new ResizeObserver(draw).observe(canvas);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+})();
