@@ -32,8 +32,8 @@ from tests.experiments.soak import soak
 from viewer_app.addresses import LOOPBACK
 from viewer_app.options.shared import LiveOutputOptions
 from viewer_app.outputs.opening import plan_outputs
-from viewer_app.outputs.osc import Address
-from viewer_app.outputs.vmc import VmcOutput
+from viewer_app.outputs.osc import Address, OscOutput
+from viewer_app.outputs.vmc import VmcEncoder
 from viewer_app.running.loop import run_live
 from viewer_app.sinks.sink import FanOut, Sink
 
@@ -73,7 +73,8 @@ def vmc_delay(body: Body, seconds: float) -> dict[str, float]:
     ) as receiver:
         assert receiver.stdout is not None
         plan_outputs(LiveOutputOptions(vmc=f"{LOOPBACK}:9")).warm_up(body)
-        output = VmcOutput(Address(LOOPBACK, int(receiver.stdout.readline())), body)
+        address = Address(LOOPBACK, int(receiver.stdout.readline()))
+        output = OscOutput("VMC", address, "--vmc", VmcEncoder(body).encode)
         departures = _Departures()
         a, b, _ = simulated_pair(motion="walk", seed=0, body=body, seconds=seconds, depth="none")
         setup = FusionSetup(nominal_calibration(body), None, a.intrinsics, b.intrinsics)

@@ -13,8 +13,10 @@ from fusion.body import Body
 from fusion.setup import FusionSetup
 from viewer_app.errors import UsageError
 from viewer_app.options.shared import LiveOutputOptions
-from viewer_app.outputs.osc import Address, looked_up
+from viewer_app.outputs.osc import Address, OscOutput, looked_up
 from viewer_app.outputs.output import LiveOutput
+from viewer_app.outputs.vmc import VmcEncoder
+from viewer_app.outputs.vrchat import VRChatEncoder
 from viewer_app.outputs.vrm import Avatar, read_avatar
 
 _VMC_PORT, _VRCHAT_PORT = 39539, 9000  # the usual ones of the receivers
@@ -75,13 +77,11 @@ class OutputPlan:
     def _open(self, setup: FusionSetup, rate: float) -> Iterator[LiveOutput]:
         options, body = self.options, setup.body
         if self.vmc is not None:
-            from viewer_app.outputs.vmc import VmcOutput
-
-            yield VmcOutput(self.vmc, body, self.avatar)
+            encode = VmcEncoder(body, self.avatar).encode
+            yield OscOutput(f"VMC to {self.vmc}", self.vmc, "--vmc", encode)
         if self.vrchat is not None:
-            from viewer_app.outputs.vrchat import VRChatOutput
-
-            yield VRChatOutput(self.vrchat, body)
+            at = f"VRChat at {self.vrchat}"
+            yield OscOutput(at, self.vrchat, "--vrchat", VRChatEncoder(body).encode)
         if options.lsl is not None:
             from viewer_app.outputs.lab_streaming import LabStreamingOutput
 

@@ -1,113 +1,41 @@
-"""Open Sound Control 1.0: messages and bundles of 32-bit arguments, and UDP.
-
-Only what VMC and VRChat need. A bundle is a template that is made once; a frame fills in its floats. That
-takes some microseconds.
-"""
+"""Open Sound Control over UDP, encoded by python-osc: what VMC and VRChat share."""
 
 from __future__ import annotations
 
 import re
 import socket
-import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
+from pythonosc.osc_message_builder import build_msg
 
 from viewer_app.addresses import LOOPBACK, in_url
 from viewer_app.errors import UsageError
+from viewer_app.outputs.output import LiveOutput
+from viewer_app.sinks.queued_sink import QueuedFrame
 
 LARGEST_DATAGRAM = 1472
 """Bytes: what fits into one Ethernet frame with the headers of IPv4 and UDP."""
-_BUNDLE = b"#bundle\0" + struct.pack(">Q", 1)  # time tag 1: immediately
 
-Argument = str | int | float | None
-
-
-@dataclass(frozen=True)
-class OscMessage:
-    """A message; an argument None is a float that each frame fills in."""
-
-    address: str
-    arguments: tuple[Argument, ...]
-
-    def encoded(self) -> tuple[bytes, list[int]]:
-        """The message with zeros for open floats, and their offsets in bytes."""
-        tags, body, open_at = ",", b"", []
-        for argument in self.arguments:
-            match argument:
-                case str():
-                    tags, body = tags + "s", body + _string(argument)
-                case int():
-                    tags, body = tags + "i", body + struct.pack(">i", argument)
-                case float():
-                    tags, body = tags + "f", body + struct.pack(">f", argument)
-                case None:
-                    open_at.append(len(body))
-                    tags, body = tags + "f", body + bytes(4)
-        head = _string(self.address) + _string(tags)
-        return head + body, [len(head) + at for at in open_at]
+Message = tuple[str, list[Any]]
+"""Address and arguments: texts, whole numbers, floats."""
 
 
-class OscBundle:
-    """A bundle that is made once and filled in for each frame.
-
-    Args:
-        messages: Its messages, in their order.
-    """
-
-    def __init__(self, messages: Sequence[OscMessage]) -> None:
-        encoded, open_at = bytearray(_BUNDLE), []
-        for message in messages:
-            content, offsets = message.encoded()
-            encoded += struct.pack(">i", len(content))
-            open_at += [len(encoded) + at for at in offsets]
-            encoded += content
-        self.floats = len(open_at)
-        """How many floats a frame fills in."""
-        self._template = np.frombuffer(bytes(encoded), dtype=np.uint8)
-        self._slots = (np.array(open_at, dtype=np.int64)[:, None] + np.arange(4)).ravel()
-
-    def __len__(self) -> int:
-        """Bytes."""
-        return len(self._template)
-
-    def filled(self, values: NDArray[np.float64]) -> bytes:
-        """The bundle with its open floats (``floats``,), in the order of the messages."""
-        encoded = self._template.copy()
-        encoded[self._slots] = values.astype(">f4").view(np.uint8)
-        return encoded.tobytes()
-
-
-def split_bundles(messages: Sequence[OscMessage], largest: int = LARGEST_DATAGRAM) -> list[OscBundle]:
-    """As few bundles as possible that fit into datagrams of so many bytes, the messages in their order."""
-    bundles: list[list[OscMessage]] = [[]]
-    size = len(_BUNDLE)
-    for message in messages:
-        more = 4 + len(message.encoded()[0])
-        if bundles[-1] and size + more > largest:
-            bundles.append([])
-            size = len(_BUNDLE)
-        bundles[-1].append(message)
-        size += more
-    return [OscBundle(each) for each in bundles]
-
-
-def filled(bundles: Sequence[OscBundle], values: NDArray[np.float64]) -> list[bytes]:
-    """Several bundles with their open floats, one after the other."""
-    made, begin = [], 0
-    for bundle in bundles:
-        made.append(bundle.filled(values[begin : begin + bundle.floats]))
-        begin += bundle.floats
-    return made
-
-
-def _string(text: str) -> bytes:
-    """Ended by a zero byte and filled up with zeros to a multiple of four bytes."""
-    encoded = text.encode("ascii") + b"\0"
-    return encoded + bytes(-len(encoded) % 4)
+def bundled(messages: Iterable[Message]) -> list[bytes]:
+    """The messages in their order, in as few bundles as possible that each fit into a datagram."""
+    bundles, size = [], LARGEST_DATAGRAM
+    for address, arguments in messages:
+        message = build_msg(address, arguments)
+        if size + 4 + message.size > LARGEST_DATAGRAM:
+            bundles.append(OscBundleBuilder(IMMEDIATELY))
+            size = 16  # of an empty bundle
+        bundles[-1].add_content(message)
+        size += 4 + message.size
+    return [bundle.build().dgram for bundle in bundles]
 
 
 @dataclass(frozen=True)
@@ -147,32 +75,40 @@ def looked_up(address: Address, option: str) -> tuple[socket.AddressFamily, Any]
     return found[0][0], found[0][4]
 
 
-class UdpSender:
-    """Sends datagrams to one address; no receiver is needed, and sending never waits.
+class OscOutput(LiveOutput):
+    """Sends S* as datagrams to one address; no receiver is needed, and sending never waits.
 
     Args:
+        name: For the terminal.
         address: The receiver.
         option: The command's option, for messages.
+        encode: Gives the datagrams of (J, 3) joints in K_A's frame at a time in nanoseconds.
 
     Raises:
         UsageError: The host is unknown.
     """
 
-    def __init__(self, address: Address, option: str) -> None:
+    def __init__(
+        self,
+        name: str,
+        address: Address,
+        option: str,
+        encode: Callable[[NDArray[np.float64], int], list[bytes]],
+    ) -> None:
+        super().__init__(name)
+        self._encode = encode
         family, self._to = looked_up(address, option)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        self.start()
 
-    def send(self, datagrams: Sequence[bytes]) -> int:
-        """Sends datagrams; returns 1.
-
-        Raises:
-            OSError: The network refused one of them.
-        """
+    def send_frame(self, frame: QueuedFrame) -> int | None:
+        """Sends the datagrams of a frame; None if it has none."""
+        datagrams = self._encode(frame.fused.positions, frame.time_ns)
         for datagram in datagrams:
             self._socket.sendto(datagram, self._to)
-        return 1
+        return 1 if datagrams else None
 
-    def close(self) -> None:
+    def shut(self) -> None:
         """Closes the socket."""
         self._socket.close()

@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
-from viewer_app.outputs.osc import Address, OscMessage, UdpSender, filled, split_bundles
-from viewer_app.outputs.output import LiveOutput
+from viewer_app.outputs.osc import bundled
 from viewer_app.outputs.unity_pose import UnitySkeleton
-from viewer_app.sinks.queued_sink import QueuedFrame
 
 # slot: (bone whose rotation it has, bone at whose beginning it is)
 TRACKERS = {
@@ -49,21 +47,20 @@ class VRChatEncoder:
 
         self._turns = np.array([index(turn) for turn, _ in TRACKERS.values()])
         self._places = np.array([index(place) for _, place in TRACKERS.values()])
-        self._bundles = split_bundles(
-            [
-                OscMessage(f"/tracking/trackers/{slot}/{what}", (None, None, None))
-                for slot in TRACKERS
-                for what in ("position", "rotation")
-            ]
-        )
 
     def encode(self, positions: NDArray[np.float64], time_ns: int) -> list[bytes]:
         """The datagrams of (J, 3) joints in K_A's frame; none without a person."""
         pose = self.skeleton.update(positions, time_ns)
         if pose is None:
             return []
-        places, turns = pose.positions[self._places], euler_degrees(pose.rotations[self._turns])
-        return filled(self._bundles, np.concatenate([places, turns], axis=1).ravel())
+        places = pose.positions[self._places].tolist()
+        turns = euler_degrees(pose.rotations[self._turns]).tolist()
+        at = "/tracking/trackers"
+        return bundled(
+            message
+            for slot, place, turn in zip(TRACKERS, places, turns, strict=True)
+            for message in ((f"{at}/{slot}/position", place), (f"{at}/{slot}/rotation", turn))
+        )
 
 
 def euler_degrees(q: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -78,26 +75,3 @@ def _euler_degrees(x: float, y: float, z: float, w: float) -> tuple[float, float
         math.degrees(math.atan2(2.0 * (x * z + w * y), 1.0 - 2.0 * (x * x + y * y))),
         math.degrees(math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z))),
     )
-
-
-class VRChatOutput(LiveOutput):
-    """Sends S* to VRChat.
-
-    Raises:
-        UsageError: The host is unknown.
-    """
-
-    def __init__(self, address: Address, body: Body) -> None:
-        super().__init__(f"VRChat at {address}")
-        self._encoder = VRChatEncoder(body)
-        self._udp = UdpSender(address, "--vrchat")
-        self.start()
-
-    def send_frame(self, frame: QueuedFrame) -> int | None:
-        """Sends one datagram; none without a person."""
-        datagrams = self._encoder.encode(frame.fused.positions, frame.time_ns)
-        return self._udp.send(datagrams) if datagrams else None
-
-    def shut(self) -> None:
-        """Closes the socket."""
-        self._udp.close()

@@ -8,6 +8,7 @@ import socket
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from pythonosc import osc_packet
 from scipy.spatial.transform import Rotation
 
 from fusion.body import BODIES, KINECT_V2, Body
@@ -15,10 +16,8 @@ from fusion.fuser import Fuser
 from tests.helpers.live_frames import frames
 from tests.helpers.poses import FRONT, T_POSE, posed, turned_about
 from tests.helpers.two_views import FRAME_NS, moving
-from viewer_app.outputs.osc import Address
-from viewer_app.outputs.vrchat import VRChatEncoder, VRChatOutput, euler_degrees
-
-osc_packet = pytest.importorskip("pythonosc.osc_packet", reason="no python-osc: pip install -e '.[dev]'")
+from viewer_app.outputs.osc import Address, OscOutput
+from viewer_app.outputs.vrchat import VRChatEncoder, euler_degrees
 
 JOINTS = {"2": "AnkleLeft", "3": "AnkleRight", "4": "KneeLeft", "5": "KneeRight", "7": "ElbowLeft",
           "8": "ElbowRight", "head": "Head"}  # fmt: skip
@@ -75,7 +74,8 @@ def test_nobody_gives_no_trackers(fuser: Fuser) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(10.0)
-        output = VRChatOutput(Address("127.0.0.1", receiver.getsockname()[1]), KINECT_V2)
+        address = Address("127.0.0.1", receiver.getsockname()[1])
+        output = OscOutput("VRChat", address, "--vrchat", VRChatEncoder(KINECT_V2).encode)
         for frame in frames(fuser, 5):
             output.write(frame)
             assert len(trackers([receiver.recv(2000)])) == 18
