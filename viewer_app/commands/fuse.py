@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from devices.events import Event
 from devices.files import RecordingChoice, TwoRecordings, not_of_libk4a, read_two
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
@@ -25,13 +21,11 @@ from fusion.fuser import Fuser
 from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings, Hindsight
 from fusion.skeleton import SkeletonPair
-from recordings import layout
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.file.session_writer import write_session
 from recordings.fusing.files import check_related, fused_session, without_folders
 from recordings.fusing.pairs import fuse_segments, setups_of
 from recordings.session import Session
-from recordings.session_arrays import SessionFrame
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import FuseOptions
 from viewer_app.options.shared import check_paper_options
@@ -41,14 +35,9 @@ from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.loop import warm_up
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
-from viewer_app.sinks.sink import Sink
-from viewer_app.sinks.viewer_images import ShownImages
-from viewer_app.sinks.viewer_sink import ViewerSink
 from viewer_app.viewer.blueprint import session_blueprint
+from viewer_app.viewer.file_window import served, session_file, show
 from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
-
-_QUEUED = 300  # frames
-_SHOWN_WITHIN = 60.0  # seconds
 
 
 def run(options: FuseOptions) -> None:
@@ -90,42 +79,23 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     depth = options.depth != "none" and any(camera is not None for camera in read.intrinsics)
     blueprint = session_blueprint(setup, _whereabouts(read), options.layout, depth=depth)
     sources = without_folders((str(options.a), str(options.b)))
-    announce(viewing, console)
-    shown = None
-    if viewing is not None and viewing.opens:
-        shown = ViewerSink(setup, sources, blueprint, viewing, uuid4(), complete=True)
-    with closing(shown or Sink()) as viewer:
-        viewer.event(Event(f"calibrated: {setup.calibration.how}"))
-        for warning in read.warnings:
-            viewer.event(Event(warning, "WARN"))
-        progress = _progress(console)
-        fused = fuse_segments(segments, read.pairing.pairs, plan.codes)
-        frames = _written(progress(fused, "fusing", len(read.pairing.pairs)), viewer)
-        session = fused_session(read, plan, segments, frames, sources, options.depth, progress)
-        figures = report(session)
-        page = session_page(setup, figures)
-        viewer.coach(page)
-        if shown is not None:
-            session = replace(session, images=ShownImages(session, shown.offer))
-        if options.save is None:
-            for side in layout.SIDES:
-                deque(session.depth(side), maxlen=0)  # for the viewer
-        else:
-            with whole_file(options.save) as partial:
-                write_session(session, partial, blueprint=blueprint, page=page)
-        viewer.finish()
+    progress = _progress(console)
+    fused = fuse_segments(segments, read.pairing.pairs, plan.codes)
+    frames = progress(fused, "fusing", len(read.pairing.pairs))
+    session = fused_session(read, plan, segments, frames, sources, options.depth, progress)
+    figures = report(session)
+    with session_file(options.save, viewing is not None and viewing.opens) as file:
+        if file is not None:
+            with whole_file(file) as partial:
+                write_session(session, partial, blueprint=blueprint, page=session_page(setup, figures))
+        if viewing is not None and viewing.window and file is not None:
+            show(file)
         _summarise(console, options, session, figures)
-        stay_for_visitors(viewing, console)
-        return session, figures
-
-
-def _written(frames: Iterable[SessionFrame], viewer: Sink) -> Iterator[SessionFrame]:
-    """Passes frames on, and to a viewer, which gets all of them: its queue must not hold the recording."""
-    for number, frame in enumerate(frames, start=1):
-        viewer.write(frame)
-        if number % _QUEUED == 0:
-            viewer.rest(_SHOWN_WITHIN)
-        yield frame
+        hub = None if viewing is None else viewing.hub
+        with served(file, hub) if file is not None and hub is not None else nullcontext():
+            announce(viewing, console)
+            stay_for_visitors(viewing, console)
+    return session, figures
 
 
 def _settings(options: FuseOptions) -> FuserSettings:

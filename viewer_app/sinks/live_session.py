@@ -62,7 +62,7 @@ class LiveSession(FanOut):
     ) -> None:
         identity = uuid4()
         self.viewer: ViewerSink | None = None
-        if viewing is not None and viewing.opens:
+        if viewing is not None and viewing.hub is not None:
             self.viewer = ViewerSink(setup, sources, blueprint, viewing, identity)
         self.file: SessionFile | None = None
         viewer = self.viewer

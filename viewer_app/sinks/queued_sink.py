@@ -9,9 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from devices.events import Event
 from fusion.fused_frame import FusedFrame
@@ -47,24 +45,7 @@ class QueuedFrame:
         return self.frame.fused
 
 
-@dataclass(frozen=True, eq=False)
-class DepthImage:
-    """A depth image of an earlier frame.
-
-    Attributes:
-        side: The sensor, ``a`` or ``b``.
-        frame: The frame number.
-        time_ns: Time since the first pair.
-        depth: (height, width) uint16 millimetres.
-    """
-
-    side: str
-    frame: int
-    time_ns: int
-    depth: NDArray[np.uint16]
-
-
-Item = QueuedFrame | Event | FusionSetup | CoachPage | DepthImage
+Item = QueuedFrame | Event | FusionSetup | CoachPage
 Opening = Callable[[rr.RecordingStream], Recorder]
 """Writes the static data and returns the recorder."""
 
@@ -172,5 +153,3 @@ def write_items(recorder: Recorder, items: Sequence[Item]) -> None:
                     recorder.recalibrated(item)
                 case CoachPage():
                     recorder.coach(item)
-                case DepthImage():
-                    recorder.record_depth(item.side, item.frame, item.time_ns, item.depth)

@@ -1,4 +1,4 @@
-"""A viewer as a sink: a hub that viewers connect to, a window, or both.
+"""A viewer as a sink: a hub that viewers connect to, and a window if there is a display.
 
 A thread feeds it; no other thread waits for it. A viewer that is too slow gets the newest frames; dropped
 frames are counted. A hub that dies or hangs is replaced by a new one on the same port.
@@ -12,26 +12,31 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from uuid import UUID
 
 import rerun as rr
 import rerun.blueprint as rrb
 
+from devices.depth.image_thinning import has_images, without_images
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from viewer_app.errors import UsageError
 from viewer_app.sinks.queued_sink import Item, Opening, QueuedSink, write_items
-from viewer_app.sinks.viewer_images import ImageTurns
-from viewer_app.viewer.rerun_process import ViewerWindow, start_window, start_window_on_pipe, stop
+from viewer_app.viewer.rerun_process import ViewerWindow, start_window, stop
 from viewer_app.viewer.viewer_choice import Viewing
 
 _KEEP = 60
 """Maximum number of queued frames: two seconds; older frames are dropped."""
-_SHOWN_WITHIN = 60.0  # seconds
 _BEGINS_WITHIN = 1.0  # seconds
 _PLOTS_EVERY = 5  # frames, a sixth of a second
+_DEPTH_HZ = 10.0  # depth images per sensor; limited by the viewer's memory for images
+_EARLY = 0.9  # share of the interval: a frame that arrives slightly early still counts
+_HALF_NS = 16_000_000
+"""Half a frame. A's images start with the second frame, B's with the third. Sending them together
+would add latency."""
 
 
 class ViewerFeed(QueuedSink):
@@ -42,9 +47,8 @@ class ViewerFeed(QueuedSink):
         stream: A stream without a sink, shared by all processes: Rerun never frees the threads and buffers of
             a stream, 5 MB each.
         begin: Writes the static data.
-        keep: Maximum number of queued frames; the oldest are dropped. None: nothing is dropped.
+        keep: Maximum number of queued frames; the oldest are dropped.
         patience: Seconds without progress after which the process is replaced.
-        restart: Whether a process that ended is replaced.
         retry: Seconds between two starts.
 
     Attributes:
@@ -58,14 +62,13 @@ class ViewerFeed(QueuedSink):
         stream: rr.RecordingStream,
         begin: Opening,
         *,
-        keep: int | None = _KEEP,
+        keep: int = _KEEP,
         patience: float = 10.0,
-        restart: bool = True,
         retry: float = 0.5,
     ) -> None:
         super().__init__("viewer feed", keep)
         self._start, self._stream, self._begin = start, stream, begin
-        self._patience, self._restart, self._retry = patience, restart, retry
+        self._patience, self._retry = patience, retry
         self._turn_over, self._free = threading.Event(), threading.Event()
         self.process = start()
         self.starts = 1
@@ -91,14 +94,11 @@ class ViewerFeed(QueuedSink):
         """
         return self._free.wait(seconds)
 
-    def close(self, end_process: bool = True) -> None:
-        """Stops feeding at once and closes the input of the process; ends the process if requested."""
+    def close(self) -> None:
+        """Stops feeding at once, and ends the process."""
         self._end()
         self._thread.join(timeout=1.0)
-        if end_process:
-            stop(self.process)
-        elif self.process.stdin is not None:
-            self.process.stdin.close()
+        stop(self.process)
 
     def _run(self) -> None:
         try:
@@ -112,8 +112,6 @@ class ViewerFeed(QueuedSink):
         while not self._ending:
             if self.process.poll() is None:
                 self._feed(self.process)
-            if self._ending or not self._restart:
-                return
             stop(self.process)
             with self._more:
                 self._more.wait_for(lambda: self._ending, timeout=self._retry)
@@ -168,6 +166,31 @@ class ViewerFeed(QueuedSink):
         return process.poll() is None
 
 
+class ImageTurns:
+    """Drops images, so that a viewer is not overloaded; passes images of one sensor at a time.
+
+    Args:
+        rate: Maximum images per second and sensor.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._interval_ns = int(_EARLY * 1e9 / rate)
+        self._next_ns: dict[str, int] = {}
+
+    def capped(self, frame: SessionFrame) -> SessionFrame:
+        """The next frame, with only the images that are due."""
+        if not has_images(frame.pair):
+            return frame
+        now = frame.pair.time_ns
+        if not self._next_ns:
+            self._next_ns = {"a": now + _HALF_NS, "b": now + 3 * _HALF_NS}
+        shown = [side for side, due in self._next_ns.items() if now >= due]
+        for side in shown:
+            self._next_ns[side] = now + self._interval_ns
+        left_out = "".join(self._next_ns.keys() - shown)
+        return replace(frame, pair=without_images(frame.pair, left_out)) if left_out else frame
+
+
 class ViewerSink(ViewerFeed):
     """Shows a session in a viewer.
 
@@ -175,12 +198,11 @@ class ViewerSink(ViewerFeed):
         setup: Settings, cameras and the first calibration.
         sources: What the sensors are called, K_A first.
         blueprint: What the viewer shows.
-        viewing: A hub, a window, or both.
+        viewing: The hub that viewers connect to, and whether a window opens.
         identity: Of the recording.
-        complete: Whether the viewer gets every frame and closing waits for it. This is for recordings, whose
-            frames are in memory anyway.
 
     Attributes:
+        hub: The hub.
         window: The supervised window; None if there is none.
 
     Raises:
@@ -194,23 +216,17 @@ class ViewerSink(ViewerFeed):
         blueprint: rrb.Blueprint,
         viewing: Viewing,
         identity: UUID,
-        complete: bool = False,
     ) -> None:
+        assert viewing.hub is not None
+        self.hub = hub = viewing.hub
         self._setup, self._sources, self._blueprint = setup, sources, blueprint
-        self._complete, self._whole = complete, False
-        self._turns = ImageTurns(viewing.depth_hz)
-        self._hub = viewing.hub
+        self._turns = ImageTurns(_DEPTH_HZ)
         self.window: ViewerWindow | None = None
         super().__init__(
-            start_window_on_pipe if self._hub is None else self._hub.start,
+            hub.start,
             rr.RecordingStream(layout.APPLICATION_ID, recording_id=identity),
             self._begin_recording,
-            keep=None if complete else _KEEP,
-            restart=self._hub is not None,
         )
-        if self._hub is None:
-            return
-        hub = self._hub
         try:
             hub.wait_until_listening(self.process)
         except UsageError:
@@ -239,17 +255,11 @@ class ViewerSink(ViewerFeed):
         """Waits until the feed has written."""
         self.wait_until_free(seconds)
 
-    def finish(self) -> None:
-        """Makes closing wait until the viewer has everything, if `complete` is set."""
-        self._whole = True
-
-    def close(self, end_process: bool | None = None) -> None:
-        """Stops feeding. The window stays; a hub ends."""
+    def close(self) -> None:
+        """Stops feeding. The window stays; the hub ends."""
         if self.window is not None:
             self.window.leave()
-        if self._complete and self._whole:
-            self.wait_until_free(_SHOWN_WITHIN)
-        super().close(self._hub is not None if end_process is None else end_process)
+        super().close()
 
     def _begin_recording(self, stream: rr.RecordingStream) -> Recorder:
         recorder = Recorder(

@@ -7,7 +7,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,16 @@ from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
 from viewer_app.viewer.stored_clouds import add_clouds, has_depth, has_depth_images
 
 _READS_WITHIN, _LOOKS_EVERY = 20.0, 0.1  # seconds
+
+
+@contextmanager
+def session_file(save: Path | None, shown: bool) -> Iterator[Path | None]:
+    """Yields where a session is written: `save`, or for a viewer alone a file that is deleted afterwards."""
+    if save is not None or not shown:
+        yield save
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder) / "session.rrd"
 
 
 @contextmanager
@@ -42,15 +52,14 @@ def written_and_shown(save: Path | None, window: bool) -> Iterator[Path | None]:
     Raises:
         UsageError: The viewer does not start, or the file cannot be written.
     """
-    with ExitStack() as stack:
-        path = None
-        if save is not None:
-            path = stack.enter_context(whole_file(save))
-        elif window:
-            path = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "session.rrd"
-        yield path
-        if path is not None and window:
-            show(path)
+    with session_file(save, window) as file:
+        if file is None:
+            yield None
+            return
+        with whole_file(file) as partial:
+            yield partial
+        if window:
+            show(file)
 
 
 @contextmanager

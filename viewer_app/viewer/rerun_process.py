@@ -122,11 +122,6 @@ def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
     return start_viewer(arguments)[0]
 
 
-def start_window_on_pipe() -> subprocess.Popen[bytes]:
-    """Starts a viewer of its own that takes a session from its standard input, and outlives us."""
-    return _start([*_own(free_port()), "--expect-data-soon", "-"], stdin=subprocess.PIPE)
-
-
 def start_viewer(
     arguments: Sequence[str], stdin: int | IO[bytes] = subprocess.DEVNULL
 ) -> tuple[subprocess.Popen[bytes], int]:
@@ -143,7 +138,8 @@ def start_viewer(
         UsageError: It does not start.
     """
     port = free_port()
-    viewer = _start([*_own(port), *arguments], stdin)
+    own = ["--bind", LOOPBACK, "--port", str(port), "--memory-limit", _VIEWER_MEMORY]
+    viewer = _start([*own, *arguments], stdin)
     _wait_for(viewer, LOOPBACK, port, "Rerun's viewer")
     return viewer, port
 
@@ -246,10 +242,6 @@ def _start(
     if dies_with_us:
         atexit.register(stop, process)  # on other systems, and where a thread outlives the interpreter
     return process
-
-
-def _own(port: int) -> tuple[str, ...]:
-    return "--bind", LOOPBACK, "--port", str(port), "--memory-limit", _VIEWER_MEMORY
 
 
 def rerun_program() -> list[str]:

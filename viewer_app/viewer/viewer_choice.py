@@ -16,8 +16,6 @@ from viewer_app.options.shared import WebOptions
 from viewer_app.viewer.display import has_display, why_no_window
 from viewer_app.viewer.rerun_process import DATA_PORT, PAGE_PORT, Hub
 
-_DEPTH_HZ = 10.0  # limited by the viewer's memory for images
-
 
 @dataclass(frozen=True)
 class Viewing:
@@ -25,15 +23,13 @@ class Viewing:
 
     Attributes:
         window: Whether a window opens.
-        hub: The hub that viewers connect to; None: only a window, which outlives the program.
-        depth_hz: Maximum depth images per second and sensor in the viewer.
+        hub: The hub that viewers connect to; None: a window that shows a file, and outlives the program.
         headless: Whether the window renders off-screen, for tests.
         why_not: Why no viewer opens although one was requested.
     """
 
     window: bool = False
     hub: Hub | None = None
-    depth_hz: float = _DEPTH_HZ
     headless: bool = False
     why_not: str = ""
 

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from tests.helpers.command_line import duplex, one_line
 from tests.helpers.machine import small_disk
 from tests.helpers.recorded_pairs import REAL, write_recordings, write_view
 from tests.helpers.two_views import moving
+from viewer_app.commands import fuse as fuse_command
 
 
 @pytest.fixture
@@ -243,6 +245,35 @@ def test_without_a_display_and_without_save_it_says_what_to_do(
     monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: "There is no display")
     assert duplex("fuse", *recordings) == 2
     assert "--save FILE.rrd" in one_line(capsys)
+
+
+def test_a_window_opens_on_the_whole_session_which_is_gone_afterwards(
+    recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[tuple[Path, int]] = []
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.why_no_window", lambda: None)
+    monkeypatch.setattr(fuse_command, "show", lambda path: shown.append((path, len(Session.open(path)))))
+    saved = tmp_path / "s.rrd"
+    assert duplex("fuse", *recordings) == 0
+    assert duplex("fuse", *recordings, "--save", saved) == 0
+    (without_name, frames), (named, again) = shown
+    assert frames == again == 70
+    assert named == saved
+    assert not without_name.exists()
+
+
+def test_a_browser_is_served_the_whole_session(
+    recordings: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    served: list[int] = []
+    monkeypatch.setattr(
+        fuse_command, "served", lambda path, _: nullcontext(served.append(len(Session.open(path))))
+    )
+    monkeypatch.setattr(fuse_command, "stay_for_visitors", lambda *_: None)
+    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
+    assert duplex("fuse", *recordings, "--web") == 0
+    assert served == [70]
+    assert "Viewer: http://127.0.0.1:" in capsys.readouterr().out
 
 
 def test_the_installed_program_answers_with_exit_code_2_and_no_traceback(tmp_path: Path) -> None:

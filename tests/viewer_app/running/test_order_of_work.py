@@ -94,7 +94,7 @@ def test_a_feed_is_free_when_it_has_written_and_when_it_has_ended(fuser: Fuser) 
     feed.write(frames(fuser, 1)[0])
     assert not is_free(feed)
     threading.Timer(0.0, go_on.set).start()
-    feed.close(end_process=True)
+    feed.close()
     assert eventually(lambda: is_free(feed)), "nobody waits for a thread that has ended"
 
 

@@ -11,8 +11,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from tests.helpers.machine import need_viewer
 from tests.helpers.waiting import eventually
-from viewer_app.viewer.rerun_process import Hub, free_port, start_window_on_pipe, stop
+from viewer_app.viewer.rerun_process import Hub, free_port, start_viewer, stop
 
 ROOT = Path(__file__).resolve().parents[3]
 _STARTS_A_HUB = """
@@ -83,8 +84,9 @@ def _pressed(program: subprocess.Popen[bytes]) -> bool:
 
 
 def test_hub_and_viewer_have_a_bounded_memory() -> None:
+    need_viewer()
     hub = Hub(free_port(), free_port()).start()
-    window = start_window_on_pipe()
+    window, _ = start_viewer(["--headless"])
     try:
         for process, option in ((hub, "--server-memory-limit"), (window, "--memory-limit")):
             # after the launcher's exec the hub's command line is Rerun's
