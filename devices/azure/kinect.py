@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,7 @@ class _KinectStream(CaptureStream[_Captured]):
         "A subordinate gives frames only while its master runs: check the master and the sync cable."
     )
     settings: KinectSettings
+    sensor: KinectSensor
 
     def __init__(self, device: Any, sdk: Any, sensor: KinectSensor) -> None:
         super().__init__(f"Kinect {sensor.name}", sensor.settings, sensor)
@@ -77,6 +78,16 @@ class _KinectStream(CaptureStream[_Captured]):
         if self.settings.sync == "subordinate" and not is_listed(self.sensor.name):
             return AbsentError(Cause.IT_OR_MASTER_UNPLUGGED.says(label=self.label))
         return super().unplugged()
+
+    def advise_only_color(self) -> str:
+        """What happens, or what to do, if colour comes without depth.
+
+        Capture sync drops all depth of a start whose first colour image is more than ten frames on.
+        """
+        if self._last_ns is not None:
+            return super().advise_only_color()
+        self.sensor.settings = replace(self.settings, color=None)
+        return "It is opened again and goes on without colour."
 
     def comes_late(self, moment: _Captured) -> bool:
         """Whether capture sync held a depth image back for a colour image that never came."""
@@ -137,6 +148,7 @@ class KinectSensor(LiveSensor):
             calibration = self._call(lambda: self._device.calibration, "gives no calibration")
             cameras, mode = self._sdk.CalibrationType, depth_mode(self.settings.depth_mode)
             self.intrinsics = _intrinsics(calibration, cameras.DEPTH, (mode.width, mode.height))
+            self._color = None
             if self.settings.color is not None:
                 rotation, translation = calibration.get_extrinsic_parameters(cameras.DEPTH, cameras.COLOR)
                 self._color = ColorCamera(

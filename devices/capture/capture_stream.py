@@ -134,6 +134,10 @@ class CaptureStream(ABC, Generic[M]):
         self._gave = self._gave or newest is not None
         return newest
 
+    def advise_only_color(self) -> str:
+        """What happens, or what to do, if colour comes without depth."""
+        return "Run it without --color, or unplug it and plug it in again."
+
     def lost(self, fault: Exception) -> DeviceError:
         """The error for a failure that the SDK reports."""
         if not self.is_connected():
@@ -162,9 +166,11 @@ class CaptureStream(ABC, Generic[M]):
         self._silent_s += seconds
         if self._silent_s < self._patience_s:
             return
-        cause = Cause.NO_PULSES if self.settings.sync == "subordinate" else Cause.NO_DEPTH
-        if without_depth:
-            cause = Cause.NO_DEPTH if self.settings.color is None else Cause.ONLY_COLOR
+        if without_depth and self.settings.color is not None:
+            advice = self.advise_only_color()
+            raise Cause.ONLY_COLOR.error(label=self.label, seconds=self._silent_s, advice=advice)
+        subordinate = self.settings.sync == "subordinate" and not without_depth
+        cause = Cause.NO_PULSES if subordinate else Cause.NO_DEPTH
         raise cause.error(label=self.label, seconds=self._silent_s, advice=self.cable_advice)
 
 

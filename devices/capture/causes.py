@@ -62,8 +62,7 @@ class Cause(Enum):
     )
     ONLY_COLOR = (
         "other images of it come, but no depth image",
-        "{label} stalls: colour comes, but no depth for {seconds:.0f} s. Run it without --color, or unplug "
-        "it and plug it in again.",
+        "{label} stalls: colour comes, but no depth for {seconds:.0f} s. {advice}",
     )
     STOPPED = (
         "the SDK reports a failure, though it is connected",

@@ -134,8 +134,9 @@ SCENARIOS: tuple[Scenario, ...] = (
     Scenario(
         "the first colour image comes too late for capture sync",
         f"{CABLE} a.first_pts_ms=600 b.first_pts_ms=600",
-        "--seconds 9 --color 720P",
+        "--seconds 10 --color 720P",
         causes=frozenset((Cause.ONLY_COLOR,)),
+        words=("goes on without colour", "is back", "Saved"),
     ),
     _unplugged("B unplugged", "b", Cause.UNPLUGGED),
     _unplugged("A unplugged", "a", Cause.UNPLUGGED),

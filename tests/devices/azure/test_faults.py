@@ -148,16 +148,29 @@ def test_stream_of_a_subordinate_stalls(device: Device) -> None:
     with _kinect(sync="subordinate", start_s=30.0, stall_s=5.0, color="720P") as sensor:
         with pytest.raises(DeviceError, match=r"no depth for 30 s.*check the master"):
             next(sensor.frames())
-        device.silent, device.blind = False, True  # colour comes, so the master runs
-        with pytest.raises(DeviceError, match=r"colour comes, but no depth for 5 s. Run it without --color"):
-            next(sensor.frames())
-        device.blind = False
         device.silent = False
+        frames = sensor.frames()
+        next(frames)
+        device.blind = True  # colour comes, so the master runs
+        with pytest.raises(DeviceError, match=r"colour comes, but no depth for 5 s. Run it without --color"):
+            next(frames)
+        device.blind = False
         frames = sensor.frames()
         next(frames)
         device.silent = True
         with pytest.raises(DeviceError, match="no depth for 5 s"):
             next(frames)
+
+
+def test_opens_again_without_colour_if_capture_sync_drops_all_depth(device: Device) -> None:
+    device.first_usec = 600_000
+    with _kinect(stall_s=5.0, color="720P") as sensor:
+        with pytest.raises(
+            DeviceError, match=r"no depth for 5 s. It is opened again and goes on without colour"
+        ):
+            next(sensor.frames())
+        with sensor:
+            assert next(sensor.frames()).color is None
 
 
 @pytest.mark.parametrize(
