@@ -110,7 +110,7 @@ def _real(figures: dict[str, Any]) -> str:
     ]
     columns = (
         "recording", "roughness of S\\*, views = 1", "own jumps, %", "against the motion A / B / S\\*, %",
-        "flips per minute", "second half: R, °", "t, mm", "snap / swap / freeze / shift that reach S\\*",
+        "flips per minute", "second half: R, °", "t, mm",
     )  # fmt: skip
     return _table(columns, rows)
 
@@ -122,8 +122,6 @@ def _real_row(
         known = [row[name] for row in rows if row.get(name) is not None]
         return float(over(known)) if known else None
 
-    faults = [[figure(f"{fault}_{side}") for side in "ab"] for fault in ("snap", "swap", "freeze", "shift")]
-    shares = ["–" if a is None or b is None else f"{0.5 * (a + b):.2f}" for a, b in faults]
     return (
         name,
         _number(figure("roughness_ratio"), 1, 2),
@@ -132,7 +130,6 @@ def _real_row(
         _number(figure("flips_per_minute"), 1, 1),
         _number(figure("held_out_rotation_off"), float(np.degrees(1.0)), 1),
         _mm(figure("held_out_position_off")),
-        "–" if "–" in shares else " / ".join(shares),
     )
 
 

@@ -9,7 +9,6 @@ from fusion.body import BODIES, KINECT_V2, Body
 from fusion.errors import FusionError
 from fusion.rigid import RigidTransform
 from fusion.without_truth import FusedPair, facing, figures_without_truth, judge_registration
-from tests.benchmarks.faults import FAULTS, share_of_fault, with_fault
 from tests.helpers.two_views import A_FROM_B, standing
 
 FRAME_NS = 33_333_333
@@ -113,31 +112,3 @@ def test_a_registration_is_judged_where_the_person_is() -> None:
     assert off.apart == pytest.approx(0.05)
     assert off.apart_own_fit < 1e-9
     assert judge_registration(turned @ A_FROM_B, a, b).rotation_off == pytest.approx(np.pi / 2)
-
-
-def test_a_fault_that_reaches_the_skeleton_whole_has_share_one_and_a_rejected_one_zero() -> None:
-    view = walking(1.0)
-    for fault in FAULTS:
-        faulty = with_fault(BODY, view, fault, range(100, 120))
-        assert np.array_equal(faulty[:100], view[:100])
-        assert np.array_equal(faulty[120:], view[120:])
-        assert share_of_fault(view, faulty, view, faulty) == pytest.approx(1.0)
-        assert share_of_fault(view, faulty, view, 0.75 * view + 0.25 * faulty) == pytest.approx(0.25)
-        assert share_of_fault(view, faulty, view, view) == 0.0
-    assert np.isnan(share_of_fault(view, view, view, view))
-
-
-def test_faults_are_what_they_are_called() -> None:
-    view = walking(1.0)
-    frames = range(100, 120)
-    shifted, frozen, swapped, snapped = (
-        with_fault(BODY, view, fault, frames)[110] for fault in ("shift", "freeze", "swap", "snap")
-    )
-    np.testing.assert_allclose(shifted - view[110], np.tile([0.25, 0.0, 0.0], (len(BODY), 1)))
-    np.testing.assert_array_equal(frozen, view[99])
-    np.testing.assert_array_equal(swapped[BODY.joint("HandLeft")], view[110, BODY.joint("HandRight")])
-    moved = np.flatnonzero((snapped != view[110]).any(axis=1))
-    assert {BODY.joints[j] for j in moved} == {
-        "ElbowRight", "WristRight", "HandRight", "HandTipRight", "ThumbRight",
-    }  # fmt: skip
-    assert np.linalg.norm(snapped[moved] - view[110, BODY.joint("SpineMid")], axis=1).max() < 0.2
