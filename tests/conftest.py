@@ -14,6 +14,7 @@ settings.load_profile("duplex")
 
 pytest_plugins = (
     "tests.helpers.compiled_kernels",
+    "tests.helpers.fused_runs",
     "tests.helpers.machine",
     "tests.helpers.standin_library",
     "tests.helpers.standin_pyk4a",

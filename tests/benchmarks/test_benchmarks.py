@@ -85,15 +85,6 @@ def test_names_are_unique() -> None:
     assert OURS in names
 
 
-def test_two_processes_find_what_one_finds() -> None:
-    trials = [Trial("arms", 90.0, seed) for seed in (7, 8)]
-    one, two = (list(run_trials(trials, Simulation(), 6.0, ["mean, refined"], n)) for n in (1, 2))
-    assert [[o.trial for o in of] for of in two] == [[t] for t in trials]
-    for a, b in zip(one, two, strict=True):
-        for name in set(a[0].figures) - {"fuse_us"}:
-            np.testing.assert_equal(b[0].figures[name], a[0].figures[name])
-
-
 def test_harsher_trackers_are_harsher() -> None:
     trial = [Trial("arms", 90.0, 3)]
     ((plain,),), ((larger,),) = (

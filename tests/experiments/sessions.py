@@ -23,8 +23,8 @@ from recordings import layout
 from recordings.errors import RecordingError
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
-from recordings.testing import record_fused
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import record_fused
 from tests.helpers.two_views import calibration_of
 
 BATCH = 50

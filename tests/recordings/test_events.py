@@ -9,11 +9,9 @@ from devices.events import Event, spells_of
 from fusion.body import KINECT_V1
 from recordings.file.session_writer import write_session
 from recordings.session import Session
-from recordings.testing import FusedRun, fused_run
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import FusedRun
 from tests.helpers.two_views import calibration_of
-
-__all__ = ["fused_run"]  # a fixture
 
 LOST = Event("A is lost", "WARN", "A", "start", frame=2, time_ns=66_000_000)
 TURNED = Event("B is mirrored", "INFO", "B", "start", frame=3, time_ns=99_000_000)

@@ -14,8 +14,8 @@ from recordings.export import writer_for
 from recordings.export.even_frames import EvenFrames, even_frames
 from recordings.file.session_writer import write_session
 from recordings.session import Session
-from recordings.testing import record_fused
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import record_fused
 from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.two_views import calibration_of
 

@@ -22,14 +22,13 @@ from recordings.file.rrd_file import _decode_names
 from recordings.file.session_writer import write_session
 from recordings.session import Session
 from recordings.session_arrays import SessionFrame
-from recordings.testing import FusedRun, assert_sessions_match, fused_run, record_fused
+from recordings.testing import assert_sessions_match
 from recordings.writing.checksums import event_checksum, frame_checksums, fused_checksums
 from recordings.writing.recorder import Recorder
 from tests.experiments import sessions as damaged_sessions
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import FusedRun, record_fused
 from tests.helpers.two_views import calibration_of
-
-__all__ = ["fused_run"]  # a fixture
 
 FRAMES = 70
 

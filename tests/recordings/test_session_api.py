@@ -13,11 +13,9 @@ import recordings.session
 from devices.depth.rvl import encode_depth
 from fusion.body import KINECT_V1
 from recordings import Session
-from recordings.testing import FusedRun, fused_run, record_fused
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import FusedRun, record_fused
 from tests.helpers.two_views import calibration_of
-
-__all__ = ["fused_run"]  # a fixture
 
 T, J = 12, len(KINECT_V1)
 

@@ -13,11 +13,9 @@ from recordings.errors import RecordingError
 from recordings.file.session_writer import write_session
 from recordings.session import Session
 from recordings.session_comparison import Comparison, frame_noise_of
-from recordings.testing import FusedRun, fused_run
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import FusedRun
 from tests.helpers.two_views import calibration_of
-
-__all__ = ["fused_run"]  # a fixture
 
 
 @pytest.fixture

@@ -43,8 +43,9 @@ def errors(found: RigidTransform, truth: RigidTransform) -> tuple[float, float]:
     return float(np.degrees(found.angle_to(truth))), float(apart)
 
 
-@pytest.mark.parametrize("body", [BLAZEPOSE, AZURE_KINECT, KINECT_V2], ids=str)
-@pytest.mark.parametrize("angle", [120.0, 135.0])
+@pytest.mark.parametrize(
+    ("body", "angle"), [(BLAZEPOSE, 120.0), (AZURE_KINECT, 135.0), (KINECT_V2, 120.0)], ids=str
+)
 def test_sensors_that_each_see_one_side_are_calibrated(body: Body, angle: float) -> None:
     calibrator, seconds, truth = watched(body, "badminton", angle, 12.0)
     assert calibrator.final

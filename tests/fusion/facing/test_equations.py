@@ -120,7 +120,7 @@ def test_smoothing_is_the_forward_backward_algorithm() -> None:
     views = simulated_views("turn", seconds=6.0)
     model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
     kept = []
-    count = 60
+    count = 24
     part = replace(views, **{name: getattr(views, name)[60 : 60 + count] for name in (
         "time_ns", "a", "states_a", "b_in_a", "states_b", "truth")})  # fmt: skip
     labels = part.relabel(up=UP)
@@ -134,7 +134,7 @@ def test_smoothing_is_the_forward_backward_algorithm() -> None:
         smoothed = kept[k][0] * beta
         smoothed /= smoothed.sum()
         expected = smoothed[:, 1, :].sum(), smoothed[:, :, 1].sum()
-        np.testing.assert_allclose(labels.mirrored[k], expected, atol=1e-4)  # float32 history over 60 frames
+        np.testing.assert_allclose(labels.mirrored[k], expected, atol=1e-4)  # float32 history over 24 frames
         weighted = beta * np.exp(kept[k][1] - kept[k][1].max())
         # The transpose of the prediction: the message to each earlier state.
         beta = np.zeros_like(beta)

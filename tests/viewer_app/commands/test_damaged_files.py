@@ -21,7 +21,7 @@ from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
 FRAMES = 12
 _EXAMPLES = settings(
-    max_examples=40,
+    max_examples=12,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
@@ -197,7 +197,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return files
 
 
-@settings(_EXAMPLES, max_examples=15)
+@settings(_EXAMPLES, max_examples=6)
 @given(wound=damage())
 def test_damaged_recordings_are_fused_or_refused(
     recorded: dict[str, Path],

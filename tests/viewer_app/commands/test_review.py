@@ -20,9 +20,9 @@ from fusion.body import KINECT_V2
 from recordings import layout
 from recordings.file.session_writer import write_session
 from recordings.session import Session
-from recordings.testing import FusedRun, fused_run
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import record_fused
 from tests.helpers.machine import need_viewer
 from tests.helpers.two_views import calibration_of
 from tests.helpers.waiting import eventually
@@ -31,7 +31,6 @@ from viewer_app.commands import review
 from viewer_app.viewer.rerun_process import Hub, free_port, start_viewer, stop
 from viewer_app.viewer.viewer_choice import Viewing
 
-__all__ = ["fused_run"]  # a fixture
 EVENTS = (
     Event("calibrated: known", "INFO"),
     Event(
@@ -42,9 +41,10 @@ EVENTS = (
 )
 
 
-@pytest.fixture
-def session(fused_run: FusedRun) -> Session:
-    return fused_run(frame_pairs(KINECT_V2, 60), calibration_of(KINECT_V2))
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    path = tmp_path_factory.mktemp("review") / "s.rrd"
+    return record_fused(path, frame_pairs(KINECT_V2, 60), calibration_of(KINECT_V2))
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """``duplex replay``, ``compare``, ``review``, ``export``, ``trim`` and ``info`` on one session."""
 
 import json
+import shutil
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
@@ -15,9 +16,9 @@ from fusion.fuser import Fuser
 from recordings import layout
 from recordings.file.session_writer import write_session
 from recordings.session import Session
-from recordings.testing import FusedRun, fused_run
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import FusedRun, record_fused
 from tests.helpers.machine import small_disk
 from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.recorded_pairs import REAL
@@ -25,13 +26,18 @@ from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import calibration_of
 from viewer_app.commands.replay import verify
 
-__all__ = ["fused_run"]  # a fixture
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pairs = frame_pairs(KINECT_V2, 90, gap=(30,), no_b=(20,), depth=True)
+    path = tmp_path_factory.mktemp("recorded") / "s.rrd"
+    return record_fused(path, pairs, calibration_of(KINECT_V2), depth_every=1).path
 
 
 @pytest.fixture
-def session(fused_run: FusedRun) -> Path:
-    pairs = frame_pairs(KINECT_V2, 90, gap=(30,), no_b=(20,), depth=True)
-    return fused_run(pairs, calibration_of(KINECT_V2), depth_every=1).path
+def session(recorded: Path, tmp_path: Path) -> Path:
+    """A copy, which a test may change."""
+    return shutil.copy(recorded, tmp_path / "recorded.rrd")
 
 
 def test_a_replay_is_verified_and_can_be_replayed_again(
@@ -155,23 +161,23 @@ def test_names_with_brackets_are_printed_as_they_are(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "300")
-    for name in ("[red]a.rrd", "[/bold]a.rrd", "c[bold].rrd"):
-        path = Path(name)
-        path.parent.mkdir(exist_ok=True)
-        path.write_bytes(session.read_bytes()[:-50])  # reported as cut off, with its name
-        out = path.with_suffix("")
-        for command in (
-            ("info", path),
-            ("replay", path, "--no-viewer", "--save", f"{out}_2.rrd", "--report", f"{out}.json"),
-            ("review", path, "--no-viewer", "--html", f"{out}.html"),
-            ("compare", path, path, "--no-viewer", "--save", f"{out}_3.rrd"),
-            ("export", path, "--to", f"{out}.csv"),
-            ("trim", path, "--to", "1", "--save", f"{out}_4.rrd"),
-        ):
-            assert duplex(*command) == 0
-            said = capsys.readouterr().out
-            assert name in said
-            assert all(str(part) in said for part in command[3:] if str(part).endswith(("_2.rrd", ".html")))
+    name = "[/bold]a[red].rrd"
+    path = Path(name)
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(session.read_bytes()[:-50])  # reported as cut off, with its name
+    out = path.with_suffix("")
+    for command in (
+        ("info", path),
+        ("replay", path, "--no-viewer", "--save", f"{out}_2.rrd", "--report", f"{out}.json"),
+        ("review", path, "--no-viewer", "--html", f"{out}.html"),
+        ("compare", path, path, "--no-viewer", "--save", f"{out}_3.rrd"),
+        ("export", path, "--to", f"{out}.csv"),
+        ("trim", path, "--to", "1", "--save", f"{out}_4.rrd"),
+    ):
+        assert duplex(*command) == 0
+        said = capsys.readouterr().out
+        assert name in said
+        assert all(str(part) in said for part in command[3:] if str(part).endswith(("_2.rrd", ".html")))
 
 
 def test_sessions_of_other_captures_are_not_compared(

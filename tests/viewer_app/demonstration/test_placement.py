@@ -36,8 +36,11 @@ def test_both_images_show_the_whole_person_in_every_movement(body: Body) -> None
     assert share_inside(bad_rig(), body, "badminton") == 0.0
 
 
-@pytest.mark.parametrize("angle", ANGLES_SHOWN)
-@pytest.mark.parametrize("body", BODIES.values(), ids=lambda body: body.name)
+@pytest.mark.parametrize(
+    ("body", "angle"),
+    [*((body, 90.0) for body in BODIES.values()), (AZURE_KINECT, 45.0), (AZURE_KINECT, 135.0)],
+    ids=str,
+)
 def test_the_coach_finds_no_fault_with_the_placement_in_any_movement(body: Body, angle: float) -> None:
     wrong = {
         motion: [topic for topic, said in advice_over(good_rig(body, angle), body, motion).items()

@@ -14,9 +14,9 @@ import pytest
 from devices.events import Event
 from fusion.body import KINECT_V2
 from fusion.fuser import Fuser
-from recordings.testing import record_fused
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import record_fused
 from tests.helpers.live_frames import frames
 from tests.helpers.network import free_port
 from tests.helpers.two_views import FRAME_NS, calibration_of

@@ -8,8 +8,8 @@ import pytest
 
 from devices.events import Event, Spell
 from fusion.body import KINECT_V2
-from recordings.testing import FusedRun, fused_run
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import FusedRun
 from tests.helpers.two_views import calibration_of
 from viewer_app.report.events import (
     event_in_words,
@@ -18,8 +18,6 @@ from viewer_app.report.events import (
     opening_event,
     shortest_list,
 )
-
-__all__ = ["fused_run"]  # a fixture
 
 CALIBRATED = Event("calibrated: start-up pose, 91 frames", "INFO")
 CUT_OFF = Event("a.csv is cut off", "WARN")

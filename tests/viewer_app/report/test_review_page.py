@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from fusion.body import KINECT_V2
+from recordings import Session
 from recordings.fusing.files import without_folders
-from recordings.testing import FusedRun, fused_run
 from tests.helpers.command_line import duplex
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import FusedRun, record_fused
 from tests.helpers.machine import need_browser
 from tests.helpers.two_views import calibration_of
 from viewer_app.report import motion as motion_module
@@ -23,7 +24,6 @@ from viewer_app.report.motion import _floor, _kept_frames, encoded_motion
 from viewer_app.report.review_page import review_page
 from viewer_app.report.svg_plots import _columns_of_time, _figure, _legend
 
-__all__ = ["fused_run"]  # a fixture
 pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
 
 
@@ -61,10 +61,15 @@ def test_a_legend_stands_above_its_plot() -> None:
     assert box.y1 <= figure.bbox.y1
 
 
-@pytest.fixture
-def page(fused_run: FusedRun, tmp_path: Path) -> Path:
-    session = fused_run(frame_pairs(KINECT_V2, 60, gap=(20, 21)), calibration_of(KINECT_V2))
-    path = tmp_path / "report.html"
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    path = tmp_path_factory.mktemp("page") / "s.rrd"
+    return record_fused(path, frame_pairs(KINECT_V2, 60, gap=(20, 21)), calibration_of(KINECT_V2))
+
+
+@pytest.fixture(scope="module")
+def page(session: Session) -> Path:
+    path = session.path.with_name("report.html")
     assert duplex("review", session.path, "--no-viewer", "--html", path) == 0
     return path
 
@@ -139,8 +144,7 @@ def test_a_browser_shows_it_light_and_dark_without_network(page: Path) -> None:
             browser.close()
 
 
-def test_the_motion_is_that_of_the_session_to_the_millimetre(fused_run: FusedRun) -> None:
-    session = fused_run(frame_pairs(KINECT_V2, 60, gap=(20, 21)), calibration_of(KINECT_V2))
+def test_the_motion_is_that_of_the_session_to_the_millimetre(session: Session) -> None:
     motion = encoded_motion(session, [])
     count, joints = motion["frames"], len(session.body.joints)
     data = zlib.decompress(base64.b64decode(motion["motion"]))

@@ -16,15 +16,13 @@ from fusion.calibration.calibration import FEWEST_PAIRS, Calibration
 from fusion.registration.rigid_fit import Registration
 from recordings.session import Session
 from recordings.session_arrays import SessionArrays
-from recordings.testing import FusedRun, fused_run
 from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import FusedRun
 from tests.helpers.two_views import calibration_of
 from viewer_app.report.figures import Figures, report, truth_free_figures, with_verdict
 from viewer_app.report.terminal import print_lines, print_summary
 from viewer_app.report.verdict import in_words, verdict
 from viewer_app.report.words import Line, detail_lines, in_mm, in_percent, lead_lines
-
-__all__ = ["fused_run"]  # a fixture
 
 
 def registered(median_mm: float, frames: int = 90) -> Calibration:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -18,15 +19,21 @@ from viewer_app.viewer.rerun_process import free_port, start_viewer, stop
 from viewer_app.viewer.stored_clouds import add_clouds, clouds, has_depth_images, send_clouds
 
 
-@pytest.fixture
-def saved(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two seconds with depth images of both sensors."""
-    file = tmp_path / "s.rrd"
+    file = tmp_path_factory.mktemp("clouds") / "s.rrd"
     fuser = known_fuser()
     with session(fuser, file) as live:
         for frame in frames(fuser, 60, depth=True):
             live.write(frame)
     return file
+
+
+@pytest.fixture
+def saved(recorded: Path, tmp_path: Path) -> Path:
+    """A copy, which a test may delete."""
+    return shutil.copy(recorded, tmp_path / "saved.rrd")
 
 
 def test_clouds_come_by_turns_and_evenly_in_time(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:

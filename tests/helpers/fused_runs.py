@@ -1,0 +1,59 @@
+"""Fuses pairs to a session on disk, without a viewer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from uuid import uuid4
+
+import pytest
+
+from devices.events import Event
+from devices.pairing import FramePair
+from fusion.calibration.calibration import Calibration
+from fusion.fuser import Fuser
+from fusion.setup import FuserSettings, FusionSetup
+from recordings.file.session_writer import write_session
+from recordings.images import PairImages
+from recordings.session import Session
+from recordings.session_arrays import SessionFrame
+
+FusedRun = Callable[..., Session]
+
+
+def record_fused(
+    path: Path,
+    pairs: Iterable[FramePair],
+    calibration: Calibration,
+    settings: FuserSettings | None = None,
+    depth_every: int = 0,
+    block: int = 256,
+) -> Session:
+    """Fuses pairs, records them to a file, and reads the file back.
+
+    Args:
+        path: The file; overwritten.
+        pairs: At least one.
+        calibration: R, t and the bone lengths.
+        settings: Settings of the method.
+        depth_every: Keep the depth images of every n-th pair; 0 for none.
+        block: Number of frames per write.
+    """
+    setup = FusionSetup(calibration, settings)
+    fuser = Fuser(setup)
+    frames = [SessionFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]
+    session = Session.of(
+        [(setup, frames)],
+        events=(Event(f"calibrated: {calibration.how}"),),
+        images=PairImages([frame.pair for frame in frames], depth_every),
+    )
+    write_session(session, path, block=block)
+    return Session.open(path)
+
+
+@pytest.fixture
+def fused_run(tmp_path: Path) -> FusedRun:
+    """A function like :func:`record_fused` without the path; each call records a new session."""
+    return lambda *pairs_and_calibration, **more: record_fused(
+        tmp_path / f"{uuid4()}.rrd", *pairs_and_calibration, **more
+    )
