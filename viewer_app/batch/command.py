@@ -12,14 +12,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from fusion.setup import FuserSettings
 from viewer_app.batch.finding import PAGE, TABLE, Pair, find_pairs
-from viewer_app.batch.jobs import Job, Outcome, calibration_file, tidy
+from viewer_app.batch.jobs import Job, Outcome, tidy
 from viewer_app.batch.manifest import read_manifest
 from viewer_app.batch.summary import Row, worst_first, write_page, write_parquet
 from viewer_app.errors import UsageError
-from viewer_app.options.sensing import BatchOptions
-from viewer_app.options.shared import check_paper_options
+from viewer_app.options.sensing import BatchOptions, calibration_source, recording_settings
 
 
 @dataclass(frozen=True)
@@ -36,11 +34,7 @@ class Work:
 
 
 def run(options: BatchOptions) -> None:
-    """Carries out the command; exits with code 1 if a pair could not be fused.
-
-    Raises:
-        UsageError: With a one-line message for the user.
-    """
+    """Runs the command; exits with code 1 if a pair could not be fused."""
     console = Console(highlight=False)
     _check(options)
     options = _absolute(options)
@@ -134,12 +128,12 @@ def _difference(before: dict[str, object], now: dict[str, object]) -> str:
 
 def _absolute(options: BatchOptions) -> BatchOptions:
     """The options with absolute paths: a worker of a cluster has another working directory."""
-    calibration = calibration_file(options.calibrate)
+    calibration = calibration_source(options.calibrate)
     return replace(
         options,
         source=options.source.absolute(),
         out=options.out.absolute(),
-        calibrate=options.calibrate if calibration is None else str(calibration.absolute()),
+        calibrate=str(calibration.absolute()) if isinstance(calibration, Path) else options.calibrate,
         tracker_model=None if options.tracker_model is None else options.tracker_model.absolute(),
         k4abt=None if options.k4abt is None else options.k4abt.absolute(),
     )
@@ -148,25 +142,8 @@ def _absolute(options: BatchOptions) -> BatchOptions:
 def _check(options: BatchOptions) -> None:
     if options.processes < 0:
         raise UsageError(f"--processes must be 0 or more; got {options.processes}.")
-    if options.method != "duplex" and options.smooth == "whole":
-        raise UsageError(f"--smooth whole needs --method duplex; got --method {options.method}.")
-    check_paper_options(FuserSettings(options.method, options.h, options.weights, options.smoothing))
-    kind, _, seconds = options.calibrate.partition(":")
-    calibration = calibration_file(options.calibrate)
-    if calibration is not None and not calibration.is_file():
-        raise UsageError(
-            f"--calibrate {options.calibrate}: neither auto, nor seconds:N, nor an existing file. Make one "
-            "with --save-calibration."
-        )
-    if kind == "seconds":
-        try:
-            valid = 0.0 < float(seconds) < float("inf")
-        except ValueError:
-            valid = False
-        if not valid:
-            raise UsageError(
-                f"--calibrate {options.calibrate}: seconds must be a positive number, as in seconds:3."
-            )
+    recording_settings(options)
+    calibration_source(options.calibrate)
 
 
 def _pairs(options: BatchOptions) -> tuple[list[Pair], list[str]]:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from viewer_app.batch.finding import Pair
-from viewer_app.options.sensing import BatchOptions, FuseOptions
+from viewer_app.options.sensing import BatchOptions, FuseOptions, calibration_source
 
 RECORD, PARTIAL = "record.json", ".partial"
 """Names of a session's record, and of the folder of what is not complete, in the output folder."""
@@ -180,16 +180,11 @@ def checksum(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def calibration_file(calibrate: str) -> Path | None:
-    """The file that ``--calibrate`` names; None for ``auto`` and ``seconds:N``."""
-    return None if calibrate == "auto" or calibrate.startswith("seconds:") else Path(calibrate)
-
-
 def _value(name: str, option: Any) -> Any:
     """An option for the record; a file is represented by its content."""
     # A word such as duplex is no file, even if the present folder has a file of this name.
-    calibration = calibration_file(option) if name == "calibrate" else None
-    if calibration is not None:
+    calibration = calibration_source(option) if name == "calibrate" else None
+    if isinstance(calibration, Path):
         return f"sha256:{checksum(calibration)}"
     if isinstance(option, Path) and option.is_file():
         return f"sha256:{checksum(option)}"

@@ -18,11 +18,10 @@ from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
-from fusion.setup import FuserSettings, Hindsight
 from recordings.fusing.pairs import fuse_segments, setups_of
 from viewer_app.batch.jobs import Job, Outcome
 from viewer_app.batch.worker import fuse_job
-from viewer_app.options.sensing import BatchOptions
+from viewer_app.options.sensing import BatchOptions, recording_settings
 from viewer_app.running.loop import warm_up
 
 _SECONDS = 3.0
@@ -54,8 +53,7 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Outcome, 
 
 def compile_kernels(options: BatchOptions) -> None:
     """Fuses a simulated recording, so that all kernels are on disk before any worker needs them."""
-    hindsight: Hindsight = "whole" if options.smooth == "whole" else "labels"
-    settings = FuserSettings(options.method, hindsight=hindsight if options.method == "duplex" else "none")
+    settings = recording_settings(options)
     a, b, _ = simulated_pair(motion="still", body=KINECT_V1, seconds=_SECONDS)
     pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
     plan = plan_recording(KINECT_V1, [pair.skeletons for pair in pairs], settings)

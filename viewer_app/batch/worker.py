@@ -9,13 +9,14 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
-from viewer_app.batch.figures import session_figures
+from recordings.session import Session
 from viewer_app.batch.jobs import RECORD, Job, Outcome, Record
 from viewer_app.commands.fuse import fuse_files
 from viewer_app.errors import mistakes
-from viewer_app.report.figures import truth_free_figures
+from viewer_app.report.figures import Figures, truth_free_figures
 
 _ONE_AT_A_TIME = threading.Lock()
 """A Dask worker may have several threads; the memory of one recording is enough."""
@@ -61,7 +62,7 @@ def _fuse(job: Job) -> Record:
             "identity": identity,
             "sources": list(session.sources),
             "warnings": [event.text for event in session.events if event.level == "WARN"],
-            "figures": session_figures(session, figures),
+            "figures": _session_figures(session, figures),
         }
         text = json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False)
         (partial / RECORD).write_text(text + "\n", encoding="utf-8")
@@ -69,6 +70,37 @@ def _fuse(job: Job) -> Record:
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return record
+
+
+def _session_figures(session: Session, figures: Figures) -> Figures:
+    """The figures in SI units, by name; None where there is no such figure.
+
+    Args:
+        session: The session.
+        figures: Its report, with ``without_truth`` of :func:`viewer_app.report.figures.truth_free_figures`.
+    """
+    rows, registration = session.rows, session.calibration.registration
+    error, apart = figures["bone_error_mm"]["fused"]["max"], figures["views_agree_mm"]["median"]
+    return {
+        "frames": len(session),
+        "seconds": figures["seconds"],
+        "body": session.body.name,
+        **{
+            f"{name}_{side}": figures[name][side]
+            for name in ("frames", "dropped", "alone", "stale", "without_person")
+            for side in "ab"
+        },
+        "without_fused": int(np.isnan(rows.fused).all(axis=(1, 2)).sum()),
+        "calibration": session.calibration.how,
+        "calibrations": len(session.calibrations),
+        "verdict": figures["verdict"]["word"],
+        "views_agree": None if apart is None else apart * 1e-3,
+        "rotation_sd": None if registration is None else registration.rotation_sd,
+        "axes_angle": session.calibration.axes_angle,
+        "bone_error": None if error is None else error * 1e-3,
+        "fuse_seconds": float(rows.fuse_ms.sum()) * 1e-3,
+        **figures["without_truth"],
+    }
 
 
 def _one_line(text: str) -> str:

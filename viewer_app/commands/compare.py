@@ -25,11 +25,7 @@ _APPLICATION_ID = f"{layout.APPLICATION_ID}_compare"
 
 
 def run(options: CompareOptions) -> None:
-    """Carries out the command.
-
-    Raises:
-        RecordingError, UsageError: With one line for the person who asked.
-    """
+    """Runs the command."""
     console = Console(highlight=False)
     if options.worst < 0:
         raise UsageError(f"--worst {options.worst}: how many moments to list, 0 or more.")

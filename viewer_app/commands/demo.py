@@ -55,11 +55,7 @@ _NEXT = "Next: {walk}{other}, or your own sensors (duplex doctor)."
 
 
 def run(options: DemoOptions) -> None:
-    """Carries out the command.
-
-    Raises:
-        DeviceError, UsageError: With one line for the person who asked.
-    """
+    """Runs the command."""
     console = Console(highlight=False)
     if options.motion == "list":
         console.print("\n".join(MOTIONS))
@@ -85,11 +81,7 @@ def run(options: DemoOptions) -> None:
 
 
 def _check(options: DemoOptions) -> None:
-    """Rejects options that contradict each other.
-
-    Raises:
-        UsageError: With one line for the person who asked.
-    """
+    """Rejects options that contradict each other."""
     own_tracker = options.tracker == "blazepose"
     if own_tracker and options.body not in ("azure_kinect", "blazepose"):
         raise UsageError(f"--tracker blazepose reports the body blazepose, not {options.body}.")

@@ -12,11 +12,7 @@ from viewer_app.report.terminal import print_damage
 
 
 def run(options: ExportOptions) -> None:
-    """Carries out the command.
-
-    Raises:
-        RecordingError, UsageError: With a one-line message for the user.
-    """
+    """Runs the command."""
     console = Console(highlight=False)
     write = writer_for(options.to, options.table)
     check_outputs([options.to], [options.session], options.force)

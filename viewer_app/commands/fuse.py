@@ -19,7 +19,7 @@ from fusion.calibration.calibration import Calibration, calibrate
 from fusion.errors import CalibrationError
 from fusion.fuser import Fuser
 from fusion.plan import RecordingPlan, plan_recording
-from fusion.setup import FuserSettings, Hindsight
+from fusion.setup import FuserSettings
 from fusion.skeleton import SkeletonPair
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.file.session_writer import write_session
@@ -27,8 +27,7 @@ from recordings.fusing.files import check_related, fused_session, without_folder
 from recordings.fusing.pairs import fuse_segments, setups_of
 from recordings.session import Session
 from viewer_app.errors import UsageError
-from viewer_app.options.sensing import FuseOptions
-from viewer_app.options.shared import check_paper_options
+from viewer_app.options.sensing import FuseOptions, calibration_source, recording_settings
 from viewer_app.output_files import check_outputs, whole_file, write_text
 from viewer_app.report.figures import Figures, report, save_report
 from viewer_app.report.session_page import session_page
@@ -41,11 +40,7 @@ from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_v
 
 
 def run(options: FuseOptions) -> None:
-    """Runs the command.
-
-    Raises:
-        DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
-    """
+    """Runs the command."""
     fuse_files(options, Console(highlight=False))
 
 
@@ -68,7 +63,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     outputs = (options.report, options.save_calibration)
     inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
     check_outputs(outputs, filter(None, inputs), options.force, options.save)
-    settings = _settings(options)
+    settings = recording_settings(options)
     read = _read(options, console)
     plan = _plan(options, settings, read, console)
     if not options.force:
@@ -98,17 +93,6 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     return session, figures
 
 
-def _settings(options: FuseOptions) -> FuserSettings:
-    hindsight: Hindsight = "whole" if options.smooth == "whole" else "labels"
-    if options.method != "duplex":
-        if options.smooth == "whole":
-            raise UsageError(f"--smooth whole needs --method duplex; got --method {options.method}.")
-        hindsight = "none"
-    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing, hindsight)
-    check_paper_options(settings)
-    return settings
-
-
 def _read(options: FuseOptions, console: Console) -> TwoRecordings:
     """Reads both recordings, with a body tracker where they are images, and prints their warnings."""
     choices = _choices(options)
@@ -127,9 +111,9 @@ def _plan(
 ) -> RecordingPlan:
     """Learns the registration, or keeps the one that is given."""
     skeletons = [pair.skeletons for pair in read.pairing.pairs]
-    calibration = _calibrate(options.calibrate, read.body, skeletons)
-    kept = calibration is not None and not options.calibrate.startswith("seconds:")
-    refine = not (options.no_refine or kept)
+    source = calibration_source(options.calibrate)
+    calibration = _calibrate(source, read.body, skeletons)
+    refine = not (options.no_refine or isinstance(source, Path))
     shown = partial(_progress(console), description="learning the registration")
     return plan_recording(read.body, skeletons, settings, calibration, refine, shown)
 
@@ -160,26 +144,14 @@ def _summarise(console: Console, options: FuseOptions, session: Session, figures
         say_more(console)
 
 
-def _calibrate(wanted: str, body: Body, pairs: Sequence[SkeletonPair]) -> Calibration | None:
+def _calibrate(source: Path | float | None, body: Body, pairs: Sequence[SkeletonPair]) -> Calibration | None:
     """The calibration that is asked for; None where the recording's start-up pose is to give it."""
-    kind, _, argument = wanted.partition(":")
-    if wanted == "auto":
+    if source is None:
         return None
-    if kind == "seconds":
-        try:
-            seconds = float(argument)
-        except ValueError:
-            seconds = -1.0
-        if not 0.0 < seconds < float("inf"):
-            raise UsageError(f"--calibrate {wanted}: seconds must be a positive number, as in seconds:3.")
-        chosen = [pair for pair in pairs if pair.time_ns - pairs[0].time_ns <= seconds * 1e9]
-        return calibrate(body, chosen, f"first {seconds:g} s, {len(chosen)} frames")
-    if not Path(wanted).exists():
-        raise UsageError(
-            f"--calibrate {wanted}: neither auto, nor seconds:N, nor an existing file. Make one with "
-            "--save-calibration."
-        )
-    return read_calibration(Path(wanted), body)
+    if isinstance(source, Path):
+        return read_calibration(source, body)
+    chosen = [pair for pair in pairs if pair.time_ns - pairs[0].time_ns <= source * 1e9]
+    return calibrate(body, chosen, f"first {source:g} s, {len(chosen)} frames")
 
 
 def _whereabouts(read: TwoRecordings) -> NDArray[np.float64]:

@@ -19,11 +19,7 @@ from viewer_app.report.words import calibration_in_words
 
 
 def run(options: InfoOptions) -> None:
-    """Carries out the command.
-
-    Raises:
-        RecordingError: With one line for the person who asked.
-    """
+    """Runs the command."""
     session = Session.open(options.session)
     rows = session.rows
     seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9

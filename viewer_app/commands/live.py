@@ -39,11 +39,7 @@ _PERSON_AT = np.array([0.0, 0.0, 2.5])  # the initial view target, metres in K_A
 
 
 def run(options: LiveOptions) -> None:
-    """Runs the command.
-
-    Raises:
-        DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
-    """
+    """Runs the command."""
     console = Console(highlight=False)
     remote = names_remote(options)
     runner = Runner(options, console, options.save, remote)
@@ -56,11 +52,7 @@ def run(options: LiveOptions) -> None:
 
 
 def _check(options: LiveOptions) -> None:
-    """Checks the other options before any sensor is opened.
-
-    Raises:
-        DeviceError, UsageError: With one line for the person who asked.
-    """
+    """Checks the other options before any sensor is opened."""
     check_modes(capture_settings(options, "", None))
     check_smoothing(options.smoothing)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)

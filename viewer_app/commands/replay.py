@@ -46,11 +46,7 @@ _SHARE_AGREEING = 0.99
 
 
 def run(options: ReplayOptions) -> None:
-    """Runs the command; exits with code 1 if S* differs from the recorded S* under ``--verify``.
-
-    Raises:
-        FusionError, RecordingError, UsageError: With a one-line message for the user.
-    """
+    """Runs the command; exits with code 1 if S* differs from the recorded S* under ``--verify``."""
     console = Console(highlight=False)
     check_outputs([options.report], [options.session], options.force, options.save)
     session = Session.open(options.session)

@@ -26,11 +26,7 @@ from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_v
 
 
 def run(options: ReviewOptions) -> None:
-    """Carries out the command.
-
-    Raises:
-        RecordingError, UsageError: With one line for the person who asked.
-    """
+    """Runs the command."""
     console = Console(highlight=False)
     viewing = choose_viewing(options, options.session, live=False)
     check_outputs([options.html], [options.session], options.force)

@@ -30,11 +30,7 @@ _EVERY_S = 10.0  # seconds between two lines about what was sent
 
 
 def run(options: PublishOptions) -> None:
-    """Runs the command.
-
-    Raises:
-        DeviceError, UsageError: With a one-line message for the user.
-    """
+    """Runs the command."""
     console = Console(highlight=False)
     addresses = ZenohAddresses.of_visitor(options.zenoh_listen, options.zenoh_connect)
     checked_key(options.publish)

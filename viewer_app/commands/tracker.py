@@ -12,11 +12,7 @@ from viewer_app.sensors.tracker import fetch_networks
 
 
 def run(options: TrackerFetchOptions) -> None:
-    """Carries out the command.
-
-    Raises:
-        DeviceError: The networks cannot be fetched.
-    """
+    """Runs the command."""
     console = Console(highlight=False)
     folder = options.tracker_model or cache_folder()
     fetched = fetch_networks(options.network, folder, console)

@@ -18,11 +18,7 @@ from viewer_app.viewer.stored_clouds import has_depth
 
 
 def run(options: TrimOptions) -> None:
-    """Carries out the command.
-
-    Raises:
-        RecordingError, UsageError: With one line for the person who asked.
-    """
+    """Runs the command."""
     console = Console(highlight=False)
     check_outputs([], [options.session], options.force, options.save)
     session = Session.open(options.session)

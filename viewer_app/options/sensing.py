@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
+from fusion.setup import FuserSettings, Hindsight
+from viewer_app.errors import UsageError
 from viewer_app.options.shared import (
     ARGUMENT,
     OUTPUTS,
@@ -24,6 +26,7 @@ from viewer_app.options.shared import (
     TrackerOptions,
     ViewerOptions,
     ZenohOptions,
+    check_paper_options,
 )
 
 
@@ -184,6 +187,47 @@ class BatchOptions(TrackerOptions, RecordingOptions, FusionOptions):
     force: Annotated[bool, OUTPUTS] = False
     """Fuse again, and overwrite, sessions that were fused from other recordings, with other options or by
     another version."""
+
+
+def recording_settings(options: FuseOptions | BatchOptions) -> FuserSettings:
+    """The settings of the method for recordings.
+
+    Raises:
+        UsageError: ``--smooth whole``, ``--h`` or ``--weights`` is given with a method that ignores it.
+    """
+    hindsight: Hindsight = "whole" if options.smooth == "whole" else "labels"
+    if options.method != "duplex":
+        if options.smooth == "whole":
+            raise UsageError(f"--smooth whole needs --method duplex; got --method {options.method}.")
+        hindsight = "none"
+    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing, hindsight)
+    check_paper_options(settings)
+    return settings
+
+
+def calibration_source(wanted: str) -> Path | float | None:
+    """What ``--calibrate`` names for recordings: a file, seconds, or None for ``auto``.
+
+    Raises:
+        UsageError: It is none of them.
+    """
+    if wanted == "auto":
+        return None
+    kind, _, argument = wanted.partition(":")
+    if kind == "seconds":
+        try:
+            seconds = float(argument)
+        except ValueError:
+            seconds = -1.0
+        if not 0.0 < seconds < float("inf"):
+            raise UsageError(f"--calibrate {wanted}: seconds must be a positive number, as in seconds:3.")
+        return seconds
+    if not Path(wanted).is_file():
+        raise UsageError(
+            f"--calibrate {wanted}: neither auto, nor seconds:N, nor an existing file. Make one with "
+            "--save-calibration."
+        )
+    return Path(wanted)
 
 
 @dataclass(frozen=True, kw_only=True)

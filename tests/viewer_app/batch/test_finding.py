@@ -180,5 +180,5 @@ def test_workers_in_another_folder_find_the_files_of_the_options(
     assert options.calibrate == str(tmp_path / "k.json")
     assert identity["calibrate"] == f"sha256:{checksum(tmp_path / 'k.json')}"
     (tmp_path / "k.json").unlink()  # as if the worker did not see this folder
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(UsageError, match=r"k\.json"):
         seen[0].identity()
