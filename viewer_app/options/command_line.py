@@ -52,8 +52,8 @@ COMMANDS: dict[str, tuple[Callable[..., Any], str]] = {
     "doctor": (DoctorOptions, "viewer_app.commands.doctor"),
     "tracker fetch": (TrackerFetchOptions, "viewer_app.commands.tracker"),
 }
-"""Options and module of each command, by ``command`` or ``group command``. The module has a ``run``, whose errors of
-:func:`viewer_app.errors.mistakes` have one line for the person who asked."""
+"""Options and module of each command, by ``command`` or ``group command``. The module has a ``run``;
+its errors (:func:`viewer_app.errors.mistakes`) have one line for the person who asked."""
 
 _GROUPS = {"tracker": "The program's own body tracker, BlazePose."}
 _LONGEST = 200  # characters of a message; longer ones, with a long value, lose their middle
