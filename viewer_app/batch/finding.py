@@ -7,11 +7,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from devices.files import MKV
+from devices.orbbec.playback import SUFFIX as BAG
+from devices.skeletons.file_sensor import READERS
 from viewer_app.errors import UsageError
 
 PAGE, TABLE = "summary.html", "summary.parquet"
 """The summary, which lies beside the sessions' folders; no session can have these names."""
-SUFFIXES = (".mkv", ".bag", ".csv", ".json", ".skeleton")
+SUFFIXES = (MKV, BAG, *READERS)
 """Formats of recordings; if a pair exists in several, the first is taken."""
 
 
@@ -119,9 +122,9 @@ def _pair(
         files = [file for of_suffix in suffixes.values() for file in of_suffix.values()]
         return None, [f"{here / file} has no partner and is left out." for file in files]
     skeletons: dict[str, Path | None] = {"a": None, "b": None}
-    if whole[0] == ".mkv":
+    if whole[0] == MKV:
         for side in skeletons:
-            saved = [suffixes[s][side] for s in SUFFIXES[1:] if side in suffixes.get(s, {})]
+            saved = [suffixes[s][side] for s in READERS if side in suffixes.get(s, {})]
             skeletons[side] = here / saved[0] if saved else None
     a, b = (here / suffixes[whole[0]][side] for side in "ab")
     return Pair("_".join(parts) or folder.name or "pair", a, b, skeletons["a"], skeletons["b"]), []
