@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import csv
 import os
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from devices.simulated.kinect import PERSON, simulated_pair
-from devices.simulated.rig import Rig
-from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import AZURE_KINECT, KINECT_V2, Body
-from fusion.joint_kinds import KINDS
-from fusion.skeleton import Skeleton, TrackingState
+from fusion.skeleton import Skeleton
 from tests.helpers.pair_statistics import PairStatistics, statistics
 
 SHARED = Path(os.environ.get("DUPLEX_SHARED", Path(__file__).parents[4] / "shared"))
@@ -64,18 +61,6 @@ UNTOLD = {"inferred", "not_tracked", "hands_unsure", "feet_unsure", "inferred_ch
 """What the real recordings do not tell: their source kept no tracking states."""
 LARGEST_IF_NONE = {"swapped": 0.01, "stale": 0.01}
 """Largest simulated share where the real recording has none."""
-NONE = TrackerErrors()
-SYNCHRONOUS = Rig(skew_seconds=0.0)
-
-
-def views(
-    motion: str, errors: TrackerErrors, seconds: float = 8.0, seed: int = 0
-) -> tuple[list[Skeleton], list[Skeleton]]:
-    a, b, _ = simulated_pair(
-        motion=motion, seconds=seconds, seed=seed, body=KINECT_V2, rig=SYNCHRONOUS, errors=errors
-    )
-    one, other = ([f.people[PERSON] for f in sensor.frames()] for sensor in (a, b))
-    return one, other
 
 
 def read_csv(path: Path) -> list[Skeleton]:
@@ -85,53 +70,6 @@ def read_csv(path: Path) -> list[Skeleton]:
             positions = frames.setdefault(int(row["time_us"]), np.full((len(KINECT_V2), 3), np.nan))
             positions[KINECT_V2.joint(row["joint"])] = [float(row[axis]) for axis in "xyz"]
     return [Skeleton.of(KINECT_V2, positions, time_ns=1000 * time) for time, positions in frames.items()]
-
-
-def test_white_jitter_is_found_with_its_size() -> None:
-    size = 0.005
-    jitter = dict.fromkeys(KINDS, size)
-    found = statistics(*views("still", replace(NONE, jitter=jitter, jitter_memory=0.0), 20.0))
-    # Against a mean over 5 frames a white sample keeps 1 − 1/5 of its variance, in 3 coordinates.
-    expected = size * np.sqrt(3 * 0.8)
-    for kind, value in found.jitter.items():
-        assert value == pytest.approx(expected, rel=0.1), kind  # median of some 20 windows of 30 frames
-    # Two views of independent noise, 3 coordinates each.
-    assert found.view_rms == pytest.approx(size * np.sqrt(6), rel=0.03)
-    # x₂ − 2 x₁ + x₀ has 6 times the variance; the median of a 3-D Gaussian's length is 1.538 σ.
-    assert found.tracked_change == pytest.approx(size * np.sqrt(6) * 1.538, rel=0.03)
-
-
-def test_a_common_scale_is_found_as_the_bones_deviation() -> None:
-    found = statistics(*views("startup", replace(NONE, rescale=0.03, rescale_seconds=0.1), 30.0))
-    assert found.bone_deviation_share == pytest.approx(0.03, rel=0.25)
-
-
-def test_states_stale_frames_and_swaps_are_counted() -> None:
-    a, b = views("still", NONE)
-    perfect = statistics(a, b)
-    assert max(perfect.view_rms, perfect.bone_deviation) < 1e-6  # float32 positions of some 3 m
-    assert perfect.swapped == perfect.stale == perfect.inferred == 0.0
-    states = np.full(25, TrackingState.TRACKED)
-    states[[KINECT_V2.joint("ThumbLeft"), KINECT_V2.joint("FootRight")]] = TrackingState.INFERRED
-    a = [Skeleton.of(KINECT_V2, s.positions, states, s.time_ns) for s in a]
-    for k in (50, 51, 52, 100):  # swapped in one view: runs of 3 and 1
-        a[k] = Skeleton.of(KINECT_V2, a[k].positions[KINECT_V2.mirror], states, a[k].time_ns)
-    for k in (10, 20, 30):  # the same again
-        b[k] = replace(b[k - 1], time_ns=b[k].time_ns)
-    found = statistics(a, b)
-    assert found.inferred == pytest.approx(2 / 25 / 2)
-    assert found.hands_unsure == pytest.approx(1 / 6 / 2)  # hands, tips and thumbs: six
-    assert found.feet_unsure == pytest.approx(1 / 2 / 2)
-    assert found.swapped == pytest.approx(4 / 240)
-    assert found.swap_frames == pytest.approx(2.0)
-    assert found.stale == pytest.approx(3 / 239 / 2)
-    assert np.isfinite(found.inferred_change)
-
-
-def test_lost_frames_are_left_out() -> None:
-    a, b = views("still", NONE)
-    holed = [None if 30 < k < 60 else s for k, s in enumerate(a)]
-    assert statistics(holed, b).view_rms == pytest.approx(statistics(a, b).view_rms, abs=1e-6)
 
 
 def simulated_statistics(setting: Setting, seeds: range) -> dict[str, float]:

@@ -9,11 +9,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from devices.azure import pyk4a_access
 from devices.capture.sensor_thread import SensorThread
 from devices.capture.stream_pairing import LivePairing
 from tests.helpers.command_line import duplex
-from tests.helpers.live_program import Live
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import Bus
 from viewer_app.options.sensing import LiveOptions
@@ -76,24 +74,6 @@ def test_tensorrt_has_time_to_build_its_engine(
     with two_connected_sensors(options, Console()):
         assert given == [within_s] * 4
     assert ("TensorRT builds its engine; minutes" in capsys.readouterr().out) == (processing == "tensorrt")
-
-
-def test_without_a_cable_it_says_what_that_costs(kinects: Bus, live: Live) -> None:
-    for device in kinects.devices:
-        device.jacks = (False, False)
-    assert "No sync cable" in live(seconds=0.2)
-    assert {config.wired_sync_mode for config in kinects.configs} == {0}
-
-
-def test_old_firmware_is_reported_if_there_is_a_cable(
-    kinects: Bus, live: Live, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pyk4a_access, "firmware_version", lambda _: (1, 6, 102))
-    said = live(seconds=0.3)
-    assert said.count("has firmware 1.6.102. Before 1.6.110 a subordinate cannot be started again") == 2
-    for device in kinects.devices:
-        device.jacks = (False, False)
-    assert "has firmware" not in live("--force", seconds=0.3)
 
 
 @pytest.mark.parametrize(("answer", "principal"), [("1\n", "000123"), ("x\n\n000456\n", "000456")])
