@@ -63,12 +63,12 @@ def line(check: Check) -> Text:
 
 
 def program_checks(root: Path = Path("/")) -> list[Check]:
-    """Checks of the rest of the program: display, graphics, viewer, reader of recordings.
+    """Checks of the rest of the program: display, graphics, viewer.
 
     Args:
         root: Root of the file system; tests inject their own.
     """
-    return [_display(), _graphics(root), _viewer(), _recordings()]
+    return [_display(), _graphics(root), _viewer()]
 
 
 def _display() -> Check:
@@ -118,12 +118,3 @@ def _viewer() -> Check:
 
 
 _REINSTALL = "Reinstall it: pip install --force-reinstall rerun-sdk."
-
-
-def _recordings() -> Check:
-    name = "recordings (.mkv)"
-    try:
-        import av
-    except (ImportError, OSError) as fault:
-        return Check(name, False, f"PyAV cannot be imported ({fault})", "pip install av", needed=False)
-    return Check(name, True, f"PyAV {av.__version__}", needed=False)

@@ -8,21 +8,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
 from devices.files import RecordingChoice, TwoRecordings, not_of_libk4a, read_two
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
-from fusion.errors import CalibrationError
 from fusion.fuser import Fuser
 from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings
 from fusion.skeleton import SkeletonPair
 from recordings.calibration_file import calibration_to_json, read_calibration
-from recordings.file.session_writer import write_session
 from recordings.fusing.files import check_related, fused_session, without_folders
 from recordings.fusing.pairs import fuse_segments, setups_of
 from recordings.session import Session
@@ -34,8 +30,7 @@ from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_summary, say_more, say_saved
 from viewer_app.running.loop import warm_up
 from viewer_app.sensors.tracker import announce_tracker, tracker_of
-from viewer_app.viewer.blueprint import session_blueprint
-from viewer_app.viewer.file_window import served, session_file, show
+from viewer_app.viewer.file_window import served, session_file, show, write_for_viewer
 from viewer_app.viewer.viewer_choice import announce, choose_viewing, stay_for_visitors
 
 
@@ -71,8 +66,6 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     segments = setups_of(plan, settings, read.cameras(options.depth))
     setup = segments[-1][0]
     warm_up(Fuser(setup), console)
-    depth = options.depth != "none" and any(camera is not None for camera in read.intrinsics)
-    blueprint = session_blueprint(setup, _whereabouts(read), options.layout, depth=depth)
     sources = without_folders((str(options.a), str(options.b)))
     progress = _progress(console)
     fused = fuse_segments(segments, read.pairing.pairs, plan.codes)
@@ -82,7 +75,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     with session_file(options.save, viewing is not None and viewing.opens) as file:
         if file is not None:
             with whole_file(file) as partial:
-                write_session(session, partial, blueprint=blueprint, page=session_page(setup, figures))
+                write_for_viewer(session, partial, session_page(setup, figures), active=options.layout)
         if viewing is not None and viewing.window and file is not None:
             show(file)
         _summarise(console, options, session, figures)
@@ -152,12 +145,3 @@ def _calibrate(source: Path | float | None, body: Body, pairs: Sequence[Skeleton
         return read_calibration(source, body)
     chosen = [pair for pair in pairs if pair.time_ns - pairs[0].time_ns <= source * 1e9]
     return calibrate(body, chosen, f"first {source:g} s, {len(chosen)} frames")
-
-
-def _whereabouts(read: TwoRecordings) -> NDArray[np.float64]:
-    """(3,) metres in K_A's frame, the median position of the person over the recordings."""
-    views = [pair.skeletons.a for pair in read.pairing.pairs]
-    seen = [view.positions for view in views if view is not None]
-    if not seen:
-        raise CalibrationError("The principal sensor A never sees the person in a pair.")
-    return np.asarray(np.nanmedian(np.concatenate(seen).astype(np.float64), axis=0))

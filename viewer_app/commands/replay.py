@@ -17,7 +17,6 @@ from fusion.facing.model import DOUBT_STEPS
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
-from recordings.file.session_writer import write_session
 from recordings.fusing.pairs import Segments, calibration_event, fuse_segments, setups_of
 from recordings.fusing.view_events import watch
 from recordings.images import NO_IMAGES
@@ -35,10 +34,8 @@ from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images, print_summary, say_more, say_saved
 from viewer_app.running.loop import played, warm_up
 from viewer_app.sinks.sink import FanOut
-from viewer_app.viewer.blueprint import session_blueprint
 from viewer_app.viewer.display import has_display
-from viewer_app.viewer.file_window import written_and_shown
-from viewer_app.viewer.stored_clouds import has_depth
+from viewer_app.viewer.file_window import write_for_viewer, written_and_shown
 
 _CUT_WITHIN = 1e-6  # metres; float32 shows 2.4e-7 at 4 m
 _SETTLED_NS = 1_000_000_000  # the time in which the estimator forgets a person
@@ -71,10 +68,7 @@ def run(options: ReplayOptions) -> None:
     window = not options.no_viewer and not options.verify and has_display()
     with written_and_shown(options.save, window) as path:
         if path is not None:
-            setup, depth = segments[-1][0], has_depth(replayed)
-            blueprint = session_blueprint(setup, session.whereabouts, "inspect", depth=depth)
-            page = session_page(setup, figures)
-            damaged = write_session(replayed, path, blueprint=blueprint, page=page)
+            damaged = write_for_viewer(replayed, path, session_page(segments[-1][0], figures))
     if outputs:
         figures["outputs"] = [output.figures() for output in outputs]
     save_report(options.report, figures)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from rich.console import Console
 
-from recordings.file.session_writer import write_session
 from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import TrimOptions
@@ -13,8 +12,7 @@ from viewer_app.output_files import check_outputs, whole_file
 from viewer_app.report.figures import report
 from viewer_app.report.session_page import session_page
 from viewer_app.report.terminal import print_damage, print_damaged_images
-from viewer_app.viewer.blueprint import session_blueprint
-from viewer_app.viewer.stored_clouds import has_depth
+from viewer_app.viewer.file_window import write_for_viewer
 
 
 def run(options: TrimOptions) -> None:
@@ -35,10 +33,7 @@ def run(options: TrimOptions) -> None:
     with whole_file(options.save) as partial:
         setup = next(setup for setup, own in session.setups() if end <= own.stop)
         about = f"These figures are of {session}, of which this session is a part."
-        blueprint = session_blueprint(setup, session.whereabouts, "inspect", depth=has_depth(session))
         page = session_page(setup, report(session), about)
-        damaged = write_session(
-            session, partial, blueprint=blueprint, page=page, first=int(first), end=int(end)
-        )
+        damaged = write_for_viewer(session, partial, page, setup=setup, first=int(first), end=int(end))
     console.print(f"Saved {options.save}: {end - first} of {len(session)} frames.", markup=False)
     print_damaged_images(console, damaged)

@@ -12,17 +12,47 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.file.session_writer import write_session
 from recordings.session import Session
 from viewer_app.addresses import LOOPBACK
 from viewer_app.output_files import whole_file
-from viewer_app.viewer.blueprint import session_blueprint
+from viewer_app.viewer.blueprint import Layout, session_blueprint
 from viewer_app.viewer.rerun_process import Hub, start_viewer, stop
 from viewer_app.viewer.stored_clouds import add_clouds, has_depth, has_depth_images
 
 _READS_WITHIN, _LOOKS_EVERY = 20.0, 0.1  # seconds
+
+
+def write_for_viewer(
+    session: Session,
+    path: Path,
+    page: CoachPage,
+    *,
+    active: Layout = "inspect",
+    setup: FusionSetup | None = None,
+    first: int = 0,
+    end: int | None = None,
+) -> int:
+    """Writes frames of a session with its page and the layouts.
+
+    Args:
+        session: The session.
+        path: The file; overwritten.
+        page: The page about it.
+        active: The layout that is open at first.
+        setup: The last setup of the frames; None: of the session.
+        first, end: The range of frames; if `end` is None, to the last.
+
+    Returns:
+        The number of damaged images that were skipped.
+    """
+    blueprint = session_blueprint(
+        setup or session.last_setup, session.whereabouts, active, depth=has_depth(session)
+    )
+    return write_session(session, path, blueprint=blueprint, page=page, first=first, end=end)
 
 
 @contextmanager
@@ -82,10 +112,7 @@ def in_this_layout(session: Session, path: Path, page: CoachPage) -> Iterator[Pa
         return
     with tempfile.TemporaryDirectory() as folder:
         shown = Path(folder) / path.name
-        blueprint = session_blueprint(
-            session.last_setup, session.whereabouts, "inspect", depth=has_depth(session)
-        )
-        write_session(session, shown, blueprint=blueprint, page=page)
+        write_for_viewer(session, shown, page)
         yield shown
 
 
