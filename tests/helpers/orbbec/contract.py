@@ -12,6 +12,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,12 @@ CLASSES = (
 )
 
 
+@cache
+def _context(sdk: Any) -> Any:
+    """The one context of all clauses: to make another one took a minute."""
+    return sdk.Context()
+
+
 def names(sdk: Any) -> dict[str, object]:
     """The public names of each class."""
     return {kind: [name for name in dir(getattr(sdk, kind)) if name[0] != "_"] for kind in CLASSES}
@@ -56,7 +63,7 @@ def enums(sdk: Any) -> dict[str, object]:
 
 def no_device(sdk: Any) -> dict[str, object]:
     """Without a sensor the list is empty; asking it for one is an OBError, a pipeline a RuntimeError."""
-    devices = sdk.Context().query_devices()
+    devices = _context(sdk).query_devices()
     assert (devices.get_count(), len(devices)) == (0, 0)
     questions = (
         lambda: devices.get_device_by_index(0),
@@ -75,7 +82,7 @@ def errors(sdk: Any) -> None:
 
 def clock(sdk: Any) -> None:
     """Host times are of the epoch, unless a context is told otherwise."""
-    context = sdk.Context()
+    context = _context(sdk)
     assert context.get_timestamp_clock_type() in (sdk.OBClockType.REALTIME, sdk.OBClockType.MONOTONIC)
     context.set_timestamp_clock_type(sdk.OBClockType.MONOTONIC)
     assert context.get_timestamp_clock_type() == sdk.OBClockType.MONOTONIC
@@ -84,7 +91,7 @@ def clock(sdk: Any) -> None:
 def quiet(sdk: Any) -> None:
     """Told before the first context, the library keeps no log in the current folder."""
     assert sdk.Context.set_logger_level(sdk.OBLogLevel.NONE) is None
-    sdk.Context()
+    _context(sdk)
     assert not Path("Log").exists()
 
 

@@ -209,24 +209,20 @@ def browser() -> Iterator[object]:
             chromium.close()
 
 
-def test_a_browser_sees_the_three_skeletons_and_a_later_visitor_the_history(
-    served: LiveSession, fuser: Fuser
-) -> None:
+def test_a_browser_that_comes_later_sees_the_three_skeletons(served: LiveSession, fuser: Fuser) -> None:
     assert served.viewer is not None
     hub = served.viewer.hub
     for frame in frames(fuser, 60):
         served.write(frame)
     with browser() as chromium:
-        for _ in range(2):
-            page = chromium.new_page()  # type: ignore[attr-defined]
-            page.goto(hub.page)
+        page = chromium.new_page()  # type: ignore[attr-defined]
+        page.goto(hub.page)
 
-            def sees_skeletons(page: object = page) -> bool:
-                shot = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)  # type: ignore[attr-defined]
-                assert shot is not None
-                picture: NDArray[np.uint8] = np.asarray(shot[..., ::-1])
-                lines = all(pixels_near(picture, SKELETON_COLORS[side]) > 50 for side in layout.SIDES)
-                return lines and pixels_near(picture, SKELETON_COLORS["fused"], 70) > 50  # a body with shades
+        def sees_skeletons() -> bool:
+            shot = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+            assert shot is not None
+            picture: NDArray[np.uint8] = np.asarray(shot[..., ::-1])
+            lines = all(pixels_near(picture, SKELETON_COLORS[side]) > 50 for side in layout.SIDES)
+            return lines and pixels_near(picture, SKELETON_COLORS["fused"], 70) > 50  # a body with shades
 
-            assert eventually(sees_skeletons, _DRAWN_WITHIN)
-            page.close()
+        assert eventually(sees_skeletons, _DRAWN_WITHIN)
