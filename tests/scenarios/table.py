@@ -12,7 +12,8 @@ from devices.capture.causes import Cause
 from tests.scenarios.program import Action
 
 CABLE = "a.jack=2 b.jack=1"
-_RUNS, _ENDS = "Running", 2.0  # what is printed first, and seconds until an event
+_RUNS = "Running"  # printed when the cameras and trackers run
+_APART = 30.0 + 1000 / 60  # ms: without a cable S* waits for an image that is up to half a frame later
 Events = tuple[tuple[float | str, Action], ...]
 
 
@@ -94,10 +95,10 @@ _NO_ADVICE = ("Step into its view", "controller of its own, and light")
 
 SCENARIOS: tuple[Scenario, ...] = (
     # Without a fault
-    _fine("no cable", "", words=("No sync cable",)),
+    _fine("no cable", "", age_ms=_APART, words=("No sync cable",)),
     _fine("cable", words=("A leads, B captures 160 µs later",)),
     _fine("cable, B the master", "a.jack=1 b.jack=2", words=("B leads, A captures 160 µs later",)),
-    _fine("B before A on the bus", "swap=1"),
+    _fine("B before A on the bus", "swap=1", age_ms=_APART),
     _fine("colour, cable", options="--seconds 3 --color 720P", age_ms=70.0),
     _fine("colour, no cable", "", options="--seconds 3 --color 720P", age_ms=70.0),
     _fine("wide field, 15 fps", options="--seconds 4 --depth-mode WFOV_2X2BINNED --fps 15", paired=0.98),
@@ -113,9 +114,9 @@ SCENARIOS: tuple[Scenario, ...] = (
     # Slow trackers
     _fine("tracker 20 ms", f"{CABLE} bt.ms=20", age_ms=55.0),
     _fine("tracker 40 ms", f"{CABLE} bt.ms=40", "--seconds 5", age_ms=75.0, words=("not USB",)),
-    _fine("tracker 60 ms, no cable", "bt.ms=60", "--seconds 5", age_ms=95.0, words=("15 of 30 frames",)),
+    _fine("tracker 60 ms, no cable", "bt.ms=60", "--seconds 5", age_ms=95.0, words=("of 30 frames",)),
     _fine("trackers 20 and 60 ms", f"{CABLE} bt.ms_a=20 bt.ms_b=60", "--seconds 5",
-        age_ms=95.0, words=("15 of 30 frames",)),
+        age_ms=95.0, words=("of 30 frames",)),
     _fine("two trackers on one GPU, 40 ms", f"{CABLE} bt.ms=40 bt.one_gpu=1", "--seconds 6", paired=0.98,
         age_ms=115.0),
     # Refused before the first frame
@@ -159,7 +160,7 @@ SCENARIOS: tuple[Scenario, ...] = (
     _ended("Ctrl-C while k4abt loads", (("Opening", {}), (2.5, _CTRL_C)), "bt.load_ms=8000", 130,
         causes=_LATER),
     _ended("Ctrl-C, trackers take 3 s to stop", ((_RUNS, {}), (2.0, _CTRL_C)), "bt.destroy_ms=3000",
-        causes=_LATER, words=("Saved",)),
+        perhaps=_LATER, words=("Saved",)),
     _ended("Ctrl-C after unplugging", ((_RUNS, {}), (2.0, {"b.present": 0}), (0.5, _CTRL_C)),
         perhaps=_LATER | {Cause.UNPLUGGED}, words=("Saved",)),
 )  # fmt: skip
