@@ -135,12 +135,12 @@ def test_a_client_slower_than_the_frames_gets_new_ones(server: WebSocketOutput, 
     ages = []
     with client_of(server, max_queue=ahead) as client:
         read(client)
-        for written in range(240):  # at 30 per second, of which the client reads 25
+        for written in range(120):  # at 30 per second, of which the client reads 25
             server.write(made)
             assert eventually(lambda: not server._queue)
             if written % 6:
                 ages.append(written - read(client)["number"])
-    assert len(ages) == 200
+    assert len(ages) == 100
     # on the way, answered when the client paused reading, read ahead, in the slot and on the server's thread
     assert max(ages) <= 2 * UNANSWERED + ahead + 2
 

@@ -169,6 +169,13 @@ def test_the_motion_is_that_of_the_session_to_the_millimetre(session: Session) -
     assert np.median(height[height < 2**15]) == pytest.approx(80, abs=40)  # the floor is below the feet
 
 
+@pytest.fixture
+def without_plots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves out the plots, which take most of the time."""
+    for name in ("line_plot", "bar_plot", "trust_map"):
+        monkeypatch.setattr(f"viewer_app.report.review_page.{name}", lambda *_, **__: "")
+
+
 def test_a_long_session_keeps_more_frames_near_its_events() -> None:
     seconds = np.arange(0.0, 1200.0, 1 / 30)
     kept = seconds[_kept_frames(seconds, [300.0, 900.0], 2000)]
@@ -187,6 +194,7 @@ def test_a_page_stays_small_however_much_there_is_to_play(
     assert 1_000 < len(motion["motion"]) <= 6_000
 
 
+@pytest.mark.usefixtures("without_plots")
 def test_an_event_of_the_list_leads_to_its_moment(fused_run: FusedRun, tmp_path: Path) -> None:
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
     chromium = need_browser()
@@ -236,6 +244,7 @@ def test_an_event_of_the_list_leads_to_its_moment(fused_run: FusedRun, tmp_path:
             browser.close()
 
 
+@pytest.mark.usefixtures("without_plots")
 def test_what_a_session_says_is_text_and_never_markup(fused_run: FusedRun) -> None:
     session = fused_run(frame_pairs(KINECT_V2, 30), calibration_of(KINECT_V2))
     session.about["settings"]["note"] = ["<script>alert(1)</script>"]
