@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import re
+import tomllib
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
+from tests.benchmarks import page as benchmarks_page
+from tests.benchmarks import results
 from tests.experiments.placement_picture import PERSON_AT, a_from_b, seen_by_both
+from tests.helpers.command_line import duplex
 from tests.helpers.documents import ROOT, documents, message_templates
 
 MARKUP = re.compile(r"\[(/|bold|yellow|bold yellow)\]")
@@ -73,3 +78,46 @@ def test_both_sensors_see_the_person_where_the_picture_says(angle: float) -> Non
     to_a = -PERSON_AT
     cosine = to_a @ to_b / np.linalg.norm(to_a) / np.linalg.norm(to_b)
     np.testing.assert_allclose(np.degrees(np.arccos(cosine)), angle, atol=1e-6)
+
+
+def test_the_version_and_its_date_are_the_same_everywhere() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.findall(r"^version: (.*)$", citation, re.MULTILINE) == [version]
+    released = re.findall(r'^date-released: "(.*)"$', citation, re.MULTILINE)
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    newest = re.search(r"^## (\d\S*) \((.*)\)$", changes, re.MULTILINE)
+    assert newest is not None
+    assert newest.groups() == (version, *released)
+
+
+def test_the_page_has_the_figures_of_the_files() -> None:
+    assert benchmarks_page.PAGE.read_text(encoding="utf-8") == benchmarks_page.page(), "make benchmarks"
+
+
+def test_the_page_is_short() -> None:
+    words = [word for word in benchmarks_page.page().split() if any(map(str.isalnum, word))]
+    assert len(words) <= 1300
+
+
+def test_every_file_names_its_command_and_its_machine() -> None:
+    for file in results.FOLDER.glob("*.json"):
+        document = results.read(file.stem)
+        assert document["command"].startswith("python -m tests.benchmarks."), file
+        assert document["machine"]["processors"] >= 1
+        assert document["figures"]
+
+
+def test_the_summary_on_the_start_page_is_that_of_the_real_walk(
+    shared: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    page = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
+    shown = re.search(r"such as this one of a walk.*?```text\n(.*?)```", page, re.DOTALL)
+    assert shown is not None
+    folder = shared / "real" / "kinect_v2_90deg_walk"
+    assert duplex("fuse", folder / "a.csv", folder / "b.csv", "--no-viewer") == 0
+    printed = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    begin = next(k for k, line in enumerate(printed) if line.startswith("Verdict"))
+    lines = shown[1].splitlines()
+    assert printed[begin : begin + len(lines)] == lines

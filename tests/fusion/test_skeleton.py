@@ -1,9 +1,14 @@
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
-from fusion.body import KINECT_V1
+from fusion.body import BODIES, KINECT_V1, KINECT_V2, Body
 from fusion.errors import FusionError
+from fusion.handedness import mirrored_share
 from fusion.skeleton import Skeleton, TrackingState
+from tests.helpers.labelled_views import simulated_views
+from tests.helpers.two_views import moving
 
 
 def test_a_coordinate_that_is_no_number_makes_the_joint_not_tracked() -> None:
@@ -48,3 +53,26 @@ def test_a_repeated_skeleton_is_noticed_holes_included() -> None:
     assert again.repeats(first)
     assert not Skeleton.of(KINECT_V1, positions).repeats(first)
     assert not first.repeats(None)
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_one_reversed_axis_is_seen_in_every_frame(body: Body, axis: int) -> None:
+    positions = moving(body, 30)
+    assert mirrored_share(body, positions) == 0.0
+    reversed_ = positions.copy()
+    reversed_[..., axis] *= -1.0
+    assert mirrored_share(body, reversed_) == 1.0
+
+
+def test_a_tracker_that_exchanges_sides_mirrors_no_body() -> None:
+    views = simulated_views("walk", seconds=16.0)
+    assert views.relabel().codes.any()
+    for positions in (views.a, views.b_in_a):
+        assert mirrored_share(views.body, positions) < 0.2
+
+
+def test_nothing_is_said_of_a_body_without_feet() -> None:
+    positions = moving(KINECT_V2, 5)
+    positions[:, KINECT_V2.joint("FootLeft")] = np.nan
+    assert mirrored_share(KINECT_V2, positions) is None

@@ -1,7 +1,8 @@
-"""``duplex fuse a.mkv b.mkv`` without any SDK: from images to S* by the program's own tracker."""
+"""From images to S* by the own tracker, in ``duplex fuse`` without any SDK and in ``duplex demo``."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from recordings.session import Session
 from tests.helpers.command_line import duplex
 from tests.helpers.machine import need_networks
 from tests.helpers.mkv_writer import INTERVAL_US, write_simulated
+from tests.helpers.session_text import rows_of
 
 START_NS = 336_277_000
 SECONDS = 2.5
@@ -55,3 +57,30 @@ def test_two_files_of_images_become_a_session_near_the_truth_that_replays_bit_fo
     assert np.nanpercentile(off, 90) < 0.090
 
     assert duplex("replay", saved, "--verify", "--no-viewer") == 0
+
+
+def test_the_demo_runs_the_own_tracker_on_images_of_a_person(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    need_networks("full")
+    saved = tmp_path / "s.rrd"
+    arguments = ("--tracker", "blazepose", "--motion", "startup", "--seconds", "4", "--no-viewer")
+    report = tmp_path / "r.json"
+    assert duplex("demo", *arguments, "--save", saved, "--report", report, "--verbose") == 0
+    said = capsys.readouterr().out
+    assert "From images to S*" in said
+    figures = json.loads(report.read_text())
+    # Tracking alone takes milliseconds.
+    assert 1.0 < figures["latency_ms"]["p50"] <= figures["latency_ms"]["p99"] <= figures["latency_ms"]["max"]
+    assert "Distance from the true joints" in said
+    session = Session.open(saved)
+    assert session.body is BLAZEPOSE
+    assert session.tracker == "blazepose full"
+    # A busy machine gets fewer frames, but both sensors the same ones: pairs with both.
+    assert np.isfinite(session.fused).all(axis=(1, 2)).sum() >= 3
+    both = np.isfinite(session.skeleton_a.positions[:, 0, 0]) & np.isfinite(
+        session.skeleton_b.positions[:, 0, 0]
+    )
+    assert both.mean() > 0.5
+    assert rows_of(saved, "/kinect_a/depth") > 0
+    assert rows_of(saved, "/kinect_a/depth/infrared") == 0

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import io
 import math
+import shlex
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +22,7 @@ from recordings.session_arrays import SessionArrays
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import FusedRun
 from tests.helpers.two_views import calibration_of
+from viewer_app.report import terminal
 from viewer_app.report.figures import Figures, report, truth_free_figures, with_verdict
 from viewer_app.report.terminal import print_lines, print_summary
 from viewer_app.report.verdict import in_words, verdict
@@ -230,3 +234,38 @@ def test_shares_in_words(share: float | None, words: str) -> None:
 def test_less_than_a_micrometre_is_nothing() -> None:
     assert in_mm(2.5e-13) == "0 mm"
     assert in_mm(0.0015) == "0.0015 mm"
+
+
+@pytest.mark.parametrize(
+    ("display", "command"),
+    [(True, "duplex review a/long/folder/s.rrd"), (False, "duplex review a/long/folder/s.rrd --html")],
+)
+def test_the_next_step_is_one_line_that_works_without_a_display(
+    display: bool, command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(terminal, "has_display", lambda: display)
+    monkeypatch.setattr("sys.argv", ["pytest"])
+    monkeypatch.chdir(tmp_path)
+    file = Path("a/long/folder/s.rrd")
+    file.parent.mkdir(parents=True)
+    file.write_bytes(bytes(122_400_000))
+    out = io.StringIO()
+    terminal.say_saved(Console(file=out, width=40), file)
+    (line,) = out.getvalue().splitlines()
+    assert f"{file}, 122 MB" in line
+    assert command in line
+    assert line.endswith(".html") is not display
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="quotes of a POSIX shell")
+def test_the_command_can_be_pasted_whatever_the_file_is_called(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(terminal, "has_display", lambda: True)
+    monkeypatch.setattr("sys.argv", ["pytest"])
+    file = tmp_path / "it's ö 空白.rrd"
+    file.write_bytes(b"0")
+    out = io.StringIO()
+    terminal.say_saved(Console(file=out, width=40), file)
+    *_, command = out.getvalue().partition("Look at it with: ")
+    assert shlex.split(command) == ["duplex", "review", str(file)]
