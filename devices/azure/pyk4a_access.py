@@ -161,7 +161,7 @@ def _open(device: Any, sdk: Any) -> None:
 
 
 def close_kinect(sdk: Any, serial: str, device: Any) -> str:
-    """Closes a device opened by ``open_kinect``, even if disconnected; returns the failure, or None."""
+    """Closes a device opened by ``open_kinect``, even if disconnected; returns the failure, empty if none."""
     with _opening:
         _open_here.discard(serial)
         return release_device(device, sdk)
@@ -239,7 +239,7 @@ def _log_of(fault: Exception) -> str:
 
 
 def release_device(device: Any, sdk: Any) -> str:
-    """Stops and closes a device in any state; returns the failure, or None."""
+    """Stops and closes a device in any state; returns the failure, empty if none."""
     faults = []
     for running, action in ((True, "stop"), (False, "close")):
         # stop() closes too, unless stopping failed on the way: then close() must still be tried.

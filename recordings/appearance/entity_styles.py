@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import colorsys
-
 import rerun as rr
 from rerun.blueprint import Visualizer
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
@@ -16,7 +14,6 @@ from recordings.appearance.colors import (
     FACE_COLOR,
     JOINT_RADII,
     PREDICTED_COLOR,
-    PROMINENT_JOINTS,
     SKELETON_COLORS,
     STATE_COLORS,
     TARGET_COLOR,
@@ -118,23 +115,6 @@ def image_edge(intrinsics: Intrinsics) -> rr.Boxes2D:
         colors=PREDICTED_COLOR,
         radii=rr.components.Radius.ui_points(0.5),
     )
-
-
-def weight_lines(body: Body, side: str) -> Visualizer:
-    """Plot lines of a sensor's weights. Mirrored joints share a hue; the right side is paler."""
-    prominent = [body.joint(name) for name in PROMINENT_JOINTS]
-    hue = {joint: k // 2 / (len(prominent) // 2) for k, joint in enumerate(prominent)}
-    colors = []
-    for joint, mirror in enumerate(body.mirror):
-        first = min(joint, int(mirror))
-        rgb = colorsys.hsv_to_rgb(
-            0.1 + hue.get(joint, first / len(body)), 0.85 if joint == first else 0.45, 0.9
-        )
-        colors.append((int(255 * rgb[0]), int(255 * rgb[1]), int(255 * rgb[2])))
-    look = rr.SeriesLines(
-        names=body.joints, colors=colors, visible_series=[j in hue for j in range(len(body))]
-    )
-    return _lines(look, layout.weight(side))
 
 
 DEPTH = rr.EncodedDepthImage.from_fields(colormap=rr.components.Colormap.Grayscale)

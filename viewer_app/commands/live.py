@@ -12,7 +12,6 @@ from rich.console import Console
 from rich.markup import escape
 
 from devices.azure.settings import check_modes
-from devices.azure.tracking.body_tracker import check_smoothing
 from devices.blazepose.tracked_images import TrackedImages
 from devices.capture.sensor_pair import TwoSensors
 from devices.depth.image_thinning import thinned_camera
@@ -43,18 +42,19 @@ def run(options: LiveOptions) -> None:
     console = Console(highlight=False)
     remote = names_remote(options)
     runner = Runner(options, console, options.save, remote)
-    _check(options)
+    settings = _check(options)
     if remote:
         with sensors_by_network(options, console, partial(one_of_live, options, console)) as sensors:
-            _show(options, sensors, runner, console)
+            _show(options, settings, sensors, runner, console)
     else:
-        _show(options, two_connected_sensors(options, console), runner, console)
+        _show(options, settings, two_connected_sensors(options, console), runner, console)
 
 
-def _check(options: LiveOptions) -> None:
-    """Checks the other options before any sensor is opened."""
+def _check(options: LiveOptions) -> FuserSettings:
+    """Checks the other options before any sensor is opened; returns the method's."""
     check_modes(capture_settings(options, "", None))
-    check_smoothing(options.smoothing)
+    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
+    check_paper_options(settings)
     read = () if options.calibrate == "auto" else (Path(options.calibrate),)
     check_outputs((options.report, options.save_calibration), read, options.force, options.save)
     check_seconds(options.seconds)
@@ -63,12 +63,13 @@ def _check(options: LiveOptions) -> None:
             f"--calibrate {options.calibrate}: neither auto nor an existing file. Make one with "
             f"--save-calibration."
         )
+    return settings
 
 
-def _show(options: LiveOptions, sensors: TwoSensors, runner: Runner, console: Console) -> None:
+def _show(
+    options: LiveOptions, settings: FuserSettings, sensors: TwoSensors, runner: Runner, console: Console
+) -> None:
     """Fuses two sensors until they end, Ctrl-C is pressed or the time is up; saves and prints the summary."""
-    settings = FuserSettings(options.method, options.h, options.weights, options.smoothing)
-    check_paper_options(settings)
     a, b = sensors.a.sensor, sensors.b.sensor
     given = None if options.calibrate == "auto" else read_calibration(Path(options.calibrate), a.body)
     nominal = FusionSetup(given or nominal_calibration(a.body), settings)

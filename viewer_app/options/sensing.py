@@ -118,8 +118,6 @@ class LiveOptions(
     """Frames per second."""
     color: Annotated[Literal["off", "720P", "1080P", "1440P", "1536P", "2160P", "3072P"], SENSORS] = "off"
     """Colour images, and at which resolution."""
-    tracker_smoothing: Annotated[float, TRACKER] = 0.0
-    """Temporal smoothing of the body tracker, 0 to 1; fusion needs 0."""
 
 
 @dataclass(frozen=True, kw_only=True)

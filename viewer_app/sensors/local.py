@@ -34,7 +34,7 @@ def two_connected_sensors(options: LiveOptions, console: Console) -> TwoSensors:
     Raises:
         DeviceError: Fewer than two usable Kinects, no SDK, or a wrongly connected sync cable.
     """
-    tracker = tracker_of(options, options.tracker_smoothing)
+    tracker = tracker_of(options)
     connected = connected_sensors(tracker)
     serials = _choose(connected, options, console)
     kinect_a, kinect_b = (next(k for k in connected if k.serial == serial) for serial in serials)
@@ -76,7 +76,7 @@ def two_connected_sensors(options: LiveOptions, console: Console) -> TwoSensors:
 
 def one_of_live(options: LiveOptions, console: Console, serial: str | None) -> Sensor:
     """The sensor of this PC, where the other one is on another PC; it runs without a sync cable."""
-    tracker = tracker_of(options, options.tracker_smoothing)
+    tracker = tracker_of(options)
     named = "--kinect-a or --kinect-b"
     return one_sensor(serial, named, tracker, capture_settings(options, "", None), console)
 

@@ -15,18 +15,13 @@ if TYPE_CHECKING:
     from devices.tracker_choice import TrackerChoice
 
 
-def tracker_of(options: TrackerOptions, smoothing: float = 0.0) -> TrackerChoice:
-    """The tracker of images of an Azure Kinect.
-
-    Args:
-        options: What was asked for.
-        smoothing: Temporal smoothing of k4abt.
-    """
+def tracker_of(options: TrackerOptions) -> TrackerChoice:
+    """The tracker that the options ask for."""
     from devices.tracker_choice import choose_tracker
 
     return choose_tracker(
         options.tracker,
-        TrackerSettings(processing=options.processing, smoothing=smoothing, library=options.k4abt),
+        TrackerSettings(processing=options.processing, library=options.k4abt),
         BlazePoseSettings(network=options.tracker_network, models=options.tracker_model),
     )
 

@@ -198,13 +198,6 @@ def _inspect(setup: FusionSetup, person_at: NDArray[np.float64], live: bool, dep
                     for name, title in (_STREAM_FIGURES if live else ())
                 ),
                 rrb.StateTimelineView(origin=layout.STATE_LANES, name="all states"),
-                rrb.TimeSeriesView(
-                    origin=layout.FUSED_SKELETON,
-                    name="trust in A, limbs",
-                    overrides={layout.FUSED_SKELETON: entity_styles.weight_lines(body, "a")},
-                    axis_y=rrb.ScalarAxis(range=(-0.05, 1.05)),
-                    plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
-                ),
                 active_tab=0,
             ),
             row_shares=[5, 2],

@@ -42,14 +42,12 @@ class TrackerSettings:
 
     Attributes:
         processing: Where the network runs. On a CPU it processes about one frame per second.
-        smoothing: Temporal smoothing 0..1. Fusion needs 0, which leaves the skeletons unchanged.
         library: File of libk4abt; found by the system if None.
         timeout_s: Longest time for one frame. The first frame may take ten times as long, because the
             network is loaded.
     """
 
     processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
-    smoothing: float = 0.0
     library: Path | None = None
     timeout_s: float = 5.0
 
@@ -100,11 +98,10 @@ class BodyTracker:
             calibration: Address of the sensor's ``k4a_calibration_t`` (1032 bytes).
 
         Raises:
-            DeviceError: The library, network or GPU is missing, or the smoothing is out of range.
+            DeviceError: The library, network or GPU is missing.
         """
         self.close()
         settings = self.settings
-        check_smoothing(settings.smoothing)
         library = load_library("k4abt", settings.library, INSTALL)
         declare(library, _PROTOTYPES, f"it is not libk4abt 1.1. {INSTALL}")
         configuration = _Configuration(_UPRIGHT, _PROCESSING[settings.processing])
@@ -117,7 +114,7 @@ class BodyTracker:
                 f"libk4abt, or the depth mode is neither NFOV_UNBINNED nor WFOV_2X2BINNED. Try processing "
                 f"cpu; K4ABT_ENABLE_LOG_TO_STDOUT=1 makes it say more."
             )
-        library.k4abt_tracker_set_temporal_smoothing(tracker, settings.smoothing)
+        library.k4abt_tracker_set_temporal_smoothing(tracker, 0.0)  # fusion needs what was measured
         self._library, self._tracker, self._results = library, tracker, 0
 
     def enqueue(self, capture: int) -> None:
@@ -182,16 +179,6 @@ class BodyTracker:
 
     def _stalled(self, what: str) -> DeviceError:
         return Cause.TRACKER_STALLS.error(what=what, seconds=self._timeout_ms() / 1000)
-
-
-def check_smoothing(smoothing: float) -> None:
-    """Checks that temporal smoothing is within the range of the tracker.
-
-    Raises:
-        DeviceError: It is outside 0..1.
-    """
-    if not 0.0 <= smoothing <= 1.0:
-        raise DeviceError(f"Smoothing is 0 to 1, not {smoothing}. 0 leaves skeletons as they are.")
 
 
 def _bodies(library: ctypes.CDLL, frame: c_void_p) -> SensorFrame:

@@ -88,8 +88,8 @@ def test_every_body_with_an_id_is_given(standin: Standin, bodies: int, first_id:
     ("processing", "number"), [("gpu", 0), ("cpu", 1), ("cuda", 2), ("tensorrt", 3), ("directml", 4)]
 )
 def test_the_configuration_reaches_the_library(standin: Standin, processing: str, number: int) -> None:
-    with rig(standin, processing=processing, smoothing=0.25):
-        assert (standin.processing, standin.smoothing) == (number, 0.25)
+    with rig(standin, processing=processing):
+        assert standin.processing == number
 
 
 def test_every_wait_is_finite_and_nothing_is_smoothed_by_default(standin: Standin) -> None:
@@ -150,11 +150,6 @@ def test_a_frame_without_infrared_cannot_be_tracked(standin: Standin) -> None:
         CaptureMaker(standin.path).capture(SensorFrame(0, depth=depth)),
     ):
         pass
-
-
-def test_smoothing_out_of_range_is_reported(standin: Standin) -> None:
-    with pytest.raises(DeviceError, match=r"Smoothing is 0 to 1, not 1\.5"):
-        _Rig(standin, smoothing=1.5).open()
 
 
 def test_a_missing_library_says_how_to_get_it(tmp_path: Path) -> None:

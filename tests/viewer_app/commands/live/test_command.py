@@ -62,13 +62,13 @@ def test_options_reach_the_sensors_and_the_tracker(kinects: Bus, live: Live, sta
     options = ("--fps", 15, "--depth-mode", "WFOV_2X2BINNED", "--color", "1080P", "--processing", "cuda")
     for device in kinects.devices:
         device.interval_usec = 66_667
-    live(*options, "--tracker-smoothing", 0.5, seconds=0.3)
+    live(*options, seconds=0.3)
     module = sys.modules["pyk4a"]
     for config in kinects.configs:
         assert config.camera_fps == module.FPS.FPS_15
         assert config.depth_mode == module.DepthMode.WFOV_2X2BINNED
         assert config.color_resolution == module.ColorResolution.RES_1080P
-    assert (standin.processing, standin.smoothing) == (2, 0.5)
+    assert (standin.processing, standin.smoothing) == (2, 0.0)
 
 
 @pytest.mark.parametrize(("depth", "shape"), [("none", None), ("half", (288, 320)), ("full", (576, 640))])
