@@ -25,6 +25,8 @@ from devices.skeletons.file_sensor import SkeletonRecording
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
+from fusion.registration.clock_offset import ClockOffset
+from fusion.registration.clock_search import View, find_clock_offset
 
 MKV = ".mkv"
 Progress = Callable[[Iterable[SensorFrame], str, int | None], Iterable[SensorFrame]]
@@ -128,6 +130,7 @@ class TwoRecordings:
         warnings: What a person should know about them, a line each.
         images: The files that hold depth images, A's and B's; None for skeletons alone.
         tracker: The body tracker that found the people; empty where the files had skeletons.
+        clock: The offset by which B's times were corrected; None where they are as recorded.
     """
 
     body: Body
@@ -136,6 +139,7 @@ class TwoRecordings:
     warnings: tuple[str, ...]
     images: tuple[Path | None, Path | None] = (None, None)
     tracker: str = ""
+    clock: ClockOffset | None = None
 
     def cameras(self, depth: Depth) -> tuple[Intrinsics | None, Intrinsics | None]:
         """The intrinsics, for depth images as they are logged."""
@@ -197,13 +201,20 @@ def read_two(
     choice_b: RecordingChoice,
     tracker: TrackerChoice | None = None,
     progress: Progress = quietly,
+    *,
+    offset_ns: int | None = None,
+    every_frame: bool = True,
 ) -> TwoRecordings:
     """Reads both recordings, one after the other: only one body tracker is in the GPU's memory at once.
+
+    Where B's clock is off by more than a frame and the motion tells by how much, its times are corrected.
 
     Args:
         choice_a, choice_b: Of K_A and K_B.
         tracker: The body tracker, where one is needed. None: chosen for this machine.
         progress: Shows how far reading is.
+        offset_ns: Added to the times of B; found from the motion where None.
+        every_frame: Whether frames without a partner are kept; see :func:`devices.pairing.pair_recordings`.
 
     Raises:
         DeviceError: A recording cannot be read or tracked, both are the same recording, the bodies differ,
@@ -224,11 +235,33 @@ def read_two(
             f"{b.body.name}. Both sensors must be of one family."
         )
     person_a, person_b = read_a.choose(choice_a), read_b.choose(choice_b)
-    pairing = pair_recordings(read_a.frames, read_b.frames, person_a, person_b)
-    warnings = *read_a.warnings, *read_b.warnings, *clock_warnings(read_a.info, read_b.info, pairing.pairs)
+    clock = None
+    if offset_ns is None:
+        clock = _clock_correction(a.body, read_a.view(person_a), read_b.view(person_b))
+        offset_ns = 0 if clock is None else round(clock.offset_ns)
+    pairing = pair_recordings(
+        read_a.frames, read_b.frames, person_a, person_b, offset_ns=offset_ns, every_frame=every_frame
+    )
+    about_clocks = clock_warnings(read_a.info, read_b.info, pairing.pairs)
+    if clock is not None:
+        about_clocks = [
+            f"The clocks differ: {clock.offset_ns * 1e-6:+.0f} ± {clock.sd_ns * 1e-6:.0f} ms were added to "
+            "B's times, so that both views show one motion. --offset MS sets another correction."
+        ]
+    warnings = *read_a.warnings, *read_b.warnings, *about_clocks
     path_a, path_b = (choice.path if has_images(choice.path) else None for choice in (choice_a, choice_b))
     name = tracker.full_name if tracked and tracker is not None else ""
-    return TwoRecordings(a.body, pairing, (a.intrinsics, b.intrinsics), warnings, (path_a, path_b), name)
+    return TwoRecordings(
+        a.body, pairing, (a.intrinsics, b.intrinsics), warnings, (path_a, path_b), name, clock
+    )
+
+
+def _clock_correction(body: Body, a: View, b: View) -> ClockOffset | None:
+    """The offset of B's clock, where the motion shows one of at least a frame."""
+    found = find_clock_offset(body, a, b)
+    if found is None or abs(found.offset_ns) < np.median(np.diff(a.time_ns)) or not found.significant:
+        return None
+    return found
 
 
 def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePair]) -> list[str]:
@@ -279,6 +312,15 @@ class _Read:
     frames: list[SensorFrame]
     info: MkvInfo | None
     warnings: list[str]
+
+    def view(self, person: str) -> View:
+        """The frames in which the person is seen, as arrays."""
+        seen = [(frame.time_ns, frame.people[person]) for frame in self.frames if person in frame.people]
+        return View(
+            np.array([time_ns for time_ns, _ in seen], dtype=np.int64),
+            np.array([skeleton.positions for _, skeleton in seen]),
+            np.array([skeleton.states for _, skeleton in seen]),
+        )
 
     def choose(self, choice: RecordingChoice) -> str:
         """The id of the person to follow. Unless one was named, later people get the same id."""

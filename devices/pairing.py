@@ -64,10 +64,10 @@ class Pairing:
     """All pairs of two recordings, and what was left over.
 
     Attributes:
-        pairs: In time order; with one side None where the other recording has a gap.
+        pairs: In time order; with one side None where the other recording has no frame for this moment.
         frames_a, frames_b: How many frames each recording has.
-        alone_a, alone_b: Frames that fall into a gap of the other recording.
-        dropped_a, dropped_b: Frames left out: without a partner, though the other recording has no gap.
+        alone_a, alone_b: Frames without a partner that are among the pairs.
+        dropped_a, dropped_b: Frames left out.
     """
 
     pairs: list[FramePair] = field(repr=False)
@@ -85,24 +85,29 @@ def pair_recordings(
     person_a: str,
     person_b: str,
     tolerance_ns: int | None = None,
+    *,
+    offset_ns: int = 0,
+    every_frame: bool = False,
 ) -> Pairing:
     """Pairs each frame of A with the nearest of B in time, each frame once.
 
     Two frames are a pair when each is the other's nearest and they lie within the tolerance. A frame that
-    falls into a gap of the other recording (it saw no one, or lost frames there) is given alone; one that
-    merely finds no partner, as where one sensor is faster, is left out. Assumes that both sensors' clocks
-    agree, as recordings of synchronised sensors' do.
+    falls into a gap of the other recording (it saw no one, or lost frames there) is given alone. Frames
+    before or after all of the other recording are left out.
 
     Args:
         frames_a, frames_b: Frames of each recording in time order.
         person_a, person_b: The person meant in each.
         tolerance_ns: Half the slower stream's median frame interval where None.
+        offset_ns: Added to the times of B, so that both are on A's clock.
+        every_frame: Whether a frame that merely finds no partner, as where one sensor is faster, is given
+            alone, too. Else it is left out, because the paper's methods fuse pairs.
 
     Raises:
         DeviceError: A recording is empty, or the two never overlap in time.
     """
     time_a = np.array([frame.time_ns for frame in frames_a], dtype=np.int64)
-    time_b = np.array([frame.time_ns for frame in frames_b], dtype=np.int64)
+    time_b = np.array([frame.time_ns for frame in frames_b], dtype=np.int64) + offset_ns
     if len(time_a) == 0 or len(time_b) == 0:
         raise DeviceError("A recording without frames cannot be paired.")
     if tolerance_ns is None:
@@ -120,8 +125,9 @@ def pair_recordings(
         FramePair.of(frames_a[i], frames_b[j], person_a, person_b, int(time_a[i]), int(skew[i]))
         for i, j in zip(chosen.tolist(), nearest_b[chosen].tolist(), strict=True)
     ]
-    alone_a = sorted(set(_in_gaps(time_a, time_b)) - set(chosen.tolist()))
-    alone_b = sorted(set(_in_gaps(time_b, time_a)) - set(nearest_b[chosen].tolist()))
+    gap = 0.0 if every_frame else _GAP
+    alone_a = sorted(set(_in_gaps(time_a, time_b, gap)) - set(chosen.tolist()))
+    alone_b = sorted(set(_in_gaps(time_b, time_a, gap)) - set(nearest_b[chosen].tolist()))
     pairs += [FramePair.of(frames_a[i], None, person_a, person_b, int(time_a[i])) for i in alone_a]
     pairs += [FramePair.of(None, frames_b[j], person_a, person_b, int(time_b[j])) for j in alone_b]
     pairs.sort(key=lambda pair: pair.time_ns)
@@ -136,12 +142,15 @@ def pair_recordings(
     )
 
 
-def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64]) -> list[int]:
-    """The frames, by index, that lie in a gap of the other recording, and not before or after all of it."""
-    gap = _GAP * _median_interval(others)
+def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64], gap: float) -> list[int]:
+    """The frames, by index, that lie in a gap of the other recording, and not before or after all of it.
+
+    The gap is the distance to the nearest frame of the other recording that must be exceeded, in its frame
+    intervals.
+    """
     apart = np.abs(others[_nearest(times, others)] - times)
     within = (times > others[0]) & (times < others[-1])
-    return np.flatnonzero(within & (apart > gap)).tolist()
+    return np.flatnonzero(within & (apart > gap * _median_interval(others))).tolist()
 
 
 def _person(frame: SensorFrame | None, person: str) -> Skeleton | None:

@@ -87,7 +87,8 @@ class SessionData:
     @property
     def origin(self) -> dict[str, str | float]:
         """What the session keeps of the capture that it was made of, for a session made of this one."""
-        names = "tracker", "replay_of", "clock_offset_ms", "clock_sd_ms", "dropped_a", "dropped_b"
+        clocks = "clock_corrected_ms", "clock_offset_ms", "clock_sd_ms"
+        names = "tracker", "replay_of", *clocks, "dropped_a", "dropped_b"
         known = self.about["session"]
         return {name: known[name][0] for name in names if name in known}
 

@@ -31,8 +31,6 @@ _SCATTER = 1.5  # factor on the windows' scatter, so that it covers the error on
 _LEAST_SD_NS = 2_000_000.0
 _SLOPE = 2  # frames before and after, between which a velocity is measured
 _FAR = 2.5  # robust deviations above which a residual counts less
-_LONGEST_NS = 500_000_000  # largest offset that is searched for in a recording
-_SHORTEST_NS = 2_000_000  # interval of a sensor; bounds the number of offsets that are tried
 _CERTAIN_NS = 5_000_000  # standard deviation below which an offset is reported
 _CHANGED = 3.0  # standard deviations
 
@@ -128,10 +126,10 @@ class ClockOffsetEstimator:
 def clock_offset_of(
     body: Body, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform, skews_ns: Sequence[int] | None = None
 ) -> ClockOffset | None:
-    """The offset and skew of a whole recording, up to half a second.
+    """The offset and skew of a whole recording, up to a tenth of a second.
 
-    A coarse search over shifts by whole frames finds the right neighbourhood; the regression then refines it
-    step by step, with B interpolated at the offset found so far.
+    The regression is repeated with B interpolated at the offset found so far.
+    :mod:`fusion.registration.clock_search` finds larger offsets.
 
     Args:
         body: Of both views.
@@ -146,16 +144,10 @@ def clock_offset_of(
         return None
     points = _Points(body)
     skews = np.zeros(len(pairs)) if skews_ns is None else np.array(skews_ns, dtype=np.float64)
-    interval = float(np.median(np.diff([pair.time_ns for pair in pairs])))
-    reach = int(_LONGEST_NS / max(interval, _SHORTEST_NS))
     times = np.array([pair.time_ns for pair in pairs], dtype=np.float64)
     views = points.of(pairs, a_from_b)
-    costs = [_cost(points, views, times, skews, shift * interval) for shift in range(-reach, reach + 1)]
-    if not np.isfinite(costs).any():
-        return None
-    offset_ns = (int(np.nanargmin(costs)) - reach) * interval
     found: ClockOffset | None = None
-    skew_ppm = 0.0
+    offset_ns = skew_ppm = 0.0
     for _ in range(4):
         drifted = skews + skew_ppm * 1e-6 * (times - times.mean())
         windows = _windows(points, views, times, drifted, offset_ns)
@@ -257,21 +249,6 @@ def _centred(points: _Points, residual: Array, velocity: Array) -> tuple[Array, 
     typical = float(np.median(size[known])) if known.any() else 1.0
     weight = known / (points.noise**2 * (1.0 + (size / (_FAR * max(typical, 1e-6))) ** 2))
     return r, v, np.asarray(weight[..., None])
-
-
-def _cost(
-    points: _Points, views: tuple[Array, Array], times: Array, skews_ns: Array, offset_ns: float
-) -> float:
-    """Mismatch of the views' motions at an offset: mean robust penalty of the residuals."""
-    residual, velocity = _residuals(views, times, skews_ns, offset_ns)
-    penalty, count = 0.0, 0
-    for inside in _seconds(times):
-        r, _, weight = _centred(points, residual[inside], velocity[inside])
-        known = weight[..., 0] > 0.0
-        size = np.linalg.norm(r, axis=2) / points.noise
-        penalty += float(np.log1p((size[known] / 0.02) ** 2).sum())
-        count += int(known.sum())
-    return penalty / count if count > 50 else np.nan
 
 
 def _combined(windows: Sequence[_Window]) -> ClockOffset | None:

@@ -14,7 +14,7 @@ from devices.depth.image_thinning import Depth
 from devices.events import Event
 from devices.files import Progress, RecordingChoice, TwoRecordings, quietly, read_two
 from devices.skeletons.conventions import Unit
-from devices.tracker_choice import WantedTracker, choose_tracker
+from devices.tracker_choice import TrackerChoice, WantedTracker, choose_tracker
 from fusion.calibration.calibration import Calibration
 from fusion.errors import CalibrationError
 from fusion.handedness import mirrored_share
@@ -44,6 +44,7 @@ def fuse(
     depth: Depth = "full",
     hindsight: Hindsight = "labels",
     refine: bool = True,
+    offset_ms: float | None = None,
     force: bool = False,
 ) -> Session:
     """Fuses two recordings of one capture.
@@ -71,6 +72,7 @@ def fuse(
         depth: For an ``.mkv``: how many of its depth images the session contains.
         hindsight: How later frames are used; see :class:`fusion.setup.FuserSettings`.
         refine: Whether a calibration found here is refined over the whole recording.
+        offset_ms: Added to the times of ``b``. None: found from the motion, for the method ``duplex``.
         force: Whether to fuse recordings that cannot be of one capture; see :func:`check_related`.
 
     Raises:
@@ -81,8 +83,8 @@ def fuse(
         RecordingChoice(Path(a), _path(skeletons_a), person_a, unit, "skeletons_a", "person_a"),
         RecordingChoice(Path(b), _path(skeletons_b), person_b, unit, "skeletons_b", "person_b"),
     )
-    read = read_two(*choices, choose_tracker(tracker))
     settings = replace(settings or FuserSettings(), hindsight=hindsight)
+    read = read_for(settings, choices, choose_tracker(tracker), offset_ms)
     pairs = read.pairing.pairs
     plan = plan_recording(
         read.body, [pair.skeletons for pair in pairs], settings, calibration, refine and calibration is None
@@ -92,6 +94,26 @@ def fuse(
     segments = setups_of(plan, settings, read.cameras(depth))
     frames = fuse_segments(segments, pairs, plan.codes)
     return fused_session(read, plan, segments, frames, without_folders((str(a), str(b))), depth)
+
+
+def read_for(
+    settings: FuserSettings,
+    choices: tuple[RecordingChoice, RecordingChoice],
+    tracker: TrackerChoice | None,
+    offset_ms: float | None = None,
+    progress: Progress = quietly,
+) -> TwoRecordings:
+    """Reads two recordings as a method takes them: ``duplex`` every frame, the paper's methods pairs.
+
+    Args:
+        settings: The method.
+        choices, tracker, progress: As for :func:`devices.files.read_two`.
+        offset_ms: Added to the times of B. None: the method ``duplex`` finds it from the motion.
+    """
+    duplex = settings.method == "duplex"
+    found = None if duplex else 0
+    offset_ns = found if offset_ms is None else round(1e6 * offset_ms)
+    return read_two(*choices, tracker, progress, offset_ns=offset_ns, every_frame=duplex)
 
 
 def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> None:
@@ -168,6 +190,8 @@ def _about(read: TwoRecordings, plan: RecordingPlan) -> dict[str, str | float]:
     """What a session keeps of its recordings: the tracker, frames that were dropped, the clocks' offset."""
     about: dict[str, str | float] = {"tracker": read.tracker} if read.tracker else {}
     about |= {"dropped_a": read.pairing.dropped_a, "dropped_b": read.pairing.dropped_b}
+    if read.clock is not None:
+        about |= {"clock_corrected_ms": read.clock.offset_ns * 1e-6}
     if plan.clock is not None:
         about |= {"clock_offset_ms": plan.clock.offset_ns * 1e-6, "clock_sd_ms": plan.clock.sd_ns * 1e-6}
     return about

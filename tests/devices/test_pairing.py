@@ -44,6 +44,25 @@ def test_a_slower_sensor_has_no_gaps() -> None:
     assert pairing.dropped_a >= 49
 
 
+def test_every_frame_within_both_recordings_is_kept_for_a_method_that_takes_single_views() -> None:
+    a = frames_at([t * FRAME_NS for t in range(300)])
+    b = frames_at([t * FRAME_NS * 2 for t in range(150)])  # half the rate
+    pairing = pair_recordings(a, b, "0", "0", every_frame=True)
+    assert (pairing.alone_a, pairing.alone_b) == (149, 0)
+    assert (pairing.dropped_a, pairing.dropped_b) == (1, 0)  # the last of A is after all of B
+    assert len(pairing.pairs) == 299
+
+
+def test_an_offset_puts_the_frames_of_b_on_the_clock_of_a() -> None:
+    a = frames_at([t * FRAME_NS for t in range(100)])
+    b = frames_at([t * FRAME_NS + 7_000_000_000 for t in range(100)])
+    pairing = pair_recordings(a, b, "0", "0", offset_ns=-6_990_000_000)
+    assert len(pairing.pairs) == 100
+    assert {pair.skew_ns for pair in pairing.pairs} == {10_000_000}
+    assert pairing.pairs[5].b is not None
+    assert pairing.pairs[5].b.time_ns == 5 * FRAME_NS + 7_000_000_000  # on its own clock
+
+
 @given(
     st.lists(st.integers(0, 2000), min_size=1, max_size=60, unique=True),
     st.lists(st.integers(0, 2000), min_size=1, max_size=60, unique=True),

@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import track
 
-from devices.files import RecordingChoice, TwoRecordings, not_of_libk4a, read_two
+from devices.files import RecordingChoice, TwoRecordings, not_of_libk4a
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.fuser import Fuser
@@ -19,7 +19,7 @@ from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings
 from fusion.skeleton import SkeletonPair
 from recordings.calibration_file import calibration_to_json, read_calibration
-from recordings.fusing.files import check_related, fused_session, without_folders
+from recordings.fusing.files import check_related, fused_session, read_for, without_folders
 from recordings.fusing.pairs import fuse_segments, setups_of
 from recordings.session import Session
 from viewer_app.errors import UsageError
@@ -53,13 +53,13 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
         viewing = choose_viewing(options, options.save, live=False)
     except UsageError:
         if not any(choice.is_tracked for choice in _choices(options)):
-            _read(options, console)  # a file that cannot be read is the greater fault
+            _read(options, FuserSettings(), console)  # a file that cannot be read is the greater fault
         raise
     outputs = (options.report, options.save_calibration)
     inputs = (options.a, options.b, options.skeletons_a, options.skeletons_b, Path(options.calibrate))
     check_outputs(outputs, filter(None, inputs), options.force, options.save)
     settings = recording_settings(options)
-    read = _read(options, console)
+    read = _read(options, settings, console)
     plan = _plan(options, settings, read, console)
     if not options.force:
         check_related(read, plan, options.a.name, options.b.name)
@@ -86,14 +86,14 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     return session, figures
 
 
-def _read(options: FuseOptions, console: Console) -> TwoRecordings:
+def _read(options: FuseOptions, settings: FuserSettings, console: Console) -> TwoRecordings:
     """Reads both recordings, with a body tracker where they are images, and prints their warnings."""
     choices = _choices(options)
     tracker = None
     if any(choice.is_tracked for choice in choices):
         tracker = tracker_of(options).for_images_of(not_of_libk4a(options.a, options.b))
         announce_tracker(tracker, console)
-    read = read_two(*choices, tracker, _progress(console))
+    read = read_for(settings, choices, tracker, options.offset, _progress(console))
     for warning in read.warnings:
         console.print(warning, style="yellow", markup=False)
     return read

@@ -53,6 +53,8 @@ class FuseOptions(
     """For an .mkv: a file of saved skeletons of A, instead of the body tracker."""
     skeletons_b: Annotated[Path | None, SENSORS] = None
     """For an .mkv: a file of saved skeletons of B, instead of the body tracker."""
+    offset: Annotated[float | None, SENSORS] = None
+    """Milliseconds to add to B's times; found from the motion if not given (--method duplex only)."""
 
 
 @dataclass(frozen=True, kw_only=True)

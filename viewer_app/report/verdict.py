@@ -126,7 +126,9 @@ def _distance(side: str, live: bool, median: float | None, near: float, far: flo
 def _unpaired_share(figures: Figures) -> float:
     """Of the slower sensor: one that is faster by itself has frames that nobody can pair."""
     shares = [
-        (figures["dropped"][side] or 0) / figures["frames"][side] for side in "ab" if figures["frames"][side]
+        ((figures["dropped"][side] or 0) + figures["alone"][side]) / figures["frames"][side]
+        for side in "ab"
+        if figures["frames"][side]
     ]
     return min(shares, default=0.0)
 

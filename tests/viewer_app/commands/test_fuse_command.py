@@ -15,7 +15,7 @@ from recordings import Session, fuse
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.machine import small_disk
 from tests.helpers.recorded_pairs import REAL, write_recordings, write_view
-from tests.helpers.two_views import moving
+from tests.helpers.two_views import A_FROM_B, moving
 from viewer_app.commands import fuse as fuse_command
 
 
@@ -93,7 +93,8 @@ def test_what_was_dropped_goes_with_the_session(
     shifted = [",".join((moved[row.split(",")[0]], *row.split(",")[1:])) for row in rows]
     late.write_text("\n".join([header, *shifted]) + "\n", encoding="utf-8")
     saved, one, two = tmp_path / "s.rrd", tmp_path / "1.json", tmp_path / "2.json"
-    assert duplex("fuse", a, late, "--no-viewer", "--save", saved, "--report", one) == 0
+    paper = "--method", "paper"  # which takes pairs only
+    assert duplex("fuse", a, late, *paper, "--no-viewer", "--save", saved, "--report", one) == 0
     said = capsys.readouterr().out
     dropped = figures_of(one)["dropped"]
     assert dropped["a"] > 10
@@ -301,3 +302,24 @@ def test_a_full_disk_ends_with_one_line(shared: Path, tmp_path: Path) -> None:
     assert ended.returncode == 2
     assert "Traceback" not in ended.stderr
     assert "s.rrd could not be written: " in ended.stderr.splitlines()[-1]
+
+
+def test_a_clock_that_is_seconds_off_is_corrected_and_every_frame_is_fused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = moving(KINECT_V2, 301)
+    a = write_view(tmp_path / "a.csv", KINECT_V2, truth)
+    b = write_view(tmp_path / "b.csv", KINECT_V2, A_FROM_B.inverse().apply(truth))
+    header, *rows = b.read_text(encoding="utf-8").splitlines()
+    joints = len(KINECT_V2)  # rows of a frame; B has every second frame, and a clock of its own
+    kept = [row.split(",", 1) for k, row in enumerate(rows) if k // joints % 2 == 0]
+    b.write_text("\n".join([header, *(f"{int(time) + 3_000_000},{rest}" for time, rest in kept)]) + "\n")
+    one, two = tmp_path / "1.json", tmp_path / "2.json"
+    assert duplex("fuse", a, b, "--no-viewer", "--report", one) == 0
+    assert "The clocks differ: -3000 ± 2 ms" in " ".join(capsys.readouterr().out.split())
+    figures = figures_of(one)
+    assert figures["frames"] == {"a": 301, "b": 151}
+    assert (figures["paired"], figures["alone"]) == (151, {"a": 150, "b": 0})
+    assert duplex("fuse", a, b, "--offset", "-3000", "--no-viewer", "--report", two) == 0
+    assert "clocks differ" not in capsys.readouterr().out
+    assert figures_of(two)["paired"] == 151

@@ -1,0 +1,222 @@
+"""The offset between the clocks of two recordings, up to half a minute, before their frames are paired.
+
+The speed of a joint is the same in every frame of reference, so the views need no registration. The speeds
+are correlated at all offsets. The largest peaks are candidates; a rigid registration of the views at each
+tells which one puts the person in the same place.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.body import Body
+from fusion.errors import CalibrationError
+from fusion.registration.clock_offset import ClockOffset
+from fusion.registration.rigid_fit import fit_recording
+from fusion.skeleton import TRACKED
+
+Array = NDArray[np.float64]
+
+_REACH_NS = 30_000_000_000
+_GRID_NS = 33_333_333
+_SLOPE = 2  # frames before and after, between which a speed is measured
+_LONGEST_NS = 300_000_000  # a longer interval is a gap
+_FASTEST = 8.0  # m/s: a faster joint has jumped
+_STILL = 0.1  # m/s: slower motion is mostly noise
+_OVERLAP = 0.35  # least share of either view's motion that a peak is based on
+_CANDIDATES = 6
+_LEAST_CORRELATION = 0.2
+_AMBIGUOUS = 1.6  # a candidate whose 1 - r is smaller by this factor is right where the places do not tell
+_STEP_NS, _STEPS = 16_666_667, 8
+_PARTS = 8  # of the recording
+_LEAST_SD_NS = 2_000_000.0
+_APART = 9  # grid steps between two peaks
+_COMPARED = 192  # frames
+_FEWEST = 24
+_FEWEST_JOINTS = 5
+_FAR = 0.05  # metres: a joint's distance beyond this counts less and less
+_CERTAIN = 3.0  # standard errors by which a candidate must be better than any other
+_CORRELATED = 2.0  # standard errors are larger by this factor, because neighbouring frames are alike
+
+
+class View(NamedTuple):
+    """One person in the T frames of a sensor.
+
+    Attributes:
+        time_ns: (T,) increasing.
+        positions: (T, J, 3) metres, in the sensor's frame.
+        states: (T, J) tracking states.
+    """
+
+    time_ns: NDArray[np.int64]
+    positions: NDArray[np.float32]
+    states: NDArray[np.uint8]
+
+
+def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
+    """The time to add to B's clock so that both views show one motion.
+
+    Args:
+        body: Of both views.
+        a, b: The views. Where their times do not overlap, the search begins with equal first times.
+
+    Returns:
+        None where the motion does not tell.
+    """
+    if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
+        return None
+    apart = b.time_ns[0] > a.time_ns[-1] or a.time_ns[0] > b.time_ns[-1]
+    base = int(a.time_ns[0] - b.time_ns[0]) if apart else 0
+    shifted = b._replace(time_ns=b.time_ns + base)
+    besides = () if apart else (0,)
+    peaks = _peaks(body, a, shifted, besides)
+    if len(peaks) == len(besides):
+        return None
+    offsets = [offset for offset, _ in peaks]
+    costs = np.array([_costs(a, shifted, offset) for offset in offsets])  # (candidates, frames)
+    known = np.isfinite(costs).sum(axis=1) >= _FEWEST
+    if not known.any():
+        return None
+    best = int(np.argmin(np.where(known, _means(costs), np.inf)))
+    for other in np.flatnonzero(known):
+        near = offsets[other] != 0 and abs(offsets[other] - offsets[best]) < _APART * _GRID_NS
+        if other == best or near or _better(costs[best], costs[other]):
+            continue
+        mismatch = [1.0 - peaks[k][1] for k in (other, best)]
+        if mismatch[0] < _AMBIGUOUS * mismatch[1] or _better(costs[other], costs[best]):
+            return None
+    return _refined(a, shifted, offsets[best], base)
+
+
+def _refined(a: View, b: View, near_ns: int, base_ns: int) -> ClockOffset | None:
+    """The offset nearby at which the registered views differ least, its deviation by the jackknife."""
+    offsets = near_ns + _STEP_NS * np.arange(-_STEPS, _STEPS + 1)
+    costs = np.array([_costs(a, b, int(offset)) for offset in offsets])
+    part = np.arange(_COMPARED) * _PARTS // _COMPARED
+    best = _minimum(costs)
+    others = np.array([_minimum(costs[:, part != k]) for k in range(_PARTS)])
+    if not 0.0 < best < 2.0 * _STEPS:
+        return None  # no offset nearby is better than all others
+    sd = np.sqrt((_PARTS - 1) * np.mean((others - best) ** 2))
+    return ClockOffset(base_ns + float(offsets[0] + best * _STEP_NS), max(float(sd * _STEP_NS), _LEAST_SD_NS))
+
+
+def _minimum(costs: Array) -> float:
+    """The row at which the mean cost is least, between rows by a parabola."""
+    means = _means(costs)
+    k = int(np.argmin(means))
+    return k + _vertex(-means[max(k - 1, 0) : k + 2])
+
+
+def _peaks(body: Body, a: View, b: View, besides: tuple[int, ...]) -> list[tuple[int, float]]:
+    """The largest correlations of the speeds: offset in ns, and r; and those at the offsets ``besides``."""
+    reach = _REACH_NS // _GRID_NS
+    count = int((a.time_ns[-1] - a.time_ns[0]) // _GRID_NS) + 1
+    grid = a.time_ns[0] + _GRID_NS * np.arange(-reach, count + reach)
+    x, y = _speeds(body, a, grid[reach : reach + count]), _speeds(body, b, grid)
+    known_x, known_y = np.isfinite(x).astype(float), np.isfinite(y).astype(float)
+    x, y = np.nan_to_num(x), np.nan_to_num(y)
+    product, power_x, power_y = _correlate(x, y), _correlate(x * x, known_y), _correlate(known_x, y * y)
+    enough = (power_x > _OVERLAP * power_x.max()) & (power_y > _OVERLAP * power_y.max())
+    r = np.where(enough, product / np.sqrt(np.where(enough, power_x * power_y, 1.0)), -np.inf)
+    peaks = [(offset, float(r[reach - offset // _GRID_NS])) for offset in besides]
+    for _ in range(_CANDIDATES):
+        k = int(np.argmax(r))
+        if r[k] < _LEAST_CORRELATION:
+            break
+        peaks.append((round((reach - k - _vertex(r[max(k - 1, 0) : k + 2])) * _GRID_NS), float(r[k])))
+        r[max(k - _APART, 0) : k + _APART + 1] = -np.inf
+    return peaks
+
+
+def _vertex(r: Array) -> float:
+    """Where a parabola through three values has its maximum, in steps from the middle one."""
+    if len(r) < 3 or not np.isfinite(r).all():
+        return 0.0
+    curvature = r[0] - 2.0 * r[1] + r[2]
+    return float(0.5 * (r[0] - r[2]) / curvature) if curvature < 0.0 else 0.0
+
+
+def _correlate(x: Array, y: Array) -> Array:
+    """Σ x_n y_{n+k} over all signals, for each k at which x lies within y."""
+    size = len(x) + len(y)
+    spectrum = (np.conj(np.fft.rfft(x, size, axis=0)) * np.fft.rfft(y, size, axis=0)).sum(axis=1)
+    return np.asarray(np.fft.irfft(spectrum, size)[: len(y) - len(x) + 1])
+
+
+def _speeds(body: Body, view: View, grid: NDArray[np.int64]) -> Array:
+    """(N, M) log speeds about their means, which an exchange of left and right does not change; NaN unknown.
+
+    They are the speeds of midline joints and of midpoints, and the mean speeds of left and right joints.
+    """
+    at = np.where((view.states == TRACKED)[..., None], view.positions, np.nan).astype(np.float64)
+    fresh = np.append(True, ((at[1:] != at[:-1]) & np.isfinite(at[1:])).any(axis=(1, 2)))
+    at, time_ns = at[fresh], view.time_ns[fresh]
+    own, other = body.midpoints
+    lateral = own != other
+    middle, each = _speed(time_ns, 0.5 * (at[:, own] + at[:, other])), _speed(time_ns, at)
+    mean = 0.5 * (each[:, own] + each[:, other])
+    speeds = np.log(_STILL + np.concatenate([middle, mean[:, lateral]], axis=1))
+    signals = np.full((len(grid), speeds.shape[1]), np.nan)
+    for signal, speed in zip(signals.T, speeds.T, strict=True):
+        known = np.flatnonzero(np.isfinite(speed))
+        if len(known) < _FEWEST:
+            continue
+        times = time_ns[known]
+        after = np.clip(np.searchsorted(times, grid), 1, len(times) - 1)
+        inside = (grid >= times[0]) & (grid <= times[-1]) & (times[after] - times[after - 1] < _LONGEST_NS)
+        signal[inside] = np.interp(grid[inside], times, speed[known])
+        signal -= np.nanmean(signal) if inside.any() else 0.0
+    return signals
+
+
+def _speed(time_ns: NDArray[np.int64], at: Array) -> Array:
+    """(T, N) m/s of (T, N, 3)."""
+    speed = np.full(at.shape[:2], np.nan)
+    elapsed = time_ns[2 * _SLOPE :] - time_ns[: -2 * _SLOPE]
+    moved = np.linalg.norm(at[2 * _SLOPE :] - at[: -2 * _SLOPE], axis=2)
+    speed[_SLOPE:-_SLOPE] = moved / (1e-9 * np.maximum(elapsed, 1))[:, None]
+    speed[_SLOPE:-_SLOPE][elapsed > _LONGEST_NS] = np.nan
+    speed[speed > _FASTEST] = np.nan
+    return speed
+
+
+def _costs(a: View, b: View, offset_ns: int) -> Array:
+    """(_COMPARED,) mean robust penalty of the joints of registered views, by frames of A; NaN without B."""
+    chosen = np.linspace(0, len(a.time_ns) - 1, _COMPARED).astype(np.int64)
+    times, wanted = b.time_ns + offset_ns, a.time_ns[chosen]
+    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    gap = times[after] - times[after - 1]
+    share = (wanted - times[after - 1]) / np.maximum(gap, 1)
+    inside = (share >= 0.0) & (share <= 1.0) & (gap < _LONGEST_NS)
+    tracked = (a.states[chosen] == TRACKED) & inside[:, None]
+    tracked &= (b.states[after] == TRACKED) & (b.states[after - 1] == TRACKED)
+    p = np.where(tracked[..., None], a.positions[chosen], 0.0).astype(np.float64)
+    q = (1.0 - share)[:, None, None] * b.positions[after - 1] + share[:, None, None] * b.positions[after]
+    q = np.where(tracked[..., None], q, 0.0)
+    costs = np.full(_COMPARED, np.nan)
+    seen = tracked.sum(axis=1) >= _FEWEST_JOINTS
+    try:
+        fit = fit_recording(np.where(tracked[..., None], p, np.nan)[seen], q[seen])
+    except CalibrationError:
+        return costs
+    penalty = np.log1p(np.sum((p - fit.apply(q)) ** 2, axis=2) / _FAR**2)
+    costs[seen] = np.nanmean(np.where(tracked, penalty, np.nan)[seen], axis=1)
+    return costs
+
+
+def _means(costs: Array) -> Array:
+    return np.array([np.mean(row[np.isfinite(row)]) if np.isfinite(row).any() else np.inf for row in costs])
+
+
+def _better(one: Array, other: Array) -> bool:
+    """Whether one candidate's costs are certainly smaller than another's."""
+    both = np.isfinite(one) & np.isfinite(other)
+    if both.sum() < _FEWEST:  # the other one has hardly a frame in common with it
+        return True
+    gain = other[both] - one[both]
+    error = _CORRELATED * float(gain.std()) / np.sqrt(len(gain))
+    return bool(gain.mean() > _CERTAIN * max(error, 1e-6))
