@@ -27,6 +27,8 @@ _BONE_PAIRS = 256
 """Pairs, evenly spaced, from which a recording's bone lengths are learned. Bone lengths need no variety of
 poses but many moments, because a tracker's scale changes within a second."""
 _FEWEST = 12
+_SPACING_NS, _PROPOSED_NS = 95_000_000, 3_000_000_000
+"""Pairs and refinements of the first pass, which only has to find when a sensor was moved."""
 _LABEL_FREE = "label-free fit of the first half minute"
 
 
@@ -110,9 +112,10 @@ def learn_from_recording(
     start = start or start_up_calibration(body, pairs)
     start = _best_start(body, [pairs[k] for k in fresh], [codes[k] for k in fresh], start, settings)
 
-    learner = CalibrationLearner(body, start, replace(settings, clock=False, bones=False))
+    rarely = replace(settings.refinement, interval_ns=_PROPOSED_NS)
+    learner = CalibrationLearner(body, start, replace(settings, refinement=rarely, clock=False, bones=False))
     changes: list[CalibrationChange] = []
-    for k in progress(fresh):
+    for k in progress(_spaced(pairs, fresh)):
         changes += learner.observe(pairs[k], codes[k], (False, False), skews_ns[k])
 
     knocks = _lasting_knocks(
@@ -200,6 +203,15 @@ def _fresh(pairs: Sequence[SkeletonPair]) -> list[int]:
                 fresh.append(k)
         before = pair
     return fresh
+
+
+def _spaced(pairs: Sequence[SkeletonPair], chosen: Sequence[int]) -> list[int]:
+    """Those of the chosen pairs that lie a tenth of a second apart: errors of neighbours are alike."""
+    spaced: list[int] = []
+    for k in chosen:
+        if not spaced or pairs[k].time_ns - pairs[spaced[-1]].time_ns >= _SPACING_NS:
+            spaced.append(k)
+    return spaced
 
 
 def _best_start(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from fusion.body import Body
 from fusion.joint_kinds import ARM, LEG, kind_of, limbs
@@ -29,17 +28,14 @@ class TrustColors:
     """
 
     def __init__(self) -> None:
-        self._state: NDArray[np.float64] | None = None
+        self._mean: NDArray[np.float64] | None = None
 
     def add(self, rows: SessionArrays) -> NDArray[np.uint8]:
         """(T, J, 3) RGB of frames in time order: the colours of A, of S* where both views count alike, and of
         B; grey where neither sensor sees the joint."""
         weights = np.stack((rows.weights_a, rows.weights_b), axis=1).astype(np.float64)
-        if self._state is None:
-            self._state = _KEPT_A_SECOND * weights[:1]
-        means, self._state = lfilter(
-            [1.0 - _KEPT_A_SECOND], [1.0, -_KEPT_A_SECOND], weights, axis=0, zi=self._state
-        )
+        means = _running_means(weights, _KEPT_A_SECOND, self._mean)
+        self._mean = means[-1]
         total = means.sum(axis=1)
         share = np.where(total > 0.0, means[:, 0] / np.where(total > 0.0, total, 1.0), 0.5)
         unseen = (rows.states_a == 0) & (rows.states_b == 0)
@@ -65,20 +61,30 @@ class LimbSources:
     def __init__(self, body: Body) -> None:
         members = [[limb == name for limb in _limbs_of(body)] for name in LIMBS]
         self._members = np.array(members, dtype=np.float64)
-        self._state: NDArray[np.float64] | None = None
+        self._mean: NDArray[np.float64] | None = None
 
     def add(self, rows: SessionArrays) -> NDArray[np.int64]:
         """(T, 6) indices into :data:`SOURCES` by the limbs of :data:`LIMBS`, for frames in time order."""
         known = ~rows.predicted
         each = rows.weights_a * known, rows.weights_b * known, rows.predicted
         sums = np.stack([values.astype(np.float64) @ self._members.T for values in each], axis=1)
-        if self._state is None:
-            self._state = _KEPT * sums[:1]
-        means, self._state = lfilter([1.0 - _KEPT], [1.0, -_KEPT], sums, axis=0, zi=self._state)
+        means = _running_means(sums, _KEPT, self._mean)
+        self._mean = means[-1]
         from_a, from_b, predicted = means.transpose(1, 0, 2)
         total = from_a + from_b
         source = np.where(from_a > _MOSTLY * total, 0, np.where(from_b > _MOSTLY * total, 1, 2))
         return np.where(predicted > 0.5 * self._members.sum(axis=1), 3, source)
+
+
+def _running_means(
+    values: NDArray[np.float64], kept: float, mean: NDArray[np.float64] | None
+) -> NDArray[np.float64]:
+    """(T, …) exponential means of values (T, …), after an earlier mean. (scipy.signal loads for a second.)"""
+    means = np.empty_like(values)
+    mean = values[0] if mean is None else mean
+    for k, value in enumerate(values):
+        means[k] = mean = kept * mean + (1.0 - kept) * value
+    return means
 
 
 def _limbs_of(body: Body) -> list[str]:

@@ -16,6 +16,7 @@ from fusion.plan import RecordingPlan
 from fusion.setup import FuserSettings, FusionSetup
 from recordings.session_arrays import SessionFrame
 
+_BLOCK = 256  # pairs that are fused in one compiled loop
 Segments = Sequence[tuple[FusionSetup, slice]]
 """The setups of successive parts of a recording."""
 
@@ -45,16 +46,17 @@ def fuse_segments(
             fuser = Fuser(setup)
         else:
             fuser.recalibrate(setup)
-        known = None if codes is None else codes[own]
-        if setup.settings.method == "duplex" and setup.settings.hindsight == "whole":
+        smooth = setup.settings.method == "duplex" and setup.settings.hindsight == "whole"
+        fuse = fuser.smooth_sequence if smooth else fuser.fuse_sequence
+        step = own.stop - own.start if smooth else _BLOCK
+        for first in range(own.start, own.stop, max(step, 1)):
+            block = slice(first, min(first + step, own.stop))
             before = time.perf_counter_ns()
-            smoothed = fuser.smooth_sequence([pair.skeletons for pair in pairs[own]], known)
-            each = (time.perf_counter_ns() - before) // max(len(smoothed), 1)
-            for pair, fused in zip(pairs[own], smoothed, strict=True):
-                yield SessionFrame(pair, fused, each)
-            continue
-        for k, pair in enumerate(pairs[own]):
-            yield fuse_one(fuser, pair, None if known is None else (int(known[k, 0]), int(known[k, 1])))
+            skeletons = [pair.skeletons for pair in pairs[block]]
+            fused = fuse(skeletons, None if codes is None else codes[block])
+            each = (time.perf_counter_ns() - before) // len(skeletons)
+            for pair, frame in zip(pairs[block], fused, strict=True):
+                yield SessionFrame(pair, frame, each)
 
 
 def fuse_one(fuser: Fuser, pair: FramePair, codes: tuple[int, int] | None = None) -> SessionFrame:
