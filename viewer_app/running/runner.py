@@ -22,6 +22,7 @@ from viewer_app.outputs.opening import announce_outputs, plan_outputs, print_out
 from viewer_app.outputs.output import LiveOutput
 from viewer_app.report.figures import save_report
 from viewer_app.report.terminal import print_details, print_summary, say_more, say_saved
+from viewer_app.running.interruption import call_after
 from viewer_app.running.session_report import session_report
 from viewer_app.running.status import LiveDisplay
 from viewer_app.sinks.live_session import LiveSession
@@ -119,9 +120,10 @@ class Runner:
         """
         console, verbose, file = self._console, self._options.verbose, self.session.file
         saved = None
-        if file is not None and file.failure is None and 0 < file.saved <= _REVIEWED:
-            saved = Session.open(file.path)
-        figures = session_report(setup, frames, sensors, self._outputs, saved)
+        with call_after(1.0, lambda: console.print("Computing the summary …")):
+            if file is not None and file.failure is None and 0 < file.saved <= _REVIEWED:
+                saved = Session.open(file.path)
+            figures = session_report(setup, frames, sensors, self._outputs, saved)
         if "fused_frames" not in figures:
             console.print("No frame was fused.")
         print_summary(console, figures)
