@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 
 from devices.sensor import DeviceError
 
@@ -32,3 +33,11 @@ def failed(name: str, fault: DeviceError, needed: bool = True) -> Check:
     """A failed check from an error: its first sentence is the detail, the rest is the advice."""
     what, _, advice = str(fault).partition(". ")
     return Check(name, False, what, advice, needed)
+
+
+def installed_version(package: str) -> str:
+    """The version of a Python package; empty if it is not installed."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""

@@ -9,7 +9,6 @@ import os
 import re
 import sys
 import threading
-from importlib.metadata import PackageNotFoundError, version
 from types import ModuleType
 from typing import Any
 
@@ -18,6 +17,7 @@ from devices.capture import usb
 from devices.capture.causes import Cause, in_brackets
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.usb import usb_kinects
+from devices.check import installed_version
 from devices.sensor import AbsentError, DeviceError
 
 _EXTRA = "pip install '.[kinect]' (after make: .venv/bin/pip install -e '.[kinect]')"
@@ -93,17 +93,9 @@ def how_to_install(platform: str = sys.platform) -> str:
     if needs is None:
         return "The Azure Kinect Sensor SDK runs on Windows and Linux only: record there, and fuse here."
     remove = ""
-    if _has_bundle():
+    if installed_version("pyk4a-bundle"):
         remove = "Remove pyk4a-bundle, whose wheels need numpy < 2 (pip uninstall pyk4a-bundle). "
     return f"{remove}pyk4a is built from source, with {needs}. Then, from this program's folder: {_EXTRA}."
-
-
-def _has_bundle() -> bool:
-    try:
-        version("pyk4a-bundle")
-    except PackageNotFoundError:
-        return False
-    return True
 
 
 def open_kinect(sdk: Any, serial: str, configuration: Any, *, joins_color: bool = False) -> Any:

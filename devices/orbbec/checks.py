@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 import sys
-from importlib.metadata import PackageNotFoundError, version
 
 from devices.capture.sensor_choice import ConnectedSensor
-from devices.check import Check, failed
+from devices.check import Check, failed, installed_version
 from devices.orbbec.sdk_access import faults_of, load_sdk, open_orbbec
 from devices.sensor import DeviceError
 
@@ -26,10 +25,7 @@ def sdk_check(platform: str = sys.platform) -> Check:
         load_sdk()
     except DeviceError as fault:
         return failed(SDK_NAME, fault)
-    try:
-        found = version("pyorbbecsdk2")
-    except PackageNotFoundError:
-        found = "installed"
+    found = installed_version("pyorbbecsdk2") or "installed"
     if platform == "darwin":
         found += "; on macOS it has no depth engine: no depth from Femto Bolt and Mega, only from Gemini"
     return Check(SDK_NAME, True, found)

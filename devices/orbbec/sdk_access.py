@@ -7,7 +7,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import PackageNotFoundError, version
 from types import ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -15,6 +14,7 @@ from weakref import WeakKeyDictionary
 from devices.capture.sensor_choice import ConnectedSensor
 from devices.capture.settings import CaptureSettings
 from devices.capture.usb import UDEV_ADVICE, usb_kinects, why_not_open
+from devices.check import installed_version
 from devices.sensor import AbsentError, DeviceError
 
 COMMAND = "pip install --no-deps pyorbbecsdk2"
@@ -56,18 +56,10 @@ def how_to_install(python: tuple[int, int] = sys.version_info[:2]) -> str:
         python: Major and minor version of the interpreter.
     """
     remove = ""
-    if _installed("pyorbbecsdk"):
+    if installed_version("pyorbbecsdk"):
         remove = "Remove pyorbbecsdk, the bindings of SDK v1, first (pip uninstall pyorbbecsdk). "
     newest = "" if python <= (3, 13) else " There are wheels for Python 3.11 to 3.13 only."
     return f"{remove}{COMMAND} (without --no-deps it would replace numpy and av).{newest}"
-
-
-def _installed(package: str) -> bool:
-    try:
-        version(package)
-    except PackageNotFoundError:
-        return False
-    return True
 
 
 def context_of(sdk: Any) -> Any:

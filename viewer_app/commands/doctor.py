@@ -7,7 +7,7 @@ import os
 import platform
 import subprocess
 import sys
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 
 from rich.console import Console
@@ -93,10 +93,7 @@ def _graphics(root: Path) -> Check:
 
 
 def _viewer() -> Check:
-    try:
-        installed = version("rerun-sdk")
-    except PackageNotFoundError:
-        return Check("viewer", False, "rerun-sdk is not installed", "pip install 'rerun-sdk>=0.41,<0.42'")
+    installed = version("rerun-sdk")
     try:
         answer = subprocess.run(
             [sys.executable, "-m", "rerun", "--version"],

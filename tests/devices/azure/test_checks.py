@@ -211,7 +211,7 @@ def test_requirements_for_building_pyk4a_are_named_by_platform(platform: str, wo
 
 
 def test_a_bundle_that_cannot_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pyk4a_access, "version", lambda _: "1.5.0")
+    monkeypatch.setattr(pyk4a_access, "installed_version", lambda _: "1.5.0")
     assert "pip uninstall pyk4a-bundle" in how_to_install("linux")
 
 
