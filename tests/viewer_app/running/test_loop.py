@@ -24,7 +24,7 @@ from tests.helpers.frame_pairs import KnownSensors
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
 from viewer_app.running import loop
 from viewer_app.running.loop import low_latency, run_live
-from viewer_app.running.session_report import latency_figures
+from viewer_app.running.runner import latency_figures
 from viewer_app.sinks.sink import Sink
 
 NOMINAL = FusionSetup(nominal_calibration(KINECT_V1))

@@ -10,7 +10,7 @@ import pytest
 
 from devices.sensor import LinkFigures
 from viewer_app.report.words import Line, lead_lines
-from viewer_app.running.session_report import stream_figures
+from viewer_app.running.runner import stream_figures
 
 WELL = LinkFigures(received=900, round_trip_ns=2_000_000, clock_bound_ns=1_000_000)
 
