@@ -28,23 +28,7 @@ class SkeletonJson:
     """
 
     def __init__(self, setup: FusionSetup) -> None:
-        body = setup.body
-        self._rotations = JointRotations(body)
-        joints = len(body)
-
-        def rows(columns: int, digits: int) -> str:
-            row = "[" + ",".join([f"%.{digits}f"] * columns) + "]"
-            return "[" + ",".join([row] * joints) + "]"
-
-        numbers = "[" + ",".join(["%.3f"] * joints) + "]"
-        sigmas = "[" + ",".join(["%.4f"] * joints) + "]"
-        begin = '{"type":"frame","version":1,"number":%d,"time_s":%.6f,'
-        person = f'"person":true,"positions":{rows(3, 4)},"rotations":{rows(4, 5)},"confidence":{numbers},'
-        self._with_sigma = begin + person + f'"sigma":{sigmas}}}'
-        self._without_sigma = begin + person + '"sigma":null}'
-        self._without_person = begin + (
-            '"person":false,"positions":null,"rotations":null,"confidence":null,"sigma":null}'
-        )
+        self._rotations = JointRotations(setup.body)
 
     def hello(self, setup: FusionSetup) -> str:
         """The message that describes the others."""
@@ -66,16 +50,27 @@ class SkeletonJson:
 
     def frame(self, timed: QueuedFrame) -> str:
         """A frame: positions (J, 3), rotations (J, 4) x, y, z, w, confidence (J,), sigma (J,) or null."""
-        fused = timed.fused
-        about = (timed.number, timed.time_ns * 1e-9)
-        if not fused.has_person:
-            return self._without_person % about
-        rotations = self._rotations.update(fused.positions, timed.time_ns)
-        values = [fused.positions.ravel(), rotations.ravel(), confidence(fused)]
-        if fused.sigma is None:
-            return self._without_sigma % (*about, *np.concatenate(values).tolist())
-        values.append(np.minimum(fused.sigma, 9.0))
-        return self._with_sigma % (*about, *np.concatenate(values).tolist())
+        fused, sigma = timed.fused, timed.fused.sigma
+        person: dict[str, object] = dict.fromkeys(("positions", "rotations", "confidence", "sigma"))
+        if fused.has_person:
+            rotations = self._rotations.update(fused.positions, timed.time_ns)
+            person = {
+                "positions": fused.positions.round(4).tolist(),
+                "rotations": rotations.round(5).tolist(),
+                "confidence": confidence(fused).round(3).tolist(),
+                "sigma": None if sigma is None else np.minimum(sigma, 9.0).round(4).tolist(),
+            }
+        return json.dumps(
+            {
+                "type": "frame",
+                "version": VERSION,
+                "number": timed.number,
+                "time_s": round(timed.time_ns * 1e-9, 6),
+                "person": fused.has_person,
+                **person,
+            },
+            separators=(",", ":"),
+        )
 
     def event(self, event: Event) -> str:
         """An event."""
