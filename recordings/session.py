@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from devices.events import Event, Spell, spells_of
 from devices.pairing import FramePair, Pairing
@@ -36,6 +36,7 @@ from recordings import layout
 from recordings.errors import RecordingError
 from recordings.file.session_reader import read_session
 from recordings.images import NO_IMAGES, SessionImages
+from recordings.interpolation import positions_at
 from recordings.session_arrays import SessionArrays, SessionFrame, ViewsAgree
 from recordings.session_data import SessionData
 from recordings.writing.checksums import fused_checksums, joint_digests
@@ -198,6 +199,13 @@ class Session(SessionData):
     def fused(self) -> NDArray[np.float64]:
         """(T, J, 3) S* in K_A's frame, metres, in float32 precision; NaN where S* is missing."""
         return self.rows.fused
+
+    def at(self, time_ns: ArrayLike) -> NDArray[np.float64]:
+        """(N, J, 3) S* at any times (N,) since the first pair, with bones of constant length.
+
+        See :func:`recordings.interpolation.positions_at`.
+        """
+        return positions_at(self.rows, time_ns)
 
     @property
     def bone_lengths(self) -> NDArray[np.float64]:

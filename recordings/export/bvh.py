@@ -22,7 +22,8 @@ from scipy.spatial.transform import Rotation
 from fusion.body import Body
 from fusion.joint_rotations import joint_bones, rotations_of
 from recordings.errors import RecordingError
-from recordings.export.even_frames import at_even_frames, even_frames, y_up, y_up_rotations
+from recordings.export.even_frames import even_moments, y_up, y_up_rotations
+from recordings.interpolation import positions_at
 from recordings.session import Session
 
 _CM = 100.0
@@ -41,8 +42,13 @@ class _Node:
     end: NDArray[np.float64] | None  # (3,) metres, end site of a last joint
 
 
-def write_bvh(session: Session, path: Path) -> str:
+def write_bvh(session: Session, path: Path, rate: float | None = None) -> str:
     """Writes S* as BVH. BVH has no gaps: the last pose is held during a gap.
+
+    Args:
+        session: The session.
+        path: The file.
+        rate: Frames per second; see :func:`recordings.export.even_frames.even_moments`.
 
     Returns:
         A description of what was written.
@@ -52,8 +58,8 @@ def write_bvh(session: Session, path: Path) -> str:
     """
     first = _first_of_last_lengths(session)
     rows = session.rows[first:]
-    even = even_frames(rows)
-    positions = y_up(at_even_frames(rows.fused, even))  # (N, J, 3)
+    even = even_moments(rows, rate)
+    positions = y_up(positions_at(rows, even.time_ns))  # (N, J, 3)
     present = np.isfinite(positions).all(axis=(1, 2))
     if not present.any():
         since = f" from frame {first} on, where its bones got their last lengths" if first else ""
@@ -63,13 +69,12 @@ def write_bvh(session: Session, path: Path) -> str:
     positions = positions[held]
     body = session.body
     nodes = list(_nodes(body, _rest(body, session.calibration.bone_lengths)))
-    moments = (np.arange(len(positions)) * (1e9 / even.rate)).astype(np.int64)
-    rotations = _rotations(nodes, y_up_rotations(rotations_of(body, y_up(positions), moments)))
+    rotations = _rotations(nodes, y_up_rotations(rotations_of(body, y_up(positions), even.time_ns)))
     motion = np.concatenate([positions[:, body.root] * _CM, *(_degrees(r) for r in rotations)], axis=1)
     lines = [*_hierarchy(nodes), "MOTION", f"Frames: {len(positions)}", f"Frame Time: {1.0 / even.rate:.9f}"]
     lines += [" ".join(f"{v:.6f}" for v in row) for row in motion]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    words = even.in_words(len(rows))
+    words = even.in_words
     if not present.all():
         words += f"; {np.count_nonzero(~present)} of them hold the pose before, for lack of an S*"
     if first:

@@ -13,19 +13,20 @@ from pathlib import Path
 import numpy as np
 
 from recordings.errors import RecordingError
-from recordings.export.even_frames import at_even_frames, even_frames, y_up
+from recordings.export.even_frames import even_moments, y_up
 from recordings.session import Session
 
 # Vendors count further in parameters of their own; ezc3d and all that is built on it read none of those
 _MOST_FRAMES = 65_535
 
 
-def write_c3d(session: Session, path: Path) -> str:
+def write_c3d(session: Session, path: Path, rate: float | None = None) -> str:
     """Writes S* as points labelled with the joint names: x right, y forward, z up, as seen from K_A.
 
     Args:
         session: The session.
         path: The file; ezc3d requires the suffix ``.c3d``.
+        rate: Frames per second; see :func:`recordings.export.even_frames.even_moments`.
 
     Returns:
         A description of what was written.
@@ -40,14 +41,14 @@ def write_c3d(session: Session, path: Path) -> str:
         raise RecordingError(
             "Writing .c3d needs the package ezc3d: pip install 'duplex-kinects[export]'."
         ) from None
-    even = even_frames(session.rows)
-    if len(even.index) > _MOST_FRAMES:
+    even = even_moments(session.rows, rate)
+    if len(even.time_ns) > _MOST_FRAMES:
         raise RecordingError(
             f"A .c3d holds {_MOST_FRAMES} frames, {_MOST_FRAMES / even.rate / 60:.0f} min at "
-            f"{even.rate:.6g} Hz; {session} has {len(even.index)}. Export it in parts made with "
+            f"{even.rate:.6g} Hz; {session} has {len(even.time_ns)}. Export it in parts made with "
             "`duplex trim`, or as .trc."
         )
-    positions = at_even_frames(session.rows.fused, even) * 1e3  # (N, J, 3)
+    positions = session.at(even.time_ns) * 1e3  # (N, J, 3)
     N, J = positions.shape[:2]
     points = np.full((4, J, N), np.nan)
     points[:3] = (positions[..., [0, 2, 1]] * [1.0, 1.0, -1.0]).transpose(2, 1, 0)
@@ -68,7 +69,7 @@ def write_c3d(session: Session, path: Path) -> str:
         begin = 512 * (int.from_bytes(written.read(18)[16:], "little") - 1)
     if path.stat().st_size < begin + points.astype(np.float32).nbytes:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    return even.in_words(len(session))
+    return even.in_words
 
 
 def write_trc(session: Session, path: Path) -> str:
@@ -78,7 +79,7 @@ def write_trc(session: Session, path: Path) -> str:
         A description of what was written.
     """
     rows = session.rows
-    joints, rate = rows.body.joints, f"{even_frames(rows).rate:.6g}"
+    joints, rate = rows.body.joints, f"{even_moments(rows).rate:.6g}"
     T, J = len(rows), len(joints)
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{session.name.removesuffix('.rrd')}.trc",

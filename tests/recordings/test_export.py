@@ -1,5 +1,6 @@
 """Each format read back by a library that is not ours."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,10 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from fusion.body import BODIES, KINECT_V2, Body
+from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.rigid import RigidTransform
 from recordings.errors import RecordingError
 from recordings.export import writer_for
-from recordings.export.even_frames import EvenFrames, even_frames
+from recordings.export.even_frames import even_moments
 from recordings.file.session_writer import write_session
 from recordings.session import Session
 from tests.helpers.frame_pairs import frame_pairs
@@ -95,19 +97,20 @@ def test_c3d_is_read_by_another_library(session: Session) -> None:
     pytest.importorskip("ezc3d")
     c3d = pytest.importorskip("c3d")
     path = exported(session, "s.c3d")
-    even = even_frames(session.rows)
+    even = even_moments(session.rows)
+    recorded = dict(zip(session.rows.time_ns.tolist(), range(len(session)), strict=True))
     with path.open("rb") as file:
         reader = c3d.Reader(file)
         assert reader.point_rate == 30.0
         assert reader.get("POINT").get("UNITS").string_value.strip() == "mm"
         assert [label.strip() for label in reader.point_labels] == list(session.body.joints)
         frames = [points for _, points, _ in reader.read_frames()]
-    assert len(frames) == len(even.index)
-    for points, index in zip(frames, even.index, strict=True):
-        if index in GAP:
+    assert len(frames) == len(even.time_ns)
+    for points, at, time_ns in zip(frames, session.at(even.time_ns), even.time_ns.tolist(), strict=True):
+        if recorded.get(time_ns) in GAP or np.isnan(at).any():
             assert (points[:, 3] == -1).all()
             continue
-        x, y, z = 1e3 * session.rows.fused[index].T
+        x, y, z = 1e3 * at.T
         np.testing.assert_allclose(
             points[:, :3], np.stack([x, z, -y], axis=1), atol=1e-3
         )  # float32 of metres
@@ -115,12 +118,14 @@ def test_c3d_is_read_by_another_library(session: Session) -> None:
 
 def test_bvh_joints_reproduce_the_fused_ones_within_a_tenth_of_a_millimetre(session: Session) -> None:
     path = exported(session, "s.bvh")
-    even = even_frames(session.rows)
+    even = even_moments(session.rows)
     body = session.body
     header = path.read_text(encoding="utf-8")
-    assert f"Frames: {len(even.index)}\nFrame Time: 0.033333" in header
-    held = [GAP[0] - 1 if index in GAP else index for index in even.index]  # the last pose
-    np.testing.assert_allclose(bvh_joints(path, body), y_up(session.rows.fused[held]), atol=1e-4)
+    assert f"Frames: {len(even.time_ns)}\nFrame Time: 0.033333" in header
+    there = session.at(even.time_ns)
+    known = np.maximum.accumulate(np.where(np.isnan(there).any(axis=(1, 2)), 0, np.arange(len(there))))
+    assert (known < np.arange(len(there))).sum() >= len(GAP)  # the last pose is held
+    np.testing.assert_allclose(bvh_joints(path, body), y_up(there[known]), atol=1e-4)
 
 
 def bvh_joints(path: Path, body: Body) -> NDArray[np.float64]:
@@ -181,22 +186,47 @@ def test_c3d_refuses_what_its_readers_would_silently_lose(tmp_path: Path) -> Non
     assert not (tmp_path / "s.c3d").exists()
 
 
-def test_an_even_rate_says_what_it_did_to_the_frames() -> None:
-    even = EvenFrames(30.0, np.array([0, 1, 1, -1, 4]))
-    said = "5 frames at a constant 30 Hz (1 repeated, 2 left out, 1 without a recorded frame)"
-    assert even.in_words(5) == said
-    assert EvenFrames(15.0, np.arange(3)).in_words(3) == "3 frames at a constant 15 Hz"
+def test_s_star_between_two_frames_keeps_its_bones_and_turns_evenly(session: Session) -> None:
+    rows, body = session.rows, session.body
+    before = int(np.flatnonzero(np.isfinite(rows.fused).all(axis=(1, 2)))[3])
+    first_ns, last_ns = rows.time_ns[before : before + 2]
+    times = np.linspace(first_ns, last_ns, 5).astype(np.int64)
+    found = session.at(times)
+    np.testing.assert_array_equal(found[[0, -1]], rows.fused[[before, before + 1]])
+    lengths = bone_lengths_of(body, found)[:, body.bone_joints]
+    np.testing.assert_allclose(
+        lengths, rows.bone_lengths[[before]][:, body.bone_joints].repeat(5, 0), atol=1e-6
+    )
+    joint = body.bone_joints[0]
+    bones = found[:, joint] - found[:, body.parents[joint]]
+    turned = [np.linalg.norm(np.cross(u, v)) for u, v in itertools.pairwise(bones)]
+    np.testing.assert_allclose(turned, turned[0], rtol=0.02)
+    assert np.isnan(session.at([rows.time_ns[0] - 1, rows.time_ns[-1] + 1])).all()
+
+
+def test_a_rate_is_for_formats_without_times(session: Session, tmp_path: Path) -> None:
+    path = tmp_path / "fast.bvh"
+    writer_for(path, rate=60.0)(session, path)
+    header = path.read_text(encoding="utf-8")
+    assert "Frame Time: 0.016666667" in header
+    seconds = (session.time_ns[-1] - session.time_ns[0]) * 1e-9
+    assert f"Frames: {round(seconds * 60.0) + 1}\n" in header
+    with pytest.raises(RecordingError, match="keeps the recorded times"):
+        writer_for(tmp_path / "s.csv", rate=60.0)
+    with pytest.raises(RecordingError, match="1 to 1000"):
+        writer_for(path, rate=0.0)
 
 
 def test_a_pause_in_the_recording_is_a_gap_at_an_even_rate(tmp_path: Path) -> None:
     pairs = frame_pairs(KINECT_V2, 40)
     late = [p for k, p in enumerate(pairs) if not 10 <= k < 25]
     session = record_fused(tmp_path / "s.rrd", late, calibration_of(KINECT_V2))
-    even = even_frames(session.rows)
+    even = even_moments(session.rows)
     assert even.rate == 30.0
-    assert (even.index[12:23] == -1).all()
-    np.testing.assert_array_equal(even.index[:10], np.arange(10))
-    np.testing.assert_array_equal(even.index[25:], np.arange(10, 25))
+    there = np.isfinite(session.at(even.time_ns)).all(axis=(1, 2))
+    assert there[:9].all()
+    assert not there[10:25].any()
+    assert there[26:].all()
 
 
 def test_an_unknown_ending_says_which_are_known(tmp_path: Path) -> None:

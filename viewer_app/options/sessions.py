@@ -122,5 +122,7 @@ class ExportOptions:
     """The file to write."""
     table: Literal["long", "wide"] = "long"
     """Layout of a .csv: one row per joint and skeleton, or one row per frame with S* only."""
+    rate: float | None = None
+    """Frames per second of a .bvh or .c3d; that of the recording if not given."""
     force: bool = False
     """Overwrite a file that exists."""
