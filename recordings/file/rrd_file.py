@@ -7,6 +7,7 @@ compressed with LZ4. A message that cannot be decompressed is skipped, and the r
 
 from __future__ import annotations
 
+import math
 import mmap
 import struct
 from collections.abc import Callable, Iterator
@@ -347,8 +348,8 @@ def _dense(column: pa.Array) -> NDArray[Any] | None:
     """
     shape = [len(column)]
     if pa.types.is_list(column.type) or pa.types.is_large_list(column.type):
-        lengths = np.unique(np.diff(np.asarray(column.offsets)))
-        if column.null_count or len(lengths) != 1:
+        lengths = np.diff(np.asarray(column.offsets))
+        if column.null_count or not lengths.size or (lengths != lengths[0]).any():
             return None
         shape.append(int(lengths[0]))
         column = column.flatten()
@@ -356,10 +357,10 @@ def _dense(column: pa.Array) -> NDArray[Any] | None:
         shape.append(column.type.list_size)
         column = column.flatten()
     if pa.types.is_duration(column.type):
-        column = column.cast(pa.int64())
+        column = column.view(pa.int64())
     if pa.types.is_dictionary(column.type):
         column = column.indices
     if column.null_count or not (pa.types.is_primitive(column.type)):
         return None
     values = np.asarray(column.to_numpy(zero_copy_only=False))
-    return values.reshape(shape) if values.size == np.prod(shape) else None
+    return values.reshape(shape) if values.size == math.prod(shape) else None
