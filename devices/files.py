@@ -257,11 +257,12 @@ def read_two(
 
 
 def _clock_correction(body: Body, a: View, b: View) -> ClockOffset | None:
-    """The offset of B's clock, where the motion shows one of at least a frame."""
+    """The offset of B's clock, where the motion shows one of at least a frame, certain to two frames."""
     found = find_clock_offset(body, a, b)
-    if found is None or abs(found.offset_ns) < np.median(np.diff(a.time_ns)) or not found.significant:
+    if found is None or not found.significant:
         return None
-    return found
+    interval = float(np.median(np.diff(a.time_ns)))
+    return found if abs(found.offset_ns) >= interval and found.sd_ns <= 2.0 * interval else None
 
 
 def clock_warnings(a: MkvInfo | None, b: MkvInfo | None, pairs: Iterable[FramePair]) -> list[str]:
