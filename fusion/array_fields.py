@@ -42,5 +42,11 @@ def _declared(kind: Any) -> list[tuple[str, Any, tuple[int | str, ...] | None, A
             fields.append((name, hint, None, None))
             continue
         array, shape, value = (*get_args(hint), 0)[:3]
-        fields.append((name, get_args(get_args(array)[1])[0], shape, value))
+        fields.append((name, _element(array), shape, value))
     return fields
+
+
+def _element(array: Any) -> Any:
+    """The dtype of ``NDArray[dtype]``, an alias of its own from Python 3.12 on."""
+    *_, of = get_args(array)
+    return get_args(of)[0] if get_args(of) else of
