@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import filecmp
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -239,9 +239,12 @@ def read_two(
     if offset_ns is None:
         clock = _clock_correction(a.body, read_a.view(person_a), read_b.view(person_b))
         offset_ns = 0 if clock is None else round(clock.offset_ns)
+    # Two clocks that were put together have no common moments: a partner is the nearest within a frame.
+    tolerance_ns = None if clock is None else _interval_ns(read_a.frames)
     pairing = pair_recordings(
-        read_a.frames, read_b.frames, person_a, person_b, offset_ns=offset_ns, every_frame=every_frame
-    )
+        read_a.frames, read_b.frames, person_a, person_b, tolerance_ns,
+        offset_ns=offset_ns, every_frame=every_frame,
+    )  # fmt: skip
     about_clocks = clock_warnings(read_a.info, read_b.info, pairing.pairs)
     if clock is not None:
         about_clocks = [
@@ -254,6 +257,10 @@ def read_two(
     return TwoRecordings(
         a.body, pairing, (a.intrinsics, b.intrinsics), warnings, (path_a, path_b), name, clock
     )
+
+
+def _interval_ns(frames: Sequence[SensorFrame]) -> int:
+    return int(np.median(np.diff([frame.time_ns for frame in frames])))
 
 
 def _clock_correction(body: Body, a: View, b: View) -> ClockOffset | None:

@@ -25,7 +25,7 @@ def positions_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
         (N, J, 3) metres in K_A's frame; the recorded S* at the times of frames. NaN before the first and
         after the last frame, in intervals of more than 0.3 s, and where a frame has no S*.
     """
-    wanted = np.asarray(time_ns, dtype=np.int64)
+    wanted = np.atleast_1d(np.asarray(time_ns, dtype=np.int64))
     times, fused, body = rows.time_ns, rows.fused, rows.body
     if len(times) == 0:
         return np.full((len(wanted), len(body), 3), np.nan)

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 _REACH_NS = 30_000_000_000
 _GRID_NS = 33_333_333
+_LONGEST_SPAN_NS = 3_600_000_000_000
 _SLOPE = 2  # frames before and after, between which a speed is measured
 _LONGEST_NS = 300_000_000  # a longer interval is a gap
 _FASTEST = 8.0  # m/s: a faster joint has jumped
@@ -68,6 +69,8 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     """
     if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
         return None
+    hour = np.abs(a.time_ns - np.median(a.time_ns)) < _LONGEST_SPAN_NS // 2
+    a = View._make(values[hour] for values in a)  # enough, and without times of another day
     apart = b.time_ns[0] > a.time_ns[-1] or a.time_ns[0] > b.time_ns[-1]
     base = int(a.time_ns[0] - b.time_ns[0]) if apart else 0
     shifted = b._replace(time_ns=b.time_ns + base)

@@ -27,6 +27,7 @@ from recordings.session import Session
 from recordings.session_arrays import SessionFrame
 
 _UNRELATED = 0.2  # metres
+_LARGEST_OFFSET_MS = 1e12  # so that nanoseconds fit into 64 bits
 
 
 def fuse(
@@ -109,7 +110,14 @@ def read_for(
         settings: The method.
         choices, tracker, progress: As for :func:`devices.files.read_two`.
         offset_ms: Added to the times of B. None: the method ``duplex`` finds it from the motion.
+
+    Raises:
+        CalibrationError: The offset is no number, or beyond 1e12 ms.
     """
+    if offset_ms is not None and not abs(offset_ms) <= _LARGEST_OFFSET_MS:
+        raise CalibrationError(
+            f"The offset of the clocks is {offset_ms:g} ms; give at most 1e12 milliseconds."
+        )
     duplex = settings.method == "duplex"
     found = None if duplex else 0
     offset_ns = found if offset_ms is None else round(1e6 * offset_ms)

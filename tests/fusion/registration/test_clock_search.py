@@ -51,3 +51,12 @@ def test_people_who_hardly_move_tell_no_offset() -> None:
 def test_two_people_with_different_movements_have_no_offset() -> None:
     a, b = views_of("arms", 64)[0], views_of("walk", 65)[1]
     assert find_clock_offset(AZURE_KINECT, a, b) is None
+
+
+def test_one_stray_time_does_not_make_the_search_long() -> None:
+    a, b = views_of("walk", 66)
+    time_ns = a.time_ns + 1_700_000_000_000_000_000
+    time_ns[0] = 0
+    found = find_clock_offset(AZURE_KINECT, a._replace(time_ns=time_ns), b)
+    assert found is not None
+    assert found.offset_ns == pytest.approx(1_700_000_000_000_000_000, abs=FRAME_NS / 3)
