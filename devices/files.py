@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import filecmp
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from devices.depth.image_thinning import Depth, thinned, thinned_camera
 from devices.depth.witness import with_witness
 from devices.orbbec.playback import SUFFIX as BAG
 from devices.orbbec.playback import OrbbecRecording
-from devices.pairing import FramePair, Pairing, pair_recordings
+from devices.pairing import FramePair, Pairing, median_interval, pair_recordings
 from devices.people import choose_person, one_person, with_successors
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.skeletons.conventions import Unit
@@ -240,7 +240,7 @@ def read_two(
         clock = _clock_correction(a.body, read_a.view(person_a), read_b.view(person_b))
         offset_ns = 0 if clock is None else round(clock.offset_ns)
     # Two clocks that were put together have no common moments: a partner is the nearest within a frame.
-    tolerance_ns = None if clock is None else _interval_ns(read_a.frames)
+    tolerance_ns = None if clock is None else median_interval(read_a.view(person_a).time_ns)
     pairing = pair_recordings(
         read_a.frames, read_b.frames, person_a, person_b, tolerance_ns,
         offset_ns=offset_ns, every_frame=every_frame,
@@ -259,16 +259,12 @@ def read_two(
     )
 
 
-def _interval_ns(frames: Sequence[SensorFrame]) -> int:
-    return int(np.median(np.diff([frame.time_ns for frame in frames])))
-
-
 def _clock_correction(body: Body, a: View, b: View) -> ClockOffset | None:
     """The offset of B's clock, where the motion shows one of at least a frame, certain to two frames."""
     found = find_clock_offset(body, a, b)
     if found is None or not found.significant:
         return None
-    interval = float(np.median(np.diff(a.time_ns)))
+    interval = median_interval(a.time_ns)
     return found if abs(found.offset_ns) >= interval and found.sd_ns <= 2.0 * interval else None
 
 

@@ -111,7 +111,7 @@ def pair_recordings(
     if len(time_a) == 0 or len(time_b) == 0:
         raise DeviceError("A recording without frames cannot be paired.")
     if tolerance_ns is None:
-        tolerance_ns = max(_median_interval(time_a), _median_interval(time_b)) // 2
+        tolerance_ns = max(median_interval(time_a), median_interval(time_b)) // 2
     nearest_b = _nearest(time_a, time_b)
     mutual = _nearest(time_b, time_a)[nearest_b] == np.arange(len(time_a))
     skew = time_b[nearest_b] - time_a
@@ -150,7 +150,7 @@ def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64], gap: float) ->
     """
     apart = np.abs(others[_nearest(times, others)] - times)
     within = (times > others[0]) & (times < others[-1])
-    return np.flatnonzero(within & (apart > gap * _median_interval(others))).tolist()
+    return np.flatnonzero(within & (apart > gap * median_interval(others))).tolist()
 
 
 def _person(frame: SensorFrame | None, person: str) -> Skeleton | None:
@@ -165,7 +165,8 @@ def _nearest(times: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.
     return np.where(np.abs(others[before] - times) <= np.abs(others[after] - times), before, after)
 
 
-def _median_interval(times: NDArray[np.int64]) -> int:
+def median_interval(times: NDArray[np.int64]) -> int:
+    """Nanoseconds between two frames; a thirtieth of a second for a single frame."""
     return int(np.median(np.diff(times))) if len(times) > 1 else 33_000_000
 
 
