@@ -10,23 +10,15 @@ from devices.sensor import DeviceError
 
 @dataclass(frozen=True)
 class Check:
-    """Result of one check.
+    """Result of one check."""
 
-    Attributes:
-        name: What was checked.
-        ok: Whether it works.
-        detail: What was found.
-        advice: What to do if it fails; empty if it works.
-        needed: Whether live capture requires it.
-        alternative: Name of another check; if both fail, one of the two is enough. Empty if there is none.
-    """
-
-    name: str
-    ok: bool
-    detail: str
-    advice: str = ""
-    needed: bool = True
+    name: str  # what was checked
+    ok: bool  # whether it works
+    detail: str  # what was found
+    advice: str = ""  # what to do if it fails; empty if it works
+    needed: bool = True  # whether live capture requires it
     alternative: str = ""
+    """Name of another check; if both fail, one of the two is enough. Empty if there is none."""
 
 
 def failed(name: str, fault: DeviceError, needed: bool = True) -> Check:

@@ -20,21 +20,13 @@ WantedTracker = Literal["auto", "blazepose", "k4abt"]
 
 @dataclass(frozen=True)
 class TrackerChoice:
-    """The body tracker that runs.
+    """The body tracker that runs."""
 
-    Attributes:
-        name: ``k4abt``, Microsoft's, or ``blazepose``, the program's own.
-        reason: Why this one, in one clause.
-        asked: Whether the user asked for this one.
-        k4abt: Settings of Microsoft's tracker.
-        blazepose: Settings of the program's own.
-    """
-
-    name: Literal["blazepose", "k4abt"]
-    reason: str
-    asked: bool = False
-    k4abt: TrackerSettings = field(default_factory=TrackerSettings)
-    blazepose: BlazePoseSettings = field(default_factory=BlazePoseSettings)
+    name: Literal["blazepose", "k4abt"]  # ``k4abt``, Microsoft's, or ``blazepose``, the program's own
+    reason: str  # why this one, in one clause
+    asked: bool = False  # whether the user asked for this one
+    k4abt: TrackerSettings = field(default_factory=TrackerSettings)  # settings of Microsoft's tracker
+    blazepose: BlazePoseSettings = field(default_factory=BlazePoseSettings)  # settings of the program's own
 
     @property
     def full_name(self) -> str:

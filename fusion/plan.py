@@ -35,24 +35,18 @@ from fusion.skeleton import SkeletonPair
 
 @dataclass(frozen=True, eq=False)
 class RecordingPlan:
-    """The calibrations and labels that a recording of T pairs is fused with.
-
-    Attributes:
-        segments: Each calibration, with the pairs that it holds for; in order, without gaps.
-        codes: (T, 2) which sides of A and of B are exchanged, with the doubt about it
-            (:func:`fusion.facing.exchange.with_doubt`); None where the method or the settings use no later
-            frames.
-        changes: Events of the learner: a sensor that was moved.
-        clock: Offset of B's clock, from the motion; None where unknown.
-        views_differ: Metres between p and R q + t: the median over the joints that both see, and over the
-            pairs; NaN where no joint is seen by both.
-    """
+    """The calibrations and labels that a recording of T pairs is fused with."""
 
     segments: tuple[tuple[Calibration, slice], ...]
+    """Each calibration, with the pairs that it holds for; in order, without gaps."""
     codes: NDArray[np.int64] | None = None
-    changes: tuple[CalibrationChange, ...] = ()
-    clock: ClockOffset | None = None
+    """(T, 2) which sides of A and of B are exchanged, with the doubt about it
+    (:func:`fusion.facing.exchange.with_doubt`); None where the method or the settings use no later frames."""
+    changes: tuple[CalibrationChange, ...] = ()  # events of the learner: a sensor that was moved
+    clock: ClockOffset | None = None  # offset of B's clock, from the motion; None where unknown
     views_differ: float = float("nan")
+    """Metres between p and R q + t: the median over the joints that both see, and over the pairs; NaN where
+    no joint is seen by both."""
 
 
 def plan_recording(

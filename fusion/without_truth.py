@@ -136,19 +136,12 @@ def figures_without_truth(pair: FusedPair) -> FiguresWithoutTruth:
 
 @dataclass(frozen=True)
 class HeldOutRegistration:
-    """Figures of a registration learned on the first half of a recording, on the second half.
+    """Figures of a registration learned on the first half of a recording, on the second half."""
 
-    Attributes:
-        rotation_off: Radians from a robust fit over the second half.
-        position_off: Metres between both positions of the middle of the person in the second half.
-        apart: Median distance between the views in the second half, with the registration learned.
-        apart_own_fit: The same with the second half's own fit: the lower limit.
-    """
-
-    rotation_off: float
-    position_off: float
-    apart: float
-    apart_own_fit: float
+    rotation_off: float  # radians from a robust fit over the second half
+    position_off: float  # metres between both positions of the middle of the person in the second half
+    apart: float  # median distance between the views in the second half, with the registration learned
+    apart_own_fit: float  # the same with the second half's own fit: the lower limit
 
 
 def judge_registration(learned: RigidTransform, a: Array, b: Array) -> HeldOutRegistration:

@@ -24,29 +24,17 @@ from fusion.intrinsics import Intrinsics
 
 @dataclass(frozen=True, eq=False)
 class MkvInfo:
-    """Metadata of a recording and of its sensor.
+    """Metadata of a recording and of its sensor."""
 
-    Attributes:
-        serial: The sensor's serial number; empty if the file has none.
-        depth_mode: A key of ``DEPTH_MODES``.
-        sync_mode: ``STANDALONE``, ``MASTER`` or ``SUBORDINATE``.
-        subordinate_delay_ns: Delay of a subordinate's captures after the master's.
-        start_offset_ns: Device time of the file's time 0.
-        interval_ns: Time between two frames.
-        duration_ns: Time from the start of the file to its last frame; 0 if the file was never closed.
-        intrinsics: Intrinsics of the depth camera in this mode.
-        calibration_json: The JSON that the sensor stores, for the SDK.
-    """
-
-    serial: str
-    depth_mode: str
-    sync_mode: str
-    subordinate_delay_ns: int
-    start_offset_ns: int
-    interval_ns: int
-    duration_ns: int
-    intrinsics: Intrinsics
-    calibration_json: bytes
+    serial: str  # the sensor's serial number; empty if the file has none
+    depth_mode: str  # a key of ``DEPTH_MODES``
+    sync_mode: str  # ``STANDALONE``, ``MASTER`` or ``SUBORDINATE``
+    subordinate_delay_ns: int  # delay of a subordinate's captures after the master's
+    start_offset_ns: int  # device time of the file's time 0
+    interval_ns: int  # time between two frames
+    duration_ns: int  # time from the start of the file to its last frame; 0 if the file was never closed
+    intrinsics: Intrinsics  # intrinsics of the depth camera in this mode
+    calibration_json: bytes  # the JSON that the sensor stores, for the SDK
 
 
 class MkvRecording(Sensor):

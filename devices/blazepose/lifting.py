@@ -43,19 +43,13 @@ _OPPOSITE = opposite()
 
 @dataclass(frozen=True, eq=False)
 class Lifted:
-    """Landmarks in space.
+    """Landmarks in space."""
 
-    Attributes:
-        positions: (33, 3) metres, sensor frame.
-        seen: (33,) whether a depth reading of the landmark's own surface gave its position.
-        known: (33,) whether it has a position: seen, or stated by the network and near the image.
-        size: The person's size relative to the network's mean person.
-    """
-
-    positions: Array
-    seen: NDArray[np.bool_]
+    positions: Array  # (33, 3) metres, sensor frame
+    seen: NDArray[np.bool_]  # (33,) whether a depth reading of the landmark's own surface gave its position
     known: NDArray[np.bool_]
-    size: float
+    """(33,) whether it has a position: seen, or stated by the network and near the image."""
+    size: float  # the person's size relative to the network's mean person
 
 
 class BodyLandmarks(NamedTuple):

@@ -11,15 +11,11 @@ NetworkName = Literal["full", "lite"]
 
 @dataclass(frozen=True)
 class BlazePoseSettings:
-    """How the body tracker runs.
-
-    Attributes:
-        network: The landmark network: ``full``, or ``lite``, which is faster and less accurate.
-        models: Folder of the network files. None: the user's cache folder, into which the commands fetch
-            missing files; in Python, :func:`devices.blazepose.networks.fetching.fetch` does.
-        threads: CPU threads of the networks.
-    """
+    """How the body tracker runs."""
 
     network: NetworkName = "full"
+    """The landmark network: ``full``, or ``lite``, which is faster and less accurate."""
     models: Path | None = None
-    threads: int = 1
+    """Folder of the network files. None: the user's cache folder, into which the commands fetch missing
+    files; in Python, :func:`devices.blazepose.networks.fetching.fetch` does."""
+    threads: int = 1  # CPU threads of the networks

@@ -22,15 +22,10 @@ _TOLD_S = 2.0  # a longer silence is told as such
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """A capture with depth.
+    """A capture with depth."""
 
-    Attributes:
-        time_ns: Capture time on the sensor's clock.
-        host_ns: When the depth image reached this machine, on ``time.perf_counter_ns``.
-    """
-
-    time_ns: int
-    host_ns: int
+    time_ns: int  # capture time on the sensor's clock
+    host_ns: int  # when the depth image reached this machine, on ``time.perf_counter_ns``
 
 
 M = TypeVar("M", bound=Moment)

@@ -13,14 +13,10 @@ _LONGEST_S = 10.0
 
 
 class Arrival(NamedTuple):
-    """A frame that a sensor's thread handed on.
-
-    Attributes:
-        at_ns: When it arrived, on the thread's clock: a reader that was busy learns what it would have seen.
-        frame: The frame.
-    """
+    """A frame that a sensor's thread handed on."""
 
     at_ns: int
+    """When it arrived, on the thread's clock: a reader that was busy learns what it would have seen."""
     frame: SensorFrame
 
 
@@ -40,17 +36,12 @@ class SensorState(Enum):
 
 @dataclass(frozen=True)
 class TimeLimits:
-    """How long a sensor on its own thread may take.
-
-    Attributes:
-        open_s: Longest time for opening, and for the first frame: a body tracker loads its network.
-        stall_s: Longest time without a frame; longer where frames are rarer.
-        retry_s: Wait before a lost sensor is reopened; longer if it is there and does not open.
-    """
+    """How long a sensor on its own thread may take."""
 
     open_s: float = 120.0
-    stall_s: float = 2.0
-    retry_s: float = 1.0
+    """Longest time for opening, and for the first frame: a body tracker loads its network."""
+    stall_s: float = 2.0  # longest time without a frame; longer where frames are rarer
+    retry_s: float = 1.0  # wait before a lost sensor is reopened; longer if it is there and does not open
 
 
 USUAL_LIMITS = TimeLimits()

@@ -31,19 +31,13 @@ UDEV_ADVICE = (
 
 @dataclass(frozen=True)
 class UsbKinect:
-    """The depth camera of a Kinect on the bus.
+    """The depth camera of a Kinect on the bus."""
 
-    Attributes:
-        serial: As the camera tells USB; empty if it does not.
-        node: The device file.
-        allowed: Whether this user may open it.
-        megabits: Speed of its connection, Mbit/s; 0 if unknown. USB 3 has 5000.
-    """
-
-    serial: str
+    serial: str  # as the camera tells USB; empty if it does not
     node: Path
-    allowed: bool
+    allowed: bool  # whether this user may open it
     megabits: int
+    """Speed of its connection, Mbit/s; 0 if unknown. USB 3 has 5000."""
 
 
 def usb_kinects(root: Path = Path("/")) -> list[UsbKinect]:

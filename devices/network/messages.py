@@ -49,38 +49,23 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class FrameMessage:
-    """A frame on its way.
+    """A frame on its way."""
 
-    Attributes:
-        session: Random number of the publishing program's run; a restart has another one.
-        sequence: Number of the frame in that run, from 0.
-        frame: The frame; its ``host_ns`` is on the publishing machine's clock.
-        sent_ns: When it was sent, on the publishing machine's clock.
-    """
-
-    session: int
-    sequence: int
-    frame: SensorFrame
-    sent_ns: int
+    session: int  # random number of the publishing program's run; a restart has another one
+    sequence: int  # number of the frame in that run, from 0
+    frame: SensorFrame  # the frame; its ``host_ns`` is on the publishing machine's clock
+    sent_ns: int  # when it was sent, on the publishing machine's clock
 
 
 @dataclass(frozen=True)
 class SensorMessage:
-    """Description of a sensor.
+    """Description of a sensor."""
 
-    Attributes:
-        session: As in :class:`FrameMessage`.
-        name: Of the sensor.
-        body: The body that its tracker reports.
-        intrinsics: Of the depth images that it sends; None if unknown.
-        interval_ns: Nominal time between two frames.
-    """
-
-    session: int
-    name: str
-    body: Body
-    intrinsics: Intrinsics | None
-    interval_ns: int
+    session: int  # as in :class:`FrameMessage`
+    name: str  # of the sensor
+    body: Body  # the body that its tracker reports
+    intrinsics: Intrinsics | None  # of the depth images that it sends; None if unknown
+    interval_ns: int  # nominal time between two frames
 
 
 @dataclass(frozen=True)

@@ -24,17 +24,11 @@ _BROWN_CONRADY = ("BROWN_CONRADY", "BROWN_CONRADY_K6")
 
 @dataclass(frozen=True, eq=False)
 class Streams:
-    """The ``VideoStreamProfile`` of each image.
+    """The ``VideoStreamProfile`` of each image."""
 
-    Attributes:
-        depth: Depth, Y16.
-        infrared: Infrared of the depth camera's pixels, Y16 or Y8.
-        color: Colour, MJPG; None for none.
-    """
-
-    depth: Any
-    infrared: Any
-    color: Any = None
+    depth: Any  # depth, Y16
+    infrared: Any  # infrared of the depth camera's pixels, Y16 or Y8
+    color: Any = None  # colour, MJPG; None for none
 
     def configuration(self, sdk: Any) -> Any:
         """Returns the ``Config`` that starts the streams.

@@ -32,15 +32,10 @@ MIRRORED = Spells(4.4, 1.0, _EVERY)
 
 @dataclass(frozen=True)
 class HardMoment:
-    """Something that a tracker does wrong in the demonstration.
+    """Something that a tracker does wrong in the demonstration."""
 
-    Attributes:
-        starts: When it starts, seconds; each lasts for about one second.
-        fault: What happens, a clause about the sensor.
-    """
-
-    starts: Sequence[float]
-    fault: str
+    starts: Sequence[float]  # when it starts, seconds; each lasts for about one second
+    fault: str  # what happens, a clause about the sensor
 
 
 @dataclass(frozen=True)

@@ -61,21 +61,13 @@ def movement(name: str | Path) -> Movement:
 
 @dataclass(frozen=True)
 class Scene:
-    """One person who moves in front of the sensors.
-
-    Attributes:
-        motion: The movement.
-        body: The body that the sensors' trackers report.
-        height: The person's stature, metres.
-        seconds: Duration; None: endless.
-        seed: Seed of all errors; the same seed gives the same frames.
-    """
+    """One person who moves in front of the sensors."""
 
     motion: Movement
-    body: Body = AZURE_KINECT
-    height: float = anatomy.REFERENCE_HEIGHT
-    seconds: float | None = None
-    seed: int = 0
+    body: Body = AZURE_KINECT  # the body that the sensors' trackers report
+    height: float = anatomy.REFERENCE_HEIGHT  # the person's stature, metres
+    seconds: float | None = None  # duration; None: endless
+    seed: int = 0  # seed of all errors; the same seed gives the same frames
 
     def __post_init__(self) -> None:
         if not 0.5 <= self.height <= 2.5:
@@ -86,15 +78,10 @@ class Scene:
 
 @dataclass(frozen=True)
 class Truth:
-    """The ground truth of a scene.
+    """The ground truth of a scene."""
 
-    Attributes:
-        scene: The person and the movement.
-        rig: The placement of the sensors.
-    """
-
-    scene: Scene
-    rig: Rig
+    scene: Scene  # the person and the movement
+    rig: Rig  # the placement of the sensors
 
     @property
     def a_from_b(self) -> RigidTransform:

@@ -16,28 +16,17 @@ class Rig:
 
     Sensor A stands to the right of a person of heading zero, B to the left, and the person faces the
     middle between them.
-
-    Attributes:
-        angle_deg: Angle between the two lines of sight, seen from above, 0 to 180 degrees.
-        distance: Distance of the sensors from the origin, along the floor, metres.
-        height: Height of the sensors above the floor, metres.
-        tilt_deg: Downward tilt of the sensors, degrees.
-        frame_seconds: Frame interval of each sensor.
-        skew_seconds: Delay of B's captures after A's.
-        clock_offset_seconds: B's clock minus A's clock.
-        drift_ppm: Drift of B's clock against A's, parts per million; positive: B's clock is faster.
-        dropped: Share of dropped frames, independent for each sensor.
     """
 
-    angle_deg: float = 90.0
-    distance: float = 2.6
-    height: float = 1.1
-    tilt_deg: float = 4.0
-    frame_seconds: float = 1.0 / 30.0
-    skew_seconds: float = 0.00096
-    clock_offset_seconds: float = 0.0
-    drift_ppm: float = 0.0
-    dropped: float = 0.0
+    angle_deg: float = 90.0  # angle between the two lines of sight, seen from above, 0 to 180 degrees
+    distance: float = 2.6  # distance of the sensors from the origin, along the floor, metres
+    height: float = 1.1  # height of the sensors above the floor, metres
+    tilt_deg: float = 4.0  # downward tilt of the sensors, degrees
+    frame_seconds: float = 1.0 / 30.0  # frame interval of each sensor
+    skew_seconds: float = 0.00096  # delay of B's captures after A's
+    clock_offset_seconds: float = 0.0  # B's clock minus A's clock
+    drift_ppm: float = 0.0  # drift of B's clock against A's, parts per million; positive: B's clock is faster
+    dropped: float = 0.0  # share of dropped frames, independent for each sensor
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.angle_deg <= 180.0:

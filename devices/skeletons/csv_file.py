@@ -103,19 +103,12 @@ def read_csv(path: Path, unit: Unit = "auto") -> ReadFile:
 
 @dataclass(frozen=True, eq=False)
 class _Text:
-    """The rows of a file as text.
+    """The rows of a file as text."""
 
-    Attributes:
-        table: All columns, as text.
-        raw: The file's bytes.
-        path: The file.
-        decimal_comma: Whether numbers may be written with a comma.
-    """
-
-    table: pa.Table
-    raw: bytes
+    table: pa.Table  # all columns, as text
+    raw: bytes  # the file's bytes
     path: Path
-    decimal_comma: bool
+    decimal_comma: bool  # whether numbers may be written with a comma
 
     def line(self, row: int) -> int:
         """The number of a row's line in the file, from 1; empty lines are not rows."""

@@ -23,17 +23,11 @@ _FEWEST_NULS = 8  # bytes in a row that a power cut leaves; a single one may be 
 
 @dataclass(frozen=True, eq=False)
 class ReadFile:
-    """The content of a skeleton file.
-
-    Attributes:
-        body: The body to which its joints belong.
-        frames: In time order.
-        warnings: What the user should know about the file, a line each.
-    """
+    """The content of a skeleton file."""
 
     body: Body
-    frames: list[SensorFrame]
-    warnings: tuple[str, ...] = ()
+    frames: list[SensorFrame]  # in time order
+    warnings: tuple[str, ...] = ()  # what the user should know about the file, a line each
 
 
 def text_bytes(path: Path) -> bytes:

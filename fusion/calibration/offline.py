@@ -34,30 +34,20 @@ _LABEL_FREE = "label-free fit of the first half minute"
 
 @dataclass(frozen=True, eq=False)
 class CalibrationSpan:
-    """A calibration and the time from which it holds.
+    """A calibration and the time from which it holds."""
 
-    Attributes:
-        first_ns: Time of the first pair that it holds for; it holds until the next span.
-        calibration: R, t and bone lengths.
-    """
-
-    first_ns: int
-    calibration: Calibration
+    first_ns: int  # time of the first pair that it holds for; it holds until the next span
+    calibration: Calibration  # R, t and bone lengths
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedCalibration:
-    """The calibration of a whole recording, with events.
-
-    Attributes:
-        spans: One, and one more for each time that a sensor was moved; in order of time.
-        clock: Offset and skew of B's clock; None where there is too little motion.
-        events: Events of the learner, as live; knocks with their times.
-    """
+    """The calibration of a whole recording, with events."""
 
     spans: tuple[CalibrationSpan, ...]
-    clock: ClockOffset | None
-    events: tuple[CalibrationChange, ...]
+    """One, and one more for each time that a sensor was moved; in order of time."""
+    clock: ClockOffset | None  # offset and skew of B's clock; None where there is too little motion
+    events: tuple[CalibrationChange, ...]  # events of the learner, as live; knocks with their times
 
 
 def start_up_calibration(body: Body, pairs: Sequence[SkeletonPair]) -> Calibration:

@@ -34,45 +34,28 @@ _FOLLOWED_TURN, _FOLLOWED_SHIFT = 0.1, 0.1  # the same after a knock
 
 @dataclass(frozen=True)
 class LearnerSettings:
-    """Which quantities are learned, and how.
+    """Which quantities are learned, and how."""
 
-    Attributes:
-        refine: Whether R and t are refined.
-        follow: Whether a knocked sensor is registered anew.
-        bones: Whether bone lengths are learned.
-        clock: Whether the offset of the sensors' clocks is estimated.
-        refinement: Of R and t.
-        knock: When a sensor counts as knocked.
-    """
-
-    refine: bool = True
-    follow: bool = True
-    bones: bool = True
-    clock: bool = True
-    refinement: RefinementSettings = field(default_factory=RefinementSettings)
-    knock: KnockSettings = field(default_factory=KnockSettings)
+    refine: bool = True  # whether R and t are refined
+    follow: bool = True  # whether a knocked sensor is registered anew
+    bones: bool = True  # whether bone lengths are learned
+    clock: bool = True  # whether the offset of the sensors' clocks is estimated
+    refinement: RefinementSettings = field(default_factory=RefinementSettings)  # of R and t
+    knock: KnockSettings = field(default_factory=KnockSettings)  # when a sensor counts as knocked
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationChange:
-    """A change of the calibration, or an event that concerns it.
-
-    Attributes:
-        kind: ``refined``: R and t improved. ``knocked``: a sensor was moved, and is registered anew.
-            ``bones``: new bone lengths. ``clock``: the clocks' offset is known; the calibration is unchanged.
-        event: A sentence for the event log.
-        time_ns: Time of the pair that caused it.
-        calibration: In force from the next pair on.
-        since_ns: For ``knocked``, when the views moved apart.
-        clock: For ``clock``, the offset.
-    """
+    """A change of the calibration, or an event that concerns it."""
 
     kind: Kind
-    event: str
-    time_ns: int
-    calibration: Calibration
-    since_ns: int | None = None
-    clock: ClockOffset | None = None
+    """``refined``: R and t improved. ``knocked``: a sensor was moved, and is registered anew. ``bones``: new
+    bone lengths. ``clock``: the clocks' offset is known; the calibration is unchanged."""
+    event: str  # a sentence for the event log
+    time_ns: int  # time of the pair that caused it
+    calibration: Calibration  # in force from the next pair on
+    since_ns: int | None = None  # for ``knocked``, when the views moved apart
+    clock: ClockOffset | None = None  # for ``clock``, the offset
 
 
 class CalibrationLearner:

@@ -34,15 +34,11 @@ hands' values."""
 
 
 class JointErrors(NamedTuple):
-    """Errors of one body tracker, by kind of joint (:mod:`fusion.joint_kinds`); metres, along one axis.
-
-    Attributes:
-        slow: Standard deviation of the error that lasts: a bias that depends on the view and the pose.
-        fast: Standard deviation of the error that changes from frame to frame.
-    """
+    """Errors of one body tracker, by kind of joint (:mod:`fusion.joint_kinds`); metres, along one axis."""
 
     slow: dict[str, float]
-    fast: dict[str, float]
+    """Standard deviation of the error that lasts: a bias that depends on the view and the pose."""
+    fast: dict[str, float]  # standard deviation of the error that changes from frame to frame
 
     @staticmethod
     def of(body: Body) -> JointErrors:
@@ -68,80 +64,55 @@ def _column(number: int) -> dict[str, float]:
 
 
 class Constants(NamedTuple):
-    """Constants of the filter. SI units; standard deviations along one axis.
+    """Constants of the filter. SI units; standard deviations along one axis."""
 
-    Attributes:
-        slow_scale: Of the slow errors of :class:`JointErrors`.
-        along_ray: How much larger a slow error is along the view's ray than across it.
-        inferred_slow: How many times larger the slow error of an inferred joint is.
-        inferred_fast: How many times larger its fast error counts. An inferred position keeps the same error
-            for about half a second, so that its frames are not independent.
-        fast_scale: Of the fast errors.
-        fast_by_speed: Fast error added for each m/s that the joint moves, s.
-        near: Distance across the ray, metres, at which a joint before this one doubles its slow variance.
-        near_power: How steeply that grows as the two come nearer.
-        near_limit: Largest factor of that variance.
-        before: How much farther than this joint the other may be and still count as before it, metres.
-        acceleration: Standard deviation of a still elbow's acceleration, m/s², of the body's tracker.
-        acceleration_by_speed: What is added for each m/s, 1/s.
-        velocity_seconds: How long a joint keeps its velocity relative to its parent's.
-        agreement_seconds: How long an offset between the views lasts while both see the joint.
-        alone_seconds: How long an offset lasts while one view sees it.
-        usual_seconds: Over how long the usual offsets are averaged, to which offsets decay.
-        outlier: Probability that a tracked joint is an outlier.
-        inferred_outlier: The same of an inferred joint.
-        outlier_lasts: Probability that an outlier is followed by one.
-        outlier_side: Side of the cube that outliers are spread over, metres.
-        surface_slow: Factor on the errors of :data:`fusion.witness.SURFACE_SD`. An image errs to the same
-            side as long as a pose lasts.
-        surface_fast: Fast error of the surface in a depth image, metres.
-        surprise: Probability that a joint moves in a way that the prediction does not cover.
-        sides_doubted: How much of the doubt about a view's sides counts as probability of outliers.
-        length_error: Error of a bone's length within a view, metres, that multiplies the odds of an outlier
-            at either of its ends by e.
-        length_by_speed: Error of a bone's length added for each m/s between its ends, s. A tracker smears a
-            limb that swings.
-        length_limit: Largest logarithm of that factor.
-        scale_sd: Standard deviation of a view's scale about 1; of the body's tracker, see :meth:`of`.
-        scale_seconds: How long a scale lasts.
-        bone_sd: Standard deviation of one bone's relative length within a view.
-        spread: Factor of all reported standard deviations, of the body's tracker; fitted so that some 70 % of
-            the joints lie within one of them from the truth.
-        bones: Whether the bones are held. An ablation only: S* always has its bones.
-    """
-
-    slow_scale: float = 0.8
-    along_ray: float = 1.3
-    inferred_slow: float = 2.5
+    slow_scale: float = 0.8  # of the slow errors of :class:`JointErrors`
+    along_ray: float = 1.3  # how much larger a slow error is along the view's ray than across it
+    inferred_slow: float = 2.5  # how many times larger the slow error of an inferred joint is
     inferred_fast: float = 20.0
-    fast_scale: float = 2.5
-    fast_by_speed: float = 0.004
+    """How many times larger its fast error counts. An inferred position keeps the same error for about half a
+    second, so that its frames are not independent."""
+    fast_scale: float = 2.5  # of the fast errors
+    fast_by_speed: float = 0.004  # fast error added for each m/s that the joint moves, s
     near: float = 0.10
-    near_power: float = 2.0
-    near_limit: float = 20.0
+    """Distance across the ray, metres, at which a joint before this one doubles its slow variance."""
+    near_power: float = 2.0  # how steeply that grows as the two come nearer
+    near_limit: float = 20.0  # largest factor of that variance
     before: float = 0.0
+    """How much farther than this joint the other may be and still count as before it, metres."""
     acceleration: float = 1.0
-    acceleration_by_speed: float = 16.0
-    velocity_seconds: float = 0.4
-    agreement_seconds: float = 1.0
-    alone_seconds: float = 0.85
-    usual_seconds: float = 20.0
-    outlier: float = 0.02
-    inferred_outlier: float = 0.2
-    outlier_lasts: float = 0.9
-    outlier_side: float = 0.6
+    """Standard deviation of a still elbow's acceleration, m/s², of the body's tracker."""
+    acceleration_by_speed: float = 16.0  # what is added for each m/s, 1/s
+    velocity_seconds: float = 0.4  # how long a joint keeps its velocity relative to its parent's
+    agreement_seconds: float = 1.0  # how long an offset between the views lasts while both see the joint
+    alone_seconds: float = 0.85  # how long an offset lasts while one view sees it
+    usual_seconds: float = 20.0  # over how long the usual offsets are averaged, to which offsets decay
+    outlier: float = 0.02  # probability that a tracked joint is an outlier
+    inferred_outlier: float = 0.2  # the same of an inferred joint
+    outlier_lasts: float = 0.9  # probability that an outlier is followed by one
+    outlier_side: float = 0.6  # side of the cube that outliers are spread over, metres
     surface_slow: float = 2.0
-    surface_fast: float = 0.008
-    surprise: float = 0.05
-    sides_doubted: float = 1.0
+    """Factor on the errors of :data:`fusion.witness.SURFACE_SD`. An image errs to the same side as long as a
+    pose lasts."""
+    surface_fast: float = 0.008  # fast error of the surface in a depth image, metres
+    surprise: float = 0.05  # probability that a joint moves in a way that the prediction does not cover
+    sides_doubted: float = 1.0  # how much of the doubt about a view's sides counts as probability of outliers
     length_error: float = 0.015
+    """Error of a bone's length within a view, metres, that multiplies the odds of an outlier at either of its
+    ends by e."""
     length_by_speed: float = 0.03
-    length_limit: float = 4.0
+    """Error of a bone's length added for each m/s between its ends, s. A tracker smears a limb that
+    swings."""
+    length_limit: float = 4.0  # largest logarithm of that factor
     scale_sd: float = 0.035
-    scale_seconds: float = 0.6
-    bone_sd: float = 0.03
+    """Standard deviation of a view's scale about 1; of the body's tracker, see :meth:`of`."""
+    scale_seconds: float = 0.6  # how long a scale lasts
+    bone_sd: float = 0.03  # standard deviation of one bone's relative length within a view
     spread: float = 1.05
+    """Factor of all reported standard deviations, of the body's tracker; fitted so that some 70 % of the
+    joints lie within one of them from the truth."""
     bones: bool = True
+    """Whether the bones are held. An ablation only: S* always has its bones."""
 
     @staticmethod
     def of(body: Body) -> Constants:

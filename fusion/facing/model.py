@@ -147,22 +147,15 @@ class FacingModel(NamedTuple):
 
 
 class ReportedPair(NamedTuple):
-    """One pair as the filter sees it; the view comes first.
+    """One pair as the filter sees it; the view comes first."""
 
-    Attributes:
-        positions: (2, J, 3) metres, K_A's frame, as reported; NaN where not tracked.
-        states: (2, J) uint8 tracking states.
-        stale: (2,) whether the view repeats its last skeleton, which is then no evidence.
-        sensor_b: (3,) position of K_B in K_A's frame: t of the registration.
-        up: (3,) unit vector against gravity in K_A's frame; NaN where it is unknown: then it is learned from
-            the person (see :mod:`fusion.facing.evidence`).
-    """
-
-    positions: Floats
-    states: NDArray[np.uint8]
-    stale: Bools
-    sensor_b: Floats
+    positions: Floats  # (2, J, 3) metres, K_A's frame, as reported; NaN where not tracked
+    states: NDArray[np.uint8]  # (2, J) uint8 tracking states
+    stale: Bools  # (2,) whether the view repeats its last skeleton, which is then no evidence
+    sensor_b: Floats  # (3,) position of K_B in K_A's frame: t of the registration
     up: Floats
+    """(3,) unit vector against gravity in K_A's frame; NaN where it is unknown: then it is learned from the
+    person (see :mod:`fusion.facing.evidence`)."""
 
 
 class FacingState(NamedTuple):

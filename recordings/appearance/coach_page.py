@@ -20,32 +20,21 @@ _LINE_RADIUS = rr.components.Radius.ui_points(2.0)
 
 @dataclass(frozen=True)
 class Mark:
-    """Lines in the scene, with a label at the first line.
+    """Lines in the scene, with a label at the first line."""
 
-    Attributes:
-        lines: Polylines in K_A's frame, metres.
-        words: A short label.
-        meaning: What the colour means.
-    """
-
-    lines: tuple[tuple[Point, ...], ...]
-    words: str
-    meaning: Meaning
+    lines: tuple[tuple[Point, ...], ...]  # polylines in K_A's frame, metres
+    words: str  # a short label
+    meaning: Meaning  # what the colour means
 
 
 @dataclass(frozen=True)
 class CoachPage:
-    """The coach's advice at one moment.
+    """The coach's advice at one moment."""
 
-    Attributes:
-        text: The advice in Markdown.
-        marks: The marks by their name in :data:`layout.COACH_MARKS`. Missing marks are not drawn.
-        from_start: Whether the page holds from the first frame on, even if it is written later.
-    """
-
-    text: str
+    text: str  # the advice in Markdown
     marks: tuple[tuple[str, Mark], ...] = ()
-    from_start: bool = False
+    """The marks by their name in :data:`layout.COACH_MARKS`. Missing marks are not drawn."""
+    from_start: bool = False  # whether the page holds from the first frame on, even if it is written later
 
     def entities(self) -> Iterator[tuple[str, Any]]:
         """Pairs of entity and archetype to log. An absent mark is logged as empty, which clears it."""

@@ -17,15 +17,10 @@ _LONG_PAUSE = 3.0  # median intervals
 
 @dataclass(frozen=True, eq=False)
 class EvenMoments:
-    """Moments at an even rate.
+    """Moments at an even rate."""
 
-    Attributes:
-        rate: Moments per second.
-        time_ns: (N,) since the first pair.
-    """
-
-    rate: float
-    time_ns: NDArray[np.int64]
+    rate: float  # moments per second
+    time_ns: NDArray[np.int64]  # (N,) since the first pair
 
     @property
     def in_words(self) -> str:

@@ -49,21 +49,17 @@ _DAMAGED = (
 
 @dataclass
 class Columns:
-    """The content of a file, except images.
-
-    Attributes:
-        properties: Values by property and component name.
-        values: By (entity, component): frame numbers (N,) and values (N, …) as stored.
-        texts: Entries of the text log: (frame or None, time or None, {component: value}).
-        logged: By entity, for entities logged occasionally: (frame, {component: values}).
-        damage: Description of the damage; None if the file is whole.
-    """
+    """The content of a file, except images."""
 
     properties: dict[str, dict[str, list[Any]]] = field(default_factory=dict)
+    """Values by property and component name."""
     values: dict[tuple[str, str], tuple[NDArray[np.int64], NDArray[Any]]] = field(default_factory=dict)
+    """By (entity, component): frame numbers (N,) and values (N, …) as stored."""
     texts: list[tuple[int | None, int | None, dict[str, Any]]] = field(default_factory=list)
+    """Entries of the text log: (frame or None, time or None, {component: value})."""
     logged: dict[str, list[tuple[int, dict[str, Any]]]] = field(default_factory=dict)
-    damage: str | None = None
+    """By entity, for entities logged occasionally: (frame, {component: values})."""
+    damage: str | None = None  # description of the damage; None if the file is whole
 
 
 def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:

@@ -22,15 +22,10 @@ from viewer_app.options.sensing import BatchOptions, calibration_source, recordi
 
 @dataclass(frozen=True)
 class Work:
-    """The work of a batch.
+    """The work of a batch."""
 
-    Attributes:
-        done: Sessions that an earlier call finished.
-        jobs: The others.
-    """
-
-    done: tuple[Row, ...]
-    jobs: tuple[Job, ...]
+    done: tuple[Row, ...]  # sessions that an earlier call finished
+    jobs: tuple[Job, ...]  # the others
 
 
 def run(options: BatchOptions) -> None:

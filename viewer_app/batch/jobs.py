@@ -31,12 +31,7 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class Job:
-    """A pair to fuse.
-
-    Attributes:
-        pair: The recordings.
-        options: The options of the command.
-    """
+    """A pair to fuse."""
 
     pair: Pair
     options: BatchOptions
@@ -147,17 +142,11 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a job.
+    """The result of a job."""
 
-    Attributes:
-        name: Of the session.
-        record: The record of the session; None if it failed.
-        error: The line that says why it failed; empty if it did not.
-    """
-
-    name: str
-    record: Record | None
-    error: str = ""
+    name: str  # of the session
+    record: Record | None  # the record of the session; None if it failed
+    error: str = ""  # the line that says why it failed; empty if it did not
 
 
 def tidy(out: Path) -> None:

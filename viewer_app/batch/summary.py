@@ -53,19 +53,12 @@ _COLUMNS: dict[str, tuple[str, float, int]] = {
 
 @dataclass(frozen=True)
 class Row:
-    """One pair in the summary.
-
-    Attributes:
-        job: The pair.
-        state: fused, failed, or pending if the batch was interrupted.
-        record: The record of a fused session.
-        error: The line that says why it failed.
-    """
+    """One pair in the summary."""
 
     job: Job
-    state: State
-    record: Record | None = None
-    error: str = ""
+    state: State  # fused, failed, or pending if the batch was interrupted
+    record: Record | None = None  # the record of a fused session
+    error: str = ""  # the line that says why it failed
 
     @property
     def figures(self) -> dict[str, Any]:

@@ -20,21 +20,13 @@ GOOD, USABLE = 40.0, 80.0
 
 @dataclass(frozen=True)
 class Advice:
-    """One piece of advice.
+    """One piece of advice."""
 
-    Attributes:
-        topic: The subject; new advice replaces earlier advice on the same topic.
-        text: What to do, with the figure and the threshold.
-        level: Severity.
-        sensors: The sensors of ``AB`` concerned; empty if none.
-        label: A short form of the text, shown beside the sensor.
-    """
-
-    topic: str
-    text: str
-    level: Level = "INFO"
-    sensors: str = ""
-    label: str = ""
+    topic: str  # the subject; new advice replaces earlier advice on the same topic
+    text: str  # what to do, with the figure and the threshold
+    level: Level = "INFO"  # severity
+    sensors: str = ""  # the sensors of ``AB`` concerned; empty if none
+    label: str = ""  # a short form of the text, shown beside the sensor
 
 
 def placement(calibration: Calibration) -> Iterator[Advice]:

@@ -50,23 +50,14 @@ _SILENT = 0.3  # seconds without a frame: no low rate, but a sensor that is gone
 
 @dataclass(frozen=True)
 class Situation:
-    """The state of the loop, apart from the frame.
-
-    Attributes:
-        calibration: The current calibration.
-        final: Whether it is kept, or only refined, from now on.
-        held: Seconds for which the start-up pose has been held.
-        dropped: Frames so far that the program was too slow for, of A and B.
-        lost: Frames so far that were lost on USB, of A and B.
-        step: Every which frame both sensors go on with, for the slower body tracker; 1 is every one.
-    """
+    """The state of the loop, apart from the frame."""
 
     calibration: Calibration
-    final: bool
-    held: float
-    dropped: tuple[int, int] = (0, 0)
-    lost: tuple[int, int] = (0, 0)
-    step: int = 1
+    final: bool  # whether it is kept, or only refined, from now on
+    held: float  # seconds for which the start-up pose has been held
+    dropped: tuple[int, int] = (0, 0)  # frames so far that the program was too slow for, of A and B
+    lost: tuple[int, int] = (0, 0)  # frames so far that were lost on USB, of A and B
+    step: int = 1  # every which frame both sensors go on with, for the slower body tracker; 1 is every one
 
 
 @dataclass(frozen=True)

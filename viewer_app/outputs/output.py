@@ -24,17 +24,11 @@ _PREDICTED = 0.25  # confidence of a joint without data, for methods without sta
 
 @dataclass(frozen=True)
 class OutputCounts:
-    """Counts of an output.
+    """Counts of an output."""
 
-    Attributes:
-        sent: Frames handed to the network; to each receiver, if the output knows its receivers.
-        dropped: Frames that were not sent, because a newer one was there or the network refused them.
-        late: Frames that were sent more than 33 ms after their fusion.
-    """
-
-    sent: int = 0
-    dropped: int = 0
-    late: int = 0
+    sent: int = 0  # frames handed to the network; to each receiver, if the output knows its receivers
+    dropped: int = 0  # frames that were not sent, because a newer one was there or the network refused them
+    late: int = 0  # frames that were sent more than 33 ms after their fusion
 
 
 class LiveOutput(QueuedSink):

@@ -50,19 +50,12 @@ _ARM = ("UpperArm", "LowerArm", "Hand")
 
 @dataclass(frozen=True, eq=False)
 class UnityPose:
-    """One pose, in Unity's axes above the floor.
+    """One pose, in Unity's axes above the floor."""
 
-    Attributes:
-        positions: (N, 3) metres, where each bone begins.
-        rotations: (N, 4) x, y, z, w, of each bone from the T-pose.
-        local: (N, 7) position and rotation of each bone relative to its parent; of Hips to the floor.
-        leg: Metres from hip to sole.
-    """
-
-    positions: Array
-    rotations: Array
-    local: Array
-    leg: float
+    positions: Array  # (N, 3) metres, where each bone begins
+    rotations: Array  # (N, 4) x, y, z, w, of each bone from the T-pose
+    local: Array  # (N, 7) position and rotation of each bone relative to its parent; of Hips to the floor
+    leg: float  # metres from hip to sole
 
 
 class UnitySkeleton:

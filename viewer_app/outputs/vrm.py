@@ -27,18 +27,13 @@ class _VrmError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Avatar:
-    """Where an avatar's bones rest.
-
-    Attributes:
-        translations: (3,) metres in Unity's axes, by Unity's name of a bone: its place at rest relative to
-            the node above it in the file.
-        hips: (3,) metres, where Hips rest above the floor.
-        above_hips: (3,) metres, the place of the node above Hips.
-    """
+    """Where an avatar's bones rest."""
 
     translations: dict[str, NDArray[np.float64]]
-    hips: NDArray[np.float64]
-    above_hips: NDArray[np.float64]
+    """(3,) metres in Unity's axes, by Unity's name of a bone: its place at rest relative to the node above it
+    in the file."""
+    hips: NDArray[np.float64]  # (3,) metres, where Hips rest above the floor
+    above_hips: NDArray[np.float64]  # (3,) metres, the place of the node above Hips
 
 
 def read_avatar(path: Path) -> Avatar:

@@ -11,17 +11,11 @@ from recordings.session import Session
 
 @dataclass(frozen=True)
 class ListedEvent:
-    """An event in the list of a session, or a spell from its start to its end.
+    """An event in the list of a session, or a spell from its start to its end."""
 
-    Attributes:
-        number: Its place in the list, from 1.
-        event: The event; of a spell, its start.
-        spell: The spell that it starts; None for a single event.
-    """
-
-    number: int
-    event: Event
-    spell: Spell | None = None
+    number: int  # its place in the list, from 1
+    event: Event  # the event; of a spell, its start
+    spell: Spell | None = None  # the spell that it starts; None for a single event
 
 
 def list_events(events: Iterable[Event]) -> list[ListedEvent]:

@@ -19,19 +19,12 @@ _MICROMETRE = 1e-3  # millimetres; what a file stores of S* is no more exact
 
 @dataclass(frozen=True)
 class Line:
-    """One line of a report.
+    """One line of a report."""
 
-    Attributes:
-        label: The subject, one or two words.
-        text: The figure and what it means.
-        warning: Whether someone should act on it.
-        figure: The figure alone, where the line has one that matters; else empty.
-    """
-
-    label: str
-    text: str
-    warning: bool = False
-    figure: str = ""
+    label: str  # the subject, one or two words
+    text: str  # the figure and what it means
+    warning: bool = False  # whether someone should act on it
+    figure: str = ""  # the figure alone, where the line has one that matters; else empty
 
 
 def lead_lines(figures: Figures) -> Iterator[Line]:

@@ -25,19 +25,12 @@ _KEPT_OTHERS = 256
 
 @dataclass(frozen=True, eq=False)
 class QueuedFrame:
-    """A frame in a queue.
+    """A frame in a queue."""
 
-    Attributes:
-        number: From 0, of the frames that the loop made.
-        frame: The frame.
-        time_ns: Since the first frame.
-        written_ns: When the loop had it, on the sink's clock.
-    """
-
-    number: int
+    number: int  # from 0, of the frames that the loop made
     frame: SessionFrame
-    time_ns: int
-    written_ns: int
+    time_ns: int  # since the first frame
+    written_ns: int  # when the loop had it, on the sink's clock
 
     @property
     def fused(self) -> FusedFrame:

@@ -41,17 +41,11 @@ _PORTS_TRIED = 20
 
 @dataclass(frozen=True)
 class Hub:
-    """The addresses of a hub.
+    """The addresses of a hub."""
 
-    Attributes:
-        port: Port of the data.
-        web_port: Port of the web viewer; None without one.
-        address: The address that the hub is bound to.
-    """
-
-    port: int
-    web_port: int | None = None
-    address: str = LOOPBACK
+    port: int  # port of the data
+    web_port: int | None = None  # port of the web viewer; None without one
+    address: str = LOOPBACK  # the address that the hub is bound to
 
     @staticmethod
     def on_free_ports(web: bool, address: str | None = None) -> Hub:

@@ -19,19 +19,13 @@ from viewer_app.viewer.rerun_process import DATA_PORT, PAGE_PORT, Hub
 
 @dataclass(frozen=True)
 class Viewing:
-    """How a running session is shown.
+    """How a running session is shown."""
 
-    Attributes:
-        window: Whether a window opens.
-        hub: The hub that viewers connect to; None: a window that shows a file, and outlives the program.
-        headless: Whether the window renders off-screen, for tests.
-        why_not: Why no viewer opens although one was requested.
-    """
-
-    window: bool = False
+    window: bool = False  # whether a window opens
     hub: Hub | None = None
-    headless: bool = False
-    why_not: str = ""
+    """The hub that viewers connect to; None: a window that shows a file, and outlives the program."""
+    headless: bool = False  # whether the window renders off-screen, for tests
+    why_not: str = ""  # why no viewer opens although one was requested
 
     @property
     def opens(self) -> bool:

@@ -38,18 +38,14 @@ _STATES = np.array(
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """Settings of the body tracker.
-
-    Attributes:
-        processing: Where the network runs. On a CPU it processes about one frame per second.
-        library: File of libk4abt; found by the system if None.
-        timeout_s: Longest time for one frame. The first frame may take ten times as long, because the
-            network is loaded.
-    """
+    """Settings of the body tracker."""
 
     processing: Literal["gpu", "cpu", "cuda", "tensorrt", "directml"] = "gpu"
-    library: Path | None = None
+    """Where the network runs. On a CPU it processes about one frame per second."""
+    library: Path | None = None  # file of libk4abt; found by the system if None
     timeout_s: float = 5.0
+    """Longest time for one frame. The first frame may take ten times as long, because the network is
+    loaded."""
 
 
 class _Configuration(ctypes.Structure):

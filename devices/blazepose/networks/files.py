@@ -16,19 +16,13 @@ _FETCH = "duplex tracker fetch"
 
 @dataclass(frozen=True)
 class NetworkFile:
-    """A file of a published package.
+    """A file of a published package."""
 
-    Attributes:
-        name: Its name in the folder of the networks.
-        sha256: Checksum, hexadecimal.
-        package: The package that carries it: the wheel ``mediapipe`` or the npm package ``@mediapipe/pose``.
-        member: Its path inside the package.
-    """
-
-    name: str
-    sha256: str
+    name: str  # its name in the folder of the networks
+    sha256: str  # checksum, hexadecimal
     package: str
-    member: str
+    """The package that carries it: the wheel ``mediapipe`` or the npm package ``@mediapipe/pose``."""
+    member: str  # its path inside the package
 
 
 WHEEL, NPM = "mediapipe==0.10.21", "@mediapipe/pose@0.5.1675469404"

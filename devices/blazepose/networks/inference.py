@@ -40,36 +40,22 @@ _one_at_a_time = threading.Lock()
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """A person found in an image.
+    """A person found in an image."""
 
-    Attributes:
-        centre: (2,) middle of the hips, pixels of the detector's input.
-        rim: (2,) point of the circle around the body, above the head.
-        score: 0 to 1.
-    """
-
-    centre: Array
-    rim: Array
-    score: float
+    centre: Array  # (2,) middle of the hips, pixels of the detector's input
+    rim: Array  # (2,) point of the circle around the body, above the head
+    score: float  # 0 to 1
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Output of the landmark network for a crop.
+    """Output of the landmark network for a crop."""
 
-    Attributes:
-        pixels: (39, 2) in pixels of the crop.
-        visibility: (39,) probability that the landmark is in the image and nothing covers it.
-        presence: (39,) probability that the landmark is in the image.
-        world: (33, 3) metres from the middle of the hips; x, y along the crop, z away from the camera.
-        score: Probability that the crop holds a person.
-    """
-
-    pixels: Array
-    visibility: Array
-    presence: Array
-    world: Array
-    score: float
+    pixels: Array  # (39, 2) in pixels of the crop
+    visibility: Array  # (39,) probability that the landmark is in the image and nothing covers it
+    presence: Array  # (39,) probability that the landmark is in the image
+    world: Array  # (33, 3) metres from the middle of the hips; x, y along the crop, z away from the camera
+    score: float  # probability that the crop holds a person
 
 
 class _Network:

@@ -70,18 +70,13 @@ class InfraredModel:
     Gain, vignetting and noise were estimated from one real capture of an Azure Kinect (NFOV_UNBINNED): the
     brightness of its brightest surfaces times distance², how that falls with the angle off the axis, and the
     standard deviation of second differences between neighbouring pixels by brightness.
-
-    Attributes:
-        gain: Counts of a surface of reflectance 1 that faces the sensor at 1 m on the optical axis.
-        vignetting: Power of the cosine of the angle off the optical axis.
-        read_noise: Standard deviation of a dark pixel, counts.
-        shot_noise: Variance per count of brightness, counts.
     """
 
     gain: float = 2000.0
-    vignetting: float = 3.5
-    read_noise: float = 8.0
-    shot_noise: float = 0.65
+    """Counts of a surface of reflectance 1 that faces the sensor at 1 m on the optical axis."""
+    vignetting: float = 3.5  # power of the cosine of the angle off the optical axis
+    read_noise: float = 8.0  # standard deviation of a dark pixel, counts
+    shot_noise: float = 0.65  # variance per count of brightness, counts
 
     def binned(self) -> InfraredModel:
         """Returns the model of the same camera with 2 × 2 binning: the mean of four pixels has less noise."""

@@ -136,15 +136,10 @@ def length(name: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """T poses of one person at reference height.
+    """T poses of one person at reference height."""
 
-    Attributes:
-        pelvis: (T, 3) positions of the pelvis in the world, metres.
-        rotations: (T, 3, 3) ``world_from_segment`` of each segment.
-    """
-
-    pelvis: Array
-    rotations: dict[str, Array]
+    pelvis: Array  # (T, 3) positions of the pelvis in the world, metres
+    rotations: dict[str, Array]  # (T, 3, 3) ``world_from_segment`` of each segment
 
     def landmarks(self, names: tuple[str, ...] = LANDMARKS) -> Array:
         """Returns (T, N, 3) the landmarks in the world, metres."""

@@ -44,15 +44,10 @@ _OPTIONAL = {
 
 @dataclass(frozen=True, eq=False)
 class CapturedMotion:
-    """The joints of a captured person as a function of time; after the end of the file they stand still.
-
-    Attributes:
-        name: The file's name.
-        seconds: Duration, including the start-up pose.
-    """
+    """The joints of a captured person as a function of time; after the end of the file they stand still."""
 
     name: str
-    seconds: float
+    seconds: float  # duration, including the start-up pose
     _begins: float
     _pelvis: CubicSpline
     _axes: CubicSpline

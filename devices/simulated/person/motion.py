@@ -92,28 +92,19 @@ def keyframes(period: float, *frames: tuple[float, Values]) -> Callable[[Array],
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The joints of one person as a function of time.
-
-    Attributes:
-        name: Name of the movement.
-        period: Duration of the loop, seconds.
-        loop: (T,) seconds since the first start of the loop → (T, C) channels; periodic except at its start.
-        footsteps: Footsteps of the loop; they end at their initial stance.
-        first_footsteps: Footsteps of the first round of the loop, if they differ.
-        arrive: Steps from the start-up stance to that of the loop, in seconds since the end of the start-up
-            pose.
-        startup: Whether the movement begins with the start-up pose.
-        speeds_up: Whether the loop starts from rest: its time advances slowly at first.
-    """
+    """The joints of one person as a function of time."""
 
     name: str
-    period: float
+    period: float  # duration of the loop, seconds
     loop: Callable[[Array], Array]
+    """(T,) seconds since the first start of the loop → (T, C) channels; periodic except at its start."""
     footsteps: Footsteps = field(default_factory=Footsteps)
-    first_footsteps: Footsteps | None = None
+    """Footsteps of the loop; they end at their initial stance."""
+    first_footsteps: Footsteps | None = None  # footsteps of the first round of the loop, if they differ
     arrive: Footsteps = ARRIVE_AT_EASE
-    startup: bool = True
-    speeds_up: bool = False
+    """Steps from the start-up stance to that of the loop, in seconds since the end of the start-up pose."""
+    startup: bool = True  # whether the movement begins with the start-up pose
+    speeds_up: bool = False  # whether the loop starts from rest: its time advances slowly at first
 
     @property
     def begins(self) -> float:

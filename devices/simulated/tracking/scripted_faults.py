@@ -19,17 +19,12 @@ from fusion.joint_kinds import of_kind
 
 @dataclass(frozen=True)
 class Spells:
-    """Spells of one length that repeat.
+    """Spells of one length that repeat."""
 
-    Attributes:
-        begins: Start of the first spell, seconds of the sensor's clock.
-        seconds: Length of a spell.
-        every: From the start of one spell to that of the next, seconds; infinity: there is only one.
-    """
-
-    begins: float
-    seconds: float
+    begins: float  # start of the first spell, seconds of the sensor's clock
+    seconds: float  # length of a spell
     every: float = np.inf
+    """From the start of one spell to that of the next, seconds; infinity: there is only one."""
 
     def include(self, time: float) -> bool:
         """Whether a spell lasts at a time, seconds."""
@@ -45,18 +40,13 @@ class Spells:
 
 @dataclass(frozen=True)
 class ScriptedFaults:
-    """The faults of one tracker.
+    """The faults of one tracker."""
 
-    Attributes:
-        body: The body that the tracker reports.
-        misplaced: When the left arm is hidden and reported as tracked, near the joints that are in front of
-            it in the image; where there are none, nearer to the pelvis.
-        mirrored: When left and right are exchanged.
-    """
-
-    body: Body
+    body: Body  # the body that the tracker reports
     misplaced: Sequence[Spells] = ()
-    mirrored: Sequence[Spells] = ()
+    """When the left arm is hidden and reported as tracked, near the joints that are in front of it in the
+    image; where there are none, nearer to the pelvis."""
+    mirrored: Sequence[Spells] = ()  # when left and right are exchanged
 
     def mirrors(self, time_ns: int) -> bool:
         """Whether left and right are exchanged at a time of the sensor's clock."""

@@ -25,57 +25,39 @@ class TrackerErrors:
     The defaults of :meth:`of` are fitted to real recordings (``tests/devices/simulated/test_realism.py``).
     Those of BlazePose, of which there are no recordings, were read off the tracker itself on simulated images
     (``python -m tests.experiments.own_tracker --joints``).
-
-    Attributes:
-        view_bias: Standard deviation per axis of a joint's bias, which is constant in time and depends on the
-            view.
-        skin: Shift of a joint along the ray towards the sensor, as a share of its depth under the skin.
-        seen_share: Visible share of a joint's surface below which it is hidden.
-        unsure: Share of time in which a visible joint counts as hidden, by kind.
-        inferred_error: Standard deviation per axis of the guess for a hidden joint.
-        inferred_jitter: Factor of the jitter of a hidden joint.
-        not_tracked: Share of hidden spells in which the joint has no position.
-        mistracked: Share of hidden spells in which the joint is still reported as tracked.
-        snap: Shift of such a joint towards the joint that covers it, as a share of their distance, 0 to 1.
-        stretch: Share of a bone's length error that remains. The body model of a tracker keeps bone lengths
-            nearly constant, so that an error of a joint also moves the joints below it. With 1 the errors of
-            joints are independent.
-        outliers: Share of frames in which a tracked joint has an outlier.
-        outlier_size: Largest size of an outlier per axis.
-        rescale: Standard deviation of the skeleton's scale.
-        rescale_seconds: Duration of a scale.
-        jitter: Standard deviation of a joint's jitter per axis, by kind.
-        moving_jitter: Increase of ``jitter`` per axis for each m/s of the joint's speed.
-        jitter_memory: Correlation of the jitter of successive frames.
-        mirroring: Frequency and form of mirroring: a person whose back is turned is reported mirrored.
-        stale: Share of frames that repeat the previous skeleton.
-        lost: Share of frames in which the person is lost.
-        lost_seconds: Duration of a loss.
-        added: Further errors; None for none.
     """
 
     view_bias: float = 0.0
+    """Standard deviation per axis of a joint's bias, which is constant in time and depends on the view."""
     skin: float = 0.0
-    seen_share: float = 0.0
+    """Shift of a joint along the ray towards the sensor, as a share of its depth under the skin."""
+    seen_share: float = 0.0  # visible share of a joint's surface below which it is hidden
     unsure: ByKind = field(default_factory=lambda: dict.fromkeys(KINDS, 0.0))
-    inferred_error: float = 0.0
-    inferred_jitter: float = 1.0
-    not_tracked: float = 0.0
-    mistracked: float = 0.0
+    """Share of time in which a visible joint counts as hidden, by kind."""
+    inferred_error: float = 0.0  # standard deviation per axis of the guess for a hidden joint
+    inferred_jitter: float = 1.0  # factor of the jitter of a hidden joint
+    not_tracked: float = 0.0  # share of hidden spells in which the joint has no position
+    mistracked: float = 0.0  # share of hidden spells in which the joint is still reported as tracked
     snap: float = 0.0
+    """Shift of such a joint towards the joint that covers it, as a share of their distance, 0 to 1."""
     stretch: float = 1.0
-    outliers: float = 0.0
-    outlier_size: float = 0.0
-    rescale: float = 0.0
-    rescale_seconds: float = 1.0
+    """Share of a bone's length error that remains. The body model of a tracker keeps bone lengths nearly
+    constant, so that an error of a joint also moves the joints below it. With 1 the errors of joints are
+    independent."""
+    outliers: float = 0.0  # share of frames in which a tracked joint has an outlier
+    outlier_size: float = 0.0  # largest size of an outlier per axis
+    rescale: float = 0.0  # standard deviation of the skeleton's scale
+    rescale_seconds: float = 1.0  # duration of a scale
     jitter: ByKind = field(default_factory=lambda: dict.fromkeys(KINDS, 0.0))
-    moving_jitter: float = 0.0
-    jitter_memory: float = 0.5
+    """Standard deviation of a joint's jitter per axis, by kind."""
+    moving_jitter: float = 0.0  # increase of ``jitter`` per axis for each m/s of the joint's speed
+    jitter_memory: float = 0.5  # correlation of the jitter of successive frames
     mirroring: Mirroring = field(default_factory=Mirroring)
-    stale: float = 0.0
-    lost: float = 0.0
-    lost_seconds: float = 0.5
-    added: AddedErrors | None = None
+    """Frequency and form of mirroring: a person whose back is turned is reported mirrored."""
+    stale: float = 0.0  # share of frames that repeat the previous skeleton
+    lost: float = 0.0  # share of frames in which the person is lost
+    lost_seconds: float = 0.5  # duration of a loss
+    added: AddedErrors | None = None  # further errors; None for none
 
     @staticmethod
     def of(body: Body) -> TrackerErrors:
