@@ -39,15 +39,10 @@ class Event:
 
 @dataclass(frozen=True)
 class Spell:
-    """A condition that lasted for some time.
+    """A condition that lasted for some time."""
 
-    Attributes:
-        start: The event that starts the spell.
-        end: The event that ends it; None if the session ended first.
-    """
-
-    start: Event
-    end: Event | None
+    start: Event  # the event that starts the spell
+    end: Event | None  # the event that ends it; None if the session ended first
 
 
 def spells_of(events: Iterable[Event]) -> list[Spell]:

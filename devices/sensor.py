@@ -25,28 +25,19 @@ class AbsentError(DeviceError):
 
 @dataclass(frozen=True, eq=False)
 class ColorCamera:
-    """The colour camera beside a depth camera.
+    """The colour camera beside a depth camera."""
 
-    Attributes:
-        intrinsics: In the mode it runs in.
-        color_from_depth: From the depth camera's frame, which is the sensor's, to the colour camera's.
-    """
-
-    intrinsics: Intrinsics
+    intrinsics: Intrinsics  # in the mode it runs in
     color_from_depth: RigidTransform
+    """From the depth camera's frame, which is the sensor's, to the colour camera's."""
 
 
 @dataclass(frozen=True, eq=False)
 class ColorImage:
-    """A colour image as the camera compressed it.
+    """A colour image as the camera compressed it."""
 
-    Attributes:
-        jpeg: The file; it begins and ends as one does.
-        camera: Which camera took it.
-    """
-
-    jpeg: bytes
-    camera: ColorCamera
+    jpeg: bytes  # the file; it begins and ends as one does
+    camera: ColorCamera  # which camera took it
 
     @staticmethod
     def of(jpeg: bytes, camera: ColorCamera) -> ColorImage | None:
@@ -79,23 +70,15 @@ class SensorFrame:
 
 @dataclass(frozen=True)
 class LinkFigures:
-    """How the messages of a sensor on another machine arrive, counted since the start.
+    """How the messages of a sensor on another machine arrive, counted since the start."""
 
-    Attributes:
-        received: Frames that arrived.
-        lost: Frames that never arrived.
-        malformed: Messages left out because they were damaged or of another program.
-        restarts: How often the other program was started anew.
-        round_trip_ns: Shortest of the recent round trips; None before the first.
-        clock_bound_ns: By how much the relation of the two machines' clocks can be wrong; None if unknown.
-    """
-
-    received: int = 0
-    lost: int = 0
-    malformed: int = 0
-    restarts: int = 0
-    round_trip_ns: int | None = None
+    received: int = 0  # frames that arrived
+    lost: int = 0  # frames that never arrived
+    malformed: int = 0  # messages left out because they were damaged or of another program
+    restarts: int = 0  # how often the other program was started anew
+    round_trip_ns: int | None = None  # shortest of the recent round trips; None before the first
     clock_bound_ns: int | None = None
+    """By how much the relation of the two machines' clocks can be wrong; None if unknown."""
 
 
 class Sensor:

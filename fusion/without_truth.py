@@ -35,22 +35,14 @@ _ONE_FLIP = 10  # frames: turns that are nearer to each other are one flip
 
 @dataclass(frozen=True, eq=False)
 class FusedPair:
-    """A recording with its S*.
-
-    Attributes:
-        body: Which joints.
-        time_ns: (T,) of the pairs.
-        a, b: (T, J, 3) the views, each in its sensor's frame, metres; NaN where not tracked.
-        fused: (T, J, 3) S*, in K_A's frame.
-        a_from_b: (T,) the registration of each frame.
-    """
+    """A recording with its S*."""
 
     body: Body
-    time_ns: NDArray[np.int64]
-    a: Array
+    time_ns: NDArray[np.int64]  # (T,) of the pairs
+    a: Array  # (T, J, 3) the views, each in its sensor's frame, metres; NaN where not tracked
     b: Array
-    fused: Array
-    a_from_b: tuple[RigidTransform, ...]
+    fused: Array  # (T, J, 3) S*, in K_A's frame
+    a_from_b: tuple[RigidTransform, ...]  # (T,) the registration of each frame
 
     @property
     def b_in_a(self) -> Array:
@@ -60,36 +52,27 @@ class FusedPair:
 
 @dataclass(frozen=True)
 class FiguresWithoutTruth:
-    """The figures of one recording. Lengths are metres, shares 0 to 1; NaN where there is no such figure.
+    """The figures of one recording. Lengths are metres, shares 0 to 1; NaN where there is no such figure."""
 
-    Attributes:
-        frames: How many pairs.
-        rough_a, rough_b, rough_mean, rough_fused: Mean norm of a joint's second difference, per frame², of
-            each view, of the views' mean under one robust registration, and of S*.
-        jumps_a, jumps_b, jumps_fused: Share of joint steps above JUMP.
-        jumps_own: Share of joint steps in which S* jumps and neither view moves by more than NO_JUMP.
-        against_a, against_b, against_fused: Share of frames with a trunk faster than FAST in which it faces
-            against its motion: a sign of mirrored labels.
-        flips_per_minute: How often S* turns by more than 90° within 0.1 s.
-        rotation_off: Radians between the last frame's R and a robust fit over the recording.
-        apart: Median distance between the views, by the registration of each frame.
-    """
-
-    frames: int
+    frames: int  # how many pairs
     rough_a: float
     rough_b: float
     rough_mean: float
     rough_fused: float
-    jumps_a: float
+    """Mean norm of a joint's second difference, per frame², of each view, of the views' mean under one robust
+    registration, and of S*."""
+    jumps_a: float  # share of joint steps above JUMP
     jumps_b: float
     jumps_fused: float
-    jumps_own: float
+    jumps_own: float  # share of joint steps in which S* jumps and neither view moves by more than NO_JUMP
     against_a: float
     against_b: float
     against_fused: float
-    flips_per_minute: float
-    rotation_off: float
-    apart: float
+    """Share of frames with a trunk faster than FAST in which it faces against its motion: a sign of mirrored
+    labels."""
+    flips_per_minute: float  # how often S* turns by more than 90° within 0.1 s
+    rotation_off: float  # radians between the last frame's R and a robust fit over the recording
+    apart: float  # median distance between the views, by the registration of each frame
 
     @property
     def roughness_ratio(self) -> float:

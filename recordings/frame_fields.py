@@ -30,34 +30,27 @@ class FrameField:
     In memory it is an array of shape (T, *shape). In the file it is a component of an entity, or a field of
     a component that is a struct (``figures.fuse_ms``), or an argument of one of Rerun's archetypes
     (``Points3D:positions``). Figures that name the same component are stored one after the other in it.
-
-    Attributes:
-        dtype: Type in memory.
-        shape: Shape for one frame; :data:`JOINTS` stands for the number of joints.
-        entity, component: Place in the file.
-        stored: Type in the file.
-        value: The value of a :class:`recordings.session_arrays.SessionFrame`: the path of an attribute, such
-            as ``pair.a.time_ns``, or a function. None if there is none, or if ``a`` in the path is None.
-        absent: Value in memory for a frame without a value; None: NaN, or 0 of a type without NaN.
-        optional: Whether a session may lack the figure, as sessions written before it was added do. The
-            attribute is then None. An optional figure does not share its component with other figures.
-        step: Values are rounded to multiples of this, which makes a file smaller.
-        scale: The stored value is the value in memory times this: 1e3 stores metres as millimetres.
-        names: Names indexed by the values; the file stores them as a dictionary. If `dtype` is signed, -1
-            means the last name.
     """
 
-    dtype: type[np.generic]
-    shape: tuple[int, ...]
-    entity: str
+    dtype: type[np.generic]  # type in memory
+    shape: tuple[int, ...]  # shape for one frame; :data:`JOINTS` stands for the number of joints
+    entity: str  # place in the file
     component: str
-    stored: type[np.generic]
+    stored: type[np.generic]  # type in the file
     value: str | Callable[[Any], Any]
+    """The value of a :class:`recordings.session_arrays.SessionFrame`: the path of an attribute, such as
+    ``pair.a.time_ns``, or a function. None if there is none, or if ``a`` in the path is None."""
     absent: int | None = None
+    """Value in memory for a frame without a value; None: NaN, or 0 of a type without NaN."""
     optional: bool = False
-    step: float | None = None
+    """Whether a session may lack the figure, as sessions written before it was added do. The attribute is
+    then None. An optional figure does not share its component with other figures."""
+    step: float | None = None  # values are rounded to multiples of this, which makes a file smaller
     scale: float | None = None
+    """The stored value is the value in memory times this: 1e3 stores metres as millimetres."""
     names: Names | None = None
+    """Names indexed by the values; the file stores them as a dictionary. If `dtype` is signed, -1 means the
+    last name."""
 
     def shape_for(self, body: Body) -> tuple[int, ...]:
         """The shape for one frame of a body."""

@@ -28,15 +28,10 @@ _APART = 1.0  # minimum seconds between two listed worst moments
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The common frames of two sessions.
-
-    Attributes:
-        body: The body of both sessions.
-        first, second: T frames of each session, at the same capture times.
-    """
+    """The common frames of two sessions."""
 
     body: Body
-    first: SessionArrays
+    first: SessionArrays  # T frames of each session, at the same capture times
     second: SessionArrays
 
     @staticmethod

@@ -19,17 +19,11 @@ from fusion.intrinsics import Intrinsics
 
 @dataclass(frozen=True)
 class CameraMode:
-    """A camera mode: the sensor's image is binned, then cropped.
+    """A camera mode: the sensor's image is binned, then cropped."""
 
-    Attributes:
-        binned: Width and height after binning, pixels.
-        crop: Column and row of the crop's first pixel in the binned image.
-        width, height: Size of the final image, pixels.
-    """
-
-    binned: tuple[int, int]
-    crop: tuple[int, int]
-    width: int
+    binned: tuple[int, int]  # width and height after binning, pixels
+    crop: tuple[int, int]  # column and row of the crop's first pixel in the binned image
+    width: int  # size of the final image, pixels
     height: int
 
 

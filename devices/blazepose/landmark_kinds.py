@@ -23,22 +23,17 @@ KINDS = tuple(dict.fromkeys(name.split("_")[0] for name in LANDMARK_NAMES))
 
 
 class Kind(NamedTuple):
-    """How the landmarks of one kind lie under the surface, and when they count as seen.
+    """How the landmarks of one kind lie under the surface, and when they count as seen."""
 
-    Attributes:
-        beneath: Metres of the landmark beneath the surface that the sensor sees, for a person of size 1.
-        visibility: Least visibility that the network must state.
-        turned: Largest component of the landmark's outward direction along the line of sight: -1 towards the
-            sensor, 1 away from it. An ear of the far side is hidden, whatever lies before it.
-        front, back: Metres by which the surface may lie before or behind the place where the whole body
-            expects it. What lies farther in front covers it; what lies farther behind is not the body.
-    """
-
-    beneath: float
-    visibility: float
+    beneath: float  # metres of the landmark beneath the surface that the sensor sees, for a person of size 1
+    visibility: float  # least visibility that the network must state
     turned: float
+    """Largest component of the landmark's outward direction along the line of sight: -1 towards the sensor, 1
+    away from it. An ear of the far side is hidden, whatever lies before it."""
     front: float
     back: float
+    """Metres by which the surface may lie before or behind the place where the whole body expects it. What
+    lies farther in front covers it; what lies farther behind is not the body."""
 
 
 CONSTANTS = {

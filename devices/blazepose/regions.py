@@ -18,18 +18,12 @@ SIDE_PER_RADIUS = 2.5
 
 @dataclass(frozen=True)
 class Region:
-    """A square of an image, turned so that the person in it is upright.
+    """A square of an image, turned so that the person in it is upright."""
 
-    Attributes:
-        u, v: Its centre, pixels; the centre of the first pixel is (0, 0).
-        side: Its side, pixels.
-        angle: Angle by which the person is turned clockwise in the image, radians.
-    """
-
-    u: float
+    u: float  # its centre, pixels; the centre of the first pixel is (0, 0)
     v: float
-    side: float
-    angle: float = 0.0
+    side: float  # its side, pixels
+    angle: float = 0.0  # angle by which the person is turned clockwise in the image, radians
 
     @staticmethod
     def around(centre: Array, rim: Array) -> Region:

@@ -11,27 +11,17 @@ from devices.sensor import DeviceError
 
 @dataclass(frozen=True)
 class ConnectedSensor:
-    """A sensor that a vendor's software sees.
+    """A sensor that a vendor's software sees."""
 
-    Attributes:
-        index: Its place in the list, which changes when sensors come and go.
-        serial: Its serial number; None if it cannot be opened.
-        sync_in, sync_out: Whether a cable is in the jack; None if it cannot be opened. Orbbec's software
-            always says no.
-        fault: Why it cannot be opened; empty if it can.
-        sdk: Whose software gives its images: libk4a's, or Orbbec's SDK v2.
-        description: Its model, connection or firmware, as far as the software tells.
-        advice: What to do about its firmware; empty if nothing.
-    """
-
-    index: int
-    serial: str | None
+    index: int  # its place in the list, which changes when sensors come and go
+    serial: str | None  # its serial number; None if it cannot be opened
     sync_in: bool | None = None
     sync_out: bool | None = None
-    fault: str = ""
-    sdk: Literal["k4a", "orbbec"] = "k4a"
-    description: str = ""
-    advice: str = ""
+    """Whether a cable is in the jack; None if it cannot be opened. Orbbec's software always says no."""
+    fault: str = ""  # why it cannot be opened; empty if it can
+    sdk: Literal["k4a", "orbbec"] = "k4a"  # whose software gives its images: libk4a's, or Orbbec's SDK v2
+    description: str = ""  # its model, connection or firmware, as far as the software tells
+    advice: str = ""  # what to do about its firmware; empty if nothing
 
     @property
     def is_orbbec(self) -> bool:

@@ -33,33 +33,22 @@ _SYNCED_ENOUGH = 15
 
 @dataclass(frozen=True)
 class PairingFigures:
-    """How pairing goes, counted since the start.
+    """How pairing goes, counted since the start."""
 
-    Attributes:
-        pairs: Frames of both sensors.
-        alone_a, alone_b: Frames given without a partner.
-        unmatched_b: Frames of B that no frame of A wanted: B is faster, or A missed one.
-        late, repeated: Frames left out: their time had passed; they had come before.
-        reordered: Frames that came after a later one, and were put in their place.
-        resets: How often a sensor's clock started anew.
-        skew_ns: Of the newest pair.
-        offset_ns: B's clock minus A's at the same moment, without the sync delay; None before both came.
-        drift_ppm: By how many millionths B's clock runs faster than A's.
-        dropped: Frames of A and of B dropped before pairing because the program was too slow.
-    """
-
-    pairs: int = 0
-    alone_a: int = 0
+    pairs: int = 0  # frames of both sensors
+    alone_a: int = 0  # frames given without a partner
     alone_b: int = 0
-    unmatched_b: int = 0
-    late: int = 0
-    repeated: int = 0
-    reordered: int = 0
-    resets: int = 0
-    skew_ns: int | None = None
+    unmatched_b: int = 0  # frames of B that no frame of A wanted: B is faster, or A missed one
+    late: int = 0  # frames left out because their time had passed
+    repeated: int = 0  # frames left out because they had come before
+    reordered: int = 0  # frames that came after a later one, and were put in their place
+    resets: int = 0  # how often a sensor's clock started anew
+    skew_ns: int | None = None  # of the newest pair
     offset_ns: int | None = None
-    drift_ppm: float = 0.0
+    """B's clock minus A's at the same moment, without the sync delay; None before both came."""
+    drift_ppm: float = 0.0  # by how many millionths B's clock runs faster than A's
     dropped: tuple[int, int] = (0, 0)
+    """Frames of A and of B dropped before pairing because the program was too slow."""
 
     @property
     def unpaired(self) -> tuple[int, int]:

@@ -70,17 +70,11 @@ class SensorMessage:
 
 @dataclass(frozen=True)
 class ClockMessage:
-    """A clock request or its reply.
+    """A clock request or its reply."""
 
-    Attributes:
-        session: Of the program that replies; 0 in a request.
-        asked_ns: When it was asked, on the asking machine's clock.
-        received_ns, answered_ns: On the replying machine's clock; 0 in a request.
-    """
-
-    session: int
-    asked_ns: int
-    received_ns: int = 0
+    session: int  # of the program that replies; 0 in a request
+    asked_ns: int  # when it was asked, on the asking machine's clock
+    received_ns: int = 0  # on the replying machine's clock; 0 in a request
     answered_ns: int = 0
 
 

@@ -14,16 +14,11 @@ from devices.sensor import ColorCamera, ColorImage
 
 @dataclass(frozen=True, eq=False)
 class OrbbecMoment(Moment):
-    """Depth and infrared of one exposure.
+    """Depth and infrared of one exposure."""
 
-    Attributes:
-        depth, infrared: The SDK's frames.
-        color: The newest frame of the colour camera at that moment; None without one.
-    """
-
-    depth: Any
+    depth: Any  # the SDK's frames
     infrared: Any
-    color: Any
+    color: Any  # the newest frame of the colour camera at that moment; None without one
 
 
 class MomentJoiner:

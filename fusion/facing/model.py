@@ -51,67 +51,49 @@ class FacingConstants(NamedTuple):
 
     Successive frames repeat the same error, so a frame's log-likelihood counts only in part. The *weights*
     are the share that is independent of earlier frames.
-
-    Attributes:
-        axis_sigma: Standard deviation of the heading that a tracker's shoulders or hips show.
-        axis_floor: Largest cost of an axis that is an outlier, in log density.
-        axis_weight: Weight of an axis in one frame.
-        knee_mean, knee_sigma: Distance of a knee in front of the line from hip to ankle.
-        elbow_mean, elbow_sigma: Distance of an elbow behind the line from shoulder to wrist.
-        head_mean, head_sigma: Distance of the head in front of the neck.
-        cue_floor: Largest cost of a cue that is an outlier.
-        bent_floor: Largest cost of a knee that lies farther in front than the mean: lunges and squats bend
-            knees much farther than walking does, but no knee bends backwards.
-        cue_weight: Weight of a cue in one frame of a person who moves.
-        inferred_weight: Factor on the evidence of joints that the tracker infers.
-        moving_speed: Mean speed of the joints above which frames count in full, m/s. A posture that is
-            held shows the same error in every frame.
-        still_weight: Factor while the person stands still.
-        motion_weight: Log-likelihood per frame, over the squared speed in m²/s², of moving forwards.
-        motion_cap: Speed above which motion counts no more than at this speed, m/s.
-        motion_seconds: Time constant of the low-pass filter of the trunk's velocity.
-        mirrored_front, mirrored_back: Share of frames that a tracker reports mirrored, facing it and with
-            the back turned.
-        mirrored_centre, mirrored_width: Cosine at which that share is half-way, and the width of the step.
-        mirrored_seconds: Time constant with which that share is reached.
-        turning_sigma: Standard deviation of a turn in 1/30 s, of a person who stands or walks straight ahead.
-        turning_sigma_fast: The same for a person who turns.
-        turning_share: Share of frames in which a person turns.
-        continuity: Weight of the agreement of labels with the previous frame, 1/m²; see
-            :func:`fusion.facing.evidence.exchange_odds`.
-        leak: Lower limit of the probability of every state, so that no state becomes impossible.
-        change_from: Probability above which a different exchange is adopted.
     """
 
     axis_sigma: Table = (0.19, 0.41, 0.84, 0.41, 0.19)
-    axis_floor: float = 4.0
-    axis_weight: float = 0.4
+    """Standard deviation of the heading that a tracker's shoulders or hips show."""
+    axis_floor: float = 4.0  # largest cost of an axis that is an outlier, in log density
+    axis_weight: float = 0.4  # weight of an axis in one frame
     knee_mean: Table = (0.026, 0.027, 0.028, 0.026, 0.031)
     knee_sigma: Table = (0.039, 0.043, 0.060, 0.057, 0.052)
+    """Distance of a knee in front of the line from hip to ankle."""
     elbow_mean: Table = (0.052, 0.045, 0.033, 0.029, 0.029)
     elbow_sigma: Table = (0.022, 0.027, 0.029, 0.033, 0.030)
-    head_mean: Table = (0.041, 0.050, 0.050, 0.047, 0.048)
+    """Distance of an elbow behind the line from shoulder to wrist."""
+    head_mean: Table = (0.041, 0.050, 0.050, 0.047, 0.048)  # distance of the head in front of the neck
     head_sigma: Table = (0.033, 0.034, 0.034, 0.037, 0.035)
-    cue_floor: float = 6.0
+    cue_floor: float = 6.0  # largest cost of a cue that is an outlier
     bent_floor: float = 1.0
-    cue_weight: float = 0.14
-    inferred_weight: float = 0.25
+    """Largest cost of a knee that lies farther in front than the mean: lunges and squats bend knees much
+    farther than walking does, but no knee bends backwards."""
+    cue_weight: float = 0.14  # weight of a cue in one frame of a person who moves
+    inferred_weight: float = 0.25  # factor on the evidence of joints that the tracker infers
     moving_speed: float = 0.4
-    still_weight: float = 0.12
+    """Mean speed of the joints above which frames count in full, m/s. A posture that is held shows the same
+    error in every frame."""
+    still_weight: float = 0.12  # factor while the person stands still
     motion_weight: float = 0.55
-    motion_cap: float = 1.2
-    motion_seconds: float = 0.15
+    """Log-likelihood per frame, over the squared speed in m²/s², of moving forwards."""
+    motion_cap: float = 1.2  # speed above which motion counts no more than at this speed, m/s
+    motion_seconds: float = 0.15  # time constant of the low-pass filter of the trunk's velocity
     mirrored_front: float = 0.005
     mirrored_back: float = 0.97
-    mirrored_centre: float = -0.36
+    """Share of frames that a tracker reports mirrored, facing it and with the back turned."""
+    mirrored_centre: float = -0.36  # cosine at which that share is half-way; the width of the step
     mirrored_width: float = 0.25
-    mirrored_seconds: float = 0.12
+    mirrored_seconds: float = 0.12  # time constant with which that share is reached
     turning_sigma: float = 0.052
-    turning_sigma_fast: float = 0.23
-    turning_share: float = 0.6
+    """Standard deviation of a turn in 1/30 s, of a person who stands or walks straight ahead."""
+    turning_sigma_fast: float = 0.23  # the same for a person who turns
+    turning_share: float = 0.6  # share of frames in which a person turns
     continuity: float = 100.0
-    leak: float = 1e-9
-    change_from: float = 0.5
+    """Weight of the agreement of labels with the previous frame, 1/m²; see
+    :func:`fusion.facing.evidence.exchange_odds`."""
+    leak: float = 1e-9  # lower limit of the probability of every state, so that no state becomes impossible
+    change_from: float = 0.5  # probability above which a different exchange is adopted
 
     @staticmethod
     def of(body: Body) -> FacingConstants:

@@ -18,19 +18,14 @@ from fusion.skeleton import TRACKED
 
 
 class ViewPixels(NamedTuple):
-    """Both views of J joints in their sensors' viewing planes.
-
-    Attributes:
-        pixels_a, pixels_b: (J, 2) where the joints fall in each sensor's own image; NaN where they do not.
-        states_a, states_b: (J,) tracking states.
-        usable: (J,) scratch.
-    """
+    """Both views of J joints in their sensors' viewing planes."""
 
     pixels_a: NDArray[np.float64]
     pixels_b: NDArray[np.float64]
-    states_a: NDArray[np.uint8]
+    """(J, 2) where the joints fall in each sensor's own image; NaN where they do not."""
+    states_a: NDArray[np.uint8]  # (J,) tracking states
     states_b: NDArray[np.uint8]
-    usable: NDArray[np.bool_]
+    usable: NDArray[np.bool_]  # (J,) scratch
 
 
 @inner_kernel

@@ -20,21 +20,14 @@ SUFFIXES = (MKV, BAG, *READERS)
 
 @dataclass(frozen=True)
 class Pair:
-    """Two recordings of one capture.
+    """Two recordings of one capture."""
 
-    Attributes:
-        name: Name of the session; a valid and unique folder name.
-        a, b: Absolute paths of the recordings.
-        skeletons_a, skeletons_b: For an .mkv: saved skeletons; None: the body tracker.
-        person_a, person_b: Ids of the person; None: the person seen longest.
-    """
-
-    name: str
-    a: Path
+    name: str  # name of the session; a valid and unique folder name
+    a: Path  # absolute paths of the recordings
     b: Path
-    skeletons_a: Path | None = None
+    skeletons_a: Path | None = None  # for an .mkv: saved skeletons; None: the body tracker
     skeletons_b: Path | None = None
-    person_a: str | None = None
+    person_a: str | None = None  # ids of the person; None: the person seen longest
     person_b: str | None = None
 
     @property

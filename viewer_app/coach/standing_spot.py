@@ -24,17 +24,13 @@ _TORSO_HEIGHT = 1.0  # metres above the floor
 
 @dataclass(frozen=True)
 class StandingSpot:
-    """A place on the floor.
+    """A place on the floor."""
 
-    Attributes:
-        x, z: Metres in K_A's frame.
-        room: Margin in metres at the tightest limit of either sensor; negative if the person is not fully
-            visible.
-    """
-
-    x: float
+    x: float  # metres in K_A's frame
     z: float
     room: float
+    """Margin in metres at the tightest limit of either sensor; negative if the person is not fully
+    visible."""
 
 
 def nearest(camera: Intrinsics) -> float:

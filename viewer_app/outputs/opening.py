@@ -24,20 +24,13 @@ _VMC_PORT, _VRCHAT_PORT = 39539, 9000  # the usual ones of the receivers
 
 @dataclass(frozen=True)
 class OutputPlan:
-    """The outputs that the options ask for, checked.
-
-    Attributes:
-        options: The options.
-        listen: Address for servers; None for this machine only.
-        vmc, vrchat: Receivers.
-        avatar: Proportions for VMC.
-    """
+    """The outputs that the options ask for, checked."""
 
     options: LiveOutputOptions
-    listen: str | None
-    vmc: Address | None
+    listen: str | None  # address for servers; None for this machine only
+    vmc: Address | None  # receivers
     vrchat: Address | None
-    avatar: Avatar | None
+    avatar: Avatar | None  # proportions for VMC
 
     def __bool__(self) -> bool:
         """Whether there is any output."""

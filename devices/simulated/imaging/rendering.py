@@ -23,23 +23,17 @@ NOTHING, FLOOR, WALL = -1, -2, -3
 
 @dataclass(frozen=True)
 class DepthErrors:
-    """The errors of a depth image.
+    """The errors of a depth image."""
 
-    Attributes:
-        noise: Standard deviation of a pixel at 0 m, metres.
-        noise_growth: Growth of the noise with the square of the distance, metres per square metre.
-        grazing: Smallest cosine between ray and surface normal at which there is a reading.
-        edge_loss: Share of pixels without a reading at depth discontinuities.
-        nearest, farthest: Range of readings, metres. The specified range ends at 3.86 m, but the sensor
-            measures bright surfaces farther away.
-    """
-
-    noise: float = 0.0008
+    noise: float = 0.0008  # standard deviation of a pixel at 0 m, metres
     noise_growth: float = 0.0004
-    grazing: float = 0.08
-    edge_loss: float = 0.5
+    """Growth of the noise with the square of the distance, metres per square metre."""
+    grazing: float = 0.08  # smallest cosine between ray and surface normal at which there is a reading
+    edge_loss: float = 0.5  # share of pixels without a reading at depth discontinuities
     nearest: float = 0.25
     farthest: float = 5.5
+    """Range of readings, metres. The specified range ends at 3.86 m, but the sensor measures bright surfaces
+    farther away."""
 
     @staticmethod
     def none() -> DepthErrors:

@@ -35,22 +35,14 @@ class Stance:
 
 @dataclass(frozen=True)
 class Step:
-    """A step: one foot leaves the floor and is planted elsewhere.
+    """A step: one foot leaves the floor and is planted elsewhere."""
 
-    Attributes:
-        foot: 0 left, 1 right.
-        start, end: Times between which the toes are off the floor, seconds.
-        to: Stance after the step.
-        lift: Largest height of the toes, metres.
-        heel: Pitch of the foot as the heel rises, radians.
-    """
-
-    foot: int
-    start: float
+    foot: int  # 0 left, 1 right
+    start: float  # times between which the toes are off the floor, seconds
     end: float
-    to: Stance
-    lift: float = 0.05
-    heel: float = 0.35
+    to: Stance  # stance after the step
+    lift: float = 0.05  # largest height of the toes, metres
+    heel: float = 0.35  # pitch of the foot as the heel rises, radians
 
 
 FEET_APART = (Stance(0.25, -0.13, 0.25), Stance(-0.25, -0.13, -0.25))

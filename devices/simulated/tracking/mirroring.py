@@ -33,21 +33,14 @@ class Mirroring:
     person's front and the direction to the sensor: 0 % above 0, 2 % at −0.1, 16 % at −0.4, 63 % at −0.6,
     93 % at −0.8 and 99 % at −1. The share for the Azure Kinect is an assumption, for lack of recordings with
     turned backs.
-
-    Attributes:
-        back: Share of mirrored frames when the back is turned.
-        centre, width: Cosine at which the share is half of ``back``, and width of the logistic step.
-        seconds: Time constant with which the share is reached.
-        crossing_seconds: Duration of a change of labels.
-        legs_later: Largest delay of the legs after the trunk, seconds; drawn uniformly.
     """
 
-    back: float = 0.0
-    centre: float = -0.55
-    width: float = 0.10
-    seconds: float = 0.12
-    crossing_seconds: float = 0.25
-    legs_later: float = 0.5
+    back: float = 0.0  # share of mirrored frames when the back is turned
+    centre: float = -0.55  # cosine at which the share is half of ``back``
+    width: float = 0.10  # of the logistic step
+    seconds: float = 0.12  # time constant with which the share is reached
+    crossing_seconds: float = 0.25  # duration of a change of labels
+    legs_later: float = 0.5  # largest delay of the legs after the trunk, seconds; drawn uniformly
 
     def share(self, cosine: float) -> float:
         """Returns the share of mirrored frames; ``cosine`` is between front and direction to the sensor."""
