@@ -48,7 +48,6 @@ def device_checks(
 
     Args:
         tracker: The tracker that is to run, and the settings of both. None: chosen for this machine.
-        root: Root of the file system; tests inject their own.
         x_answers: Whether the X display answers, where DISPLAY names one.
         choice: Serial numbers A, B and principal, as for ``choose_two``.
         named_master: Serial number of the master on the sync cable, if named by the user.

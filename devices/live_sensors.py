@@ -24,9 +24,6 @@ def connected_sensors(tracker: TrackerChoice) -> list[ConnectedSensor]:
     A Femto Bolt or Mega may be listed twice, by Orbbec's SDK v2 and by its K4A wrapper. It is taken from the
     wrapper where libk4abt tracks, which needs the wrapper's captures, else from SDK v2.
 
-    Args:
-        tracker: The tracker that takes the images.
-
     Raises:
         DeviceError: No vendor's software is installed.
     """
@@ -67,14 +64,7 @@ def decimation_of(tracker: TrackerChoice, fps: float) -> FrameDecimation:
 def live_sensor(
     connected: ConnectedSensor, settings: KinectSettings, tracker: TrackerChoice, decimation: FrameDecimation
 ) -> Sensor:
-    """The sensor with its body tracker; opens nothing.
-
-    Args:
-        connected: The sensor.
-        settings: How it runs.
-        tracker: The body tracker.
-        decimation: Of :func:`decimation_of`, shared by two sensors.
-    """
+    """The sensor with its body tracker; opens nothing."""
     serial = str(connected.serial)
     if not isinstance(decimation, TrackingPace):
         return KinectSensor(serial, settings, tracker.k4abt, decimation=decimation)

@@ -39,13 +39,7 @@ class FramePair:
         time_ns: int,
         skew_ns: int = 0,
     ) -> FramePair:
-        """The pair of two frames, with the person who has these ids.
-
-        Args:
-            a, b: The frames.
-            person_a, person_b: The person's ids, in each sensor's own numbering.
-            time_ns, skew_ns: As in :class:`fusion.skeleton.SkeletonPair`.
-        """
+        """The pair of two frames, with the person who has these ids in each sensor's own numbering."""
         return FramePair(a, b, SkeletonPair(_person(a, person_a), _person(b, person_b), time_ns, skew_ns))
 
     @property
@@ -96,8 +90,6 @@ def pair_recordings(
     before or after all of the other recording are left out.
 
     Args:
-        frames_a, frames_b: Frames of each recording in time order.
-        person_a, person_b: The person meant in each.
         tolerance_ns: Half the slower stream's median frame interval where None.
         offset_ns: Added to the times of B, so that both are on A's clock.
         every_frame: Whether a frame that merely finds no partner, as where one sensor is faster, is given

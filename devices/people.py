@@ -45,8 +45,6 @@ class PersonChoice:
         """The followed person's skeleton in this frame; None while they are out of sight.
 
         Args:
-            people: Skeletons by the tracker's id, in one sensor's frame.
-            time_ns: The frame's time, on the sensor's clock.
             at: (3,) position of the person as seen by the other sensor, metres in this sensor's frame; None
                 if unknown. The person nearest to it is chosen.
         """
@@ -87,12 +85,7 @@ class PersonOfPair:
         self._a, self._b = PersonChoice(), PersonChoice()
 
     def chosen(self, pair: FramePair, b_from_a: RigidTransform | None = None) -> FramePair:
-        """The pair with the skeletons of the person followed.
-
-        Args:
-            pair: The next one, with or without a person.
-            b_from_a: B's frame ← A's, once a calibration is settled.
-        """
+        """The pair with the skeletons of the person followed; ``b_from_a`` once a calibration is settled."""
         seen_a, position = _chosen(self._a, pair.a)
         in_b = None if b_from_a is None or position is None else b_from_a.apply(position)
         seen_b, _ = _chosen(self._b, pair.b, in_b)
@@ -123,12 +116,6 @@ def _bearing(at: NDArray[np.float64]) -> float:
 def choose_person(frames: Sequence[SensorFrame], wanted: str | None, source: str, flag: str) -> str:
     """The id of the person to follow: the one wanted, else the one seen in most frames.
 
-    Args:
-        frames: All frames of a recording.
-        wanted: An id from the recording; None leaves the choice open.
-        source: The recording's name, for the message.
-        flag: The option that names a person, for the message.
-
     Raises:
         DeviceError: No one is in the recording, or not the person wanted.
     """
@@ -150,14 +137,7 @@ def with_successors(frames: Sequence[SensorFrame], person: str) -> tuple[list[Se
     """Merges ids: people seen only while the followed person is absent get that person's id.
 
     A tracker assigns a new id to a person who returns. After the first person has left, the next one is
-    followed.
-
-    Args:
-        frames: All frames of a recording.
-        person: The id to follow.
-
-    Returns:
-        The frames, and the other ids, the one seen longest first.
+    followed. Returns the frames, and the other ids, the one seen longest first.
     """
     when: dict[str, set[int]] = {}
     for k, frame in enumerate(frames):

@@ -31,7 +31,6 @@ class Beat:
     """Starts sensors together, like real sensors on a sync cable.
 
     Args:
-        sensors: Number of sensors.
         begins_s: When they start, seconds of the clock; None: as soon as all are there.
     """
 
@@ -66,11 +65,8 @@ class PacedSensor(SensorWrapper):
 
     Args:
         sensor: The sensor. A simulated one leaves out images while it is slower than real time.
-        beat: Shared by sensors that start together; None: this sensor starts alone.
         decimation: Which moments a body tracker that works on the images wants; shared by the sensors. Frames
             of other moments and frames without an image are not given. None: every frame.
-        clock: Returns seconds; tests inject their own.
-        wait: Waits for an event with a timeout in seconds; tests inject their own.
     """
 
     def __init__(
@@ -169,14 +165,7 @@ class _ToAndFro:
 def sensor_by_wall_clock(
     which: int, movement: Movement, body: Body = AZURE_KINECT, *, angle_deg: float = 90.0
 ) -> PacedSensor:
-    """A simulated sensor whose person moves by the wall clock: two programs see the same person.
-
-    Args:
-        which: 0 for sensor A, 1 for B.
-        movement: What the person does.
-        body: What the tracker reports.
-        angle_deg: Between the two sensors.
-    """
+    """A simulated sensor whose person moves by the wall clock: two programs see the same person."""
     scene = Scene(_ToAndFro(movement, time.time() + _LEAD_S), body)
     beat = Beat(begins_s=time.perf_counter() + _LEAD_S)
     return PacedSensor(SimulatedKinect(scene, good_rig(body, angle_deg), which), beat)

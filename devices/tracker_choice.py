@@ -38,9 +38,6 @@ class TrackerChoice:
 
         Both sensors are tracked by one tracker, because two trackers report different bodies.
 
-        Args:
-            others: Names of the sensors or recordings with such images; empty for none.
-
         Raises:
             DeviceError: k4abt was asked for.
         """
@@ -61,13 +58,8 @@ def choose_tracker(
 ) -> TrackerChoice:
     """Chooses the tracker for images of libk4a, which both trackers take.
 
-    See :meth:`TrackerChoice.for_images_of` for those of other sensors.
-
-    Args:
-        wanted: What was asked for.
-        k4abt: Settings of Microsoft's tracker; a library named there asks for that tracker.
-        blazepose: Settings of the program's own.
-        root: Root of the file system; tests inject their own.
+    A library named in the settings of k4abt asks for that tracker. See :meth:`TrackerChoice.for_images_of`
+    for images of other sensors.
     """
     k4abt, blazepose = k4abt or TrackerSettings(), blazepose or BlazePoseSettings()
     if wanted != "auto":

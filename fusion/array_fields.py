@@ -17,7 +17,6 @@ def new_arrays(kind: type[T], **sizes: int) -> T:
     be filled with 0. A field whose type is such a NamedTuple is allocated likewise.
 
     Args:
-        kind: The NamedTuple.
         sizes: Numbers for the names in the shapes, such as ``J=25`` for ``("J", 3)``.
     """
     make: Any = kind

@@ -329,9 +329,6 @@ BODIES = {body.name: body for body in (KINECT_V1, KINECT_V2, AZURE_KINECT, BLAZE
 def body_of(joint_names: set[str]) -> Body:
     """Finds the body that has these joints; the first in the order of :data:`BODIES` where several have.
 
-    Args:
-        joint_names: Names as spelled in the recording; some joints of the body may be missing.
-
     Raises:
         FusionError: No body has all of these joints; the message lists the unknown names.
     """

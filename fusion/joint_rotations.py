@@ -126,11 +126,7 @@ def joint_bones(body: Body) -> NDArray[np.int64]:
 
 
 class JointRotations:
-    """Rotations of all bones, frame by frame; the twist is continuous in time.
-
-    Args:
-        body: The body.
-    """
+    """Rotations of all bones, frame by frame; the twist is continuous in time."""
 
     def __init__(self, body: Body) -> None:
         self.body = body

@@ -15,9 +15,6 @@ def lazy_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[
     The public names are those that its ``__init__.py`` imports under ``if TYPE_CHECKING:``, so that each is
     listed once, and type checkers know it. (lazy_loader of SPEC 1 reads a stub file instead, and allows only
     names of the package itself.)
-
-    Args:
-        package, file: ``__name__`` and ``__file__`` of the package.
     """
     blocks = [node for node in ast.parse(Path(file).read_text("utf-8")).body if isinstance(node, ast.If)]
     imports = [node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom)]

@@ -31,11 +31,7 @@ class PairArrays(NamedTuple):
 
 
 class PairStacker:
-    """Makes arrays of pairs, always of the types for which the kernels are compiled.
-
-    Args:
-        body: Of all skeletons.
-    """
+    """Makes arrays of pairs, always of the types for which the kernels are compiled."""
 
     def __init__(self, body: Body) -> None:
         self._nobody = Skeleton.of(body, np.full((len(body), 3), np.nan))
@@ -60,7 +56,6 @@ class PairStacker:
         """T ≥ 1 pairs.
 
         Args:
-            pairs: In time order.
             codes: (T, 2) exchange codes with doubt; unknown where None.
         """
         a, b = [pair.a or self._nobody for pair in pairs], [pair.b or self._nobody for pair in pairs]

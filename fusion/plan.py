@@ -62,12 +62,9 @@ def plan_recording(
     The paper's methods keep the calibration of the start-up pose and the sides as reported.
 
     Args:
-        body: Body of both views.
-        pairs: Pairs in time order, at least one.
         settings: The method; ``hindsight`` determines whether labels are found here.
         calibration: An earlier calibration; that of the start-up pose where None.
         refine: Whether the method ``duplex`` refines it over the whole recording.
-        progress: Passes on the numbers of the pairs, and shows how far this is.
 
     Raises:
         CalibrationError: None is given, and none can be found.

@@ -126,10 +126,8 @@ def weigh_witness(model, rotation, translation, positions, states, witness, resu
     to look for a limb there.
 
     Args:
-        model: Of the body.
         rotation, translation: Target frame from the sensor's frame.
         positions: (J, 3) as the sensor gave them, in its frame.
-        states: (J,) tracking states.
         witness: (J, 4) of the sensor's image; NaN where there is none.
         result: A :class:`JointEvidence`; written.
     """

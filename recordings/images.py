@@ -53,7 +53,6 @@ class PairImages:
     """The images of pairs in memory.
 
     Args:
-        pairs: The pairs, in order.
         every: Use the images of every n-th pair; 0 for none.
     """
 
@@ -81,13 +80,7 @@ class PairImages:
 
 
 class RecordingImages:
-    """The depth images of two recordings, thinned.
-
-    Args:
-        read: The recordings.
-        depth: Which depth images, and at which resolution.
-        progress: Shows the progress of reading.
-    """
+    """The depth images of two recordings, thinned."""
 
     def __init__(self, read: TwoRecordings, depth: Depth, progress: Progress = quietly) -> None:
         self._read, self._depth, self._progress = read, depth, progress

@@ -12,14 +12,10 @@ _LONGEST_NS = 300_000_000  # S* is not interpolated across a longer interval
 
 
 def positions_at(rows: SessionArrays, time_ns: ArrayLike) -> Array:
-    """S* at any times, from the frames before and after.
+    """S* at (N,) times since the first pair, ns, from the frames before and after.
 
     The root moves in a straight line. Each bone turns at a constant rate about the axis across both of its
     directions (spherical linear interpolation), so that its length stays that of the frame before.
-
-    Args:
-        rows: T frames.
-        time_ns: (N,) times since the first pair.
 
     Returns:
         (N, J, 3) metres in K_A's frame; the recorded S* at the times of frames. NaN before the first and

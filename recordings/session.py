@@ -285,11 +285,7 @@ class Session(SessionData):
         }  # fmt: skip
 
     def pairs(self, depth: bool = False) -> Iterator[FramePair]:
-        """The pairs as given by the sensors, so that a session can serve as a source.
-
-        Args:
-            depth: Whether to include the session's depth images.
-        """
+        """The pairs as given by the sensors, so that a session can serve as a source."""
         images = {side: iter(self.depth(side) if depth else ()) for side in layout.SIDES}
         ahead = {side: next(images[side], None) for side in layout.SIDES}
         for t in range(len(self)):

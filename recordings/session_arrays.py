@@ -201,9 +201,7 @@ class SessionArrays:
         """Stacks one or more turns of the loop.
 
         Args:
-            body: The body of all frames.
             bone_lengths: (J,) metres, or (T, J) where they change.
-            frames: In time order, at least one.
             numbers: Of the frames; from 0 where None.
             start_ns: When the session began; with the first of these frames where None.
             like: Earlier frames of the session: these then have the same optional figures.

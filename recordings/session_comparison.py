@@ -114,13 +114,10 @@ class Comparison:
 
 
 def frame_noise_of(positions: NDArray[np.float64], frame: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(J,) noise per frame, metres: the median length of the second difference divided by √6.
+    """(J,) noise per frame of (T, J, 3) positions, metres: the median length of the second difference / √6.
 
-    White noise with this standard deviation gives such second differences; slow movement adds almost nothing.
-
-    Args:
-        positions: (T, J, 3) joint positions, metres.
-        frame: (T,) frame numbers; a second difference needs three consecutive frames.
+    White noise with this standard deviation gives such second differences, each of three consecutive frames;
+    slow movement adds almost nothing.
     """
     following = frame[2:] - frame[:-2] == 2
     if not following.any():

@@ -66,11 +66,7 @@ def _wait_for_sensors() -> bool:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs a command line.
-
-    Args:
-        arguments: The arguments after the program's name. None: the arguments of the process.
-    """
+    """Runs a command line; without arguments, that of the process."""
     os.environ.setdefault("RERUN_ANALYTICS", "0")
     # all matrices are small: more threads would only wait for each other
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

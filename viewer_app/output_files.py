@@ -55,13 +55,7 @@ def warn_of_little_room(path: Path, console: Console) -> None:
 def check_outputs(
     outputs: Iterable[Path | None], inputs: Iterable[Path], force: bool, session: Path | None = None
 ) -> None:
-    """:func:`check_writable` for all files that a command will write.
-
-    Args:
-        outputs: All files but the session.
-        inputs: Files that the command reads.
-        force: Whether existing files are overwritten.
-        session: The session that the command will save.
+    """:func:`check_writable` for the session and all other files that a command will write.
 
     Raises:
         UsageError: As there; or two outputs are one file, or an output is an input, or the session's name

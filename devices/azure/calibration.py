@@ -62,10 +62,6 @@ def depth_mode(name: str) -> CameraMode:
 def depth_intrinsics(text: bytes, mode: str) -> Intrinsics:
     """Reads the depth camera from the calibration that a sensor stores as JSON.
 
-    Args:
-        text: The JSON text, as in a recording's ``calibration.json``.
-        mode: Depth mode, a key of ``DEPTH_MODES``.
-
     Raises:
         DeviceError: The JSON is damaged or lacks the camera, or the mode is not supported.
     """

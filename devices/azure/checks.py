@@ -126,12 +126,7 @@ def gpu_check(tracker: TrackerSettings, root: Path) -> Check:
 
 
 def why_not_k4abt(settings: TrackerSettings | None = None, root: Path = Path("/")) -> str:
-    """Why libk4abt is of no use here, in one clause; empty where it works, as far as can be told.
-
-    Args:
-        settings: Settings of the tracker.
-        root: Root of the file system; tests inject their own.
-    """
+    """Why libk4abt is of no use here, in one clause; empty where it works, as far as can be told."""
     settings = settings or TrackerSettings()
     try:
         library = load_library("k4abt", settings.library, INSTALL)
@@ -145,11 +140,7 @@ def why_not_k4abt(settings: TrackerSettings | None = None, root: Path = Path("/"
 
 
 def found_gpu(root: Path = Path("/")) -> str:
-    """What libk4abt can compute on: "NVIDIA driver", "DirectML", or nothing.
-
-    Args:
-        root: Root of the file system; tests inject their own.
-    """
+    """What libk4abt can compute on: "NVIDIA driver", "DirectML", or nothing."""
     if (root / "proc/driver/nvidia/version").is_file() or shutil.which("nvidia-smi"):
         return "NVIDIA driver"
     if sys.platform == "win32":

@@ -98,7 +98,6 @@ class KinectSensor(LiveSensor):
     """One Azure Kinect with its body tracker: a :class:`~devices.sensor.Sensor`.
 
     Attributes:
-        body: The body of the body tracker.
         waits_for: What the sensor is waiting for, if that may take minutes; else empty.
     """
 
@@ -114,9 +113,6 @@ class KinectSensor(LiveSensor):
         """Names the sensor; opens nothing.
 
         Args:
-            serial: Its serial number, as ``connected_kinects`` and the label on it give it.
-            settings: How it runs.
-            tracker: How the body tracker runs.
             track: Whether to track people; False for images alone.
             decimation: Which moments go to the tracker; share it between two sensors. None: its own.
             clock: Nanoseconds, of ``host_ns`` and of the tracker's times; tests inject their own.

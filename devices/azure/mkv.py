@@ -40,12 +40,7 @@ class MkvInfo:
 class MkvRecording(Sensor):
     """A recording of an Azure Kinect: a :class:`~devices.sensor.Sensor` whose frames have no people.
 
-    Attributes:
-        name: The file's name.
-        body: The joints that a body tracker finds in these frames: the Azure Kinect's.
-        intrinsics: Intrinsics of the depth camera; None before opening.
-        info: Metadata of the recording; None before opening.
-        warnings: Faults of a file that is still readable: cut off, damaged frames.
+    Its ``warnings`` are faults of a file that is still readable: cut off, damaged frames.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -85,11 +80,8 @@ class MkvRecording(Sensor):
     def frames(self) -> Iterator[SensorFrame]:
         """Yields the recorded frames in capture order: depth and infrared.
 
-        If a crash cut the file off, its complete frames are yielded and ``warnings`` states what is missing.
-        Each call starts at the first frame.
-
-        Raises:
-            DeviceError: The recording is not open, or has no complete frame.
+        If a crash cut the file off, its complete frames are yielded and ``warnings`` states what is missing;
+        no complete frame is a DeviceError. Each call starts at the first frame.
         """
         if self._container is None or self.info is None:
             raise DeviceError(f"{self.name} is not open: use it in a with statement.")

@@ -85,9 +85,6 @@ def how_to_install(platform: str = sys.platform) -> str:
     """Returns the instructions for installing a pyk4a that works with this program.
 
     pyk4a is built from source: the wheels of pyk4a-bundle need numpy < 2, and rerun-sdk needs numpy ≥ 2.
-
-    Args:
-        platform: A platform name as in ``sys.platform``.
     """
     needs = _NEEDS.get(platform)
     if needs is None:
@@ -102,9 +99,6 @@ def open_kinect(sdk: Any, serial: str, configuration: Any, *, joins_color: bool 
     """Opens the Kinect with a serial number. It queries all devices, because their indices are not stable.
 
     Args:
-        sdk: The module pyk4a.
-        serial: The serial number.
-        configuration: The ``pyk4a.Config``.
         joins_color: Whether libk4a puts the colour image of a moment into its depth image's capture. It then
             holds depth back until colour comes. If not, each image comes at once, in a capture of its own.
 
@@ -213,9 +207,6 @@ def why_not_started(fault: Exception, label: str, what: str, advice: str) -> Dev
 
     Args:
         fault: The SDK's exception, with libk4a's log as notes.
-        label: The sensor's name in messages.
-        what: What it did not do, as a clause.
-        advice: What else to check first.
     """
     log = _log_of(fault)
     if "color_start(" in log:

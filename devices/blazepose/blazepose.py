@@ -59,10 +59,6 @@ class BlazePose:
 
     The person is the one nearest to the middle of the image at first, and then the same one. The detector
     runs only while no person is followed.
-
-    Attributes:
-        settings: How it runs.
-        region: Where the person was in the last image; None while no person is followed.
     """
 
     def __init__(self, settings: BlazePoseSettings | None = None) -> None:
@@ -116,8 +112,6 @@ class BlazePose:
         Args:
             image: (h, w) infrared of any range, or (h, w, 3) uint8 RGB, on the pixels of the depth image.
             depth: (h, w) uint16 millimetres along z, 0 where there is no reading.
-            intrinsics: Intrinsics of both.
-            time_ns: Capture time.
 
         Returns:
             The skeleton of the person by an id that changes with the person; empty without a person.

@@ -13,11 +13,7 @@ _NAME = "blazepose"
 
 
 def networks_check(settings: BlazePoseSettings) -> Check:
-    """Whether the tracker's runtime and networks are here; networks that can still be fetched are not needed.
-
-    Args:
-        settings: Settings of the tracker.
-    """
+    """Whether the tracker's runtime and networks are here; networks that can be fetched are no fault."""
     if find_spec("ai_edge_litert") is None:
         advice = "pip install ai-edge-litert; it has no wheel for macOS on Intel."
         return Check(_NAME, False, "its runtime ai-edge-litert is not installed", advice)

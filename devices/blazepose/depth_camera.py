@@ -48,10 +48,8 @@ class DepthCamera(TrackedImages):
         """Stores the camera without opening it.
 
         Args:
-            name: Name for messages.
             images: The camera. OSError and RuntimeError from it mean a lost camera, which is opened again.
             intrinsics: Intrinsics of the depth camera.
-            settings: How the tracker runs.
             took: Called with the time that the tracker worked on each frame, ns.
         """
         source = _Images(name, images, intrinsics)

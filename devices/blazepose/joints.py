@@ -77,7 +77,6 @@ def joints_of(lifted: Lifted, pixels: Array, depth: NDArray[np.uint16]) -> tuple
     is tracked where one side of the body is seen and the surface before the joint is the trunk's or head's.
 
     Args:
-        lifted: The landmarks.
         pixels: (33, 2) the landmarks in the image.
         depth: (h, w) millimetres.
     """

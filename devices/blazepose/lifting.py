@@ -65,9 +65,7 @@ def lift(landmarks: BodyLandmarks, depth: NDArray[np.uint16], camera: Intrinsics
     """Places the landmarks in space.
 
     Args:
-        landmarks: As the network places them.
         depth: (h, w) millimetres along z, 0 without a reading.
-        camera: Intrinsics of the depth image.
 
     Returns:
         None where the depth shows no person of possible size.

@@ -22,10 +22,6 @@ class TrackingPace(FrameDecimation):
     enough. Share it between both sensors' ``TrackedImages``, between the sensors themselves, and
     ``TwoSensors``.
 
-    Args:
-        fps: Frames per second of the cameras.
-        settings: Settings of the trackers.
-
     Attributes:
         settings: Settings with which the trackers open.
         simulated: Whether the sensors are simulated, so that there is nothing to record.

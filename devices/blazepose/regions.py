@@ -27,11 +27,8 @@ class Region:
 
     @staticmethod
     def around(centre: Array, rim: Array) -> Region:
-        """The region of a person whose body lies in a circle.
-
-        Args:
-            centre: (2,) middle of the hips, pixels.
-            rim: (2,) the point of the circle above the head, pixels.
+        """The region of a person in a circle, from (2,) the middle of the hips and (2,) the point of the
+        circle above the head, pixels.
         """
         du, dv = float(rim[0] - centre[0]), float(rim[1] - centre[1])
         return Region(

@@ -25,10 +25,6 @@ class TrackedImages(SensorWrapper):
 
     A frame needs depth and infrared of the same pixels, or depth and a colour image registered to it. Other
     frames have no people.
-
-    Attributes:
-        source: The sensor with the images.
-        tracker: The tracker.
     """
 
     body = BLAZEPOSE
@@ -46,14 +42,10 @@ class TrackedImages(SensorWrapper):
         """Stores the source without opening it.
 
         Args:
-            source: A sensor whose frames have depth and infrared or colour; its own people are ignored.
-            settings: How the tracker runs.
             registered: Gives the (h, w, 3) RGB image of a frame without infrared, on the depth's pixels.
                 None: the frame's colour image, where its camera is the depth camera.
-            took: Called for each frame with the tracker's working time, ns.
             pace: For live sensors, shared by both: it gets the tracker's times and says which network to
                 use. The source leaves out the frames that it does not keep. None: every frame, one network.
-            clock: Nanoseconds; tests inject their own.
         """
         # OpenCV changes the environment when it is imported; importing this package must not.
         from devices.blazepose.blazepose import BlazePose

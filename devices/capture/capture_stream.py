@@ -47,13 +47,7 @@ class CaptureStream(ABC, Generic[M]):
     """What to check if a subordinate gets no pulses."""
 
     def __init__(self, label: str, settings: CaptureSettings, sensor: LiveSensor) -> None:
-        """Prepares; takes no capture yet.
-
-        Args:
-            label: The sensor's name in messages, such as "Kinect 000123".
-            settings: Settings of the sensor.
-            sensor: The sensor, for its serial number, decimation and clock.
-        """
+        """Prepares; takes no capture yet."""
         self.label, self.settings, self.sensor = label, settings, sensor
         self._silent_s = 0.0
         self._patience_s = settings.start_s if settings.sync == "subordinate" else settings.stall_s
@@ -89,9 +83,6 @@ class CaptureStream(ABC, Generic[M]):
 
     def take(self, wait: bool = True) -> M | None:
         """The newest wanted moment; None if there is none yet.
-
-        Args:
-            wait: Whether to wait for a capture if the queue is empty, ``timeout_ms`` at most.
 
         Raises:
             DeviceError: Unplugged, or stalled.
@@ -175,9 +166,7 @@ class LiveSensor(Sensor):
     Attributes:
         name: Its serial number.
         decimation: Which moments are given.
-        clock: Nanoseconds, of ``host_ns``.
         intrinsics: Intrinsics of the depth camera in the chosen mode; None before opening.
-        warnings: Problems that did not stop the sensor.
         missed: Captured frames that were dropped because this program or its tracker was too slow. Moments
             skipped on purpose by the decimation are not counted.
         lost: Captured frames that did not reach this machine.

@@ -42,9 +42,6 @@ class FrameDecimation:
     less time than was waited for it, the next one waits twice as long: a tracker may be fast only while it
     has fewer frames, because the two share a GPU. Safe to use from several threads.
 
-    Args:
-        fps: Frames per second of the cameras.
-
     Attributes:
         period_ns: Time between two frames of the cameras.
         step: Every which moment is kept; 1 keeps all.

@@ -31,11 +31,7 @@ class ConnectedSensor:
 
 
 class NeedsChoiceError(DeviceError):
-    """Two Kinects are connected and the principal one is not named: ask the user, or use ``--principal``.
-
-    Attributes:
-        serials: The two, sorted.
-    """
+    """Two Kinects are connected and the principal one is not named: ask the user, or use ``--principal``."""
 
     def __init__(self, serials: tuple[str, str]) -> None:
         super().__init__(
@@ -46,15 +42,10 @@ class NeedsChoiceError(DeviceError):
 
 
 def choose_one(connected: Sequence[ConnectedSensor], serial: str | None, option: str) -> str:
-    """The serial number of one sensor.
-
-    Args:
-        connected: What is there.
-        serial: The one asked for; None: the only one.
-        option: What the option that names it is called, for the message.
+    """The serial number of one sensor: the one asked for, else the only one.
 
     Raises:
-        DeviceError: It is not there, or more than one is and none is named.
+        DeviceError: It is not there, or more than one is and none is named; the message names the `option`.
     """
     there = _serials(connected, serial)
     if serial is not None:
@@ -71,12 +62,8 @@ def choose_two(
     b: str | None = None,
     principal: str | None = None,
 ) -> tuple[str, str]:
-    """The serial numbers of K_A (the principal sensor) and K_B.
-
-    Args:
-        connected: What is there.
-        a, b: Serial numbers asked for; one alone leaves the other to what is connected.
-        principal: Serial number of K_A too.
+    """The serial numbers of K_A (the principal sensor) and K_B. One that is asked for leaves the other to
+    what is connected.
 
     Raises:
         NeedsChoiceError: Exactly two are there, and none is named.
@@ -133,7 +120,6 @@ def sync_master(a: ConnectedSensor, b: ConnectedSensor, named: str | None = None
     The cable leads from the master's sync out to the subordinate's sync in. Start the subordinate first.
 
     Args:
-        a, b: The two sensors.
         named: The master, where the person says which one it is. Orbbec's jacks are not asked then: its
             wrapper always says that they are empty. Microsoft's know better than the person.
 

@@ -48,12 +48,8 @@ class TwoSensors:
         """Prepares; opens nothing.
 
         Args:
-            a, b: The principal and the secondary sensor.
-            pairing: How to pair them; None: the default pairing at 30 fps.
             decimation: What the two sensors share to keep the same moments; pairing follows its step.
-            limits: How long each sensor may take.
             tell: Told of every event at once, also while no pair comes; on the thread that asks for pairs.
-            clock: Seconds; tests inject their own.
         """
         self._arrival = threading.Event()
         self.a, self.b = (
@@ -132,10 +128,8 @@ class TwoSensors:
         self._stopped = True  # a plain flag: the interrupted thread may hold the lock of an Event
 
     def poll(self, wait_s: float = _POLL_S) -> list[FramePair]:
-        """The pairs that are complete now, after waiting for a frame at most ``wait_s``.
-
-        Raises:
-            DeviceError: A fault of the program or of a driver inside a sensor.
+        """The pairs that are complete now, after waiting for a frame at most ``wait_s``. Raises as
+        :meth:`pairs`.
         """
         self._arrival.wait(wait_s)
         self._arrival.clear()

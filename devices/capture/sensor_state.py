@@ -52,9 +52,6 @@ class Retries:
 
     Each failed attempt searches the USB bus while pyk4a holds the GIL, and leaks memory in pyk4a. A sensor
     that is not connected causes no such attempt, so its wait stays at ``first_s``.
-
-    Args:
-        first_s: Wait after the first failed attempt, in seconds.
     """
 
     def __init__(self, first_s: float) -> None:
@@ -73,13 +70,7 @@ class Retries:
 
 
 def not_opened(sensor: str, within_s: float, waits_for: str) -> DeviceError:
-    """The error for a sensor that did not open in time.
-
-    Args:
-        sensor: Its name.
-        within_s: How long that was, in seconds.
-        waits_for: What it is known to wait for; empty if nothing explains it.
-    """
+    """The error for a sensor that did not open in time."""
     cause = f"it waits for {waits_for}" if waits_for else "its driver hangs"
     return DeviceError(
         f"{sensor} did not open in {within_s:g} s: {cause}. Try again; if it is the same, unplug it and plug "

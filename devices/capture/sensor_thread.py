@@ -66,11 +66,8 @@ class SensorThread:
         """Prepares; opens nothing.
 
         Args:
-            sensor: What to run.
             keep: Most frames that wait for the reader.
-            limits: How long the sensor may take.
             arrival: Set at every frame and change of state; two sensors may share one, to wait for either.
-            clock: Seconds, for stalls and ``host_ns``; tests inject their own.
             wait: Waits for an event at most so many seconds; how retries pass time.
         """
         self.sensor = sensor if isinstance(sensor, Sensor) else SensorWrapper(sensor)
@@ -160,13 +157,8 @@ class SensorThread:
             self.sensor.interrupt()
 
     def close(self, within_s: float = 3.0) -> bool:
-        """Ends the thread and closes the sensor; closing twice is harmless.
-
-        Args:
-            within_s: How long to wait for it. A driver that hangs is left behind and the program goes on.
-
-        Returns:
-            Whether the sensor was closed in that time.
+        """Ends the thread and closes the sensor; closing twice is harmless. A driver that hangs is left
+        behind. Returns whether the sensor was closed in time.
         """
         self.end()
         thread, self._thread = self._thread, None

@@ -129,12 +129,8 @@ class LivePairing:
         self._gone_after_ns = max(self._least_gone_ns, 4 * interval_ns)
 
     def add(self, side: Side, frame: SensorFrame, now_ns: int) -> list[FramePair]:
-        """Takes a frame and gives the pairs that are complete now, in order.
-
-        Args:
-            side: Whose frame it is.
-            frame: The frame; its ``host_ns``, or now, relates its clock to the other's.
-            now_ns: Now, on the clock of ``host_ns``.
+        """Takes a frame and gives the pairs that are complete now, in order. ``now_ns`` is on the clock of
+        ``host_ns``, which relates the clocks of both sensors.
         """
         self._first_ns = now_ns if self._first_ns is None else self._first_ns
         stream = self._a if side == "a" else self._b
@@ -173,11 +169,7 @@ class LivePairing:
         (self._a if side == "a" else self._b).gone = gone
 
     def restart(self, side: Side) -> list[FramePair]:
-        """Reports that a sensor was reopened, so that its clock may have restarted.
-
-        Returns:
-            What still waited.
-        """
+        """Reports that a sensor was reopened, so that its clock may have restarted; returns what waited."""
         (self._a if side == "a" else self._b).clock.restart()
         return self._let_out(side)
 

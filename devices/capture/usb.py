@@ -41,11 +41,7 @@ class UsbKinect:
 
 
 def usb_kinects(root: Path = Path("/")) -> list[UsbKinect]:
-    """The Kinects plugged in, by Linux's own list; empty on other systems.
-
-    Args:
-        root: Where the file system starts; tests inject their own.
-    """
+    """The Kinects plugged in, by Linux's own list; empty on other systems."""
     found = []
     for device in sorted((root / "sys/bus/usb/devices").glob("*")):
         if (_read(device / "idVendor"), _read(device / "idProduct")) not in _DEPTH_CAMERAS:
@@ -65,13 +61,7 @@ def usb_kinects(root: Path = Path("/")) -> list[UsbKinect]:
 
 
 def why_not_open(fault: Exception, bus: Sequence[UsbKinect], programs: str) -> str:
-    """Why a connected device does not open; the SDKs give no reason.
-
-    Args:
-        fault: The SDK's exception.
-        bus: The sensors on USB.
-        programs: Programs that may keep the device busy.
-    """
+    """Why a connected device does not open; the SDKs give no reason."""
     said, forbidden = in_brackets(fault), [device for device in bus if not device.allowed]
     if forbidden:
         return Cause.FORBIDDEN.says(node=forbidden[0].node, said=said, advice=UDEV_ADVICE)

@@ -17,9 +17,6 @@ def ray_table(intrinsics: Intrinsics) -> NDArray[np.float32]:
 
     Compute it once per camera (a fraction of a second): removing the lens distortion has no closed form.
 
-    Args:
-        intrinsics: Intrinsics of the depth camera, with distortion.
-
     Returns:
         (height, width, 3) x, y, 1 in the sensor's frame; NaN where the lens model is not valid: in the
         corners of a wide image.

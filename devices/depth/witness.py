@@ -57,12 +57,7 @@ def warm_up() -> None:
 
 
 def with_witness(frame: SensorFrame, intrinsics: Intrinsics) -> SensorFrame:
-    """Returns the frame with depth evidence in each skeleton that lacks it.
-
-    Args:
-        frame: The frame; returned unchanged if it has no image of this camera.
-        intrinsics: Intrinsics of the depth camera.
-    """
+    """Returns the frame with depth evidence in each skeleton that lacks it, if it has a depth image."""
     depth = frame.depth
     if depth is None or depth.shape != (intrinsics.height, intrinsics.width) or not frame.people:
         return frame

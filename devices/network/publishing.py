@@ -35,14 +35,6 @@ _POLL_S = 0.05
 class FramePublisher:
     """Publishes frames under a key. Use it as a context manager; ``publish`` never blocks.
 
-    Args:
-        key: The key to publish under.
-        addresses: Where Zenoh meets those who fuse.
-        sensor: The open sensor, for its name, body and camera.
-        interval_ns: Nominal time between two frames.
-        depth: Whether depth images are published, too.
-        clock: Nanoseconds, of ``host_ns``.
-
     Attributes:
         session: The number of this run; another run has another one.
         published: Frames so far.
@@ -142,12 +134,6 @@ def publish_until(
     tell: Callable[[Event], None] = lambda _: None,
 ) -> None:
     """Publishes an open sensor's frames until it ends or ``stopped`` is set.
-
-    Args:
-        thread: The sensor, open.
-        publisher: Where its frames go.
-        stopped: Set from a signal handler or another thread.
-        tell: Told of every event of the sensor.
 
     Raises:
         DeviceError: A fault of the program or of a driver inside the sensor.

@@ -42,12 +42,9 @@ class RemoteSensor(Sensor):
 
     Args:
         key: The key of ``duplex sensor --publish``.
-        addresses: Where Zenoh meets it.
         appear_s: How long opening waits for it, seconds; later openings wait 2 s.
-        clock: Nanoseconds, of ``host_ns``.
 
     Attributes:
-        name: ``zenoh:`` and the key.
         waits_for: What opening waits for; else empty.
         body, intrinsics, interval_ns: As it described itself; known once it has been open.
     """

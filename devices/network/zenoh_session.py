@@ -75,12 +75,6 @@ def zenoh_session(addresses: ZenohAddresses) -> Iterator[Any]:
 
     Multicast scouting and gossip are off: the session knows nobody but the peers at its addresses.
 
-    Args:
-        addresses: Where it meets others.
-
-    Yields:
-        A ``zenoh.Session``.
-
     Raises:
         DeviceError: Zenoh is not installed, or an address is busy or unknown.
     """

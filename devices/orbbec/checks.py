@@ -16,11 +16,7 @@ RECOMMENDED_FIRMWARE = {"Femto Bolt": (1, 1, 3), "Femto Mega": (1, 3, 1), "Gemin
 
 
 def sdk_check(platform: str = sys.platform) -> Check:
-    """Whether Orbbec's SDK v2 is installed, and what it lacks on this platform.
-
-    Args:
-        platform: A platform name as in ``sys.platform``.
-    """
+    """Whether Orbbec's SDK v2 is installed, and what it lacks on this platform."""
     try:
         load_sdk()
     except DeviceError as fault:

@@ -32,11 +32,7 @@ class MomentJoiner:
     """
 
     def __init__(self, period_ns: int) -> None:
-        """Starts without a frame.
-
-        Args:
-            period_ns: Time between two exposures.
-        """
+        """Starts without a frame."""
         self._period_ns = period_ns
         self._depth: Any = None
         self._infrared: Any = None
@@ -44,12 +40,7 @@ class MomentJoiner:
         self.timeless = False
 
     def add(self, frames: Any, now_ns: int) -> OrbbecMoment | None:
-        """Takes a ``FrameSet``; returns the moment that is now complete, if one is.
-
-        Args:
-            frames: The set of frames from the pipeline.
-            now_ns: Now, on ``time.perf_counter_ns``.
-        """
+        """Takes a ``FrameSet``; returns the moment that is now complete, if one is."""
         self._depth = frames.get_depth_frame() or self._depth
         self._infrared = infrared_frame(frames) or self._infrared
         self._color = frames.get_color_frame() or self._color

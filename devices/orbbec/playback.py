@@ -27,21 +27,12 @@ class OrbbecRecording(Sensor):
     are counted in ``warnings``.
 
     Attributes:
-        name: The file's name.
-        body: The body of the tracker that takes its images.
-        intrinsics: Intrinsics of the depth camera; None before opening.
-        warnings: Problems that did not stop the reading.
         duration_ns: How long it is, as the file says; 0 before opening.
         interval_ns: Time between two frames; 0 before opening.
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
-        """Names the recording; opens nothing.
-
-        Args:
-            path: The file.
-            clock: Seconds, for the end of a recording that says nothing; tests inject their own.
-        """
+        """Names the recording; opens nothing."""
         self.path, self.name = path, path.name
         self.body: Body = BLAZEPOSE
         self.intrinsics: Intrinsics | None = None

@@ -51,9 +51,6 @@ def how_to_install(python: tuple[int, int] = sys.version_info[:2]) -> str:
 
     Its declared requirements (numpy < 2 on Python 3.11, av 12 or 13, open3d) are those of its examples and
     clash with this program's. The bindings themselves need numpy only.
-
-    Args:
-        python: Major and minor version of the interpreter.
     """
     remove = ""
     if installed_version("pyorbbecsdk"):
@@ -102,9 +99,6 @@ def connected_orbbecs() -> list[ConnectedSensor]:
 
 def open_orbbec(sdk: Any, serial: str) -> Any:
     """Opens the sensor with a serial number; it is closed when the last reference to it goes.
-
-    Returns:
-        A ``pyorbbecsdk.Device``.
 
     Raises:
         AbsentError: It is not connected.

@@ -59,9 +59,6 @@ class OrbbecSensor(LiveSensor):
     second, and each fit moves all later times.
 
     A sensor without the sizes of Femto Bolt and Mega runs in that nearest to 640 pixels wide.
-
-    Attributes:
-        body: The body of the tracker that takes its images.
     """
 
     def __init__(
@@ -71,14 +68,7 @@ class OrbbecSensor(LiveSensor):
         decimation: FrameDecimation | None = None,
         clock: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
-        """Names the sensor; opens nothing.
-
-        Args:
-            serial: Its serial number, as ``connected_orbbecs`` and the label on it give it.
-            settings: How it runs.
-            decimation: Which moments are given; share it between two sensors. None: its own.
-            clock: Nanoseconds, of ``host_ns``; tests inject their own.
-        """
+        """Names the sensor; opens nothing."""
         self.settings = settings or CaptureSettings()
         super().__init__(serial, self.settings, decimation, clock)
         self.body = BLAZEPOSE

@@ -61,11 +61,7 @@ def check_modes(settings: CaptureSettings) -> None:
 
 
 def choose_streams(sdk: Any, pipeline: Any, serial: str, settings: CaptureSettings) -> Streams:
-    """Chooses the streams of an opened sensor.
-
-    Raises:
-        DeviceError: The sensor has no such images.
-    """
+    """Chooses the streams of an opened sensor; raises a DeviceError if it has no such images."""
     check_modes(settings)
     sensors, formats = sdk.OBSensorType, sdk.OBFormat
     depths = _profiles(sdk, pipeline, sensors.DEPTH_SENSOR, (formats.Y16,), settings.fps)

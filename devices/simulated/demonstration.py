@@ -49,12 +49,7 @@ class Demonstration:
 
 
 def good_rig(body: Body, angle_deg: float = 90.0) -> Rig:
-    """Two well placed sensors: a person is in both images and at a good distance in every movement.
-
-    Args:
-        body: The body that the trackers report; it stands for the kind of sensor.
-        angle_deg: Between the two lines of sight.
-    """
+    """Two well placed sensors: a person is in both images and at a good distance in every movement."""
     distance = _DISTANCE_V1 if body is KINECT_V1 else _DISTANCE
     return Rig(angle_deg=angle_deg, distance=distance, height=_HEIGHT, tilt_deg=_TILT_DEG)
 
@@ -85,12 +80,6 @@ def demonstration(
     bad_setup: bool = False,
 ) -> Demonstration:
     """The sensors of ``duplex demo``.
-
-    Args:
-        scene: The person, for a stated duration.
-        angle_deg: Between the sensors; of a bad set-up it is ``BAD_ANGLE_DEG``.
-        depth, infrared: As in :class:`devices.simulated.kinect.SimulatedKinect`.
-        bad_setup: Whether the sensors are badly placed. Then there are no hard moments.
 
     Raises:
         DeviceError: A value makes no sense.

@@ -101,11 +101,7 @@ class Truth:
 
 
 class TruthAhead:
-    """The truth at the times of consecutive pairs, computed for a second of A's frames at once.
-
-    Args:
-        truth: The ground truth.
-    """
+    """The truth at the times of consecutive pairs, computed for a second of A's frames at once."""
 
     def __init__(self, truth: Truth) -> None:
         self._truth = truth
@@ -125,17 +121,13 @@ class SimulatedKinect(Sensor):
     """One of the two sensors of a rig. It generates frames as fast as they are requested.
 
     Args:
-        scene: The scene in front of the sensor.
-        rig: The placement of the sensors.
         which: 0 for sensor A, 1 for B.
         errors: Errors of its body tracker; None: the errors fitted for the body.
-        depth: Whether frames have a depth image, and its size.
         infrared: Whether frames with a depth image have an infrared image, too. Both then show the person
             dressed; the simulated tracker's errors stay the same.
         script: Faults of its body tracker at given times, besides those by chance.
 
     Attributes:
-        depth_errors: Errors of the depth images.
         skips_depth: While True, frames have no depth image, which takes most of a frame's time.
         imaging: While False, no images are wanted.
         images_wanted: Number of depth images wanted since ``frames`` began.
@@ -251,16 +243,9 @@ def simulated_pair(
 
     Args:
         motion: A movement by name, a .bvh file, or a movement.
-        seed: Of every error.
-        body: What the trackers report.
         angle_deg: Between the sensors; ignored where a rig is given.
-        seconds: How long; None for ever.
-        height: The person's stature, metres.
         depth: Whether frames carry a depth image: ``none``, ``half`` or ``full``.
         errors: Of the body trackers; the real ones of the body where None.
-        depth_errors: Of the depth images.
-        rig: Where the sensors stand.
-        infrared: Whether frames with a depth image carry an infrared image.
 
     Raises:
         DeviceError: There is no such movement, or a value makes no sense.

@@ -50,10 +50,7 @@ def find_unit(
     """Finds the unit of positions from the lengths of the person's bones.
 
     Args:
-        name: Of the recording, for the message.
-        body: The body.
         positions: (N, J, 3) as the file has them; NaN where there is none.
-        unit: The unit if the user stated it.
 
     Returns:
         Metres per unit, and a line for the user if the unit was found and is not metres; else empty.
@@ -81,10 +78,6 @@ def find_unit(
 
 def check_metres_forward(name: object, xyz: NDArray[np.float64]) -> None:
     """Refuses positions that are too far away, or with a z axis that points backward.
-
-    Args:
-        name: Of the recording, for the message.
-        xyz: (..., 3) positions of joints in metres; NaN where there is none.
 
     Raises:
         DeviceError: Most joints are farther away than any sensor sees, or behind the sensor.
@@ -115,14 +108,7 @@ def impossible(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def impossible_in_words(name: object, count: int, where: str, value: NDArray[np.float64]) -> str:
-    """The warning about joints whose positions are impossible.
-
-    Args:
-        name: Of the recording.
-        count: How many there are.
-        where: Where the first one is.
-        value: (3,) the first one.
-    """
+    """The warning about so many impossible positions: where the first one is, and (3,) what it is."""
     axis = int(np.argmax(~(np.abs(value) < FARTHEST)))
     axis = axis if not abs(value[axis]) < FARTHEST else 2
     positions = "1 position is" if count == 1 else f"{count} positions are"
@@ -133,11 +119,7 @@ def impossible_in_words(name: object, count: int, where: str, value: NDArray[np.
 
 
 def check_microseconds(name: object, times_us: NDArray[np.int64]) -> None:
-    """Refuses capture times in another unit.
-
-    Args:
-        name: Of the recording, for the message.
-        times_us: (T,) capture times in order, as the file has them.
+    """Refuses (T,) capture times in another unit.
 
     Raises:
         DeviceError: The median interval is no sensor's.

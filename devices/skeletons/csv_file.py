@@ -49,10 +49,6 @@ def read_csv(path: Path, unit: Unit = "auto") -> ReadFile:
     not_tracked, or 2, 1, 0; without this column every joint counts as tracked. A joint is not tracked in a
     frame in which it has no row or an empty coordinate.
 
-    Args:
-        path: The file.
-        unit: Unit of the positions; ``auto``: found from the size of the person.
-
     Raises:
         DeviceError: Wrong columns, an unknown joint, text instead of a number, an incomplete row, a
             repeated joint; the message names the line. Or times that are no microseconds, or positions

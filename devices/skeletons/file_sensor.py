@@ -24,12 +24,7 @@ READERS: MappingProxyType[str, Reader] = MappingProxyType(
 
 
 class SkeletonRecording(Sensor):
-    """A file of recorded skeletons; it is read completely when it is opened.
-
-    Args:
-        path: The file; its extension determines the format (:data:`READERS`).
-        unit: Unit of the positions of a ``.csv``; the other formats have one unit each.
-    """
+    """A file of recorded skeletons; it is read completely when it is opened."""
 
     def __init__(self, path: Path, unit: Unit = "auto") -> None:
         self.name = str(path)
@@ -48,11 +43,7 @@ class SkeletonRecording(Sensor):
         return self._body
 
     def __enter__(self) -> SkeletonRecording:
-        """Reads the file.
-
-        Raises:
-            DeviceError: The file cannot be read, or its content is invalid.
-        """
+        """Reads the file."""
         reader = READERS.get(self._path.suffix.lower())
         if reader is None:
             raise DeviceError(

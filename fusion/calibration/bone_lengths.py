@@ -30,11 +30,6 @@ def measure_bone_lengths(
     A bone whose joints are never tracked in both views at once takes its length in one view, then that of its
     mirror image, then an adult's proportions scaled to the measured bones.
 
-    Args:
-        body: The body of all pairs.
-        pairs: A few seconds of the start-up pose.
-        a_from_b: R and t.
-
     Returns:
         (J,) metres, by the joint at the bone's far end; 0 at the root.
 
@@ -88,8 +83,6 @@ def robust_bone_lengths(body: Body, evidence: Evidence, a_from_b: RigidTransform
     differ by more than four standard errors and by 5 %.
 
     Args:
-        body: Of both views.
-        evidence: With sides matched.
         a_from_b: R and t; joints at which the views disagree by far are left out.
         fallback: (J,) metres, for bones that were not seen; scaled to the measured bones.
 

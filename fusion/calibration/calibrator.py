@@ -48,11 +48,7 @@ _PROVISIONAL_PAIRS = 30
 
 
 class GradualCalibration:
-    """Collects keyframes until they determine R and t.
-
-    Args:
-        body: Of both views.
-    """
+    """Collects keyframes until they determine R and t."""
 
     def __init__(self, body: Body) -> None:
         self._body, self._settings = body, RobustFitSettings()
@@ -66,7 +62,6 @@ class GradualCalibration:
         """Takes the next pair. It computes one fit at most: all of them take longer than a frame.
 
         Args:
-            pair: As the sensors reported it.
             provisional: R and t in force; they may be wrong.
 
         Returns:
@@ -151,7 +146,6 @@ class Calibrator:
     """Finds a calibration while pairs come in: a provisional one at once, the final one on pose or movement.
 
     Args:
-        body: The sensors' body.
         calibration: An earlier calibration, which is then kept.
     """
 

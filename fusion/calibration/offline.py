@@ -84,13 +84,9 @@ def learn_from_recording(
     R and t to all keyframes of each span, and the bone lengths to evenly spaced pairs of the longest span.
 
     Args:
-        body: Of both views.
-        pairs: In order of time.
         codes: (T, 2) exchange codes of A and B: bit 0 arms, bit 1 legs; 0 where None.
         start: The initial calibration; that of the recording's start-up pose where None.
-        settings: Which quantities are learned.
         skews_ns: Capture time of B minus that of A by the time stamps; 0 where None.
-        progress: Passes on the numbers of the pairs, and shows how far the first pass is.
 
     Raises:
         CalibrationError: No frame shows a person to both sensors, or too few joints.

@@ -59,16 +59,7 @@ class CalibrationChange:
 
 
 class CalibrationLearner:
-    """Learns from each pair; deterministic, with bounded memory.
-
-    Args:
-        body: Of both views.
-        calibration: In force at the start; approximately right.
-        settings: Which quantities are learned.
-
-    Attributes:
-        calibration: In force.
-    """
+    """Learns from each pair; deterministic, with bounded memory."""
 
     def __init__(self, body: Body, calibration: Calibration, settings: LearnerSettings | None = None) -> None:
         self._body, self._settings = body, settings or LearnerSettings()
@@ -99,7 +90,6 @@ class CalibrationLearner:
         """Takes the next pair.
 
         Args:
-            pair: As the sensors reported it.
             codes: Exchange codes of A and of B: bit 0 the arms, bit 1 the legs.
             stale: Whether A and B repeat their last skeletons.
             skew_ns: Capture time of B minus that of A by the time stamps.

@@ -44,11 +44,7 @@ def inner_kernel(function: _Kernel) -> _Kernel:
 
 
 def njit(*, nogil: bool = False) -> Callable[[_Kernel], _Kernel]:
-    """Compiles a function with numba's own options, for code outside the method.
-
-    Args:
-        nogil: Whether it releases the GIL.
-    """
+    """Compiles a function with numba's own options, for code outside the method."""
     return lambda function: _kept_on_disk(function, {"nogil": nogil})
 
 
@@ -93,9 +89,6 @@ def drop_stale_kernels(package: Path) -> None:
 
     Only an edit in place can leave a stale kernel, and it updates a source's time. A read-only folder cannot
     be edited, so it contains no stale kernels.
-
-    Args:
-        package: The folder of the sources.
     """
     with suppress(OSError):
         newest = max(source.stat().st_mtime_ns for source in package.rglob("*.py"))
@@ -130,7 +123,6 @@ def compiled_meanwhile(kernel: Any, statements: str) -> Iterator[None]:
 
     Args:
         kernel: The kernel that will be called. If it is on disk, nothing is compiled.
-        statements: Python statements that compile what the other process is to compile.
     """
     process = None if _is_on_disk(kernel) else _start(statements)
     try:

@@ -32,10 +32,8 @@ def set_solver_targets(model, state, solve):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def solve_bones(model, state, solve):  # type: ignore[no-untyped-def]
-    """S*: min Σ (x_i - m_i)ᵀ W_i (x_i - m_i) with |x_i - x_parent| = l_i, starting at the previous frame.
-
-    Returns:
-        The number of iterations.
+    """S*: min Σ (x_i - m_i)ᵀ W_i (x_i - m_i) with |x_i - x_parent| = l_i, starting at the previous frame;
+    returns the number of iterations.
     """
     if state.last_time[1] == 0:
         _first_guess(model, solve, state.solver_start)

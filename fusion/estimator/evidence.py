@@ -20,13 +20,7 @@ from fusion.witness import weigh_witness
 
 @inner_kernel
 def depth_evidence(model, facing_model, views, pairs, k):  # type: ignore[no-untyped-def]
-    """Evidence and surface measurement of each joint of both views, for the re-labelled joints.
-
-    Args:
-        model, facing_model: Of the body and the calibration.
-        views: Re-labelled; evidence, places and their information are written.
-        pairs, k: Pair k of :class:`fusion.pair_arrays.PairArrays`.
-    """
+    """Evidence and surface measurement of each re-labelled joint of both views of pair k."""
     image = views.image
     for v in range(2):
         if v == 0:
@@ -92,7 +86,6 @@ def length_evidence(model, state, views):  # type: ignore[no-untyped-def]
     swing a tracker smears the limb, so a wrong length says less there.
 
     Args:
-        model: Of the body and the calibration.
         state: The joints' velocities u are read.
         views: Positions and states are read; evidence and length errors are written.
     """

@@ -66,7 +66,6 @@ def smooth_pairs(model, solve, trace, output):  # type: ignore[no-untyped-def]
     """Smooths positions, covariances and velocities of the output over T consecutive pairs.
 
     Args:
-        model, solve: Of the filter.
         trace: The filter's results; filtered states are replaced by smoothed ones.
         output: Of the filter; pairs without a person stay as they are.
     """

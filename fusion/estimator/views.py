@@ -45,12 +45,10 @@ def relabel(model, facing_model, facing, views, codes, dt):  # type: ignore[no-u
     """Corrects exchanged sides, and removes the measurements of a stale skeleton.
 
     Args:
-        model, facing_model: Of the body.
         facing: State of the facing filter (:mod:`fusion.facing.filter`); updated unless codes are given.
         views: Positions and states are written.
         codes: (2,) known labels, as from a pass over a whole recording: exchange codes with doubt
             (:func:`fusion.facing.exchange.with_doubt`); -1 where unknown.
-        dt: Seconds since the previous pair.
     """
     if codes[0] & DOUBT_UNKNOWN or codes[1] & DOUBT_UNKNOWN:
         pair = ReportedPair(views.reported, views.reported_states, views.stale, model.translation, model.up)

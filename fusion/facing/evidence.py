@@ -206,7 +206,6 @@ def upright_direction(body: Body, *views: NDArray[np.float64]) -> NDArray[np.flo
     """(3,) unit vector against gravity: the median direction of trunk and legs while the person stands.
 
     Args:
-        body: The joints.
         views: (T, J, 3) positions in one frame; NaN where not tracked.
 
     Returns:

@@ -17,14 +17,7 @@ _ABANDONED = 0.2  # labels with a smaller probability are given up
 
 @kernel
 def update_facing(model, state, pair, dt):  # type: ignore[no-untyped-def]
-    """Updates the filter with one pair; the result is in ``state`` (see :class:`FacingState`).
-
-    Args:
-        model: Of the body.
-        state: Updated.
-        pair: A :class:`fusion.facing.model.ReportedPair`.
-        dt: Seconds since the previous pair.
-    """
+    """Updates the filter with one pair; the result is in ``state`` (see :class:`FacingState`)."""
     if dt > FORGET_SECONDS:
         state.started[0] = 0
     update_evidence(model, state, pair, max(dt, _SHORTEST))

@@ -52,13 +52,6 @@ def relabel_sequence(
 
     With ``smooth`` the probability of the labels uses all pairs (forward-backward algorithm). Without it, it
     uses earlier pairs only, as live.
-
-    Args:
-        body: The joints.
-        pairs: Both views as :func:`reported_pairs` makes them.
-        time_ns: (T,) the pairs' times.
-        smooth: Whether later pairs count.
-        model: The body's own where None.
     """
     model, state = model or new_facing_model(body), new_arrays(FacingState, J=len(body))
     times = np.asarray(time_ns, dtype=np.int64)
@@ -84,7 +77,6 @@ def reported_pairs(
     """T pairs of a recording for :func:`relabel_sequence`; the view is the second axis.
 
     Args:
-        body: The joints.
         views: A and B, (T, J, 3) in K_A's frame as reported, metres; NaN where not tracked.
         states: (T, J) tracking states of A and of B.
         sensor_b: (3,) position of K_B in K_A's frame.

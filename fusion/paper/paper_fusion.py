@@ -16,11 +16,7 @@ from fusion.solvers.tree_solver import solve_tree
 
 
 class PaperFusion:
-    """``paper`` and ``published``; see :class:`fusion.setup.FuserSettings`.
-
-    Args:
-        setup: Calibration, settings and cameras.
-    """
+    """``paper`` and ``published``; see :class:`fusion.setup.FuserSettings`."""
 
     kernel: Any = solve_tree
     """The kernel that takes longest to compile."""

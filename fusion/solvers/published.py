@@ -48,10 +48,7 @@ def solve_published(parents, targets, weights, lengths, line_search, at, work): 
     used.
 
     Args:
-        parents: (J,).
         targets: (J, 3) m, metres.
-        weights: (J,).
-        lengths: (J,) metres.
         line_search: Whether τ is searched for; full steps otherwise.
         at: (J, 3) in: the start; out: S*.
         work: (2, J, 3) scratch.

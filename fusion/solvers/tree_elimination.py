@@ -234,11 +234,7 @@ def substitute(parents, order, work, saddle):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def retract(parents, order, work):  # type: ignore[no-untyped-def]
-    """The trial point x_i = x_p + l_i normalise(e_i + T_i s_i).
-
-    Returns:
-        Its objective.
-    """
+    """The trial point x_i = x_p + l_i normalise(e_i + T_i s_i); returns its objective."""
     trial, target, info = work.trial, work.targets, work.information
     bone, lengths, step, basis = work.bones, work.lengths, work.steps, work.basis
     root = order[0]

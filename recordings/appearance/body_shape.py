@@ -59,10 +59,6 @@ def capsule_lengths(body: Body, bone_lengths: NDArray[np.floating]) -> NDArray[n
 
     It is the length of the bone. The root and the joints of the face get spheres, and the head a capsule
     that does not reach down to the neck.
-
-    Args:
-        body: The body that defines the joints.
-        bone_lengths: (…, J) metres.
     """
     share, most = _extent(body)
     return np.minimum(bone_lengths * share, most).astype(np.float32)
@@ -78,12 +74,7 @@ def _extent(body: Body) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def bone_vectors(body: Body, positions: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(…, J, 3) metres from each joint to its parent; zero at the root and where a joint is missing.
-
-    Args:
-        body: The body that defines the joints.
-        positions: (…, J, 3) metres.
-    """
+    """(…, J, 3) metres from each joint to its parent; zero at the root and where a joint is missing."""
     at = np.asarray(positions, dtype=np.float32)
     return _rounded(np.nan_to_num(at[..., parents(body), :] - at))
 
@@ -91,11 +82,8 @@ def bone_vectors(body: Body, positions: NDArray[np.floating]) -> NDArray[np.floa
 def capsule_rotations(body: Body, positions: NDArray[np.floating]) -> NDArray[np.float32]:
     """(…, J, 4) unit quaternions (x, y, z, w) that turn the z axis from each joint to its parent.
 
-    The shortest such rotation: about (−d_y, d_x, 0) for a direction d, by half-angle formulas.
-
-    Args:
-        body: The body that defines the joints.
-        positions: (…, J, 3) metres. A missing joint gets no rotation.
+    The shortest such rotation: about (−d_y, d_x, 0) for a direction d, by half-angle formulas. A missing
+    joint gets none.
     """
     at = np.asarray(positions, dtype=np.float32)
     along = np.nan_to_num(at[..., parents(body), :] - at)
@@ -116,10 +104,6 @@ def nose_vectors(body: Body, positions: NDArray[np.floating]) -> NDArray[np.floa
     """(T, 1, 3) metres from the head to the tip of the nose: at right angles to shoulders and neck.
 
     The head is drawn as if it faced where the chest does. Zero where a joint is missing.
-
-    Args:
-        body: The body that defines the joints.
-        positions: (T, J, 3) metres.
     """
     at = np.asarray(positions, dtype=np.float32)
     shoulders = at[:, body.joint("shoulder right")] - at[:, body.joint("shoulder left")]
@@ -146,11 +130,8 @@ def _kind(bone: str) -> str:
 
 
 def pelvis_rotations(body: Body, positions: NDArray[np.floating]) -> NDArray[np.float32]:
-    """(T, 3, 3) K_A ← pelvis: x from the left to the right hip, y down the spine, z forward.
-
-    Args:
-        body: The body that defines the joints.
-        positions: (T, J, 3) metres. The identity where a joint is missing.
+    """(T, 3, 3) K_A ← pelvis: x from left to right hip, y down the spine, z forward; identity without a
+    joint.
     """
     at = np.asarray(positions, dtype=np.float32)
     hips = at[:, body.joint("hip right")] - at[:, body.joint("hip left")]

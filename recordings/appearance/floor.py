@@ -47,14 +47,7 @@ class FloorFinder:
         self.a_from_floor = floor_frame(np.array([0.0, -1.0, 0.0]), CAMERA_HEIGHT)
 
     def add(self, fused: NDArray[np.floating]) -> bool:
-        """Adds frames.
-
-        Args:
-            fused: (T, J, 3) S* in K_A's frame, metres.
-
-        Returns:
-            Whether :attr:`a_from_floor` changed noticeably.
-        """
+        """Adds (T, J, 3) S* in K_A's frame, metres; returns whether the floor changed noticeably."""
         seen = np.isfinite(fused[:, self._ankles]).all(axis=(1, 2))
         whole = np.asarray(fused[seen], dtype=np.float64)
         self._recent.extend(whole[:: math.ceil(len(whole) / _OVER) or 1])
@@ -78,7 +71,6 @@ def find_floor(body: Body, fused: NDArray[np.float64]) -> RigidTransform:
     ankle's, less that of an ankle above the floor.
 
     Args:
-        body: The joints.
         fused: (T, J, 3) metres in K_A's frame; both ankles are finite.
     """
     up = upright_direction(body, fused)

@@ -52,11 +52,7 @@ def _palette() -> NDArray[np.uint8]:
 
 
 class LimbSources:
-    """Finds which view each limb of S* follows, smoothed over a third of a second.
-
-    Args:
-        body: The body that defines the joints.
-    """
+    """Finds which view each limb of S* follows, smoothed over a third of a second."""
 
     def __init__(self, body: Body) -> None:
         members = [[limb == name for limb in _limbs_of(body)] for name in LIMBS]

@@ -35,7 +35,6 @@ def writer_for(path: Path, table: Table = "long", rate: float | None = None) -> 
     """Returns the writer for the suffix of a file.
 
     Args:
-        path: The file.
         table: Layout of a ``.csv``: one row per joint (``long``) or one row per frame (``wide``).
         rate: Frames per second of a ``.bvh`` or ``.c3d``; that of the recording where None.
 

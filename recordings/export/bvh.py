@@ -45,14 +45,6 @@ class _Node:
 def write_bvh(session: Session, path: Path, rate: float | None = None) -> str:
     """Writes S* as BVH. BVH has no gaps: the last pose is held during a gap.
 
-    Args:
-        session: The session.
-        path: The file.
-        rate: Frames per second; see :func:`recordings.export.even_frames.even_moments`.
-
-    Returns:
-        A description of what was written.
-
     Raises:
         RecordingError: No frame with the last bone lengths has an S*.
     """

@@ -32,7 +32,6 @@ def even_moments(rows: SessionArrays, rate: float | None = None) -> EvenMoments:
     """The moments k / rate since the first frame.
 
     Args:
-        rows: The frames.
         rate: Moments per second. None: the rate of A's frames, or of B's where A has none, without pauses,
             rounded to 5, 15, 30 or 60 if within 5 % of it.
     """

@@ -23,14 +23,6 @@ _MOST_FRAMES = 65_535
 def write_c3d(session: Session, path: Path, rate: float | None = None) -> str:
     """Writes S* as points labelled with the joint names: x right, y forward, z up, as seen from K_A.
 
-    Args:
-        session: The session.
-        path: The file; ezc3d requires the suffix ``.c3d``.
-        rate: Frames per second; see :func:`recordings.export.even_frames.even_moments`.
-
-    Returns:
-        A description of what was written.
-
     Raises:
         RecordingError: ``ezc3d`` is not installed, or the session is too long for the format.
         OSError: The file could not be written completely.
@@ -73,11 +65,7 @@ def write_c3d(session: Session, path: Path, rate: float | None = None) -> str:
 
 
 def write_trc(session: Session, path: Path) -> str:
-    """Writes S* as markers named after the joints. Times are as recorded; the header has the mean rate.
-
-    Returns:
-        A description of what was written.
-    """
+    """Writes S* as markers named after the joints. Times are as recorded; the header has the mean rate."""
     rows = session.rows
     joints, rate = rows.body.joints, f"{even_moments(rows).rate:.6g}"
     T, J = len(rows), len(joints)

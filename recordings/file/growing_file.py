@@ -16,11 +16,7 @@ _READ_WITHIN = 10.0
 
 
 class Blocks:
-    """The data logged to a recording stream, as blocks that form an ``.rrd`` file when concatenated.
-
-    Args:
-        stream: The stream; it must not have a sink yet.
-    """
+    """The data logged to a recording stream, as blocks that form an ``.rrd`` file when concatenated."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
@@ -45,9 +41,7 @@ class GrowingFile:
     """A file that appears under its name with the first block; an existing file stays until then.
 
     Args:
-        path: The file.
         stream: The stream whose data is written; it must not have a sink yet.
-        overwrite: Whether an existing file may be replaced.
     """
 
     def __init__(self, path: Path, stream: rr.RecordingStream, overwrite: bool = False) -> None:
@@ -83,11 +77,7 @@ class GrowingFile:
         self._size += len(block)
 
     def close(self) -> None:
-        """Ends the file. Data not yet written is lost. Closing twice has no effect.
-
-        Raises:
-            OSError: The end of the file could not be written.
-        """
+        """Ends the file, or raises an OSError. Data not yet written is lost. Closing twice has no effect."""
         self._blocks.close()
         file, self._file = self._file, None
         if file is not None:
@@ -135,10 +125,8 @@ def partial_beside(path: Path) -> Path:
 
 
 def _write_whole(file: FileIO, block: bytes | memoryview, at: int) -> None:
-    """Writes a block at offset `at`, the end of the file, completely or not at all.
-
-    Raises:
-        OSError: The block cannot be written, for example on a full disk.
+    """Writes a block at offset `at`, the end of the file, completely; or raises an OSError and writes
+    nothing.
     """
     rest = memoryview(block)
     try:

@@ -63,11 +63,7 @@ class Columns:
 
 
 def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
-    """Reads all data of the wanted entities.
-
-    Raises:
-        RecordingError: The file cannot be read, or is not an .rrd file.
-    """
+    """Reads all data of the wanted entities. Raises as :class:`RrdFile`."""
     found = Columns()
     parts: dict[tuple[str, str], list[tuple[NDArray[np.int64], NDArray[Any]]]] = {}
     with RrdFile(path) as file:
@@ -88,9 +84,6 @@ def read_columns(path: Path, wanted: Callable[[str], bool]) -> Columns:
 
 class RrdFile:
     """The messages that a file has at the time of opening.
-
-    Attributes:
-        damage: Description of the damage found so far; None if there is none.
 
     Raises:
         RecordingError: The file cannot be read, or is not an .rrd file.
@@ -140,10 +133,8 @@ class RrdFile:
         self._wrong("it was not ended")
 
     def chunks(self, images: bool) -> Iterator[tuple[str, pa.RecordBatch]]:
-        """Entity and content of each chunk of the recording, in the order of writing.
-
-        Args:
-            images: Whether to include depth images. If not, they are not decompressed.
+        """Entity and content of each chunk of the recording, in the order of writing. Depth images are not
+        even decompressed unless `images`.
         """
         for kind, begin, end in self.messages():
             if kind != _CHUNK:
@@ -180,11 +171,7 @@ class RrdFile:
 
 
 def damage_of(path: Path) -> str | None:
-    """Description of a damaged end of a file; None if the file is whole.
-
-    Raises:
-        RecordingError: The file cannot be read, or is not an .rrd file.
-    """
+    """Description of a damaged end of a file; None if the file is whole. Raises as :class:`RrdFile`."""
     with RrdFile(path) as file:
         for _ in file.messages():
             pass

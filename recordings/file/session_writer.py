@@ -53,12 +53,9 @@ def write_session(
     of the first frame in the original capture.
 
     Args:
-        session: A session in memory or in another file.
         path: The file; overwritten.
-        blueprint: The layout of the viewer; None: the viewer's default.
         page: The setup coach's page about the session.
         first, end: The range of frames; if `end` is None, to the last.
-        block: Number of frames per write.
 
     Returns:
         The number of damaged images that were skipped.
@@ -105,11 +102,6 @@ def whole_recording(
     path: Path, blueprint: Any = None, application: str = layout.APPLICATION_ID
 ) -> Iterator[rr.RecordingStream]:
     """A recording stream to a file, which is complete after the block ends without error.
-
-    Args:
-        path: The file; overwritten.
-        blueprint: The layout of the viewer; None: the viewer's default.
-        application: The application id; a viewer remembers one layout per id.
 
     Raises:
         OSError: The file cannot be created, or some logged data did not reach the file, usually because
@@ -214,10 +206,6 @@ def _send_blueprint(stream: rr.RecordingStream, blueprint: Any) -> None:
     """Sends a layout, as ``stream.send_blueprint`` does, but the stream that it makes can be freed.
 
     The layout is made the active one; otherwise a viewer restores the layout that it remembers.
-
-    Args:
-        stream: Receives the layout.
-        blueprint: The layout of the viewer, anything that Rerun takes as such.
     """
     application = rr.get_application_id(stream)
     assert application is not None

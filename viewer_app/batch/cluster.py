@@ -20,10 +20,6 @@ def run_on_cluster(jobs: Sequence[Job], scheduler: str) -> Generator[Outcome, No
 
     Closing the generator cancels the jobs that have not started.
 
-    Args:
-        jobs: The jobs.
-        scheduler: Address of the scheduler.
-
     Raises:
         UsageError: The extra ``cluster`` is missing, there is no scheduler at this address, it has no
             workers, or a worker has another version of the program.

@@ -43,10 +43,6 @@ def find_pairs(folder: Path, out: Path) -> tuple[list[Pair], list[str]]:
     names of subfolders precede the name. For two ``.mkv`` the skeleton files of the same names are their
     skeletons. Hidden folders and the output folder are not searched.
 
-    Args:
-        folder: Where to search.
-        out: The output folder.
-
     Returns:
         The pairs by name, and a line for each recording without a partner.
 

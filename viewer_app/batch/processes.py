@@ -29,12 +29,7 @@ _SECONDS = 3.0
 
 
 def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Outcome, None, None]:
-    """Runs the jobs and yields each outcome when it is known. Closing the generator ends all processes.
-
-    Args:
-        jobs: The jobs, started in this order.
-        processes: Maximum number of processes.
-    """
+    """Runs the jobs and yields each outcome when it is known. Closing the generator ends all processes."""
     compile_kernels(jobs[0].options)
     # Spawned, not forked: the threads of numba and OpenBLAS do not survive a fork.
     pool = ProcessPool(min(processes, len(jobs)), initializer=_begin, context=get_context("spawn"))

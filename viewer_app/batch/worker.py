@@ -73,12 +73,7 @@ def _fuse(job: Job) -> Record:
 
 
 def _session_figures(session: Session, figures: Figures) -> Figures:
-    """The figures in SI units, by name; None where there is no such figure.
-
-    Args:
-        session: The session.
-        figures: Its report, with ``without_truth`` of :func:`viewer_app.report.figures.truth_free_figures`.
-    """
+    """The figures in SI units, by name; None where there is no such figure."""
     rows, registration = session.rows, session.calibration.registration
     error, apart = figures["bone_error_mm"]["fused"]["max"], figures["views_agree_mm"]["median"]
     return {

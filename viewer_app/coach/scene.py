@@ -32,12 +32,7 @@ _BEST_ANGLE = 90.0  # degrees
 
 
 class CoachScene:
-    """Builds the coach's page.
-
-    Args:
-        body: The body that both sensors report.
-        cameras: Intrinsics of A and B.
-    """
+    """Builds the coach's page."""
 
     def __init__(self, body: Body, cameras: tuple[Intrinsics, Intrinsics]) -> None:
         self._body, self._cameras = body, cameras
@@ -49,8 +44,6 @@ class CoachScene:
         """The page to show now.
 
         Args:
-            advice: All current advice.
-            now: The state of the loop.
             fused: The newest S*; its feet give the floor. None without a person.
         """
         person = None if fused is None else self._person(fused)

@@ -75,9 +75,6 @@ class Coach:
     """Watches the loop and gives advice.
 
     Args:
-        body: The body that both sensors report.
-        intrinsics: Intrinsics of the depth cameras of A and B.
-        rate: Nominal frames per second.
         warm_up: Seconds until the sensors' distances are stable.
         simulated: Whether this machine simulates the sensors, so that only it can be too slow.
         remote: The sides, of ``AB``, whose sensors are on other PCs.

@@ -63,11 +63,7 @@ def line(check: Check) -> Text:
 
 
 def program_checks(root: Path = Path("/")) -> list[Check]:
-    """Checks of the rest of the program: display, graphics, viewer.
-
-    Args:
-        root: Root of the file system; tests inject their own.
-    """
+    """Checks of the rest of the program: display, graphics, viewer."""
     return [_display(), _graphics(root), _viewer()]
 
 

@@ -42,10 +42,6 @@ def run(options: FuseOptions) -> None:
 def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures]:
     """Carries out the command and returns the session and its report.
 
-    Args:
-        options: The options of the command.
-        console: Receives the output.
-
     Raises:
         DeviceError, FusionError, RecordingError, UsageError: With a one-line message for the user.
     """

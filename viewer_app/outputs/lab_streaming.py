@@ -49,9 +49,6 @@ class LabStreamingOutput(LiveOutput):
     stamps are as regular as the sensor.
 
     Args:
-        name: Name of the stream.
-        body: The body of S*.
-        rate: Nominal frames per second.
         others: Whether other machines may find the stream. If not, discovery is limited to this machine.
 
     Raises:

@@ -52,10 +52,6 @@ class OutputPlan:
     def opened(self, setup: FusionSetup, rate: float = 30.0) -> Iterator[Sequence[LiveOutput]]:
         """Opens the outputs; closes them at the end of the block.
 
-        Args:
-            setup: The setup of the first frames.
-            rate: Nominal frames per second.
-
         Raises:
             DeviceError, UsageError: An output cannot start.
         """
@@ -97,7 +93,6 @@ def plan_outputs(
     """Checks the options of the outputs and reads the avatar; opens nothing.
 
     Args:
-        options: The command line's.
         listen: Address of this machine for receivers on other machines; None: this machine only.
         remote_sensors: Whether the Zenoh addresses are used by sensors as well.
 

@@ -79,8 +79,6 @@ class OscOutput(LiveOutput):
     """Sends S* as datagrams to one address; no receiver is needed, and sending never waits.
 
     Args:
-        name: For the terminal.
-        address: The receiver.
         option: The command's option, for messages.
         encode: Gives the datagrams of (J, 3) joints in K_A's frame at a time in nanoseconds.
 

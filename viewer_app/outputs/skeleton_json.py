@@ -21,11 +21,7 @@ SCHEMA, VERSION = "duplex-kinects/skeleton", 1
 
 
 class SkeletonJson:
-    """Encodes frames of one body.
-
-    Args:
-        setup: The setup of the first frames.
-    """
+    """Encodes frames of one body."""
 
     def __init__(self, setup: FusionSetup) -> None:
         self._rotations = JointRotations(setup.body)

@@ -63,9 +63,6 @@ class UnitySkeleton:
 
     The origin lies on the floor, beneath the pelvis of the first person who was seen.
 
-    Args:
-        body: The body of S*.
-
     Attributes:
         names: N names of ``HumanBodyBones``; a parent precedes its children.
         parents: (N,) index of each bone's parent; -1 for Hips.

@@ -24,10 +24,6 @@ class VmcEncoder:
 
     Without an avatar the positions are those of S*, so a receiver that applies them shows S* itself. With an
     avatar they are the avatar's own; Hips alone move, scaled by the leg lengths of both.
-
-    Args:
-        body: The body of S*.
-        avatar: The avatar's proportions; None for the person's.
     """
 
     def __init__(self, body: Body, avatar: Avatar | None = None) -> None:

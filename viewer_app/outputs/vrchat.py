@@ -31,11 +31,7 @@ TRACKERS = {
 
 
 class VRChatEncoder:
-    """Frames of S* as datagrams.
-
-    Args:
-        body: The body of S*.
-    """
+    """Frames of S* as datagrams."""
 
     def __init__(self, body: Body) -> None:
         self.skeleton = UnitySkeleton(body)

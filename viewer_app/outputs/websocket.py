@@ -56,8 +56,6 @@ class WebSocketOutput(LiveOutput):
     """Serves S* on a port.
 
     Args:
-        port: The port.
-        setup: The setup of the first frames.
         listen: Address of this machine to listen on; None for this machine only.
 
     Raises:

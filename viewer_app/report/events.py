@@ -33,10 +33,6 @@ def opening_event(events: Sequence[ListedEvent], first_calibrated_frame: int = 0
     The first of: a warning or an error once the session is calibrated, a spell once it is calibrated, a
     warning, a spell. Within each kind the earliest. What is told at the first frame is about the recording
     as a whole, and counts for none of them, nor do single events without a warning, such as a calibration.
-
-    Args:
-        events: Of :func:`list_events`.
-        first_calibrated_frame: The frame from which the session is calibrated.
     """
     happened = [each for each in events if each.event.frame > 0]
     later = [each for each in happened if each.event.frame >= first_calibrated_frame]

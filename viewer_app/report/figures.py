@@ -28,11 +28,7 @@ from viewer_app.report.verdict import verdict
 
 
 def report(session: Session) -> Figures:
-    """The figures of a fused pair of recordings, as ``--report`` writes them; None where there is no figure.
-
-    Args:
-        session: The session.
-    """
+    """The figures of a fused pair of recordings, as ``--report`` writes them; None where one is unknown."""
     counts = session.frame_counts
     alone = {side: counts[f"alone_{side}"] for side in "ab"}
     return with_verdict(

@@ -26,7 +26,6 @@ def encoded_motion(session: Session, moments: Sequence[float]) -> dict[str, obje
     At most 15 frames per second are kept, and fewer of a long session: half of them near its events.
 
     Args:
-        session: The session.
         moments: Seconds of the events.
 
     Returns:

@@ -33,12 +33,7 @@ _MOST_EVENTS = 12
 
 
 def review_page(session: Session, figures: dict[str, Any]) -> str:
-    """The page as HTML.
-
-    Args:
-        session: The session.
-        figures: Its report, :func:`viewer_app.report.figures.report`.
-    """
+    """The page as HTML."""
     environment = Environment(
         loader=PackageLoader("viewer_app.report"), autoescape=True, undefined=StrictUndefined
     )

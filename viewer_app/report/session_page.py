@@ -17,7 +17,6 @@ def session_page(setup: FusionSetup, figures: Figures, about: str = "") -> Coach
 
     Args:
         setup: The last setup of the session.
-        figures: Of :func:`viewer_app.report.figures.report`.
         about: A sentence that follows them.
     """
     lines = [line for line in lead_lines(figures) if line.label in _SHOWN]

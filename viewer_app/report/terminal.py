@@ -38,14 +38,7 @@ def print_lines(console: Console, lines: Iterable[Line]) -> None:
 def print_summary(
     console: Console, figures: Figures, events: Iterable[Event] = (), verbose: bool = False
 ) -> None:
-    """Prints the summary of a session.
-
-    Args:
-        console: Receives the output.
-        figures: The report.
-        events: Events whose warnings are told; none if they are printed elsewhere.
-        verbose: Whether all figures follow.
-    """
+    """Prints the summary of a session; of `events`, the warnings."""
     print_lines(console, lead_lines(figures))
     warned = [each.event for each in list_events(events) if each.event.level != "INFO"]
     if warned:
@@ -122,13 +115,7 @@ def print_damaged_images(console: Console, count: int) -> None:
 
 
 def print_events(console: Console, events: Sequence[ListedEvent], all_of_them: bool = False) -> None:
-    """Prints events as a numbered list in order of time.
-
-    Args:
-        console: Receives the output.
-        events: Of :func:`viewer_app.report.events.list_events`.
-        all_of_them: Whether to print all; if not, at most ten: first warnings, then spells, then the others.
-    """
+    """Prints events as a numbered list in order of time: all, or at most ten, warnings first, then spells."""
     if not events:
         console.print("No event was recorded.")
         return

@@ -28,11 +28,7 @@ class Line:
 
 
 def lead_lines(figures: Figures) -> Iterator[Line]:
-    """The lines that lead every report.
-
-    Args:
-        figures: Of :func:`viewer_app.report.figures.report`, or of a live session.
-    """
+    """The lines that lead every report."""
     if "fused_frames" in figures:
         repaired, rate = figures["repaired"], figures["frames_per_second"]
         error = figures["bone_error_mm"]
@@ -65,11 +61,7 @@ def detail_lines(figures: Figures) -> Iterator[Line]:
 
 
 def calibration_in_words(figures: Figures) -> list[str]:
-    """The source of a calibration, and how certain it is, as lines.
-
-    Args:
-        figures: Of :func:`viewer_app.report.figures.calibration_figures`.
-    """
+    """The source of a calibration, and how certain it is, as lines."""
     lines = [f"{figures['how']}."]
     angle, residual, frames = figures["axes_angle_deg"], figures["residual_mm"], figures["frames"]
     low, high = ANGLES

@@ -48,12 +48,8 @@ class Status:
 
 
 def warm_up(fuser: Fuser, console: Console, meanwhile: Callable[[], object] = lambda: None) -> None:
-    """Compiles the kernels before the first frame; prints a notice if this takes more than a second.
-
-    Args:
-        fuser: The fuser whose kernels are compiled.
-        console: Receives the notice.
-        meanwhile: A callable that compiles further kernels.
+    """Compiles the kernels, and what `meanwhile` compiles, before the first frame; prints a notice if this
+    takes more than a second.
     """
     notice = "Compiling the kernels; only the first run does this …"
     with call_after(1.0, lambda: console.print(notice)):
@@ -96,14 +92,11 @@ def run_live(
     """Fuses and records the frames of two open sensors until they end or ``go_on`` returns False.
 
     Args:
-        sensors: The open sensors.
         setup: The setup at the start. Its intrinsics belong to the depth images that `depth` selects.
-        sink: Receives the frames and the events.
         calibrated: Whether to keep the calibration of `setup`. If not, one is computed while the loop runs.
         depth: Which depth images are recorded.
         truth_at: Returns the true joints (J, 3) at a time of A's clock; None if they are unknown.
         go_on: Called with the status after each frame; returns whether to continue.
-        clock: Nanoseconds, of the frames' ``host_ns``; tests inject their own.
 
     Returns:
         The last setup, and the frames of the last minute without their images.
@@ -151,12 +144,9 @@ def played(
     """Gives each frame to the sink when it is due, then yields it. A frame that comes late is not skipped.
 
     Args:
-        frames: In time order.
-        sink: Receives frames, recalibrations and events.
         setups: By the number of the first frame that they apply to.
         events: In the order of their frames.
-        clock: Returns seconds.
-        wait: Waits so many seconds.
+        clock, wait: Seconds; tests inject their own.
     """
     begin = first_ns = None
     at = 0

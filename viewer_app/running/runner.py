@@ -37,8 +37,6 @@ class Runner:
     """Opens the sinks of a session whose sensors run, and prints its summary.
 
     Args:
-        options: Of the command.
-        console: Receives the output.
         save: The file of the session; None for none.
         remote_sensors: Whether a sensor is on another PC.
 
@@ -65,13 +63,7 @@ class Runner:
         self._outputs: Sequence[LiveOutput] = ()
 
     def open_outputs(self, stack: ExitStack, setup: FusionSetup, rate: float) -> None:
-        """Opens the outputs to other programs, which the stack closes.
-
-        Args:
-            stack: Closes them.
-            setup: The setup of the first frames.
-            rate: Nominal frames per second.
-        """
+        """Opens the outputs to other programs, for a nominal frame rate; the stack closes them."""
         self._outputs = stack.enter_context(self._plan.opened(setup, rate))
         announce_outputs(self._console, self._outputs)
 
@@ -87,10 +79,6 @@ class Runner:
         """Opens viewer, file and status line, which the stack closes; returns the observer of the loop.
 
         Args:
-            stack: Closes them.
-            sensors: Open, or about to be.
-            setup: The first calibration, the settings and the cameras.
-            coach: Gives the advice.
             blueprint: Makes the layout; takes ``infrared``.
             infrared: Whether the viewer gets infrared images; a file has none.
         """

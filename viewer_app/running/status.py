@@ -31,12 +31,9 @@ class LiveDisplay:
     """Callback for each :class:`~viewer_app.running.loop.Status`; always returns True.
 
     Args:
-        console: The output. It respects NO_COLOR.
         session: Receives the coach's page; provides the counts of saved and dropped frames.
-        coach: Gives the advice to show.
         quiet: Print warnings only, no status line and no advice.
         verbose: Keep every status line, with more figures.
-        clock: Returns seconds; tests inject their own.
     """
 
     def __init__(

@@ -86,15 +86,8 @@ def one_sensor(
 ) -> Sensor:
     """The only sensor of this PC, or the one with a serial number, with its body tracker; opens nothing.
 
-    Args:
-        serial: Its serial number; None: the only one connected.
-        option: What the option that names it is called, for the message.
-        tracker: The body tracker of an Azure Kinect.
-        settings: How the sensor runs.
-        console: Told which tracker runs.
-
     Raises:
-        DeviceError: It is not there, or several are and none is named.
+        DeviceError: It is not there, or several are and none is named; the message names the `option`.
     """
     connected = connected_sensors(tracker)
     chosen = choose_one(connected, serial, option)

@@ -30,8 +30,6 @@ def sensors_by_network(
     """The two sensors; those on other PCs have described themselves, and none is open.
 
     Args:
-        options: Of ``duplex live``.
-        console: Told what is waited for, and every event.
         local: Makes the sensor of this PC with a serial number; None: the only one that is connected.
 
     Raises:

@@ -28,11 +28,6 @@ class CompactCopy:
     The file has no name if the system supports unnamed files, so that a killed process leaves nothing behind.
     Any failure discards only the copy. The first image discards the copy too: images fill almost the whole
     file and do not benefit from large blocks.
-
-    Args:
-        path: The growing file; the copy is in the same folder and thus on the same disk.
-        stream: A second stream of the same recording.
-        begin: Writes the static data.
     """
 
     def __init__(self, path: Path, stream: rr.RecordingStream, begin: Opening) -> None:

@@ -29,19 +29,10 @@ class LiveSession(FanOut):
     manager.
 
     Args:
-        setup: Settings, cameras and the first calibration.
         sources: Names of the sensors, K_A first.
-        about: Additional properties about the session's origin.
-        blueprint: The layout of the viewer.
         file: The file to write; None for none. It is readable while it grows.
         overwrite: Whether an existing file may be replaced.
-        viewing: The viewer; None for none.
-        others: Further sinks.
         file_blueprint: The layout in the file; None: the viewer's. A file lacks what only a viewer is shown.
-
-    Attributes:
-        viewer: The viewer; None for none.
-        file: The file; None for none.
 
     Raises:
         UsageError: The viewer does not start.

@@ -50,9 +50,7 @@ class QueuedSink(Sink):
     ending, and starts the thread when it is ready.
 
     Args:
-        name: Of the thread.
         keep: Maximum number of queued frames; then the oldest is dropped. None: no limit.
-        clock: Nanoseconds; tests inject their own.
         daemon: Whether the interpreter may exit while the thread runs.
     """
 

@@ -34,16 +34,13 @@ class SessionFile(QueuedSink):
     dropped first, after a minute frames too; both are counted.
 
     Args:
-        path: The file.
         open_stream: Creates a stream of the recording, without a sink.
         begin: Writes the static data.
-        overwrite: Whether an existing file may be replaced.
         turn: Waits until the viewer's thread has written, at most the given seconds. A lower thread priority
             is no alternative: a preempted thread may hold the GIL and block all others.
         on_failure: Called on the thread with the reason when saving stops.
 
     Attributes:
-        path: The file.
         failure: Why not everything is saved, in a sentence; None where it is.
         saved: Frames that are in the file.
         lost: Frames left out while the disk stood still.

@@ -46,7 +46,6 @@ class ViewerFeed(QueuedSink):
         start: Starts the process, with a pipe as its standard input.
         stream: A stream without a sink, shared by all processes: Rerun never frees the threads and buffers of
             a stream, 5 MB each.
-        begin: Writes the static data.
         keep: Maximum number of queued frames; the oldest are dropped.
         patience: Seconds without progress after which the process is replaced.
         retry: Seconds between two starts.
@@ -167,11 +166,7 @@ class ViewerFeed(QueuedSink):
 
 
 class ImageTurns:
-    """Drops images, so that a viewer is not overloaded; passes images of one sensor at a time.
-
-    Args:
-        rate: Maximum images per second and sensor.
-    """
+    """Drops images, so that a viewer is not overloaded; passes images of one sensor at a time."""
 
     def __init__(self, rate: float) -> None:
         self._interval_ns = int(_EARLY * 1e9 / rate)
@@ -193,17 +188,6 @@ class ImageTurns:
 
 class ViewerSink(ViewerFeed):
     """Shows a session in a viewer.
-
-    Args:
-        setup: Settings, cameras and the first calibration.
-        sources: What the sensors are called, K_A first.
-        blueprint: What the viewer shows.
-        viewing: The hub that viewers connect to, and whether a window opens.
-        identity: Of the recording.
-
-    Attributes:
-        hub: The hub.
-        window: The supervised window; None if there is none.
 
     Raises:
         UsageError: The viewer does not start.

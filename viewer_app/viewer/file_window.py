@@ -39,9 +39,6 @@ def write_for_viewer(
     """Writes frames of a session with its page and the layouts.
 
     Args:
-        session: The session.
-        path: The file; overwritten.
-        page: The page about it.
         active: The layout that is open at first.
         setup: The last setup of the frames; None: of the session.
         first, end: The range of frames; if `end` is None, to the last.
@@ -72,13 +69,6 @@ def written_and_shown(save: Path | None, window: bool) -> Iterator[Path | None]:
     The file gets its final name only then; without a name it exists only for the window. The window stays
     open when this process ends.
 
-    Args:
-        save: The file; None for none.
-        window: Whether to show it.
-
-    Yields:
-        A temporary path; None where there is nothing to write.
-
     Raises:
         UsageError: The viewer does not start, or the file cannot be written.
     """
@@ -98,14 +88,6 @@ def in_this_layout(session: Session, path: Path, page: CoachPage) -> Iterator[Pa
 
     A session of an older version lacks what draws S* as a body, the floor and the names of the sensors. It is
     written again for the viewer, with the same frames, events and images; the session itself is not changed.
-
-    Args:
-        session: The open session.
-        path: Its file.
-        page: The page about it.
-
-    Yields:
-        `path`, or a temporary file.
     """
     if session.about["session"]["layout_version"][0] >= layout.VERSION:
         yield path
@@ -120,7 +102,6 @@ def show(path: Path, at_ns: int | None = None) -> bool:
     """Opens a session in a new window; the file may be deleted as soon as this returns.
 
     Args:
-        path: The session.
         at_ns: Where to put the time cursor, ns since the first pair; None: wherever the viewer puts it.
 
     Returns:

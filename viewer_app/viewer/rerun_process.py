@@ -119,14 +119,7 @@ def start_window(hub: Hub, headless: bool = False) -> subprocess.Popen[bytes]:
 def start_viewer(
     arguments: Sequence[str], stdin: int | IO[bytes] = subprocess.DEVNULL
 ) -> tuple[subprocess.Popen[bytes], int]:
-    """Starts a viewer that listens on a free port of the loopback address, and has a bounded memory.
-
-    Args:
-        arguments: What it shows, and how.
-        stdin: What it reads where the arguments have ``-``.
-
-    Returns:
-        The process and its port.
+    """Starts a viewer with a bounded memory that listens on a port of the loopback address; returns both.
 
     Raises:
         UsageError: It does not start.

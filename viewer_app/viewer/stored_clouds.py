@@ -41,9 +41,6 @@ def add_clouds(session: IO[bytes], url: str) -> subprocess.Popen[bytes]:
         session: The open file. On Linux it may be deleted after this returns; elsewhere there are no clouds
             then.
         url: Where the viewer or its hub listens.
-
-    Returns:
-        The program.
     """
     shared = platform.system() == "Linux"  # elsewhere, reading would move the viewer's place in the file
     path = f"/dev/fd/{session.fileno()}" if shared else session.name
@@ -91,14 +88,7 @@ def clouds(session: Session) -> Iterator[tuple[str, int, NDArray[np.float32]]]:
 
 
 def send_clouds(path: Path, url: str) -> int:
-    """Sends the clouds of a session to the viewer that shows it.
-
-    Args:
-        path: The session.
-        url: Where the viewer or its hub listens.
-
-    Returns:
-        The number of clouds that were sent.
+    """Sends the clouds of a session to the viewer that shows it; returns their number.
 
     Raises:
         RecordingError: The session cannot be read.

@@ -39,8 +39,6 @@ def choose_viewing(
     """The viewer that the options ask for.
 
     Args:
-        options: The options of the command.
-        save: The file of the session; None for none.
         live: Whether a loop runs at its own pace; then a window that is closed can be opened again.
         served: Whether an output listens on the address, too.
 

@@ -86,9 +86,7 @@ class BodyTracker:
         self._results = 0
 
     def open(self, calibration: int) -> None:
-        """Starts the tracker and loads its network.
-
-        Loading takes seconds; the first time with TensorRT, minutes.
+        """Starts the tracker and loads its network: seconds; the first time with TensorRT, minutes.
 
         Args:
             calibration: Address of the sensor's ``k4a_calibration_t`` (1032 bytes).
@@ -114,10 +112,7 @@ class BodyTracker:
         self._library, self._tracker, self._results = library, tracker, 0
 
     def enqueue(self, capture: int) -> None:
-        """Passes a capture to the tracker, which takes its own reference.
-
-        Args:
-            capture: A ``k4a_capture_t`` with depth and infrared.
+        """Passes a ``k4a_capture_t`` with depth and infrared to the tracker, which takes its own reference.
 
         Raises:
             DeviceError: The tracker is closed, rejects the capture, or accepts none within ``timeout_s``.

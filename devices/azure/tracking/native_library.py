@@ -28,15 +28,11 @@ _LINUX_NAMES = {
 
 
 def load_library(name: str, path: Path | None, advice: str) -> ctypes.CDLL:
-    """Loads a library from a path, or from where the system finds it.
-
-    Args:
-        name: ``k4abt`` or ``k4a``.
-        path: The file. None: search as the system does, on Windows also in the folders of the SDKs.
-        advice: What the user can do; appended to the error message.
+    """Loads ``k4abt`` or ``k4a`` from a path, or from where the system finds it; on Windows also in the
+    folders of the SDKs.
 
     Raises:
-        DeviceError: The library is missing or cannot be loaded, e.g. because a dependency is missing.
+        DeviceError: The library is missing or cannot be loaded. The message ends with the advice.
     """
     if path is not None and not path.is_file():
         raise DeviceError(f"No library at {path}. {advice}")
@@ -53,7 +49,6 @@ def declare(library: ctypes.CDLL, prototypes: Prototypes, otherwise: str) -> Non
     """Sets the types of a library's functions.
 
     Args:
-        library: The library.
         prototypes: Type of the result and types of the arguments by function name.
         otherwise: What it means that a function is missing, and what to do.
 

@@ -39,7 +39,7 @@ class CaptureMaker:
     """Makes captures of libk4a from images.
 
     Raises:
-        DeviceError: The constructor finds no libk4a.
+        DeviceError: There is no libk4a; it rejects a calibration; a frame lacks depth or infrared.
     """
 
     def __init__(self, library: Path | None = None) -> None:
@@ -50,9 +50,6 @@ class CaptureMaker:
         """Converts a sensor's calibration JSON to a ``k4a_calibration_t``.
 
         Keep the returned buffer alive while its address is in use.
-
-        Raises:
-            DeviceError: The SDK rejects the calibration.
         """
         result = ctypes.create_string_buffer(CALIBRATION_SIZE)
         raw = text.rstrip(b"\0") + b"\0"
@@ -67,11 +64,7 @@ class CaptureMaker:
 
     @contextmanager
     def capture(self, frame: SensorFrame) -> Iterator[int]:
-        """Yields a ``k4a_capture_t`` with a frame's depth and infrared; releases it at the end of the block.
-
-        Raises:
-            DeviceError: The frame lacks one of the two images, or memory ran out.
-        """
+        """Yields a ``k4a_capture_t`` of a frame's depth and infrared; releases it after the block."""
         if frame.depth is None or frame.ir is None:
             raise DeviceError("The body tracker needs depth and infrared; this frame lacks one of them.")
         library, capture = self._library, c_void_p()

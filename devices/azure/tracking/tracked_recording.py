@@ -33,8 +33,6 @@ class TrackedRecording(SensorWrapper):
         """Stores the recording without opening it.
 
         Args:
-            recording: The recording to track.
-            settings: Settings of the tracker.
             libk4a: File of the Sensor SDK's library; None: beside the tracker's, else found by the system.
             otherwise: Added to the message when there is no tracker: what else to do.
         """
@@ -47,11 +45,7 @@ class TrackedRecording(SensorWrapper):
         self._calibration: ctypes.Array[ctypes.c_char] | None = None
 
     def __enter__(self) -> Self:
-        """Opens the recording, then the tracker.
-
-        Raises:
-            DeviceError: One of them cannot be opened.
-        """
+        """Opens the recording, then the tracker."""
         self.recording.__enter__()
         try:
             info = self.recording.info
@@ -119,11 +113,7 @@ class RecordingWithSkeletons(SensorWrapper):
         return [*self.recording.warnings, *self.skeletons.warnings, *self._unmatched]
 
     def __enter__(self) -> RecordingWithSkeletons:
-        """Opens both sources.
-
-        Raises:
-            DeviceError: One of them cannot be opened.
-        """
+        """Opens both sources."""
         self.recording.__enter__()
         try:
             self.skeletons.__enter__()

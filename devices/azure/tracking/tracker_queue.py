@@ -17,7 +17,7 @@ class TrackerQueue:
     """Joins each frame with the people that the tracker finds in it.
 
     The tracker works on its own threads. If it needs longer than ``wait_s``, a frame is yielded one or two
-    captures later.
+    captures later. All methods raise a DeviceError if the tracker has failed or stalls.
     """
 
     def __init__(
@@ -30,11 +30,8 @@ class TrackerQueue:
         """Makes an empty queue for the frames of one sensor.
 
         Args:
-            tracker: An open tracker that gets captures from this queue only.
-            wait_s: Longest wait for the people of the newest frame.
             took: Called with the tracker's processing time of each frame, ns. It is counted from the frame's
                 entry or from the previous result, whichever is later.
-            clock: Returns nanoseconds; tests inject their own.
         """
         self._tracker = tracker
         self._wait_s = wait_s
@@ -54,11 +51,7 @@ class TrackerQueue:
         return len(self._inside) >= _AT_WORK
 
     def put(self, frame: SensorFrame, capture: int) -> None:
-        """Passes the capture of a frame (a ``k4a_capture_t``) to the tracker.
-
-        Raises:
-            DeviceError: The tracker rejects the capture or stalls.
-        """
+        """Passes the capture of a frame (a ``k4a_capture_t``) to the tracker."""
         self._tracker.enqueue(capture)
         # The tracker stores times in whole microseconds.
         self._inside[frame.time_ns // 1000] = frame, self._clock()
@@ -67,9 +60,6 @@ class TrackerQueue:
         """Yields the frames whose people are known.
 
         It waits longer than ``wait_s`` only while the tracker holds more than two frames.
-
-        Raises:
-            DeviceError: The tracker failed or stalls.
         """
         while self._inside:
             overdue = self._waited_s >= self._tracker.patience_s
@@ -78,11 +68,7 @@ class TrackerQueue:
                 return
 
     def flush(self) -> Iterator[SensorFrame]:
-        """Yields the remaining frames and waits for each.
-
-        Raises:
-            DeviceError: The tracker failed or stalls.
-        """
+        """Yields the remaining frames and waits for each."""
         while self._inside:
             yield from self._take(None)
 

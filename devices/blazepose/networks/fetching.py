@@ -47,10 +47,6 @@ def fetch(network: NetworkName, folder: Path) -> list[Path]:
 
     A file appears in the folder whole and checked, or not at all.
 
-    Args:
-        network: The landmark network.
-        folder: Where the files go; it is created.
-
     Returns:
         The files that were fetched; none if the folder had them all.
 

@@ -61,10 +61,6 @@ class Landmarks:
 class _Network:
     """One network file, loaded.
 
-    Args:
-        content: The network file.
-        threads: CPU threads.
-
     Raises:
         DeviceError: The runtime is missing or refuses the file.
     """

@@ -52,15 +52,7 @@ _RADIUS = np.array([row[3] for row in _ROWS])
 
 
 def capsules(landmarks: Array, height: float = REFERENCE_HEIGHT) -> Array:
-    """Computes the capsules of the person's surface.
-
-    Args:
-        landmarks: (N, 3) landmarks in any frame, metres.
-        height: The person's stature, metres.
-
-    Returns:
-        (K, 7) one capsule per row: both ends and the radius, metres, in the frame of the landmarks.
-    """
+    """(K, 7) capsules of the person's surface: both ends and the radius, metres, in the landmarks' frame."""
     ends = landmarks[_FROM] + _SHARE[:, None] * (landmarks[_TO] - landmarks[_FROM])
     radii = _RADIUS[:, None] * (height / REFERENCE_HEIGHT)
     return np.concatenate((landmarks[_FROM], ends, radii), axis=1)
@@ -90,20 +82,12 @@ _AFAR = 3.0  # metres
 
 
 def visibility(joints: Array, shapes: Array, flesh: Array, intrinsics: Intrinsics) -> NDArray[np.float64]:
-    """Computes the visible share of each joint's surface without rendering an image.
+    """(J,) the visible share of each joint's surface, 0 to 1, without rendering an image.
 
     Rays are cast from the sensor to a disc around the joint. A ray sees the joint if the first surface that
-    it hits is the skin over the joint: the distance from there to the joint is at most the depth of the
-    joint under the skin plus a margin.
-
-    Args:
-        joints: (J, 3) joints in the sensor's frame, metres.
-        shapes: (K, 7) the person's capsules in the sensor's frame.
-        flesh: (J,) depth of each joint under the skin, metres.
-        intrinsics: Intrinsics of the camera; a joint outside the image is not visible.
-
-    Returns:
-        (J,) share of the rays that see the joint, 0 to 1.
+    it hits is the skin over the joint: the distance from there to the joint is at most the depth of the joint
+    under the skin, ``flesh`` (J,), plus a margin. Joints (J, 3) and capsules (K, 7) are in the sensor's
+    frame, metres; a joint outside the image is not visible.
     """
     seen = np.asarray(share_seen(np.ascontiguousarray(joints), np.ascontiguousarray(shapes), flesh))
     pixels = intrinsics.project(joints)

@@ -99,17 +99,8 @@ def infrared_image(
     model: InfraredModel,
     random: np.random.Generator,
 ) -> NDArray[np.uint16]:
-    """Converts the result of ``rendering.surface`` to an infrared image.
-
-    Args:
-        z, label, cosine: (height, width) the first surfaces.
-        materials: (K,) the material of each capsule.
-        illumination: From :meth:`InfraredModel.illumination`.
-        model: The noise of the camera.
-        random: Source of the noise.
-
-    Returns:
-        (height, width) uint16 counts, as the Azure Kinect's ``ir16``.
+    """Converts the (height, width) arrays of ``rendering.surface`` to uint16 counts, as the Azure Kinect's
+    ``ir16``; `materials` has (K,) the material of each capsule.
     """
     # Labels are -1 nothing, -2 floor, -3 wall, then capsules: shifted by three they index one table.
     by_label = np.zeros(len(materials) + 3, dtype=np.float32)
@@ -173,15 +164,7 @@ class _Rows(NamedTuple):
 
 
 def clothed_capsules(landmarks: Array, height: float = REFERENCE_HEIGHT) -> Array:
-    """Computes the capsules of the dressed person.
-
-    Args:
-        landmarks: (N, 3) landmarks in any frame, metres.
-        height: The person's stature, metres.
-
-    Returns:
-        (K, 7) one capsule per row: both ends and the radius, metres, in the frame of the landmarks.
-    """
+    """(K, 7) the capsules of the dressed person, as :func:`.body_surface.capsules`."""
     rows = _rows()
     ends = rows.ends @ landmarks
     count = len(rows.radii)

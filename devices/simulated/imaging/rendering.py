@@ -61,7 +61,6 @@ def surface(
 
     Args:
         shapes: (K, 7) capsules in the sensor's frame; see ``body_surface.capsules``.
-        sensor_from_world: Transform that places the floor and the wall.
         intrinsics: Intrinsics of the camera; distortion is ignored.
 
     Returns:

@@ -197,7 +197,6 @@ def two_bones(target: Array, pole: Array, first: float, second: float) -> tuple[
     Args:
         target: (T, 3) desired end of the second bone.
         pole: (T, 3) direction towards which the middle joint bends.
-        first, second: Lengths of the bones.
 
     Returns:
         (T, 3) the middle joint, (T, 3) the end, and (T, 3) the unit rotation axis of the middle joint.

@@ -78,10 +78,6 @@ def read_bvh(path: Path, *, startup: bool = True) -> CapturedMotion:
 
     The file may use any unit: it is scaled so that its legs match those of the simulated person.
 
-    Args:
-        path: The BVH file.
-        startup: Whether to begin with the start-up pose and blend into the captured movement.
-
     Raises:
         DeviceError: The file cannot be read, or its skeleton lacks a required joint.
     """

@@ -52,11 +52,7 @@ FEET_AT_EASE = (Stance(0.12, -0.15, 0.15), Stance(-0.12, -0.15, -0.15))
 def walk_feet(
     stances: tuple[Stance, Stance], steps: tuple[Step, ...], t: Array
 ) -> tuple[Array, Array, Array]:
-    """Computes both feet as functions of time.
-
-    Returns:
-        (T, 2, 3) toes in the world, (T, 2) yaw to the left, (T, 2) pitch (toes down).
-    """
+    """(T, 2, 3) toes in the world, (T, 2) yaw to the left and (T, 2) pitch (toes down) of both feet."""
     toes, yaw, pitch = np.zeros((len(t), 2, 3)), np.zeros((len(t), 2)), np.zeros((len(t), 2))
     for foot in (0, 1):
         stance = stances[foot]

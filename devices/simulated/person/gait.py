@@ -17,13 +17,7 @@ _HALF_WIDTH = 0.075  # half the distance between the feet, metres
 
 
 def walking(name: str, length: float, strides: int) -> Motion:
-    """Makes a walk of a loop to the left and a loop to the right, each through all headings.
-
-    Args:
-        name: Name of the movement.
-        length: Length of both loops together, metres.
-        strides: Number of strides in both loops.
-    """
+    """Makes a walk of a loop to the left and one to the right; length in metres and strides are of both."""
     path, heading = _two_loops(length, strides * _STRIDE_SECONDS)
     period = strides * _STRIDE_SECONDS
 

@@ -78,11 +78,8 @@ def channels(values: Values) -> Array:
 
 
 def keyframes(period: float, *frames: tuple[float, Values]) -> Callable[[Array], Array]:
-    """Makes a periodic movement through keyframes, twice continuously differentiable.
-
-    Args:
-        period: Time until the first keyframe repeats, seconds.
-        frames: (time, values that differ from STANDING); the first is at time 0.
+    """Makes a periodic movement through keyframes (time, values that differ from STANDING), the first at time
+    0. It is twice continuously differentiable.
     """
     times = [time for time, _ in frames]
     rows = [channels(STANDING | dict(values)) for _, values in frames]
@@ -167,12 +164,7 @@ def _sway(t: Array) -> Array:
 
 
 def follow(c: Array, toes: Array, yaw: Array, pitch: Array) -> Pose:
-    """Computes poses from channels and feet.
-
-    Args:
-        c: (T, C) channels.
-        toes, yaw, pitch: Feet as returned by :func:`walk_feet`.
-    """
+    """Computes poses from (T, C) channels and the feet of :func:`walk_feet`."""
 
     def of(name: str) -> Array:
         return c[:, CHANNELS[name]]

@@ -51,9 +51,6 @@ class MirroringTracker:
     """Applies mirroring to the frames of one tracker.
 
     Args:
-        body: Body of the tracker.
-        mirroring: Frequency and form of mirroring.
-        frame_seconds: Frame interval.
         random: A separate generator; every frame draws the same number of values.
     """
 

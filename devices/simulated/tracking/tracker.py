@@ -37,13 +37,9 @@ class Tracker:
     """The body tracker of one sensor. The same seed gives the same reports.
 
     Args:
-        body: The body that it reports.
-        errors: Errors of the tracker.
         flesh: (J,) depth of each joint under the skin, metres.
         intrinsics: Intrinsics of the camera, which determine the joints that cover each other.
-        frame_seconds: Frame interval.
         random: A separate generator; every frame draws the same number of values.
-        script: Faults at given times, besides those by chance.
     """
 
     def __init__(
@@ -83,15 +79,8 @@ class Tracker:
         self._last: tuple[NDArray[np.float64], NDArray[np.uint8]] | None = None
 
     def report(self, joints: Array, visible: Array, time_ns: int) -> Skeleton | None:
-        """Reports the skeleton of the next frame.
-
-        Args:
-            joints: (J, 3) true joints in the sensor's frame, metres.
-            visible: (J,) visible share of each joint's surface.
-            time_ns: Capture time on the sensor's clock.
-
-        Returns:
-            The reported skeleton; None while the person is lost.
+        """The skeleton that is reported of (J, 3) true joints in the sensor's frame, metres, with (J,)
+        visible shares; None while the person is lost.
         """
         e, body = self._errors, self._body
         normal = self._random.standard_normal((2 * len(body) + 1, 3))
