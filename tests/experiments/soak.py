@@ -1,9 +1,7 @@
 """Two simulated sensors at 30 fps with depth, for as long as one likes: memory, pace, latency, pairs lost.
 
 ``python -m tests.experiments.soak --minutes 10`` prints a line every half minute and the verdict at the end;
-with ``--viewer`` the session goes to a viewer's hub too. With ``--sensors processes`` each sensor is
-simulated in a process of its own: a real sensor's SDK needs no Python interpreter either. With ``--sensors
-network --depth none`` two ``duplex sensor --simulate`` publish them on this machine.
+with ``--viewer`` the session goes to a viewer's hub too.
 """
 
 from __future__ import annotations
@@ -14,8 +12,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -27,10 +25,7 @@ from devices.capture.sensor_pair import TwoSensors
 from devices.capture.stream_pairing import PairingFigures
 from devices.depth import witness as depth_witness
 from devices.depth.rvl import encode_depth
-from devices.network.remote_sensor import RemoteSensor
-from devices.network.zenoh_session import ZenohAddresses, zenoh_session
 from devices.real_time import paced_together
-from devices.sensor import LinkFigures, Sensor
 from devices.simulated.kinect import simulated_pair
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
@@ -38,9 +33,6 @@ from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from recordings.session_arrays import SessionArrays, SessionFrame
 from recordings.writing.recorder import Recorder
-from tests.helpers.network import free_address
-from tests.helpers.programs import running
-from tests.helpers.sensor_process import sensor_processes
 from viewer_app.running.loop import Status, run_live
 from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.sink import FanOut, Sink
@@ -71,7 +63,6 @@ class Soak:
     pairing: PairingFigures = field(default_factory=PairingFigures)
     received: tuple[int, int] = (0, 0)
     dropped: tuple[int, int] = (0, 0)
-    links: tuple[LinkFigures | None, LinkFigures | None] = (None, None)
     lost: int = 0
     not_shown: int = 0
     without_images: int = 0
@@ -134,27 +125,12 @@ def _arrived(frame: SessionFrame) -> int:
     return max(seen.host_ns or 0 for seen in (frame.pair.a, frame.pair.b) if seen is not None)
 
 
-@contextmanager
-def published() -> Iterator[tuple[Sensor, Sensor]]:
-    """Two simulated sensors that programs publish."""
-    address = free_address()
-    addresses = ZenohAddresses(listen=(address,))
-    with ExitStack() as stack:
-        stack.enter_context(zenoh_session(addresses))
-        for side in "ab":
-            program = ("sensor", "--publish", f"lab/{side}", "--simulate", side, "--zenoh-connect", address)
-            stack.enter_context(running(*program, "--quiet"))
-        a, b = (RemoteSensor(f"lab/{side}", addresses, appear_s=120.0) for side in "ab")
-        yield a, b
-
-
 def soak(
     seconds: float,
     depth: Literal["none", "half", "full"],
     path: Path,
     report_every_s: float = 30.0,
     viewer: bool = False,
-    sensing: Literal["threads", "processes", "network"] = "threads",
 ) -> Soak:
     """Runs the loop and inspects it a few times per second."""
     seen = Soak(shown=_TimedRecorder.shown)
@@ -166,11 +142,6 @@ def soak(
         image = next(sensor.frames()).depth  # compiles the renderer before the clock runs
         if image is not None:
             encode_depth(image)
-    both = {
-        "threads": lambda: nullcontext(paced_together(a, b)),
-        "processes": lambda: nullcontext(sensor_processes(depth)),
-        "network": published,
-    }[sensing]
     begun, said = time.perf_counter(), [0.0]
     looked = [0.0]
 
@@ -199,8 +170,7 @@ def soak(
     with (
         mock.patch("viewer_app.sinks.viewer_sink.Recorder", _TimedRecorder) if viewer else nullcontext(),
         LiveSession(nominal, (a.name, b.name), blueprint, file=path, viewing=viewing) as session,
-        both() as opened,
-        TwoSensors(*opened) as sensors,
+        TwoSensors(*paced_together(a, b)) as sensors,
     ):
         timer = threading.Timer(seconds, sensors.stop)
         timer.daemon = True
@@ -213,8 +183,6 @@ def soak(
         seen.pairing = sensors.figures
         seen.received = sensors.a.received, sensors.b.received
         seen.dropped = sensors.a.dropped, sensors.b.dropped
-        seen.links = sensors.links
-    assert session.file is not None
     seen.lost = session.file.lost + seen.frames - session.file.saved
     seen.not_shown = 0 if session.viewer is None else session.viewer.dropped
     seen.without_images = session.file.without_images
@@ -241,15 +209,13 @@ def main() -> int:
     options.add_argument("--minutes", type=float, default=10.0)
     options.add_argument("--depth", choices=("none", "half", "full"), default="half")
     options.add_argument("--viewer", action="store_true")
-    options.add_argument("--sensors", choices=("threads", "processes", "network"), default="threads")
     given = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "soak.rrd"
-        seen = soak(60.0 * given.minutes, given.depth, path, viewer=given.viewer, sensing=given.sensors)
-    figures, here = seen.pairing, given.sensors == "threads"
-    lost = seen.lost + sum(seen.dropped) + sum(link.lost for link in seen.links if link is not None)
-    if given.sensors != "network":  # its programs do not start together
-        lost += figures.alone_a + figures.alone_b + figures.unmatched_b + figures.late
+        seen = soak(60.0 * given.minutes, given.depth, path, viewer=given.viewer)
+    figures = seen.pairing
+    lost = seen.lost + sum(seen.dropped)
+    lost += figures.alone_a + figures.alone_b + figures.unmatched_b + figures.late
     print(
         f"{seen.seconds:.1f} s: {seen.frames} frames, {seen.rate:.2f} a second; {figures.pairs} pairs of "
         f"{seen.received}; dropped {seen.dropped}, alone {figures.alone_a}/{figures.alone_b}, unmatched "
@@ -258,11 +224,8 @@ def main() -> int:
         f"{seen.growth_mb:.1f} MB after the first minute (end {seen.memory[-1][1]:.0f} MB); file "
         f"{seen.saved_mb:.1f} MB; real sensors would add {PYK4A_MB_PER_HOUR * seen.seconds / 3600:.1f} MB "
         f"({PYK4A_MB_PER_HOUR:.0f} MB per hour, which pyk4a leaks); {seen.processor:.0%} of a processor, "
-        f"simulation {'' if here else 'not '}included; {seen.stolen:.1%} of the processors stolen"
+        f"simulation included; {seen.stolen:.1%} of the processors stolen"
     )
-    for side, link in zip("AB", seen.links, strict=True):
-        if link is not None:
-            print(f"{side}: {link}")
     for what, ms in (
         ("the loop held up by logging", seen.held_up),
         ("capture to handed over", seen.latency),

@@ -1,0 +1,78 @@
+"""A session damaged at random gives one line of error, or exactly the first frames of what was written."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from fusion.body import KINECT_V1
+from recordings import layout
+from recordings.errors import RecordingError
+from recordings.session import Session
+from recordings.session_arrays import SessionArrays
+from tests.helpers.frame_pairs import frame_pairs
+from tests.helpers.fused_runs import record_fused
+from tests.helpers.two_views import calibration_of
+
+
+def damaged(whole: bytes, seed: int) -> bytes:
+    """Cut off, or with bits flipped, bytes changed, a stretch zeroed, or torn out."""
+    rng = np.random.default_rng(seed)
+    data = bytearray(whole)
+    offset = int(rng.integers(len(data)))
+    match seed % 6:
+        case 0:
+            del data[offset:]
+        case 1:
+            data[offset] ^= 1 << int(rng.integers(8))
+        case 2:
+            for k in rng.integers(len(data), size=int(rng.integers(2, 40))).tolist():
+                data[k] = int(rng.integers(256))
+        case 3:
+            end = min(offset + int(rng.integers(1, 4096)), len(data))
+            data[offset:end] = bytes(end - offset)
+        case 4:
+            del data[offset : offset + int(rng.integers(1, 2000))]
+        case 5:  # the start of the file, which holds the settings
+            data[int(rng.integers(min(40_000, len(data))))] = int(rng.integers(256))
+    return bytes(data)
+
+
+def read_back(path: Path, whole: Session) -> str:
+    """How reading went."""
+    try:
+        session = Session.open(path)
+    except RecordingError as error:
+        assert str(error).count("\n") == 0  # noqa: PT017
+        assert len(str(error)) > 20  # noqa: PT017
+        return "refused"
+    n = len(session)
+    for field in fields(SessionArrays):
+        expected = getattr(whole.rows, field.name)
+        if field.name != "body" and expected is not None:
+            np.testing.assert_array_equal(getattr(session.rows, field.name), expected[:n], err_msg=field.name)
+    assert session.settings == whole.settings
+    assert set(session.events) <= set(whole.events)
+    assert session.calibration.a_from_b.rotation.tolist() == whole.calibration.a_from_b.rotation.tolist()
+    assert (n == len(whole)) or session.damage is not None
+    assert session.frames_lost + n <= len(whole)
+    for side in layout.SIDES:
+        images, found = dict(whole.depth(side)), session.depth(side)
+        for frame, image in found:
+            np.testing.assert_array_equal(image, images[frame])
+    return "whole" if n == len(whole) else "beginning"
+
+
+def test_random_damage_gives_the_beginning_or_one_line(tmp_path: Path) -> None:
+    pairs = frame_pairs(KINECT_V1, 40, gap=(7,), only_a=(9, 10), no_b=(15,), depth=True)
+    whole = record_fused(tmp_path / "whole.rrd", pairs, calibration_of(KINECT_V1), depth_every=1, block=8)
+    data, path = whole.path.read_bytes(), tmp_path / "damaged.rrd"
+    outcomes: Counter[str] = Counter()
+    for seed in range(60):
+        path.write_bytes(damaged(data, seed))
+        outcomes[read_back(path, whole)] += 1
+    assert outcomes["beginning"] > 0
+    assert outcomes["refused"] < 30
