@@ -71,7 +71,6 @@ def vmc_delay(body: Body, seconds: float) -> dict[str, float]:
     with subprocess.Popen(
         [sys.executable, "-c", _RECEIVER, LOOPBACK], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as receiver:
-        assert receiver.stdout is not None
         plan_outputs(LiveOutputOptions(vmc=f"{LOOPBACK}:9")).warm_up(body)
         address = Address(LOOPBACK, int(receiver.stdout.readline()))
         output = OscOutput("VMC", address, "--vmc", VmcEncoder(body).encode)

@@ -59,7 +59,6 @@ def test_an_offset_puts_the_frames_of_b_on_the_clock_of_a() -> None:
     pairing = pair_recordings(a, b, "0", "0", offset_ns=-6_990_000_000)
     assert len(pairing.pairs) == 100
     assert {pair.skew_ns for pair in pairing.pairs} == {10_000_000}
-    assert pairing.pairs[5].b is not None
     assert pairing.pairs[5].b.time_ns == 5 * FRAME_NS + 7_000_000_000  # on its own clock
 
 

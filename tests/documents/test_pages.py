@@ -87,7 +87,6 @@ def test_the_version_and_its_date_are_the_same_everywhere() -> None:
     released = re.findall(r'^date-released: "(.*)"$', citation, re.MULTILINE)
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     newest = re.search(r"^## (\d\S*) \((.*)\)$", changes, re.MULTILINE)
-    assert newest is not None
     assert newest.groups() == (version, *released)
 
 
@@ -114,7 +113,6 @@ def test_the_summary_on_the_start_page_is_that_of_the_real_walk(
     monkeypatch.setenv("COLUMNS", "200")
     page = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
     shown = re.search(r"such as this one of a walk.*?```text\n(.*?)```", page, re.DOTALL)
-    assert shown is not None
     folder = shared / "real" / "kinect_v2_90deg_walk"
     assert duplex("fuse", folder / "a.csv", folder / "b.csv", "--no-viewer") == 0
     printed = [line.rstrip() for line in capsys.readouterr().out.splitlines()]

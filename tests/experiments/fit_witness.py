@@ -59,7 +59,6 @@ class Sums:
 
 def watch(sensor: SimulatedKinect, a_to_sensor: RigidTransform, truth_at, first_ns: int) -> View:  # type: ignore[no-untyped-def]
     """A sensor's frames with their witness, after the start-up pose."""
-    assert sensor.intrinsics is not None
     skeletons = []
     for frame in sensor.frames():
         if frame.time_ns >= first_ns and PERSON in frame.people:

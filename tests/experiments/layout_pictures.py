@@ -65,7 +65,6 @@ def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout
     session = Session.open(file)
     with RrdFile(file) as opened:
         identity = opened.identity()
-    assert identity is not None
     setup = session.last_setup
     found = {}
     with viewer(file) as (client, port):

@@ -110,7 +110,6 @@ def track(
     settings: BlazePoseSettings,
 ) -> tuple[list[SensorFrame], View]:
     """The frames with the people of our own tracker, and their figures."""
-    assert sensor.intrinsics is not None
     rig, scene, lens = truth.rig, truth.scene, sensor.intrinsics
     sensor_from_world = rig.world_from_sensor(which).inverse()
     flesh = flesh_over(BLAZEPOSE) * (scene.height / anatomy.REFERENCE_HEIGHT)
@@ -118,8 +117,6 @@ def track(
     rows = []
     with BlazePose(settings) as tracker:
         for k, frame in enumerate(frames):
-            assert frame.ir is not None
-            assert frame.depth is not None
             marks = sensor_from_world.apply(
                 scene.motion.landmarks([rig.captured_at(which, k)], scene.height)[0]
             )

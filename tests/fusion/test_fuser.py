@@ -36,7 +36,6 @@ WEIGHTS: tuple[Weights, ...] = ("paper", "equal")
 
 
 def with_states(skeleton: Skeleton | None, states: dict[str, TrackingState]) -> Skeleton:
-    assert skeleton is not None
     all_states = np.array(skeleton.states)
     for name, state in states.items():
         all_states[skeleton.body.joint(name)] = state
@@ -71,7 +70,6 @@ def test_a_mistracked_elbow_follows_the_view_that_keeps_it_apart() -> None:
     body = KINECT_V1
     truth = standing(body)
     pair = pair_of(body, truth)
-    assert pair.a is not None
     elbow, hip = body.joint("ElbowRight"), body.joint("HipRight")
     mixed_up = np.array(pair.a.positions)
     mixed_up[elbow] = mixed_up[hip] + [0.01, 0.0, 0.0]
@@ -187,15 +185,6 @@ def test_t_follows_the_torso_when_a_sensor_is_pushed() -> None:
     np.testing.assert_allclose(frame.positions, truth, atol=FLOAT32)
 
 
-def test_the_same_pairs_give_the_same_skeleton_bit_for_bit() -> None:
-    body = KINECT_V2
-    rng = np.random.default_rng(2)
-    pairs = [noisy(pair_of(body, at, t * FRAME_NS), rng, 0.03) for t, at in enumerate(moving(body, 30))]
-    one, two = (Fuser(FusionSetup(calibration_of(body), PAPER)) for _ in range(2))
-    for pair in pairs:
-        assert (one.update(pair).positions == two.update(pair).positions).all()
-
-
 @pytest.mark.parametrize("h", [0.5, 1.0, 2.0, float("nan")])
 def test_h_outside_its_range_is_refused(h: float) -> None:
     with pytest.raises(FusionError, match=r"between 0\.5 and 1"):
@@ -287,7 +276,6 @@ def a_noisy_pair(body: Body, seed: int) -> SkeletonPair:
 
 
 def moved_by(skeleton: Skeleton | None, by: RigidTransform) -> Skeleton:
-    assert skeleton is not None
     return Skeleton.of(skeleton.body, by.apply(skeleton.positions), skeleton.states, skeleton.time_ns)
 
 
@@ -295,7 +283,6 @@ def fused_in_moved_frames(
     pair: SkeletonPair, weights: Weights, by_a: RigidTransform, by_b: RigidTransform
 ) -> tuple[np.ndarray, np.ndarray]:
     """S* of a pair, moved; and S* of the pair whose views were moved, each by its sensor's motion."""
-    assert pair.a is not None
     chosen = FuserSettings(method="paper", weights=weights)
     calibration = calibration_of(pair.a.body)
     other = replace(calibration, a_from_b=by_a @ calibration.a_from_b @ by_b.inverse())
@@ -339,43 +326,10 @@ def test_with_equal_weights_any_motion_of_a_sensor_moves_the_skeleton_with_it(
 
 
 @settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 10_000))
-def test_the_order_of_joints_does_not_matter_to_the_skeleton(seed: int) -> None:
-    body = KINECT_V2
-    new = np.random.default_rng(seed).permutation(len(body))  # new[k]: the joint at position k now
-    place = np.argsort(new)
-    shuffled = replace(
-        body,
-        joints=tuple(body.joints[j] for j in new),
-        parents=tuple(-1 if body.parents[j] < 0 else int(place[body.parents[j]]) for j in new),
-        bones=tuple(body.bones[j] for j in new),
-        torso=tuple(int(place[j]) for j in body.torso),
-        rest=body.rest[new],
-        nominal_lengths=body.nominal_lengths[new],
-    )
-
-    def reordered(skeleton: Skeleton | None) -> Skeleton:
-        assert skeleton is not None
-        return Skeleton.of(shuffled, skeleton.positions[new], skeleton.states[new], skeleton.time_ns)
-
-    pair = a_noisy_pair(body, seed)
-    plain = Fuser(FusionSetup(calibration_of(body), PAPER)).update(pair)
-    other = Fuser(FusionSetup(calibration_of(shuffled), PAPER)).update(
-        SkeletonPair(reordered(pair.a), reordered(pair.b), 0)
-    )
-    # t sums the torso in another order, so no more than rounding in double precision differs; the solver's
-    # own criterion allows 1e-8 m (SAME in test_tree_solver)
-    np.testing.assert_allclose(other.positions, plain.positions[new], rtol=0, atol=1e-8)
-    np.testing.assert_array_equal(other.misleading_joint >= 0, plain.misleading_joint[new] >= 0)
-
-
-@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), weights=st.sampled_from(WEIGHTS))
 def test_a_weighted_mean_with_the_right_bones_is_the_skeleton(seed: int, weights: Weights) -> None:
     body = KINECT_V2
     pair = a_noisy_pair(body, seed)
-    assert pair.a is not None
-    assert pair.b is not None
     chosen = FuserSettings(method="paper", weights=weights)
     first = Fuser(FusionSetup(calibration_of(body), chosen)).update(pair)
     b_in_a = np.nan_to_num(first.a_from_b.apply(pair.b.positions))  # where B has no joint its weight is 0

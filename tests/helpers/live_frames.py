@@ -36,8 +36,6 @@ def frames(fuser: Fuser, count: int, depth: bool = False) -> list[SessionFrame]:
     for k in range(count):
         joints = standing(BODY) + [0.1 * np.sin(k / 10), 0.0, 0.0]
         seen = pair_of(BODY, joints, k * FRAME_NS)
-        assert seen.a is not None
-        assert seen.b is not None
         pair = FramePair.of(
             SensorFrame(k * FRAME_NS, {"1": seen.a}, image),
             SensorFrame(k * FRAME_NS, {"1": seen.b}, image),

@@ -128,8 +128,6 @@ def write_simulated(path: Path, sensor: SimulatedKinect, start_offset_ns: int, s
     """
     images = []
     for frame in sensor.frames():
-        assert frame.depth is not None
-        assert frame.ir is not None
         images.append((frame.depth, frame.ir))
     # The simulator's principal point is the middle of the image, which is not the middle of the sensor.
     mode, lens = DEPTH_MODES["NFOV_2X2BINNED"], sensor.intrinsics

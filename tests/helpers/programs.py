@@ -61,7 +61,6 @@ class Program:
         return code
 
     def _read(self) -> None:
-        assert self._process.stdout is not None
         for line in self._process.stdout:
             self._lines.append(line)
 

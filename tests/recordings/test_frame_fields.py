@@ -54,7 +54,6 @@ def test_no_joint_is_the_last_name() -> None:
 def test_frames_without_a_value_have_the_absent_one_and_none_at_all_is_none() -> None:
     one = np.full(J, 0.01)
     stacked = SIGMA.stacked(KINECT_V1, [None, one])
-    assert stacked is not None
     assert np.isnan(stacked[0]).all()
     np.testing.assert_array_equal(stacked[1], one)
     assert SIGMA.stacked(KINECT_V1, [None, None]) is None

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from devices.azure import pyk4a_access
-from devices.azure.pyk4a_access import how_to_install
 from devices.azure.tracking.body_tracker import TrackerSettings
 from devices.blazepose.checks import networks_check
 from devices.blazepose.settings import BlazePoseSettings
@@ -194,25 +193,6 @@ def test_firmware_that_is_too_old_for_a_subordinate_is_reported(
     assert kinect.ok == ok
     assert ("AzureKinectFirmwareTool" in kinect.advice) == (not ok)
     assert named["Kinect CL8H741005K"].ok, "Orbbec counts its firmware otherwise"
-
-
-@pytest.mark.parametrize(
-    ("platform", "words"),
-    [
-        ("linux", ["build-essential", "python3-dev", "libk4a1.4-dev", "Orbbec"]),
-        ("win32", ["C++ Build Tools", "SDK 1.4.1", "Orbbec"]),
-        ("darwin", ["Windows and Linux only"]),
-    ],
-)
-def test_requirements_for_building_pyk4a_are_named_by_platform(platform: str, words: list[str]) -> None:
-    told = how_to_install(platform)
-    for word in words:
-        assert word in told, word
-
-
-def test_a_bundle_that_cannot_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pyk4a_access, "installed_version", lambda _: "1.5.0")
-    assert "pip uninstall pyk4a-bundle" in how_to_install("linux")
 
 
 # ------------------------------------------------------------------ Orbbec's SDK v2, and our own tracker

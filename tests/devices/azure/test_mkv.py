@@ -120,13 +120,6 @@ def test_a_damaged_head_gives_frames_or_a_device_error(
     assert 0 <= count <= FRAMES
 
 
-def test_a_cut_in_the_last_image_is_reported(recording: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "cut.mkv"
-    cut.write_bytes(recording.read_bytes()[:-100_000])
-    _, warnings = _frames_of(cut)
-    assert warnings
-
-
 def test_passive_infrared_is_refused_by_name(tmp_path: Path) -> None:
     path = write_mkv(tmp_path / "passive.mkv", 1)
     # Same length, so the file stays well-formed.
@@ -160,11 +153,3 @@ def test_another_kind_of_file_is_refused(tmp_path: Path, content: bytes) -> None
 def test_frames_of_a_closed_recording_are_refused(recording: Path) -> None:
     with pytest.raises(DeviceError, match="not open"):
         next(MkvRecording(recording).frames())
-
-
-def test_a_recording_opens_twice_and_closes_twice(recording: Path) -> None:
-    source = MkvRecording(recording)
-    for _ in range(2):
-        with source:
-            assert len(list(source.frames())) == FRAMES
-        source.__exit__()

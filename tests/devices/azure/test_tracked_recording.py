@@ -43,13 +43,6 @@ def test_every_recorded_frame_is_tracked(standin: Standin, path: Path) -> None:
         assert skeleton.time_ns == frame.time_ns
 
 
-def test_the_real_recording_goes_through_the_tracker(standin: Standin, shared: Path) -> None:
-    recording = MkvRecording(shared / "azure" / "recording.mkv")
-    with TrackedRecording(recording, TrackerSettings(library=standin.path), standin.path) as source:
-        (frame,) = source.frames()
-    assert list(frame.people) == ["7"]
-
-
 def test_a_tracker_that_fails_midway_gives_the_frames_before(standin: Standin, path: Path) -> None:
     source = TrackedRecording(MkvRecording(path), TrackerSettings(library=standin.path), standin.path)
     with source:

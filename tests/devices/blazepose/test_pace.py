@@ -77,7 +77,6 @@ def test_trackers_that_are_fast_enough_only_at_half_the_rate_go_on_with_lite(
 @pytest.mark.parametrize("lacks", ["the file", "a lighter one"])
 def test_without_a_lighter_network_only_frames_are_left_out(networks: BlazePoseSettings, lacks: str) -> None:
     if lacks == "the file":
-        assert networks.models is not None
         (networks.models / LANDMARKS["lite"].name).unlink()
     else:
         networks = replace(networks, network="lite")

@@ -6,19 +6,16 @@ A little over 300 lines: one state machine.
 from __future__ import annotations
 
 import gc
-import os
 import signal
 import threading
 import weakref
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
-from devices.sensor import DeviceError, SensorFrame
-from fusion.body import AZURE_KINECT
+from devices.sensor import DeviceError
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 from tests.helpers.waiting import eventually
 
@@ -243,57 +240,3 @@ def test_a_lost_sensor_says_so_and_closing_ends_its_retries(sensor: ScriptedSens
     assert thread.gone
     assert thread.close(PATIENCE_S)
     assert sensor.opened == 1
-
-
-def test_a_thousand_openings_leak_nothing() -> None:
-    descriptors = Path("/proc/self/fd")
-    sensors: list[weakref.ref[ScriptedSensor]] = []
-
-    class Files(ScriptedSensor):
-        """Holds a file as long as it is open, as a driver does."""
-
-        def __enter__(self) -> ScriptedSensor:
-            self.file = os.open(os.devnull, os.O_RDONLY)
-            return super().__enter__()
-
-        def __exit__(self, *exc_info: object) -> None:
-            os.close(self.file)
-            super().__exit__()
-
-    def cycle() -> None:
-        sensor = Files()
-        sensors.append(weakref.ref(sensor))
-        sensor.put(frame_at(1), frame_at(2))
-        with SensorThread(sensor) as thread:
-            _after(sensor)
-            frames = [frame for _, frame in thread.take()]
-            assert len(frames) == 2
-
-    cycle()
-    gc.collect()
-    before = threading.active_count(), len(list(descriptors.iterdir())) if descriptors.is_dir() else 0
-    for _ in range(1000):
-        cycle()
-    gc.collect()
-    after = threading.active_count(), len(list(descriptors.iterdir())) if descriptors.is_dir() else 0
-    assert after == before
-    assert sum(ref() is not None for ref in sensors) == 0
-
-
-def test_a_class_that_only_has_a_sensors_methods_runs() -> None:
-    class OwnSensor:
-        name, body, intrinsics, warnings = "own", AZURE_KINECT, None, ()
-
-        def __enter__(self) -> OwnSensor:
-            return self
-
-        def __exit__(self, *error: object) -> None: ...
-
-        def frames(self) -> Iterator[SensorFrame]:
-            yield from map(frame_at, (1, 2))
-
-    thread = SensorThread(OwnSensor())  # type: ignore[arg-type]
-    with thread:
-        assert eventually(lambda: thread.state is SensorState.ENDED)
-        assert [arrival.frame.time_ns for arrival in thread.take()] == [1, 2]
-    assert (thread.sensor.body, thread.dropped, thread.sensor.link) == (AZURE_KINECT, 0, None)

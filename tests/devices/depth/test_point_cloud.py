@@ -30,7 +30,6 @@ def test_real_points_project_back_onto_their_pixels(shared: Path) -> None:
     with MkvRecording(shared / "azure" / "recording.mkv") as recording:
         (frame,) = recording.frames()
         lens = recording.intrinsics
-    assert lens is not None
     points = depth_to_points(frame.depth, ray_table(lens)).astype(np.float64)
     rows, columns = np.nonzero(frame.depth)
     # float32 rays keep 24 bits: 1e-7 of 1.5 times a focal length of 505 pixels is below 1e-3 pixels.

@@ -1,19 +1,12 @@
-from pathlib import Path
-from uuid import uuid4
-
 import numpy as np
 import pytest
-import rerun as rr
-import rerun.blueprint as rrb
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from numpy.typing import NDArray
 
-from devices.depth.rvl import MEDIA_TYPE, decode_depth, encode_depth
+from devices.depth.rvl import decode_depth, encode_depth
 from devices.sensor import DeviceError
-from tests.helpers.pictures import colors_of_view, headless_viewer
-from tests.helpers.waiting import eventually
 
 
 def wall(height: int = 576, width: int = 640) -> NDArray[np.uint16]:
@@ -49,17 +42,3 @@ def test_bytes_that_are_no_image_are_refused(junk: bytes, at: int, value: int) -
             assert decode_depth(bad).dtype == np.uint16
         except DeviceError as error:
             assert "depth image" in str(error)  # noqa: PT017
-
-
-def test_the_viewer_draws_it(tmp_path: Path) -> None:
-    picture = tmp_path / "depth.png"
-    with headless_viewer() as viewer:
-        stream = rr.RecordingStream("rvl", recording_id=uuid4())
-        stream.connect_grpc(viewer.url)
-        view = rrb.Spatial2DView(origin="/depth")
-        stream.send_blueprint(rrb.Blueprint(view, collapse_panels=True), make_active=True)
-        stream.log("depth", rr.EncodedDepthImage(encode_depth(wall()), media_type=MEDIA_TYPE, meter=1000.0))
-        stream.flush()
-        assert eventually(lambda: colors_of_view(viewer, view.id, picture) > 50)
-        reports = [report for shown in viewer.get_state().views for report in shown.reports]
-    assert reports == []

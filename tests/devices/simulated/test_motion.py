@@ -83,15 +83,6 @@ def test_walking_turns_through_every_heading_and_moves_as_fast_as_a_person() -> 
     assert 0.3 < speed.min() < speed.max() < 1.2
 
 
-def test_hands_go_across_the_trunk_and_behind_the_back() -> None:
-    arms = MOTIONS["arms"]
-    points = arms.landmarks(arms.begins + np.array([3.0, 8.7]))
-    across, behind = points
-    assert across[INDEX["HAND_LEFT"], 0] < across[INDEX["HAND_RIGHT"], 0] - 0.1
-    for side in ("LEFT", "RIGHT"):
-        assert behind[INDEX[f"HAND_{side}"], 2] > behind[INDEX["SPINE_NAVEL"], 2] + 0.1
-
-
 @pytest.mark.parametrize("height", [1.2, 1.75, 2.0])
 def test_the_body_is_scaled_by_height(height: float) -> None:
     points = MOTIONS["still"].landmarks([0.0], height)[0]

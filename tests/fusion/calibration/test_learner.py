@@ -68,7 +68,6 @@ def test_a_start_5_degrees_off_is_refined_and_says_how_certain_it_is() -> None:
     error = learner.calibration.a_from_b.angle_to(A_FROM_B)
     assert np.degrees(error) < 0.5
     registration = learner.calibration.registration
-    assert registration is not None
     assert error < 3.0 * registration.rotation_sd < np.radians(5.0)
     refined = [change for change in changes if change.kind == "refined"]
     assert 1 <= len(refined) <= 15  # at most one a second

@@ -37,7 +37,6 @@ def recording(truth: Array, sd: float = 0.0, seed: int = 0, body: Body = BODY) -
 
 
 def changed(skeleton: Skeleton | None, change: Callable[[Array], Array]) -> Skeleton:
-    assert skeleton is not None
     return Skeleton.of(
         skeleton.body, change(skeleton.positions.astype(float)), skeleton.states, skeleton.time_ns
     )
@@ -177,7 +176,6 @@ def test_uncertainty_grows_while_no_one_sees_a_joint_and_shrinks_again() -> None
     pairs = recording(moving(BODY, 140), 0.004)
 
     def hidden(skeleton: Skeleton | None) -> Skeleton:
-        assert skeleton is not None
         states = skeleton.states.copy()
         states[[BODY.joint(f"{j}Left") for j in ("Wrist", "Hand", "HandTip", "Thumb")]] = (
             TrackingState.NOT_TRACKED

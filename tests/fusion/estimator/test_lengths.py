@@ -93,7 +93,6 @@ def test_a_wrong_length_says_less_of_a_limb_that_swings() -> None:
 
 def with_arm_near_trunk(skeleton: Skeleton | None, share: float) -> Skeleton:
     """The arm on its way, by this share, to a place beside the trunk where its joints are 2 cm apart."""
-    assert skeleton is not None
     at = skeleton.positions.astype(np.float64)
     for n, part in enumerate(("Elbow", "Wrist", "Hand", "HandTip", "Thumb")):
         there = at[BODY.joint("SpineMid")] + (0.15, 0.02 * n, 0.0)

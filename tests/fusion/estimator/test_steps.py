@@ -23,7 +23,7 @@ from fusion.estimator.arrays import Model, Solve, State, Views, new_model
 from fusion.estimator.bones import enforce_hinges, joint_covariances
 from fusion.estimator.constants import Constants
 from fusion.facing.model import new_facing_model
-from fusion.joint_kinds import KINDS, by_joint, kind_of, limbs, of_kind, value_of
+from fusion.joint_kinds import KINDS, by_joint, kind_of, limbs, of_kind
 from recordings.fusing.view_events import ViewEvents
 from tests.helpers.interpreted import interpreted
 from tests.helpers.two_views import A_FROM_B, standing
@@ -115,14 +115,6 @@ def test_a_joint_of_a_new_kind_is_in_the_groups_of_the_kind_it_resembles(
     monkeypatch.setitem(joint_kinds.KINDS, "toe", None)
     with pytest.raises(KeyError, match="toe"):
         by_joint(renamed, errors.jitter)
-
-
-def test_a_new_kind_takes_the_values_of_the_one_it_resembles(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(KINDS, "toe", "foot")
-    assert value_of("toe", {"foot": 2.0}) == 2.0
-    assert value_of("toe", {"foot": 2.0, "toe": 3.0}) == 3.0
-    with pytest.raises(KeyError):
-        value_of("spine", {"foot": 2.0})
 
 
 def test_the_prediction_is_that_of_a_kalman_filter_whose_velocity_relaxes_to_the_parents(

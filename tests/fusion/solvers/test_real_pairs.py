@@ -33,8 +33,6 @@ def test_the_papers_fused_is_slsqps_optimum_on_50_frames_of_a_real_walk(
     frames = Fuser(FusionSetup(calibration, FuserSettings(method="paper"))).fuse_sequence(pairs)
     for k in np.random.default_rng(0).choice(len(pairs), 50, replace=False):
         pair, frame = pairs[k], frames[k]
-        assert pair.a is not None
-        assert pair.b is not None
         targets, weights = blend(pair, frame)
         other = slsqp_optimum(body, targets, weights, calibration.bone_lengths, targets).positions
         near = slsqp_optimum(body, targets, weights, calibration.bone_lengths, frame.positions).positions
@@ -44,8 +42,6 @@ def test_the_papers_fused_is_slsqps_optimum_on_50_frames_of_a_real_walk(
 
 
 def blend(pair: SkeletonPair, frame: FusedFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    assert pair.a is not None
-    assert pair.b is not None
     p = pair.a.positions.astype(np.float64)
     q = frame.a_from_b.apply(pair.b.positions)
     weights = frame.weights_a + frame.weights_b

@@ -24,7 +24,6 @@ from tests.helpers.solver_problems import (
     failures,
     ordinary_problem,
     projected_gradient,
-    random_information,
     random_pose,
     random_problem,
     run,
@@ -234,25 +233,6 @@ def test_solution_with_information_matrices_moves_with_the_world(seed, shift):
 def test_hard_problems_with_information_matrices_are_solved_in_any_order_of_joints(seed):
     problem = random_problem(73_100_000 + seed, matrices=True)
     assert failures(problem, shuffled(problem, seed)) == []
-
-
-def test_random_information_is_symmetric_positive_definite_of_condition_up_to_a_million():
-    W = random_information(np.random.default_rng(5), 2000)
-    np.testing.assert_array_equal(W, W.transpose(0, 2, 1))
-    values = np.linalg.eigvalsh(W)
-    rounding = 1e-15
-    assert values.min() > 1e-6 - rounding
-    assert values.max() < 1.0 + rounding * 10
-    assert (values[:, 2] / values[:, 0]).max() > 1e5
-
-
-def test_the_checks_see_a_point_that_a_matrix_pulls_on():
-    problem = ordinary_problem(6)
-    problem = replace(problem, weights=moderate_information(6, len(problem.body)))
-    solution = solve(problem)
-    assert failures(problem, solution) == []
-    other = replace(problem, weights=np.roll(problem.weights, 1, axis=0))
-    assert projected_gradient(other, solution.positions) > 1e-3
 
 
 def test_warm_start_at_the_solution_takes_no_step():

@@ -42,7 +42,6 @@ def session(images: list[ColorImage], tmp_path: Path) -> Path:
     fuser = Fuser(FusionSetup(calibration_of(KINECT_V2)))
     made = []
     for pair, image in zip(frame_pairs(KINECT_V2, len(images)), images, strict=True):
-        assert pair.a is not None
         made.append(fuse_one(fuser, replace(pair, a=replace(pair.a, color=image))))
     path = tmp_path / "s.rrd"
     stream = rr.RecordingStream(layout.APPLICATION_ID)

@@ -9,8 +9,6 @@ import errno
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -21,7 +19,6 @@ from uuid import uuid4
 import numpy as np
 import pytest
 import rerun as rr
-from rich.console import Console
 
 from devices.depth.image_thinning import without_images
 from devices.events import Event
@@ -44,7 +41,6 @@ from tests.helpers.telling_demo import telling_demo, wait_for_frames
 from tests.helpers.two_views import calibration_of
 from tests.helpers.waiting import eventually
 from viewer_app.cli import main
-from viewer_app.running.loop import warm_up
 from viewer_app.sinks import compact_copy, session_file
 from viewer_app.sinks.session_file import SessionFile
 
@@ -325,33 +321,6 @@ def test_a_disk_that_fails_stops_the_saving_and_nothing_else(disk: Disk) -> None
     assert len(session) == file.saved >= 10
     assert session.damage == "it was not ended", "cut after a whole block"
     assert [path.name for path in found.parent.iterdir()] == ["s.rrd"]
-
-
-def test_the_demo_goes_on_without_its_file(tmp_path: Path) -> None:
-    resource = pytest.importorskip("resource", reason="only POSIX limits the size of a process's files")
-    # The limit holds for all files of the process: numba could not save what it compiles there.
-    warm_up(Fuser(FusionSetup(calibration_of(KINECT_V1))), Console(quiet=True))
-    path, limit = tmp_path / "s.rrd", 850_000  # the static part and some seconds
-    arguments = ("--seconds", "10", "--depth", "none", "--no-viewer", "--verbose", "--save", str(path))
-    done = subprocess.run(
-        [sys.executable, "-m", "viewer_app.cli", "demo", *arguments],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
-    )
-    assert done.returncode == 2
-    ours = [
-        line for line in done.stderr.splitlines() if "re_log_encoding" not in line
-    ]  # Rerun may report it too
-    assert len(ours) == 1
-    assert "File too large" in ours[0]
-    said = " ".join(done.stdout.split())
-    assert "The fusion goes on." in said
-    assert "of 300 (A) and 300 (B)" in said
-    saved = int(done.stderr.split("from frame ")[1].split()[0])
-    assert frames_in(path) == saved > 0
 
 
 def test_a_nearly_full_disk_is_reported_and_used(

@@ -37,15 +37,6 @@ def test_failed_rows_come_first_then_the_worst_then_pending_ones() -> None:
     ) == ["lost", "wild", "fair", "calm", "left"]
 
 
-def test_a_figure_that_a_session_lacks_does_not_count() -> None:
-    # ranks: one 3/4 (of two) in views_agree, 1/2 (equal) in lost; two 1/4 and 1/2; three only 1/2
-    assert order(row("two", views_agree=0.01), row("three"), row("one", views_agree=0.02)) == [
-        "one",
-        "three",
-        "two",
-    ]
-
-
 def test_frames_without_a_partner_count() -> None:
     one, two = row("one", dropped_a=20, alone_b=5), row("two")
     assert one.figures["lost"] == 0.25

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import rerun as rr
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -16,8 +15,7 @@ from fusion.fuser import FusedFrame, Fuser
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
-from recordings import layout
-from recordings.appearance.coach_page import CoachPage, Mark
+from recordings.appearance.coach_page import Mark
 from tests.helpers.two_views import A_FROM_B, calibrated_on, pair_of, standing, turned_around
 from viewer_app.coach.advice import Advice
 from viewer_app.coach.scene import CoachScene
@@ -109,20 +107,6 @@ def test_a_sensor_with_a_problem_is_marked_where_it_stands() -> None:
     assert label[0][1] > A_FROM_B.translation[1]  # y is down
 
 
-def test_labels_of_two_sensors_side_by_side_do_not_overlap() -> None:
-    drawn = marks(None, None, Advice("moved", "…", "WARN", "AB", "moved?"))
-    below = [
-        drawn[f"sensor_{side}"].lines[0][0][1] - at
-        for side, at in (("a", 0.0), ("b", A_FROM_B.translation[1]))
-    ]
-    assert below[1] - below[0] >= 0.2
-
-
-def test_a_moved_sensor_marks_both_because_either_may_have_moved() -> None:
-    moved = Advice("moved", "…", "WARN", "AB", "moved? calibrate again")
-    assert {"sensor_a", "sensor_b"} <= marks(None, None, moved).keys()
-
-
 @pytest.mark.parametrize("angle", [30.0, 150.0])
 def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle: float) -> None:
     a_from_b = turned_around(angle)
@@ -142,18 +126,3 @@ def test_b_is_shown_a_place_at_a_right_angle_and_as_far_from_the_person(angle: f
 def test_a_good_angle_needs_no_better_place() -> None:
     now = Situation(calibrated_on(BODY), final=True, held=0.0)
     assert "better_b" not in marks(now, fused())
-
-
-def test_a_mark_that_is_gone_is_cleared() -> None:
-    mark = Mark((((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),), "stand here", "do")
-
-    def lines(page: CoachPage) -> dict[str, int]:
-        return {
-            entity: len(what.strips.as_arrow_array())
-            for entity, what in page.entities()
-            if isinstance(what, rr.LineStrips3D)
-        }
-
-    spot = layout.coach_mark("spot")
-    assert lines(CoachPage("…", (("spot", mark),)))[spot] == 1
-    assert lines(CoachPage("…")) == {layout.coach_mark(name): 0 for name in layout.COACH_MARKS}

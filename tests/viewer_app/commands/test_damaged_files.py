@@ -11,11 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fusion.body import AZURE_KINECT, KINECT_V2
+from fusion.body import KINECT_V2
 from fusion.calibration.calibration import nominal_calibration
 from recordings.calibration_file import calibration_to_json
 from tests.helpers.command_line import duplex
-from tests.helpers.mkv_writer import write_mkv
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, moving
 
@@ -157,18 +156,6 @@ def test_damaged_skeletons_are_fused_or_refused(
     _must_be_fused_or_refused(capsys, a, damaged)
 
 
-@pytest.mark.parametrize("column", ["time_us", "joint", "x", "state"])
-def test_a_long_value_is_shortened_in_the_message(
-    whole: dict[str, tuple[Path, Path]], tmp_path: Path, capsys: pytest.CaptureFixture[str], column: str
-) -> None:
-    a, b = whole[".csv"]
-    header, first, *rest = b.read_text(encoding="utf-8").splitlines()
-    cells = dict(zip(header.split(","), first.split(","), strict=True)) | {column: "7x" * 400}
-    damaged = tmp_path / "damaged.csv"
-    damaged.write_text("\n".join([header, ",".join(cells.values()), *rest]) + "\n", encoding="utf-8")
-    assert _must_be_fused_or_refused(capsys, a, damaged) == 2
-
-
 @_EXAMPLES
 @given(wound=damage())
 def test_damaged_calibrations_are_used_or_refused(
@@ -180,32 +167,3 @@ def test_damaged_calibrations_are_used_or_refused(
     calibration = tmp_path / "calibration.json"
     calibration.write_bytes(wound(calibration_to_json(nominal_calibration(KINECT_V2)).encode()))
     _must_be_fused_or_refused(capsys, *whole[".csv"], "--calibrate", calibration)
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Two recordings of sensors on a cable, with the skeletons that belong to them."""
-    folder = tmp_path_factory.mktemp("recorded")
-    offset = moving(AZURE_KINECT, FRAMES)
-    files = {
-        "a": write_mkv(folder / "a.mkv", FRAMES, sync="MASTER"),
-        "b": write_mkv(folder / "b.mkv", FRAMES, sync="SUBORDINATE"),
-    }
-    for side, positions in (("a", offset), ("b", A_FROM_B.inverse().apply(offset))):
-        file = folder / f"{side}.csv"
-        files[f"skeletons_{side}"] = write_view(file, AZURE_KINECT, positions, start_us=336_277)
-    return files
-
-
-@settings(_EXAMPLES, max_examples=6)
-@given(wound=damage())
-def test_damaged_recordings_are_fused_or_refused(
-    recorded: dict[str, Path],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    wound: Callable[[bytes], bytes],
-) -> None:
-    damaged = tmp_path / "damaged.mkv"
-    damaged.write_bytes(wound(recorded["b"].read_bytes()))
-    skeletons = ("--skeletons-a", recorded["skeletons_a"], "--skeletons-b", recorded["skeletons_b"])
-    _must_be_fused_or_refused(capsys, recorded["a"], damaged, *skeletons)

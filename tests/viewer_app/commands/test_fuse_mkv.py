@@ -108,17 +108,6 @@ def test_sensors_without_a_cable_have_no_common_clock(
     assert "without a common clock (master, standalone)" in " ".join(capsys.readouterr().out.split())
 
 
-def test_without_a_tracker_the_way_out_is_said(
-    recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    missing = tmp_path / "libk4abt.so"
-    (tmp_path / "libk4a.so").touch()
-    assert duplex("fuse", recorded["a"], recorded["b"], "--no-viewer", "--k4abt", missing) == 2
-    said = capsys.readouterr().err
-    assert "Or give its skeletons, saved before, with --skeletons-a FILE." in said
-    assert said.count("\n") == 1
-
-
 def test_skeletons_for_a_skeleton_file_are_refused(
     recorded: dict[str, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import re
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import MagicMock
@@ -62,32 +58,6 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> MagicMock:
     return viewer
 
 
-def test_a_short_list_says_that_its_numbers_are_those_of_the_whole(
-    session: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    told = [Event(f"note {k}", "WARN" if k % 2 else "INFO").placed(k, k * 1_000_000) for k in range(24)]
-    write_session(replace(session, events=tuple(told)), tmp_path / "many.rrd")
-    assert duplex("review", tmp_path / "many.rrd", "--no-viewer") == 0
-    said = capsys.readouterr().out
-    assert "Events, 10 of 24, with the numbers of --verbose and --event" in said
-    assert re.search(r"^ *2 +0\.00 s +Warning: Note 1\.", said, re.M)
-    assert duplex("review", tmp_path / "many.rrd", "--no-viewer", "--verbose") == 0
-    said = capsys.readouterr().out
-    assert "with the numbers" not in said
-    assert re.search(r"^ *2 +0\.00 s +Warning: Note 1\.", said, re.M)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has file names of another encoding")
-def test_a_page_names_a_file_that_the_locale_cannot_spell(path: Path, tmp_path: Path) -> None:
-    session, page = tmp_path / "ä.rrd", tmp_path / "ö.html"
-    path.rename(session)
-    settings = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    command = [sys.executable, "-m", "viewer_app.cli", "review", session, "--no-viewer", "--html", page]
-    done = subprocess.run(command, env=os.environ | settings, capture_output=True)
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert "<title>ä.rrd</title>" in page.read_text(encoding="utf-8")
-
-
 @pytest.mark.parametrize(
     ("options", "at_ns", "words"),
     [
@@ -129,14 +99,6 @@ def test_without_an_event_it_opens_at_the_beginning_and_says_so(
     assert "opens at the beginning: no event calls for a look" in capsys.readouterr().out
 
 
-def test_a_viewer_that_does_not_take_the_time_is_no_failure(
-    path: Path, shown: MagicMock, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shown.return_value = False
-    assert duplex("review", path) == 0
-    assert "did not take the time" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -154,15 +116,6 @@ def test_a_wrong_time_or_number_gives_one_line_and_opens_nothing(
     assert duplex("review", path, *options) == 2
     assert words in one_line(capsys)
     shown.assert_not_called()
-
-
-def test_the_page_has_the_same_list(path: Path, tmp_path: Path) -> None:
-    page = tmp_path / "s.html"
-    assert duplex("review", path, "--no-viewer", "--html", page) == 0
-    text = re.sub(r"<[^>]*>|\s+", " ", page.read_text(encoding="utf-8"))
-    assert "2 0.50 s A reports left and right exchanged. It lasted 1.0 s." in re.sub(" +", " ", text)
-    assert "3 1.00 s Warning: A sensor seems to have been moved." in re.sub(" +", " ", text)
-    assert "A is right again" not in text
 
 
 def test_a_browser_gets_the_saved_session_and_the_moment_in_words(

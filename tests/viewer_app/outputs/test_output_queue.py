@@ -6,21 +6,13 @@ import threading
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from devices.events import Event
-from fusion.body import BODIES, Body
-from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
-from fusion.setup import FusionSetup
 from tests.helpers.live_frames import frames
 from tests.helpers.waiting import eventually
-from viewer_app.options.shared import LiveOutputOptions
-from viewer_app.outputs.opening import plan_outputs
 from viewer_app.outputs.output import LATE_NS, LiveOutput, confidence
-from viewer_app.sinks.live_session import LiveSession
 from viewer_app.sinks.queued_sink import QueuedFrame
-from viewer_app.viewer.blueprint import session_blueprint
 
 
 class Receiver(LiveOutput):
@@ -115,22 +107,8 @@ def test_events_are_not_dropped_with_the_frames(fuser: Fuser) -> None:
     output.close()
 
 
-def test_a_live_session_feeds_its_further_sinks(fuser: Fuser) -> None:
-    output = Receiver(keep=8)
-    blueprint = session_blueprint(fuser.setup, np.array([0.0, 0.0, 2.6]), "inspect")
-    with LiveSession(fuser.setup, ("a", "b"), blueprint, others=[output]) as live:
-        for frame in frames(fuser, 3):
-            live.write(frame)
-            output.let.release()
-        live.event(Event("seen"))
-        assert eventually(lambda: output.got == [0, 1, 2])
-    assert output.said == ["seen"]
-    assert not output._thread.is_alive()
-
-
 def test_confidence_falls_with_the_standard_deviation(fuser: Fuser) -> None:
     fused = frames(fuser, 3)[-1].fused
-    assert fused.sigma is not None
     trust = confidence(fused)
     assert ((trust > 0.0) & (trust < 1.0)).all()
     order = np.argsort(fused.sigma)
@@ -141,11 +119,3 @@ def test_confidence_falls_with_the_standard_deviation(fuser: Fuser) -> None:
     assert (confidence(nobody) == 0.0).all()
     paper = replace(fused, sigma=None, predicted=np.arange(len(trust)) == 4)
     assert sorted(set(confidence(paper).tolist())) == [0.25, 1.0]
-
-
-@pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_no_output_is_opened_where_none_is_asked_for(body: Body) -> None:
-    plan = plan_outputs(LiveOutputOptions())
-    assert not plan
-    with plan.opened(FusionSetup(nominal_calibration(body))) as outputs:
-        assert list(outputs) == []

@@ -7,7 +7,6 @@ import math
 import socket
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from tests.helpers.live_frames import frames
 from tests.helpers.poses import BACK, DOWN, FRONT, T_POSE, posed, turned_about, world_of_local
 from tests.helpers.two_views import FRAME_NS, moving
 from viewer_app.errors import UsageError
-from viewer_app.outputs import vrm as vrm_file
 from viewer_app.outputs.osc import Address, OscOutput
 from viewer_app.outputs.vmc import VmcEncoder
 from viewer_app.outputs.vrm import read_avatar
@@ -83,22 +81,6 @@ def test_a_receiver_s_forward_kinematics_gives_the_joints_of_s(body: Body) -> No
         offset = at["Hips"] + joints[body.root]  # the place of the origin, the same for all joints
         for name, joint in BEGINS.items():
             np.testing.assert_allclose(at[name], offset - joints[body.joint(joint)], atol=4 * FLOAT32)
-
-
-@pytest.mark.parametrize("body", BODIES.values(), ids=str)
-def test_rotations_alone_point_each_limb_of_an_avatar_along_that_of_s(body: Body) -> None:
-    encoder = VmcEncoder(body)
-    t_pose, _ = world(bones(VmcEncoder(body).encode(posed(body, T_POSE), 0)))
-    for t, joints in enumerate(moving(body, 90)[::9]):
-        _, turns = world(bones(encoder.encode(joints, t * 9 * FRAME_NS)))
-        for side in ("Left", "Right"):
-            for first, second in (("UpperArm", "LowerArm"), ("LowerArm", "Hand"), ("UpperLeg", "LowerLeg"),
-                                  ("LowerLeg", "Foot"), ("Foot", "Toes")):  # fmt: skip
-                rest = t_pose[side + second] - t_pose[side + first]
-                shown = turns[side + first].apply(rest)
-                ends = (joints[body.joint(BEGINS[side + each])] for each in (first, second))
-                begin, end = (-each for each in ends)
-                np.testing.assert_allclose(shown, end - begin, atol=1e-5)
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=str)
@@ -262,34 +244,3 @@ def test_a_file_that_is_no_avatar_gives_one_line(tmp_path: Path) -> None:
             read_avatar(bad)
     with pytest.raises(UsageError, match=r"--avatar .*none\.vrm"):
         read_avatar(tmp_path / "none.vrm")
-
-
-def test_each_node_of_an_avatar_is_visited_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    visited: list[object] = []
-    own = vrm_file._matrix
-    monkeypatch.setattr(vrm_file, "_matrix", lambda node: (visited.append(node), own(node))[1])
-    count = 200
-    nodes = [{"children": [k + 1], "translation": [0, 0.01, 0]} for k in range(count - 1)] + [{}]
-    where = {"hips": {"node": 5}} | {f"bone{k}": {"node": k} for k in range(count)}
-    gltf: dict[str, Any] = {"nodes": nodes, "extensions": {"VRMC_vrm": {"humanoid": {"humanBones": where}}}}
-    avatar = vrm_file._avatar(gltf)
-    np.testing.assert_allclose(avatar.hips, [0.0, 0.06, 0.0])
-    assert len(visited) == count
-    nodes[-1]["children"] = [0]
-    with pytest.raises(ValueError, match="nodes in a circle"):
-        vrm_file._avatar(gltf)
-
-
-@pytest.mark.parametrize(
-    ("number", "huge"), [(b'"node": 1', b'"node": 1e999'), (b"[0, 0.1", b"[" + b"9" * 400 + b", 0.1")]
-)
-def test_an_avatar_with_a_number_that_is_too_large_gives_one_line(
-    tmp_path: Path, number: bytes, huge: bytes
-) -> None:
-    whole = vrm(tmp_path / "a.vrm", 1).read_bytes()
-    content = whole[20:].replace(number, huge, 1)
-    assert content != whole[20:]
-    bad = tmp_path / "bad.vrm"
-    bad.write_bytes(struct.pack("<4sIIII", b"glTF", 2, 20 + len(content), len(content), 0x4E4F534A) + content)
-    with pytest.raises(UsageError, match=r"not a readable \.vrm"):
-        read_avatar(bad)

@@ -22,7 +22,7 @@ from viewer_app.report import motion as motion_module
 from viewer_app.report.figures import report, truth_free_figures
 from viewer_app.report.motion import _floor, _kept_frames, encoded_motion
 from viewer_app.report.review_page import review_page
-from viewer_app.report.svg_plots import _columns_of_time, _figure, _legend
+from viewer_app.report.svg_plots import _columns_of_time
 
 pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
 
@@ -49,16 +49,6 @@ def test_a_trust_map_s_columns_are_stretches_of_time() -> None:
     assert np.isnan(columns[between]).all()
     assert before.sum() + after.sum() + between.sum() > 0.98 * len(columns)
     assert np.isfinite(_columns_of_time(time[:9], share[:9])).all()  # fewer frames than columns
-
-
-def test_a_legend_stands_above_its_plot() -> None:
-    figure, axes = _figure(6.0, 2.4)
-    axes.plot([0, 1], [0, 1], label="S_A")
-    _legend(axes, 1)
-    figure.draw_without_rendering()
-    box = axes.get_legend().get_window_extent()
-    assert box.y0 >= axes.get_window_extent().y1
-    assert box.y1 <= figure.bbox.y1
 
 
 @pytest.fixture(scope="module")

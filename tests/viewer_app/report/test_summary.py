@@ -26,7 +26,7 @@ from viewer_app.report import terminal
 from viewer_app.report.figures import Figures, report, truth_free_figures, with_verdict
 from viewer_app.report.terminal import print_lines, print_summary
 from viewer_app.report.verdict import in_words, verdict
-from viewer_app.report.words import Line, detail_lines, in_mm, in_percent, lead_lines
+from viewer_app.report.words import Line, detail_lines, in_mm, lead_lines
 
 
 def registered(median_mm: float, frames: int = 90) -> Calibration:
@@ -193,13 +193,6 @@ def test_what_someone_must_act_on_is_told_in_words(figures: Figures) -> None:
     assert "Warning 3.00 s: A sensor seems to have been moved. (1 more)" in text
 
 
-def test_live_latency_stands_beside_the_rate(figures: Figures) -> None:
-    figures["latency_ms"] = {"p50": 12.4, "p99": 30.6, "max": 40.0}
-    lines = {line.label: line.text for line in lead_lines(figures)}
-    assert lines["S*"].startswith("12 ms after the images (99 %: 31 ms), 30.0 per second")
-    assert "From images to S* 12 ms (median), 99 % 31 ms, max 40 ms." in said(figures, verbose=True)
-
-
 def test_figures_without_truth_follow_where_they_were_computed(session: Session, figures: Figures) -> None:
     figures["without_truth"] = found = truth_free_figures(session)
     lines = {line.label: line.text for line in detail_lines(figures)}
@@ -221,19 +214,6 @@ def test_brackets_in_a_text_are_printed_as_they_are() -> None:
     out = io.StringIO()
     print_lines(Console(file=out, width=80), [Line("Warning", "[red]a.csv[/] is cut off", warning=True)])
     assert "[red]a.csv[/] is cut off" in out.getvalue()
-
-
-@pytest.mark.parametrize(
-    ("share", "words"),
-    [(0.0, "0 %"), (1e-4, "below 0.1 %"), (0.082, "8.2 %"), (0.12, "12 %"), (1.0, "100 %"), (None, "–")],
-)
-def test_shares_in_words(share: float | None, words: str) -> None:
-    assert in_percent(share) == words
-
-
-def test_less_than_a_micrometre_is_nothing() -> None:
-    assert in_mm(2.5e-13) == "0 mm"
-    assert in_mm(0.0015) == "0.0015 mm"
 
 
 @pytest.mark.parametrize(

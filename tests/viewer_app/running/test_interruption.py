@@ -42,7 +42,6 @@ def ended(
 
 def test_ctrl_c_before_the_first_frame(tmp_path: Path) -> None:
     process = demo(tmp_path / "demo.rrd")
-    assert process.stdout is not None
     while b"A simulated person" not in process.stdout.readline():
         assert process.poll() is None
     code, frames, said = ended(process)
@@ -74,16 +73,6 @@ def test_ctrl_c_while_it_saves(tmp_path: Path) -> None:
     code, more, _ = ended(process)
     assert code in AFTER_ALL_WAS_SAVED
     assert rows_of(saved, "/fused/skeleton") == 15 + more
-
-
-def test_ctrl_c_while_it_starts(tmp_path: Path) -> None:
-    process = demo(tmp_path / "demo.rrd", "--seconds", "30")
-    time.sleep(0.4)  # the moment of the press: its imports take longer
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=HANGS_S)
-    # 1: during Python's start-up, before the program's first line
-    assert process.returncode in (0, 1, 130, -signal.SIGINT)
-    assert not list(tmp_path.glob(".*partial*"))
 
 
 def test_handlers_are_given_back() -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
-import threading
 import time
 import types
 from itertools import islice, pairwise
@@ -30,11 +28,9 @@ from recordings.session_arrays import SessionFrame
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import KnownSensors
 from tests.helpers.live_frames import frames, session
-from tests.helpers.waiting import eventually
 from viewer_app.running.loop import run_live
 from viewer_app.sinks import live_session
 from viewer_app.sinks.sink import FanOut, Sink
-from viewer_app.sinks.viewer_sink import ViewerFeed
 from viewer_app.viewer.rerun_process import Hub
 
 
@@ -67,40 +63,6 @@ def test_a_frame_is_handed_over_before_the_program_learns_from_it(
     setup, pairs = walking(2)
     run_live(KnownSensors(pairs, waiting), setup, FanOut([Handed()]))  # type: ignore[arg-type]
     assert done == ["handed over", *([] if waiting else ["rested"]), "learned"] * 2
-
-
-def test_a_feed_is_free_when_it_has_written_and_when_it_has_ended(fuser: Fuser) -> None:
-    go_on, writing = threading.Event(), threading.Event()
-
-    class Slow(Recorder):
-        def record_all(self, *of: Any) -> Any:
-            writing.set()
-            assert go_on.wait(30.0)
-            return super().record_all(*of)
-
-    reader = [sys.executable, "-c", "import sys; sys.stdin.buffer.read()"]
-    feed = ViewerFeed(
-        lambda: subprocess.Popen(reader, stdin=subprocess.PIPE, bufsize=0),
-        rr.RecordingStream("test"),
-        lambda stream: Slow(stream, fuser.setup, ("a", "b")),
-    )
-    assert eventually(lambda: is_free(feed)), "the static data is written"
-    feed.write(frames(fuser, 1)[0])
-    assert writing.wait(30.0)
-    assert not is_free(feed)
-    go_on.set()
-    assert eventually(lambda: is_free(feed))
-    go_on.clear()
-    feed.write(frames(fuser, 1)[0])
-    assert not is_free(feed)
-    threading.Timer(0.0, go_on.set).start()
-    feed.close()
-    assert eventually(lambda: is_free(feed)), "nobody waits for a thread that has ended"
-
-
-def is_free(feed: ViewerFeed) -> bool:
-    """Whether waiting for the feed ends at once."""
-    return bool(feed.wait_until_free(0.0))
 
 
 def test_the_file_pauses_between_its_messages(

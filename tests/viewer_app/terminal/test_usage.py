@@ -24,8 +24,6 @@ __all__ = ["parsed"]  # a fixture
     [
         ("review w.rrd --evnt 2", "Unknown option: --evnt. Did you mean --event? (duplex review --help)"),
         ("review w.rrd --event x", "--event must be a whole number; got 'x' (duplex review --help)"),
-        ("review w.rrd --event=", "--event must be a whole number; got '' (duplex review --help)"),
-        ("demo --seed 1.5", "--seed must be a whole number; got '1.5' (duplex demo --help)"),
         ("demo --seconds long", "--seconds must be a number; got 'long' (duplex demo --help)"),
         ("review w.rrd --event", "--event needs a value (duplex review --help)"),
         ("fuse a.csv b.csv --save --force", "--save needs a value (duplex fuse --help)"),
@@ -37,13 +35,8 @@ __all__ = ["parsed"]  # a fixture
             'Did you mean "duplex"? (duplex fuse --help)',
         ),
         ("live --fps 31", 'Invalid value "31" for --fps. Choose from: 5, 15, 30. (duplex live --help)'),
-        (
-            "trim w.rrd --frm 3 --save x.rrd",
-            "Unknown option: --frm. Did you mean --from? (duplex trim --help)",
-        ),
         ("trim w.rrd", "missing option --save (duplex trim --help)"),
         ("fus a.csv b.csv", 'Unknown command "fus". Did you mean "fuse"? Available commands: demo, live, …'),
-        ("tracker fech", 'Unknown command "fech". Did you mean "fetch"? Available commands: …'),
         ("tracker", "name a command: fetch (duplex tracker --help)"),
         ("--zzz", 'Unknown command "--zzz". Available commands: demo, live, …'),
         ("", "name a command: demo, live, …"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,18 +11,15 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
-from devices.capture.stream_pairing import PairingFigures
 from devices.events import Event
 from fusion.body import BODIES, KINECT_V2, Body
 from fusion.calibration.calibration import Calibration, nominal_calibration
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
-from recordings import layout
 from recordings.appearance.coach_page import CoachPage
-from recordings.appearance.colors import SKELETON_COLORS
 from recordings.session_arrays import SessionFrame
 from tests.helpers.live_frames import BODY, frames
-from tests.helpers.pictures import headless_viewer, pixels_near
+from tests.helpers.pictures import headless_viewer
 from tests.helpers.two_views import A_FROM_B
 from tests.helpers.waiting import eventually
 from viewer_app.sinks.live_session import LiveSession
@@ -114,40 +110,6 @@ def ink_of(viewer: ViewerClient, view_id: str, folder: Path) -> float:
     return 0.0 if picture is None else ink(np.asarray(picture))
 
 
-def test_a_plot_of_one_figure_has_no_line_of_the_streams(tmp_path: Path) -> None:
-    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
-    made = [
-        replace(
-            frame, streams=PairingFigures(drift_ppm=3.0, dropped=(5 * k, 9 * k), alone_a=7 * k, alone_b=4 * k)
-        )
-        for k, frame in enumerate(frames(fuser, 90))
-    ]
-    blueprint = session_blueprint(fuser.setup, np.array([0.1, 0.1, 2.6]), "inspect", live=True)
-    file = tmp_path / "s.rrd"
-    with LiveSession(fuser.setup, ("a", "b"), blueprint, file=file) as live:
-        for frame in made:
-            live.write(frame)
-    with headless_viewer(str(file)) as viewer:
-        picture = tmp_path / "plot.png"
-
-        def of_plot() -> NDArray[np.uint8] | None:
-            plots = [v for v in viewer.get_state().views if v.name == "views differ (mm)"]
-            drawn = [v.view_id for v in plots if ink_of(viewer, v.view_id, tmp_path) >= 0.002]
-            if not drawn:
-                return None
-            viewer.save_screenshot(str(picture), drawn[0])
-            return np.asarray(cv2.imread(str(picture))[40:, :, ::-1])
-
-        assert eventually(
-            lambda: (seen := of_plot()) is not None and pixels_near(seen, SKELETON_COLORS["fused"], 40) > 50,
-            30.0,
-        )
-        plot = of_plot()
-        assert plot is not None
-        for side in layout.SIDES:
-            assert pixels_near(plot, SKELETON_COLORS[side], 40) == 0
-
-
 def layouts(body: Body) -> dict[str, rrb.Container]:
     blueprint = session_blueprint(
         FusionSetup(nominal_calibration(body)), np.array([0.1, 0.1, 2.6]), "inspect"
@@ -194,13 +156,6 @@ def test_a_session_without_depth_images_promises_none() -> None:
 def test_setup_has_images_advice_and_the_place_to_stand() -> None:
     kinds = [type(view) for view in panes(layouts(KINECT_V2)["setup"])]
     assert kinds == [rrb.Spatial2DView, rrb.Spatial2DView, rrb.TextDocumentView, rrb.Spatial3DView]
-
-
-@pytest.mark.parametrize("active", LAYOUTS)
-def test_the_selection_panel_is_closed_at_first(active: Layout) -> None:
-    setup = FusionSetup(nominal_calibration(KINECT_V2))
-    blueprint = session_blueprint(setup, np.array([0.1, 0.1, 2.6]), active)
-    assert blueprint.selection_panel.state == "collapsed"
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=lambda body: body.name)

@@ -40,7 +40,6 @@ def x_server(answer: bytes | None) -> Iterator[str]:
             continue
         listening = server
         break
-    assert listening is not None
     listening.listen()
     held: list[socket.socket] = []
 
@@ -104,7 +103,6 @@ def test_a_session_that_is_saved_goes_on_without_a_window(
         return choose_viewing(ViewerOptions(), save, live=True)  # type: ignore[arg-type]
 
     viewing = chosen(tmp_path)
-    assert viewing is not None
     assert (viewing.window, viewing.hub) == (False, None)
     assert ":48731" in viewing.why_not
     with pytest.raises(UsageError, match=r":48731 .* does not answer .* --save FILE.rrd"):

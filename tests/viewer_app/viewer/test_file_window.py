@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ from tests.helpers.pictures import colors_of_view
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
-from viewer_app.viewer import file_window, rerun_process, stored_clouds
+from viewer_app.viewer import file_window, rerun_process
 from viewer_app.viewer.blueprint import SCENE
 from viewer_app.viewer.rerun_process import stop
 
@@ -194,38 +194,6 @@ def test_the_time_cursor_of_a_new_window_stands_where_asked(
         return [(one.current_timeline, one.current_time) for one in viewer.get_state().recordings]
 
     assert eventually(lambda: cursor() == [(layout.TIME, 4_000_000_000)], 10.0), cursor()
-
-
-def test_point_clouds_that_come_later_leave_the_time_cursor_alone(
-    headless: list[tuple[subprocess.Popen[bytes], int]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from rerun.experimental import ViewerClient
-
-    path, fuser = tmp_path / "s.rrd", known_fuser()
-    with session(fuser, path) as live:
-        for frame in frames(fuser, 30, depth=True):
-            live.write(frame)
-    at_ns = int(Session.open(path).time_ns[9])
-    programs: list[subprocess.Popen[bytes]] = []
-
-    def add(*where: Any) -> subprocess.Popen[bytes]:
-        programs.append(stored_clouds.add_clouds(*where))
-        return programs[-1]
-
-    monkeypatch.setattr(file_window, "add_clouds", add)
-    assert file_window.show(path, at_ns)
-    assert programs[0].wait(60.0) == 0
-    ((_, port),) = headless
-    viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
-
-    def arrived() -> bool:
-        (one,) = viewer.get_state().recordings
-        after = str(viewer.get_recording_schema(store_id=one.store_id)).split(layout.points("b"), 1)
-        return len(after) == 2 and "Points3D:positions" in after[1][:1500]
-
-    assert eventually(arrived, 30.0)
-    (shown,) = viewer.get_state().recordings
-    assert (shown.current_timeline, shown.current_time) == (layout.TIME, at_ns)
 
 
 @pytest.mark.parametrize(("exit_code", "within"), [(None, 0.2), (0, 3600.0)])

@@ -37,8 +37,6 @@ def test_a_hub_does_not_outlive_the_program(how: str) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", _STARTS_A_HUB], stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT
     ) as program:
-        assert program.stdout is not None
-        assert program.stdin is not None
         hub = int(program.stdout.readline())
         assert not gone(hub)
         if how == "killed":
@@ -62,7 +60,6 @@ def test_nothing_survives_two_ctrl_c_while_a_page_is_served() -> None:
         cwd=ROOT,
         env=environment,
     ) as program:
-        assert program.stdout is not None
         served = next((line for line in program.stdout if b"Viewer" in line), b"")
         assert b"127.0.0.1" in served
         assert eventually(lambda: len(psutil.Process(program.pid).children(recursive=True)) > 0)

@@ -77,7 +77,6 @@ def test_the_viewer_gets_the_clouds_into_the_session_although_the_file_is_delete
     need_viewer()
     with RrdFile(saved) as file:
         identity = file.identity()
-    assert identity is not None
     with saved.open("rb") as opened:
         viewer, port = start_viewer(["--headless", "-"], opened)
         program = add_clouds(opened, url_of(port))

@@ -53,7 +53,6 @@ def listening(pid: int) -> set[str]:
 
 
 def test_hub_page_and_window_listen_on_loopback_only(served: LiveSession) -> None:
-    assert served.viewer is not None
     assert listening(served.viewer.process.pid) == {"127.0.0.1"}
     own = {c.laddr.ip for c in psutil.Process().net_connections("inet") if c.status == psutil.CONN_LISTEN}
     assert own <= {"127.0.0.1"}
@@ -70,17 +69,14 @@ def test_a_viewer_that_we_start_listens_on_loopback_only() -> None:
 
 def test_an_address_that_is_asked_for_is_listened_on(fuser: Fuser) -> None:
     with session(fuser, None, web_hub("0.0.0.0")) as live:
-        assert live.viewer is not None
         assert listening(live.viewer.process.pid) == {"0.0.0.0"}
 
 
 def test_usage_statistics_are_off(served: LiveSession) -> None:
-    assert served.viewer is not None
     assert psutil.Process(served.viewer.process.pid).environ()["RERUN_ANALYTICS"] == "0"
 
 
 def test_the_page_is_the_viewer_with_the_session(served: LiveSession) -> None:
-    assert served.viewer is not None
     hub = served.viewer.hub
     with urlopen(hub.page, timeout=5.0) as page:
         assert b"<canvas" in page.read()
@@ -210,7 +206,6 @@ def browser() -> Iterator[object]:
 
 
 def test_a_browser_that_comes_later_sees_the_three_skeletons(served: LiveSession, fuser: Fuser) -> None:
-    assert served.viewer is not None
     hub = served.viewer.hub
     for frame in frames(fuser, 60):
         served.write(frame)
@@ -220,7 +215,6 @@ def test_a_browser_that_comes_later_sees_the_three_skeletons(served: LiveSession
 
         def sees_skeletons() -> bool:
             shot = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-            assert shot is not None
             picture: NDArray[np.uint8] = np.asarray(shot[..., ::-1])
             lines = all(pixels_near(picture, SKELETON_COLORS[side]) > 50 for side in layout.SIDES)
             return lines and pixels_near(picture, SKELETON_COLORS["fused"], 70) > 50  # a body with shades

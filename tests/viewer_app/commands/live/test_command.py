@@ -21,7 +21,7 @@ from recordings.file.rrd_file import read_columns
 from recordings.session import Session
 from tests.helpers.command_line import duplex
 from tests.helpers.live_program import Live
-from tests.helpers.session_text import events_of, rows_of
+from tests.helpers.session_text import rows_of
 from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import JPEG, Bus
 from viewer_app.commands import demo as demo_command
@@ -142,19 +142,6 @@ def test_a_missing_calibration_is_reported_and_the_session_is_kept(live: Live, t
     assert not wanted.exists()
 
 
-@pytest.mark.parametrize("asked", [False, True])
-def test_a_cable_makes_both_colour_cameras_run(kinects: Bus, live: Live, asked: bool) -> None:
-    for device in kinects.devices:
-        device.color = True
-    live(*(("--color", "1080P") if asked else ()), seconds=0.5)
-    module = sys.modules["pyk4a"]
-    wanted = module.ColorResolution.RES_1080P if asked else module.ColorResolution.RES_720P
-    assert {config.color_resolution for config in kinects.configs} == {wanted}
-    assert {config.color_format for config in kinects.configs} == {module.ImageFormat.COLOR_MJPG}
-    assert {config.synchronized_images_only for config in kinects.configs} == {False}
-    assert (rows_of(live.saved, "/kinect_a/color") > 0) == asked
-
-
 def test_driver_raises_what_no_one_expects(kinects: Bus, live: Live) -> None:
     def oddity() -> None:
         raise RuntimeError("driver oddity")
@@ -168,15 +155,3 @@ def test_driver_raises_what_no_one_expects(kinects: Bus, live: Live) -> None:
     assert rows_of(live.saved, "/fused/skeleton") >= 5
     assert kinects.open_serials == []
     gc.collect()  # the error's traceback holds the last capture
-
-
-def test_one_sensor_5_fps_slower(kinects: Bus, live: Live) -> None:
-    a, b = kinects.devices
-    b.interval_usec = 40_000
-    said = live("--verbose", seconds=1.5)
-    # every frame of A is fused, five of six with B
-    fused = rows_of(live.saved, "/fused/skeleton")
-    assert fused >= 0.7 * a.captures
-    pairs = int(said[said.index("Paired") :].split()[1])
-    assert 0.6 <= pairs / fused < 1.0
-    assert not any("000" in text for text in events_of(live.saved)), "no event of a sensor"
