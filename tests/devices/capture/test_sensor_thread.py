@@ -15,7 +15,8 @@ import pytest
 
 from devices.capture.sensor_state import SensorState, TimeLimits
 from devices.capture.sensor_thread import SensorThread
-from devices.sensor import DeviceError
+from devices.sensor import DeviceError, SensorFrame
+from fusion.body import AZURE_KINECT
 from tests.helpers.scripted_sensor import PATIENCE_S, ScriptedSensor, all_threads_end, frame_at, unplugged
 from tests.helpers.waiting import eventually
 
@@ -240,3 +241,22 @@ def test_a_lost_sensor_says_so_and_closing_ends_its_retries(sensor: ScriptedSens
     assert thread.gone
     assert thread.close(PATIENCE_S)
     assert sensor.opened == 1
+
+
+def test_a_class_that_only_has_a_sensors_methods_runs() -> None:
+    class OwnSensor:
+        name, body, intrinsics, warnings = "own", AZURE_KINECT, None, ()
+
+        def __enter__(self) -> OwnSensor:
+            return self
+
+        def __exit__(self, *error: object) -> None: ...
+
+        def frames(self) -> Iterator[SensorFrame]:
+            yield from map(frame_at, (1, 2))
+
+    thread = SensorThread(OwnSensor())  # type: ignore[arg-type]
+    with thread:
+        assert eventually(lambda: thread.state is SensorState.ENDED)
+        assert [arrival.frame.time_ns for arrival in thread.take()] == [1, 2]
+    assert (thread.sensor.body, thread.dropped, thread.sensor.link) == (AZURE_KINECT, 0, None)
