@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import KINECT_V1, KINECT_V2
-from fusion.rigid import RigidTransform
-from fusion.setup import FuserSettings, FusionSetup
-from recordings.fusing.live_fusion import LiveFusion
 from tests.benchmarks import accuracy, speed
 from tests.benchmarks.harsher_errors import heavy_tailed, scaled
-from tests.benchmarks.methods import ABLATIONS, METHODS, OURS, WITHOUT_DEPTH
+from tests.benchmarks.methods import METHODS, OURS, WITHOUT_DEPTH
 from tests.benchmarks.real import mean_of
-from tests.benchmarks.trials import Outcome, Simulation, Trial, record, run_trials
+from tests.benchmarks.trials import Outcome, Simulation, Trial, run_trials
 from tests.helpers.two_views import FRAME_NS, moving, pair_of
 
 NAMES = tuple(method.name for method in METHODS)
@@ -79,12 +73,6 @@ def test_means_leave_out_what_a_recording_does_not_have() -> None:
     assert mean_of(rows) == {"rough": 0.004, "jumps": pytest.approx(0.2)}
 
 
-def test_names_are_unique() -> None:
-    names = [method.name for method in (*METHODS, *ABLATIONS)]
-    assert len(set(names)) == len(names)
-    assert OURS in names
-
-
 def test_harsher_trackers_are_harsher() -> None:
     trial = [Trial("arms", 90.0, 3)]
     ((plain,),), ((larger,),) = (
@@ -109,21 +97,6 @@ def test_depth_images_reach_our_method_and_not_its_ablation() -> None:
     seeing = {o.method: o.figures["mpjpe"] for o in having}
     assert blind[OURS] == blind[WITHOUT_DEPTH]
     assert seeing[OURS] != seeing[WITHOUT_DEPTH]
-
-
-def test_the_live_row_refines_a_wrong_registration() -> None:
-    """Without learning, S* keeps the error of the registration that it starts from."""
-    recording, _ = record(Trial("walk", 90.0, 3), Simulation(), 10.0)
-    tilt = RigidTransform(Rotation.from_euler("y", 4.0, degrees=True).as_matrix(), np.array([0.06, 0.0, 0.0]))
-    wrong = replace(recording.calibration, a_from_b=tilt @ recording.calibration.a_from_b)
-    (live,) = (method for method in METHODS if method.name == "duplex, live")
-    kept = LiveFusion(FusionSetup(wrong, FuserSettings()), calibrated=True)
-    unrefined = np.array([kept.fuse(pair).fused.positions for pair in recording.pairs])
-
-    def error(positions: NDArray[np.float64]) -> float:
-        return float(np.nanmean(np.linalg.norm((positions - recording.truth)[-60:], axis=-1)))
-
-    assert error(live.find(replace(recording, calibration=wrong)).joints) < 0.8 * error(unrefined)
 
 
 def test_a_repeated_recording_has_no_jumps_and_rising_times() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.tracking.tracker_errors import TrackerErrors
-from fusion.body import AZURE_KINECT, BODIES, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from tests.benchmarks.harsher_errors import (
     LARGEST_SHARE,
     SHAPES,
@@ -19,7 +19,6 @@ from tests.benchmarks.harsher_errors import (
     SIZES,
     heavy_tailed,
     heavy_tails,
-    limbs,
     scaled,
 )
 
@@ -30,11 +29,6 @@ def test_every_knob_is_a_size_a_share_or_a_shape() -> None:
     knobs = [field.name for field in fields(TrackerErrors)]
     assert set(knobs) == SIZES | SHARES | SHAPES
     assert len(SIZES) + len(SHARES) + len(SHAPES) == len(knobs)
-
-
-def test_once_as_large_is_the_same() -> None:
-    assert scaled(FITTED, 1.0) == FITTED
-    assert scaled(TrackerErrors(), 3.0) == replace(TrackerErrors(), stretch=1.0)
 
 
 def test_sizes_and_shares_grow_and_shapes_stay() -> None:
@@ -75,15 +69,6 @@ def test_tails_are_as_heavy_as_measured() -> None:
             joint,
             tails,
         )
-
-
-@pytest.mark.parametrize("body", BODIES.values(), ids=list(BODIES))
-def test_each_limb_errs_by_itself(body: Body) -> None:
-    limb = limbs(body)
-    assert limb[body.joint("WristLeft")] != limb[body.joint("WristRight")]
-    assert limb[body.joint("WristLeft")] == limb[body.joint("HandLeft")]
-    assert limb[body.joint("KneeRight")] == limb[body.joint("FootRight")]
-    assert limb[body.root] == 0
 
 
 def test_tails_change_no_other_error() -> None:

@@ -77,19 +77,7 @@ class Outcome:
 def run_trials(
     trials: Sequence[Trial], simulation: Simulation, seconds: float, names: Sequence[str], processes: int = 1
 ) -> Iterator[list[Outcome]]:
-    """The named methods on each trial, in the trials' order.
-
-    Args:
-        trials: The trials to run.
-        simulation: Their shared settings.
-        seconds: Duration of each recording.
-        names: Names from METHODS and ABLATIONS.
-        processes: Number of trials run in parallel. With more than one, ``fuse_us`` is measured under load.
-
-    Raises:
-        DeviceError: The recording is too short to hold more than the start-up pose.
-        CalibrationError: The start-up pose of a trial cannot be calibrated on.
-    """
+    """The named methods on each trial, in the trials' order."""
     if processes < 2:
         yield from (run_trial(trial, simulation, seconds, names) for trial in trials)
         return
@@ -128,10 +116,6 @@ def record(trial: Trial, simulation: Simulation, seconds: float) -> tuple[Record
     """A simulated recording, and its first frame after the start-up pose, where the measurement starts.
 
     The start-up pose is excluded, because all methods perform best in it.
-
-    Raises:
-        DeviceError: As :func:`run_trials`.
-        CalibrationError: As there.
     """
     body = BODIES[simulation.body]
     a, b, truth = simulated_pair(

@@ -55,13 +55,7 @@ _TRACKING_S = 6.0
 
 
 def drawn(file: Path, moments: dict[Layout, float], clouds: bool) -> dict[Layout, Image.Image]:
-    """The layouts of a saved session.
-
-    Args:
-        file: The session.
-        moments: The layouts to draw, each with the time at which, seconds.
-        clouds: Whether to show the point clouds, as ``duplex review`` does.
-    """
+    """The layouts of a saved session."""
     session = Session.open(file)
     with RrdFile(file) as opened:
         identity = opened.identity()
@@ -128,11 +122,7 @@ def settled_picture(client: ViewerClient, moment: float) -> Image.Image:
 
 
 def write_png(path: Path, picture: Image.Image, limit: int = _LIMIT) -> None:
-    """Writes a PNG file with as many colours as fit into a size.
-
-    Raises:
-        ValueError: Even the fewest do not fit.
-    """
+    """Writes a PNG file with as many colours as fit into a size."""
     for colors in _COLORS:
         made = io.BytesIO()
         reduced = picture.quantize(colors, Image.Quantize.MEDIANCUT, kmeans=3, dither=Image.Dither.NONE)

@@ -99,14 +99,7 @@ def skeletons_of(session: Session) -> Skeletons:
 def pictures(
     session: Session, skeletons: Skeletons, rows: Sequence[int], size: tuple[int, int]
 ) -> list[Image.Image]:
-    """Draws the three skeletons of some frames side by side.
-
-    Args:
-        session: The session of the skeletons.
-        skeletons: What to draw.
-        rows: The frames' numbers.
-        size: Width and height of one skeleton's picture, pixels.
-    """
+    """Draws the three skeletons of some frames side by side."""
     process, port = start_viewer(
         ["--headless", "--window-size", f"{3 * (size[0] + _EDGE)}x{size[1] + 5 * _EDGE}"]
     )
@@ -254,20 +247,7 @@ def fault_of(skeletons: Skeletons, key: str, row: int) -> str:
 
 
 def write_animation(path: Path, frames: Sequence[Image.Image], seconds: float, limit: int = LIMIT) -> int:
-    """Writes an animated WebP of the best quality that stays below a size.
-
-    Args:
-        path: The file; overwritten.
-        frames: At least two pictures of one size.
-        seconds: Duration of one turn.
-        limit: Bytes.
-
-    Returns:
-        The quality, 1 to 100.
-
-    Raises:
-        ValueError: No quality is low enough.
-    """
+    """Writes an animated WebP of the best quality that stays below a size."""
     each = round(1000 * seconds / len(frames))
     for quality in _QUALITIES:
         made = io.BytesIO()

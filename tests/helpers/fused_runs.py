@@ -29,16 +29,7 @@ def record_fused(
     depth_every: int = 0,
     block: int = 256,
 ) -> Session:
-    """Fuses pairs, records them to a file, and reads the file back.
-
-    Args:
-        path: The file; overwritten.
-        pairs: At least one.
-        calibration: R, t and the bone lengths.
-        settings: Settings of the method.
-        depth_every: Keep the depth images of every n-th pair; 0 for none.
-        block: Number of frames per write.
-    """
+    """Fuses pairs, records them to a file, and reads the file back."""
     setup = FusionSetup(calibration, settings)
     fuser = Fuser(setup)
     frames = [SessionFrame(pair, fuser.update(pair.skeletons), 0) for pair in pairs]

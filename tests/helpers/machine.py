@@ -33,13 +33,7 @@ _complete = False
 
 
 def lacks(what: str, remedy: str, *, required: bool = True) -> NoReturn:
-    """Skips the running test because the machine lacks something.
-
-    Args:
-        what: What is missing, as a noun.
-        remedy: How to get it.
-        required: Whether ``--complete-machine`` makes the skip a failure.
-    """
+    """Skips the running test because the machine lacks something."""
     reason = f"{_LACKS} {what}; {remedy}"
     if _complete and required:
         pytest.fail(reason + " (--complete-machine allows no such skip)", pytrace=False)

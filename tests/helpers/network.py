@@ -21,13 +21,6 @@ def arrivals(
     """Frame messages of a sensor at 30 fps and when each arrives, in the order of their capture.
 
     Delays are 1 ms and up to twice the jitter. As over TCP, a late frame holds up those after it.
-
-    Args:
-        seconds: How long.
-        lost: Share that never arrives.
-        jitter_ns: Delays are spread evenly over twice this time.
-        seed: Of delays and losses.
-        host_ahead_ns: The publishing PC's clock minus this one's.
     """
     rng, sent, before_ns = np.random.default_rng(seed), list[tuple[int, bytes]](), 0
     for sequence in range(round(30 * seconds)):

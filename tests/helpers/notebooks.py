@@ -37,15 +37,7 @@ def code_cells(notebook: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def run_cells(notebook: dict[str, Any], dpi: int = 72) -> list[CellOutput]:
-    """Runs all cells with code one after the other, in the current folder.
-
-    Args:
-        notebook: See :func:`read_notebook`.
-        dpi: Resolution of the figures.
-
-    Returns:
-        One output per cell with code.
-    """
+    """Runs all cells with code one after the other, in the current folder."""
     plt.switch_backend("Agg")
     names: dict[str, Any] = {"__name__": "__main__"}
     outputs = []

@@ -66,11 +66,7 @@ class PairStatistics:
 
 
 def statistics(a: Sequence[Skeleton | None], b: Sequence[Skeleton | None]) -> PairStatistics:
-    """Computes the statistics of one pair of recordings.
-
-    Args:
-        a, b: Paired skeletons of the two views, of equal length; None where a sensor saw no person.
-    """
+    """Computes the statistics of one pair of recordings."""
     both = [(p, q) for p, q in zip(a, b, strict=True) if p is not None and q is not None]
     body = both[0][0].body
     views = [(_positions(pair), np.stack([s.states for s in pair])) for pair in zip(*both, strict=True)]

@@ -17,11 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class Program:
-    """A running command.
-
-    Args:
-        arguments: After ``duplex``.
-    """
+    """A running command."""
 
     def __init__(self, *arguments: object) -> None:
         self._process = subprocess.Popen(

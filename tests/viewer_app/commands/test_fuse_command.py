@@ -73,30 +73,6 @@ def test_a_file_that_cannot_be_read_is_told_before_a_missing_display(
     assert re.search("There is no display.*--save FILE.rrd", one_line(capsys))
 
 
-def test_what_was_dropped_goes_with_the_session(
-    recordings: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    a, b = recordings
-    header, *rows = b.read_text(encoding="utf-8").splitlines()
-    every = sorted({row.split(",")[0] for row in rows}, key=int)
-    late = tmp_path / "late.csv"  # every third frame is 17 ms off, farther than half an interval
-    moved = {time: str(int(time) + 17_000 * (k % 3 == 0)) for k, time in enumerate(every)}
-    shifted = [",".join((moved[row.split(",")[0]], *row.split(",")[1:])) for row in rows]
-    late.write_text("\n".join([header, *shifted]) + "\n", encoding="utf-8")
-    saved, one, two = tmp_path / "s.rrd", tmp_path / "1.json", tmp_path / "2.json"
-    paper = "--method", "paper"  # which takes pairs only
-    assert duplex("fuse", a, late, *paper, "--no-viewer", "--save", saved, "--report", one) == 0
-    said = capsys.readouterr().out
-    dropped = figures_of(one)["dropped"]
-    assert dropped["a"] > 10
-    assert duplex("replay", saved, "--no-viewer", "--report", two) == 0
-    assert figures_of(two)["dropped"] == dropped
-    capsys.readouterr()
-    assert duplex("review", saved, "--no-viewer") == 0
-    line = next(line for line in said.splitlines() if line.startswith("Dropped"))
-    assert line in capsys.readouterr().out
-
-
 def with_x_reversed(recording: Path, folder: Path) -> Path:
     header, *rows = recording.read_text(encoding="utf-8").splitlines()
     x = header.split(",").index("x")

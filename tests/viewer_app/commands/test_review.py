@@ -5,27 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import MagicMock
-from urllib.request import urlopen
 
 import pytest
-from rerun.experimental import ViewerClient
-from rich.console import Console
 
 from devices.events import Event
 from fusion.body import KINECT_V2
-from recordings import layout
 from recordings.file.session_writer import write_session
 from recordings.session import Session
 from tests.helpers.command_line import duplex, one_line
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import record_fused
-from tests.helpers.machine import need_viewer
 from tests.helpers.two_views import calibration_of
-from tests.helpers.waiting import eventually
-from viewer_app.addresses import LOOPBACK
 from viewer_app.commands import review
-from viewer_app.viewer.rerun_process import Hub, free_port, start_viewer, stop
-from viewer_app.viewer.viewer_choice import Viewing
 
 EVENTS = (
     Event("calibrated: known", "INFO"),
@@ -116,39 +107,3 @@ def test_a_wrong_time_or_number_gives_one_line_and_opens_nothing(
     assert duplex("review", path, *options) == 2
     assert words in one_line(capsys)
     shown.assert_not_called()
-
-
-def test_a_browser_gets_the_saved_session_and_the_moment_in_words(
-    session: Session, path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    need_viewer()
-    hub = Hub(free_port(), free_port())
-    monkeypatch.setattr(Hub, "on_free_ports", lambda **_: hub)
-    shown: list[str] = []
-
-    def visit(viewing: Viewing, _: Console) -> None:
-        assert viewing.hub is hub
-        with urlopen(hub.page, timeout=5.0) as page:
-            assert b"<canvas" in page.read()
-        process, port = start_viewer(["--headless", "--connect", hub.url])
-        try:
-            viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
-
-            def arrived() -> bool:
-                read = [line for each in viewer.get_state().recordings for line in each.timelines]
-                return any(line.name == layout.TIME and line.end == session.time_ns[-1] for line in read)
-
-            assert eventually(arrived, 30.0)
-            shown.append(hub.page)
-        finally:
-            stop(process)
-
-    monkeypatch.setattr(review, "stay_for_visitors", visit)
-    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
-    assert duplex("review", path, "--web", "--event", 2) == 0
-    said = capsys.readouterr().out
-    assert shown == [hub.page]
-    assert hub.page in said.replace("\n", "")
-    assert "a window would open at 0.50 s, event 2." in said.replace("\n", " ")
-    with pytest.raises(OSError, match="refused"):
-        urlopen(hub.page, timeout=5.0)

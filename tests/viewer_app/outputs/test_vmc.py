@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import socket
 import struct
 from pathlib import Path
 
@@ -15,12 +14,9 @@ from pythonosc import osc_packet
 from scipy.spatial.transform import Rotation
 
 from fusion.body import BODIES, KINECT_V2, Body
-from fusion.fuser import Fuser
-from tests.helpers.live_frames import frames
 from tests.helpers.poses import BACK, DOWN, FRONT, T_POSE, posed, turned_about, world_of_local
 from tests.helpers.two_views import FRAME_NS, moving
 from viewer_app.errors import UsageError
-from viewer_app.outputs.osc import Address, OscOutput
 from viewer_app.outputs.vmc import VmcEncoder
 from viewer_app.outputs.vrm import read_avatar
 
@@ -160,25 +156,6 @@ def test_a_jump_does_not_move_the_floor_and_an_outlier_hardly() -> None:
     outlier = standing.copy()
     outlier[body.joint("FootLeft"), 1] += 0.5
     assert hips(outlier, 16) == pytest.approx(height, abs=0.3 / 30 + 0.006)
-
-
-def test_a_socket_receives_every_frame_when_it_is_there_and_none_is_needed(fuser: Fuser) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(10.0)
-        address = Address("127.0.0.1", receiver.getsockname()[1])
-        output = OscOutput("VMC", address, "--vmc", VmcEncoder(KINECT_V2).encode)
-        seconds = []
-        for frame in frames(fuser, 20):
-            output.write(frame)
-            got = [receiver.recv(2000), receiver.recv(2000)]
-            seconds += [arguments[0] for address, arguments in messages(got) if address == "/VMC/Ext/T"]
-    np.testing.assert_allclose(seconds, np.arange(20) * FRAME_NS * 1e-9, atol=1e-6)
-    for frame in frames(fuser, 20):  # the receiver is gone
-        output.write(frame)
-    output.close()
-    assert output.counts.sent >= 20
-    assert output.failure is None
 
 
 def vrm(path: Path, version: int, hips: float = 1.0) -> Path:

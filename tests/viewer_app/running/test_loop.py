@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import gc
-import io
 import sys
-import threading
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
 from fusion.body import KINECT_V1
 from fusion.calibration.calibration import calibrate, nominal_calibration
-from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
 from tests.helpers.frame_pairs import KnownSensors
 from tests.helpers.two_views import A_FROM_B, FRAME_NS, pair_of, standing
-from viewer_app.running import loop
 from viewer_app.running.loop import low_latency, run_live
 from viewer_app.running.runner import latency_figures
 from viewer_app.sinks.sink import Sink
@@ -100,20 +94,3 @@ def test_latency_settings_apply_only_while_the_loop_runs() -> None:
         assert len(gc.get_objects()) < 1000  # what a search for garbage goes through
     assert sys.getswitchinterval() == before
     assert gc.get_freeze_count() == 0
-
-
-@pytest.mark.parametrize("long", [True, False])
-def test_compiling_that_takes_its_time_is_announced(long: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    printed = threading.Event()
-
-    class Told(Console):
-        def print(self, *objects: Any, **options: Any) -> None:
-            super().print(*objects, **options)
-            printed.set()
-
-    # a warm-up that is not long ends before the notice is due
-    monkeypatch.setattr(Fuser, "warm_up", lambda *_: printed.wait(30.0) if long else None)
-    out = io.StringIO()
-    loop.warm_up(Fuser(FusionSetup(nominal_calibration(KINECT_V1))), Told(file=out, width=120))
-    assert ("Compiling" in out.getvalue()) == long
-    assert printed.wait(0.0 if long else 1.2) == long

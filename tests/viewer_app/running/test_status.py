@@ -142,11 +142,3 @@ def test_the_coach_knows_what_the_sensors_do(statuses: list[Any]) -> None:
     shown.display(statuses[0])
     situation = shown.coach.watch.call_args.args[1]
     assert (situation.dropped, situation.lost, situation.step) == ((3, 4), (5, 6), 2)
-
-
-def test_only_warnings_become_events(statuses: list[Any]) -> None:
-    shown = Shown()
-    shown.coach.watch.return_value = [Advice("pose", "Hold still", "INFO")]
-    shown.display(statuses[0])
-    assert shown.events() == []
-    assert shown.printed.getvalue() == ""

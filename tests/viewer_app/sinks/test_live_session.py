@@ -28,8 +28,6 @@ from viewer_app.viewer.rerun_process import Hub, stop
 
 STUCK = [sys.executable, "-c", "import time; time.sleep(600)"]
 """A process that never reads: a frozen viewer."""
-HUNGRY = [sys.executable, "-c", "import sys; print(len(sys.stdin.buffer.read()))"]
-"""A process that reads all, and says at the end how much that was."""
 
 
 def feed_into(command: list[str], fuser: Fuser, **options: object) -> ViewerFeed:
@@ -64,23 +62,6 @@ def test_a_frozen_viewer_costs_the_loop_nothing_and_loses_the_oldest_frames(
     waiting = [item.number for item in stuck._queue if isinstance(item, QueuedFrame)]
     assert waiting == list(range(90, 100))
     assert slowest < 3.0  # it would be 60 s, the patience, if it waited
-
-
-def test_a_turn_is_over_when_the_feed_has_written_or_time_is_up(stuck: ViewerFeed, fuser: Fuser) -> None:
-    feed = feed_into(HUNGRY, fuser)
-    begun = time.monotonic()
-    for frame in frames(fuser, 2):
-        feed.write(frame)
-        feed.wait_for_turn(30.0)
-    assert time.monotonic() - begun < 30.0
-    feed.close()
-    for frame in frames(fuser, 100, depth=True):  # more than any pipe takes
-        stuck.write(frame)
-        time.sleep(0.002)  # the pace of a fast loop, in which the feed's thread gets its turns
-    stuck._turn_over.set()  # from an earlier turn
-    begun = time.monotonic()
-    stuck.wait_for_turn(0.3)
-    assert time.monotonic() - begun >= 0.3
 
 
 def test_closing_with_a_frozen_viewer_takes_no_time(fuser: Fuser) -> None:

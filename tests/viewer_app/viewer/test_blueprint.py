@@ -153,11 +153,6 @@ def test_a_session_without_depth_images_promises_none() -> None:
     }  # fmt: skip
 
 
-def test_setup_has_images_advice_and_the_place_to_stand() -> None:
-    kinds = [type(view) for view in panes(layouts(KINECT_V2)["setup"])]
-    assert kinds == [rrb.Spatial2DView, rrb.Spatial2DView, rrb.TextDocumentView, rrb.Spatial3DView]
-
-
 @pytest.mark.parametrize("body", BODIES.values(), ids=lambda body: body.name)
 def test_a_report_has_every_bone_in_full_rows_with_short_titles(body: Body) -> None:
     quality, *rows = layouts(body)["report"].contents

@@ -18,7 +18,6 @@ from recordings import Session, layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.file.rrd_file import damage_of
 from recordings.file.session_writer import whole_recording
-from tests.helpers.live_frames import frames, known_fuser, session
 from tests.helpers.machine import need_viewer
 from tests.helpers.pictures import colors_of_view
 from tests.helpers.waiting import eventually
@@ -164,15 +163,6 @@ def test_a_session_of_version_1_0_is_shown_in_its_own_layout(
         return trust is not None and colors_of_view(viewer, trust.view_id, picture) > 100
 
     assert eventually(shown, 30.0)
-
-
-def test_a_session_of_today_is_shown_as_it_is(tmp_path: Path) -> None:
-    path = tmp_path / "s.rrd"
-    with session(known_fuser(), path) as live:
-        for frame in frames(known_fuser(), 3):
-            live.write(frame)
-    with file_window.in_this_layout(Session.open(path), path, CoachPage("good")) as file:
-        assert file == path
 
 
 def test_the_time_cursor_of_a_new_window_stands_where_asked(

@@ -11,9 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.helpers.machine import need_viewer
 from tests.helpers.waiting import eventually
-from viewer_app.viewer.rerun_process import Hub, free_port, start_viewer, stop
 
 ROOT = Path(__file__).resolve().parents[3]
 _STARTS_A_HUB = """
@@ -78,22 +76,3 @@ def _pressed(program: subprocess.Popen[bytes]) -> bool:
     if program.poll() is None:
         program.send_signal(signal.SIGINT)
     return program.poll() is not None
-
-
-def test_hub_and_viewer_have_a_bounded_memory() -> None:
-    need_viewer()
-    hub = Hub(free_port(), free_port()).start()
-    window, _ = start_viewer(["--headless"])
-    try:
-        for process, option in ((hub, "--server-memory-limit"), (window, "--memory-limit")):
-            # after the launcher's exec the hub's command line is Rerun's
-            assert eventually(lambda process=process, option=option: option in _options(process))
-            options = _options(process)
-            assert options[options.index(option) + 1].endswith("iB")
-    finally:
-        stop(hub)
-        stop(window)
-
-
-def _options(process: subprocess.Popen[bytes]) -> list[str]:
-    return psutil.Process(process.pid).cmdline()

@@ -146,31 +146,6 @@ def test_the_ports_for_browsers_are_fixed_and_the_next_ones_where_they_are_taken
     assert moved.startswith("Port 9876 is taken: using 9877.\n")
 
 
-def read_code(text: str) -> str:
-    """What a camera reads in a terminal with light letters on a dark ground; empty: no code."""
-    halves = {" ": (0, 0), "▀": (1, 0), "▄": (0, 1), "█": (1, 1)}
-    lines = [line for line in text.splitlines() if line and set(line) <= set(halves)]
-    rows = [[halves[letter][half] for letter in line] for line in lines for half in (0, 1)]
-    if not rows:
-        return ""
-    picture = np.repeat(np.repeat(np.array(rows, np.uint8) * 255, 8, axis=0), 8, axis=1)
-    return cv2.QRCodeDetector().detectAndDecode(picture)[0]
-
-
-def test_a_code_for_cameras_is_printed_for_others_and_to_terminals_only(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("viewer_app.viewer.viewer_choice.has_display", lambda: False)
-    for address in (LOOPBACK, "0.0.0.0"):
-        for terminal in (False, True):
-            raw, hub = io.BytesIO(), web_hub(address)
-            out = io.TextIOWrapper(raw, encoding="utf-8")
-            announce(Viewing(hub=hub), Console(file=out, force_terminal=terminal, width=300))
-            out.flush()
-            for_cameras = terminal and address != LOOPBACK
-            assert read_code(raw.getvalue().decode()) == (hub.page if for_cameras else "")
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [

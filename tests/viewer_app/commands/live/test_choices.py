@@ -50,14 +50,6 @@ def test_pairing_has_the_interval_of_the_cameras(
     assert given == {"sync_delay_ns": None, "interval_ns": round(1e9 / fps)}
 
 
-@pytest.mark.usefixtures("kinects")
-def test_on_a_cpu_it_says_that_frames_are_few(capsys: pytest.CaptureFixture[str]) -> None:
-    two_connected_sensors(LiveOptions(principal="000123", processing="cpu", tracker="k4abt"), Console())
-    said = " ".join(capsys.readouterr().out.split())
-    assert "about one frame per second" in said
-    assert "duplex fuse a.mkv b.mkv" in said
-
-
 @pytest.mark.parametrize(("processing", "within_s"), [("gpu", 120.0), ("tensorrt", 900.0)])
 @pytest.mark.usefixtures("kinects")
 def test_tensorrt_has_time_to_build_its_engine(

@@ -41,17 +41,3 @@ def test_the_user_names_the_master_of_orbbecs_sensors(
     capsys.readouterr()
     assert duplex(*arguments, "--sync-master", "000999") == 2
     assert "--sync-master 000999 is neither of the two Kinects" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("arguments", [(), ("--sync-master", ORBBEC[0])])
-def test_the_doctor_explains_orbbecs_jacks(
-    femtos: Bus, standin: Standin, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
-) -> None:
-    assert len(femtos.devices) == 2
-    duplex("doctor", "--k4abt", standin.path, *arguments)
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"Kinect {ORBBEC[0]}: sync jacks not known" in said
-    if arguments:
-        assert f"✓ sync cable: from {ORBBEC[0]} to {ORBBEC[1]} (as --sync-master says)" in said
-    else:
-        assert "– sync cable: not known. Orbbec's wrapper does not say" in said
