@@ -70,7 +70,7 @@ class Retries:
 
 
 def not_opened(sensor: str, within_s: float, waits_for: str) -> DeviceError:
-    """The error for a sensor that did not open in time."""
+    """The error for a sensor that did not open in time; ``waits_for`` is empty if nothing explains it."""
     cause = f"it waits for {waits_for}" if waits_for else "its driver hangs"
     return DeviceError(
         f"{sensor} did not open in {within_s:g} s: {cause}. Try again; if it is the same, unplug it and plug "
@@ -79,7 +79,7 @@ def not_opened(sensor: str, within_s: float, waits_for: str) -> DeviceError:
 
 
 def not_closed(sensor: str, waits_for: str) -> str:
-    """Message for a sensor that does not close in time; arguments as for :func:`not_opened`."""
+    """Message for a sensor that does not close in time; ``waits_for`` is empty if nothing explains it."""
     cause = Cause.CLOSES_LATER if waits_for else Cause.LEFT_BEHIND
     return cause.says(label=sensor, waits_for=waits_for)
 

@@ -1,12 +1,12 @@
 """Export to BVH, a skeleton file for animation: a rest pose, and a rotation per joint and frame.
 
-S* has constant bone lengths, so BVH represents it exactly. BVH needs an even frame rate: a recorded frame may
-be repeated or dropped, but frames are never interpolated. BVH stores one length per bone (programs disagree
-on position channels of inner joints), but a new calibration changes the lengths. Therefore only the frames of
-the last calibration are written, and the number of omitted frames is reported. Rotations are those of
-:mod:`fusion.joint_rotations`. If several bones leave a joint, their angles vary and one rotation cannot
-represent all of them. The joint then gets the rotation of the pelvis, trunk, head, hand or foot,
-and each bone gets an extra joint at the same position for the remaining rotation. Centimetres, y up.
+S* has constant bone lengths, so BVH represents it exactly. BVH needs an even frame rate, at which S* is
+interpolated with exact bones. BVH stores one length per bone (programs disagree on position channels of inner
+joints), but a new calibration changes the lengths. Therefore only the frames of the last calibration are
+written, and the number of omitted frames is reported. Rotations are those of :mod:`fusion.joint_rotations`.
+If several bones leave a joint, their angles vary and one rotation cannot represent all of them. The joint
+then gets the rotation of the pelvis, trunk, head, hand or foot, and each bone gets an extra joint at the same
+position for the remaining rotation. Centimetres, y up.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Export to marker files of biomechanics: C3D and OpenSim's TRC, in millimetres.
 
-C3D has z up, an even rate, and residual -1 for a gap. For the even rate a recorded frame may be repeated or
-dropped; frames are never interpolated. TRC has y up, one time per frame, and empty cells for gaps.
+C3D has z up, an even rate, at which S* is interpolated, and residual -1 for a gap. TRC has y up, one time per
+frame, and empty cells for gaps.
 """
 
 from __future__ import annotations
