@@ -1,7 +1,4 @@
-"""The fuser with the paper's method; see ``tests/fusion/estimator`` for the default.
-
-The module is long because all properties of the method are tested on the same two views.
-"""
+"""The fuser with the paper's method; see ``tests/fusion/estimator`` for the default."""
 
 from dataclasses import replace
 from typing import Any, Literal

@@ -1,7 +1,4 @@
-"""Live sensors, through a stand-in for pyk4a with the real module's names and capsules.
-
-The module is long because it covers all data that one sensor gives: images, people, times and colour.
-"""
+"""Live sensors, through a stand-in for pyk4a with the real module's names and capsules."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Sensors on their own threads, driven step by step. No test sleeps; each waits for an event.
-
-A little over 300 lines: one state machine.
-"""
+"""Sensors on their own threads, driven step by step. No test sleeps; each waits for an event."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Claims about the simulated body tracker: each parameter causes one error of the stated size.
-
-A little over 300 lines: one test per parameter.
-"""
+"""Claims about the simulated body tracker: each parameter causes one error of the stated size."""
 
 from __future__ import annotations
 

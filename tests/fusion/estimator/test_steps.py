@@ -1,7 +1,4 @@
-"""Each step of the estimator against a plain reference: matrices, enumeration, dense solutions.
-
-A little over 300 lines: each step has its reference beside it.
-"""
+"""Each step of the estimator against a plain reference: matrices, enumeration, dense solutions."""
 
 from __future__ import annotations
 

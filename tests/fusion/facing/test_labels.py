@@ -82,18 +82,13 @@ def test_a_view_exchanged_at_once_is_known_in_the_same_frame(motion: str, which:
     assert not swapped(views.body, views.fused(labels), views.truth).any()
 
 
-def test_both_views_exchanged_at_once_are_found_and_let_go() -> None:
-    views = exchanged(simulated_views("walk", tracker="right"), (True, True), 300, 400)
+@pytest.mark.parametrize(("first", "last", "found_at"), [(300, 400, 0), (0, 150, 120)])
+def test_both_views_exchanged_at_once_are_found_and_let_go(first: int, last: int, found_at: int) -> None:
+    """From the start there is no jump, and both views agree: knees, elbows, head and motion show it."""
+    views = exchanged(simulated_views("walk", tracker="right"), (True, True), first, last)
     for smooth in (False, True):
         labels = views.relabel(smooth=smooth)
-        assert not swapped(views.body, views.fused(labels), views.truth).any()
-
-
-def test_anatomy_finds_both_views_exchanged_from_the_start() -> None:
-    # No jump, and both views agree: only knees, elbows, head and motion show the exchange.
-    views = exchanged(simulated_views("walk", tracker="right"), (True, True), 0, 150)
-    labels = views.relabel(smooth=False)
-    assert not swapped(views.body, views.fused(labels), views.truth)[120:].any()
+        assert not swapped(views.body, views.fused(labels), views.truth)[found_at:].any()
 
 
 def test_a_person_who_faces_the_sensors_is_not_relabelled() -> None:

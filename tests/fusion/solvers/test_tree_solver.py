@@ -1,7 +1,4 @@
-"""Tests of the exact solver of eq. (1).
-
-The module is long because all its tests share the problems and the tolerances.
-"""
+"""Tests of the exact solver of eq. (1)."""
 
 from __future__ import annotations
 
@@ -45,17 +42,12 @@ def rotation(seed: int) -> np.ndarray:
     return q * np.linalg.det(q)
 
 
-def test_random_problems_end_stationary_with_exact_bones_within_fifty_iterations():
-    kinds, work, failed = run(2000, first=7_000_000)  # seeds that nothing was tuned on
+@pytest.mark.parametrize(("count", "first", "matrices"), [(2000, 7_000_000, False), (1000, 7_100_000, True)])
+def test_random_problems_end_stationary_with_exact_bones_within_fifty_iterations(count, first, matrices):
+    kinds, work, failed = run(count, first, matrices)  # seeds that nothing was tuned on
     assert not failed, f"{dict(kinds)} at seeds {failed[:10]}"
     assert work[0].max() <= MAX_ITERATIONS
     assert work[1].max() <= 4 * MAX_SYSTEMS  # of four starts
-
-
-def test_random_problems_with_information_matrices_end_stationary_with_exact_bones():
-    kinds, work, failed = run(1000, first=7_100_000, matrices=True)  # seeds that nothing was tuned on
-    assert not failed, f"{dict(kinds)} at seeds {failed[:10]}"
-    assert work[0].max() <= MAX_ITERATIONS
 
 
 @pytest.mark.parametrize(
@@ -144,10 +136,11 @@ def test_order_of_joints_does_not_matter(seed):
     assert failures(problem, solution) == []
 
 
+@pytest.mark.parametrize(("first", "matrices"), [(73_000_000, False), (73_100_000, True)])
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000))
-def test_hard_problems_are_solved_in_any_order_of_joints(seed):
-    problem = random_problem(73_000_000 + seed)
+def test_hard_problems_are_solved_in_any_order_of_joints(first, matrices, seed):
+    problem = random_problem(first + seed, matrices)
     assert failures(problem, shuffled(problem, seed)) == []
 
 
@@ -226,13 +219,6 @@ def test_solution_with_information_matrices_moves_with_the_world(seed, shift):
     solution = solve(moved)
     np.testing.assert_allclose(solution.positions, solve(problem).positions @ R.T + shift, rtol=0, atol=SAME)
     assert failures(moved, solution) == []
-
-
-@settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 10_000))
-def test_hard_problems_with_information_matrices_are_solved_in_any_order_of_joints(seed):
-    problem = random_problem(73_100_000 + seed, matrices=True)
-    assert failures(problem, shuffled(problem, seed)) == []
 
 
 def test_warm_start_at_the_solution_takes_no_step():

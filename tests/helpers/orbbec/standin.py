@@ -2,8 +2,6 @@
 
 ``tests/devices/orbbec/test_contract.py`` holds it and the real library to the same clauses, and compares the
 names of their classes: the stand-in has nothing that the real library lacks.
-
-The module is longer than 300 lines because it is a single foreign module in miniature.
 """
 
 from __future__ import annotations

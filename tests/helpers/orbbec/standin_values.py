@@ -1,7 +1,4 @@
-"""Values of the stand-in for pyorbbecsdk: enums, frames, profiles and errors, as in pyorbbecsdk2 2.1.2.
-
-A little over 300 lines: the enums are the list of the library's constants.
-"""
+"""Values of the stand-in for pyorbbecsdk: enums, frames, profiles and errors, as in pyorbbecsdk2 2.1.2."""
 
 from __future__ import annotations
 

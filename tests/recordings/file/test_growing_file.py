@@ -1,7 +1,4 @@
-"""A live session can be read while it grows, and survives a kill and a full disk.
-
-The module is long because all its tests share the threads and the disk that fails.
-"""
+"""A live session can be read while it grows, and survives a kill and a full disk."""
 
 from __future__ import annotations
 

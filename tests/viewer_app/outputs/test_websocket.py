@@ -1,7 +1,4 @@
-"""The WebSocket server, read by the ``websockets`` client and by a browser, and attacked by random data.
-
-A little over 300 lines: all tests share the server and its clients.
-"""
+"""The WebSocket server, read by the ``websockets`` client and by a browser, and attacked by random data."""
 
 from __future__ import annotations
 

@@ -53,26 +53,23 @@ def test_ctrl_c_before_the_first_frame(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("frames", "presses", "number"),
-    [(25, 8, signal.SIGINT), (5, 1, signal.SIGTERM)],
+    ("frames", "presses", "number", "options", "codes"),
+    [
+        (25, 8, signal.SIGINT, (), AFTER_ALL_WAS_SAVED),
+        (5, 1, signal.SIGTERM, (), (0,)),
+        (15, 1, signal.SIGINT, ("--seconds", "0.6"), AFTER_ALL_WAS_SAVED),  # while it saves
+    ],
 )
-def test_captured_frames_are_saved(tmp_path: Path, frames: int, presses: int, number: int) -> None:
+def test_captured_frames_are_saved(
+    tmp_path: Path, frames: int, presses: int, number: int, options: tuple[str, ...], codes: tuple[int, ...]
+) -> None:
     saved = tmp_path / "demo.rrd"
-    process = demo(saved)
+    process = demo(saved, *options)
     wait_for_frames(process, frames)
     code, more, _ = ended(process, presses, number)
-    assert code in (AFTER_ALL_WAS_SAVED if presses > 1 else (0,))
+    assert code in codes
     assert [path.name for path in tmp_path.iterdir()] == ["demo.rrd"]
     assert rows_of(saved, "/fused/skeleton") == frames + more
-
-
-def test_ctrl_c_while_it_saves(tmp_path: Path) -> None:
-    saved = tmp_path / "demo.rrd"
-    process = demo(saved, "--seconds", "0.6")
-    wait_for_frames(process, 15)
-    code, more, _ = ended(process)
-    assert code in AFTER_ALL_WAS_SAVED
-    assert rows_of(saved, "/fused/skeleton") == 15 + more
 
 
 def test_handlers_are_given_back() -> None:

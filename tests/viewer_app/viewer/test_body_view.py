@@ -15,10 +15,15 @@ from fusion.skeleton import TrackingState
 from recordings import layout
 from recordings.appearance.colors import SKELETON_COLORS, VIEW_COLORS
 from recordings.session_arrays import SessionArrays, SessionFrame
+from recordings.writing.shown_figures import SHOWN_FIGURES
 from tests.helpers.live_frames import BODY, frames, inspected_scenes, known_fuser, session_of_view
 from tests.helpers.pictures import headless_viewer, picture_of
-from tests.helpers.shown_values import shown_values
 from tests.helpers.waiting import eventually
+
+
+def shown_values(rows: SessionArrays, entity: str, component: str) -> NDArray[np.float64] | None:
+    """(T, …) values of one derived figure; None where there are none."""
+    return next(f for f in SHOWN_FIGURES if (f.entity, f.component) == (entity, component)).values(rows)
 
 
 def picture(made: list[SessionFrame], folder: Path) -> NDArray[np.uint8]:
