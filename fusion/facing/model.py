@@ -41,13 +41,13 @@ class FacingConstants(NamedTuple):
     between them it is interpolated linearly in the cosine.
 
     The cues' tables were measured on real walks and steps before two Kinects v2 (three people, 11 pairs) by
-    ``python -m tests.experiments.facing FOLDER… --tables``; the axes' table is the same for fronts and backs,
+    ``python -m tests.experiments.facing FOLDER…``; the axes' table is the same for fronts and backs,
     so that a precise axis does not argue for a front. The head's deviations also contain the bias that a view
     keeps through a recording, with a standard deviation of 26 mm between simulated recordings (Kinect v2,
     seeds 12–31): without it, a head that seems to lie behind the neck outweighs all other cues. The other
-    constants were chosen on the five walks among the pairs and on simulated recordings (seed 4000) by
-    ``python -m tests.experiments.facing FOLDER… --search``. The result depends weakly on them: a factor of
-    two in any one weight moves the share of wrong frames by about a percentage point.
+    constants were chosen by a random search on the five walks among the pairs and on simulated recordings
+    (seed 4000). The result depends weakly on them: a factor of two in any one weight moves the share of wrong
+    frames by about a percentage point.
 
     Successive frames repeat the same error, so a frame's log-likelihood counts only in part. The *weights*
     are the share that is independent of earlier frames.
