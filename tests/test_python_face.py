@@ -16,10 +16,10 @@ import devices
 import fusion
 import recordings
 from devices import Sensor, SensorFrame
-from fusion import KINECT_V2, Fuser, FusionSetup, Skeleton, SkeletonPair, calibrate
+from fusion import KINECT_V2, FusionSetup, Skeleton
 from recordings import RecordingError, Session, fuse, fuse_live
 from tests.helpers.recorded_pairs import write_recordings
-from tests.helpers.two_views import A_FROM_B, FRAME_NS, calibration_of, moving, pair_of
+from tests.helpers.two_views import FRAME_NS, calibration_of, moving, pair_of
 
 PACKAGES = (fusion, devices, recordings)
 
@@ -78,18 +78,6 @@ def test_three_lines_fuse_two_files_in_memory(tmp_path: Path, capsys: pytest.Cap
     assert read.about["settings"].keys() == session.about["settings"].keys()
 
 
-def test_own_arrays_are_fused_frame_by_frame() -> None:
-    views = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 40))]
-    a, b = np.array([pair.a.positions for pair in views]), np.array([pair.b.positions for pair in views])
-    pairs = [
-        SkeletonPair(Skeleton.of(KINECT_V2, p), Skeleton.of(KINECT_V2, q), t * FRAME_NS)
-        for t, (p, q) in enumerate(zip(a, b, strict=True))
-    ]
-    fuser = Fuser(FusionSetup(calibrate(KINECT_V2, pairs[:30], "the first second")))
-    fused = [fuser.update(pair).positions for pair in pairs]
-    np.testing.assert_allclose(fused, a, atol=1e-4)  # noiseless: what A sees
-
-
 class Made(Sensor):
     """A sensor of one's own."""
 
@@ -101,15 +89,6 @@ class Made(Sensor):
     def frames(self) -> Iterator[SensorFrame]:
         for skeleton in self.views:
             yield SensorFrame(skeleton.time_ns, {"1": skeleton})
-
-
-def test_own_sensors_run_in_the_live_loop() -> None:
-    views = [pair_of(KINECT_V2, at, t * FRAME_NS) for t, at in enumerate(moving(KINECT_V2, 8))]
-    a, b = Made("a", [pair.a for pair in views]), Made("b", [pair.b for pair in views])
-    frames = list(fuse_live(a, b, FusionSetup(calibration_of(KINECT_V2))))
-    assert frames
-    assert all(frame.fused.has_person for frame in frames)
-    assert np.allclose(frames[0].fused.a_from_b.rotation, A_FROM_B.rotation)
 
 
 def test_a_live_session_is_kept_on_request_and_saved(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from devices.simulated.tracking.tracker_errors import TrackerErrors
 from fusion.body import KINECT_V1, KINECT_V2
 from tests.benchmarks import accuracy, speed
 from tests.benchmarks.harsher_errors import heavy_tailed, scaled
-from tests.benchmarks.methods import METHODS, OURS, WITHOUT_DEPTH
+from tests.benchmarks.methods import METHODS, OURS
 from tests.benchmarks.real import mean_of
 from tests.benchmarks.trials import Outcome, Simulation, Trial, run_trials
 from tests.helpers.two_views import FRAME_NS, moving, pair_of
@@ -84,19 +84,6 @@ def test_harsher_trackers_are_harsher() -> None:
     tails = heavy_tailed(TrackerErrors.of(KINECT_V2))
     assert Simulation("kinect_v2", tracker_errors="heavy-tailed").errors_of_tracker() == tails
     assert Simulation("kinect_v2", 2.0, "heavy-tailed").errors_of_tracker() == scaled(tails, 2.0)
-
-
-def test_depth_images_reach_our_method_and_not_its_ablation() -> None:
-    """Images change S*, and nothing else: the ablation on images is our method on no images."""
-    trial = [Trial("arms", 90.0, 3)]
-    names = ["mean, refined", OURS, WITHOUT_DEPTH]
-    (without,), (having,) = (
-        list(run_trials(trial, Simulation(depth=depth), 6.0, names)) for depth in ("none", "half")
-    )
-    blind = {o.method: o.figures["mpjpe"] for o in without}
-    seeing = {o.method: o.figures["mpjpe"] for o in having}
-    assert blind[OURS] == blind[WITHOUT_DEPTH]
-    assert seeing[OURS] != seeing[WITHOUT_DEPTH]
 
 
 def test_a_repeated_recording_has_no_jumps_and_rising_times() -> None:

@@ -18,13 +18,11 @@ from recordings import layout
 from recordings.appearance.colors import PREDICTED_COLOR, SKELETON_COLORS
 from recordings.appearance.joint_trust import LIMBS, LimbSources, TrustColors
 from recordings.file.rrd_file import RrdFile
-from recordings.file.session_writer import whole_recording
 from recordings.session_arrays import SessionArrays
 from recordings.writing.changes import Lanes
 from recordings.writing.frame_columns import frame_columns
 from recordings.writing.recorder import Recorder
 from tests.helpers.live_frames import frames
-from tests.helpers.session_text import rows_of
 from tests.helpers.two_views import A_FROM_B
 
 BODY = KINECT_V2
@@ -127,17 +125,6 @@ def test_sources_of_limbs_are_the_same_frame_by_frame_and_at_once(rows: SessionA
     at_once, each = LimbSources(BODY), LimbSources(BODY)
     by_frame = np.concatenate([each.add(rows[[t]]) for t in range(len(rows))])
     np.testing.assert_array_equal(at_once.add(rows), by_frame)
-
-
-def test_every_limb_has_a_lane_in_a_file(rows: SessionArrays, tmp_path: Path) -> None:
-    fuser = Fuser(FusionSetup(Calibration(BODY, A_FROM_B, BODY.nominal_lengths, "known")))
-    file = tmp_path / "s.rrd"
-    with whole_recording(file) as stream:
-        recorder = Recorder(stream, fuser.setup, ("a", "b"))
-        recorder.record_rows(trusting(rows, 1.0))
-        recorder.finish()
-    for limb in LIMBS:
-        assert rows_of(file, layout.trust_lane(limb)) == 1
 
 
 def test_lanes_are_the_same_frame_by_frame_and_at_once(rows: SessionArrays, tmp_path: Path) -> None:

@@ -207,20 +207,6 @@ def test_a_tracker_that_is_not_open_says_so() -> None:
         BlazePose().track(*images_of([]), CAMERA, 0)
 
 
-def test_the_network_can_change_while_the_person_is_followed(tracker: BlazePose) -> None:
-    need_networks("lite")
-    marks = landmarks_at("walk", 2.0)
-    images = images_of([marks])
-    first = tracker.track(*images, CAMERA, 0)
-    try:
-        tracker.use("lite")
-        after = tracker.track(*images, CAMERA, FRAME_NS)
-    finally:
-        tracker.use("full")
-    assert after.keys() == first.keys()
-    assert np.nanmedian(errors(only(after), marks)) < 0.05
-
-
 HEAD_OF_STATURE = 0.130  # from crown to chin; Drillis and Contini (1966). The picture ends at the waist.
 GOAL = 0.05  # of the person's height: the project's
 

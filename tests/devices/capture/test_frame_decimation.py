@@ -18,8 +18,8 @@ MS = 1_000_000
 PERIOD_NS = 33_333_333
 
 
-@pytest.mark.parametrize("tracking_ms", [(20, 20), (40, 40), (60, 60), (20, 60), (60, 20)])
-@pytest.mark.parametrize("latency_ms", [0, 50, 100, 150, 200])
+@pytest.mark.parametrize("tracking_ms", [(20, 20), (40, 40), (20, 60), (60, 20)])
+@pytest.mark.parametrize("latency_ms", [0, 100, 200])
 def test_frames_that_both_trackers_can_process_are_paired_and_new(
     bus: Bus, latency_ms: int, tracking_ms: tuple[int, int]
 ) -> None:

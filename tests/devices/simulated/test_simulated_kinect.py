@@ -93,7 +93,7 @@ def test_dropped_frames_are_missing_and_change_no_other_frame() -> None:
 
 def test_the_same_seed_makes_the_same_frames_bit_for_bit() -> None:
     def frames(seed: int) -> list[SensorFrame]:
-        a, b, _ = simulated_pair(motion="arms", seed=seed, seconds=4.0, depth="half")
+        a, b, _ = simulated_pair(motion="arms", seed=seed, seconds=1.0, depth="half")
         return [*a.frames(), *b.frames()]
 
     first = frames(3)

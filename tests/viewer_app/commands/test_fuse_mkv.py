@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from pathlib import Path
 
 import pytest
 
-from devices.files import open_source, without_images
 from fusion.body import AZURE_KINECT
 from fusion.rigid import RigidTransform
 from recordings.session import Session
@@ -130,17 +128,3 @@ def test_the_body_tracker_runs_over_both_recordings(
     assert code == 0
     assert "Paired 40 frames" in " ".join(capsys.readouterr().out.split())
     assert rows_of(saved, "/fused/skeleton") == 40
-
-
-def test_memory_does_not_grow_with_the_images(recorded: dict[str, Path]) -> None:
-    image = 320 * 288 * 2
-    tracemalloc.start()
-    try:
-        with open_source(recorded["a"], recorded["skeletons_a"]) as source:
-            frames = list(without_images(source))
-            _, most = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert len(frames) == FRAMES
-    # depth and infrared of all frames would be 120 images; a few captures are in work at a time
-    assert most < 40 * image

@@ -31,7 +31,7 @@ from tests.helpers.waiting import eventually
 from viewer_app.addresses import reached_at
 from viewer_app.errors import UsageError
 from viewer_app.outputs.output import confidence
-from viewer_app.outputs.websocket import UNANSWERED, WebSocketOutput
+from viewer_app.outputs.websocket import WebSocketOutput
 
 
 @pytest.fixture
@@ -121,22 +121,6 @@ def test_a_client_that_does_not_read_skips_frames_and_costs_others_nothing(
             assert numbers == list(range(300))
             assert server.counts.dropped > 0
             assert slowest < 3.0  # a loop that waited would never return
-
-
-def test_a_client_slower_than_the_frames_gets_new_ones(server: WebSocketOutput, fuser: Fuser) -> None:
-    made = frames(fuser, 1)[0]
-    ahead = 2  # frames that the client's library reads ahead
-    ages = []
-    with client_of(server, max_queue=ahead) as client:
-        read(client)
-        for written in range(120):  # at 30 per second, of which the client reads 25
-            server.write(made)
-            assert eventually(lambda: not server._queue)
-            if written % 6:
-                ages.append(written - read(client)["number"])
-    assert len(ages) == 100
-    # on the way, answered when the client paused reading, read ahead, in the slot and on the server's thread
-    assert max(ages) <= 2 * UNANSWERED + ahead + 2
 
 
 def handshake(port: int) -> bytes:

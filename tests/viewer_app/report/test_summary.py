@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import shlex
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -227,17 +225,3 @@ def test_the_next_step_is_one_line_that_works_without_a_display(
     assert f"{file}, 122 MB" in line
     assert command in line
     assert line.endswith(".html") is not display
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="quotes of a POSIX shell")
-def test_the_command_can_be_pasted_whatever_the_file_is_called(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(terminal, "has_display", lambda: True)
-    monkeypatch.setattr("sys.argv", ["pytest"])
-    file = tmp_path / "it's ö 空白.rrd"
-    file.write_bytes(b"0")
-    out = io.StringIO()
-    terminal.say_saved(Console(file=out, width=40), file)
-    *_, command = out.getvalue().partition("Look at it with: ")
-    assert shlex.split(command) == ["duplex", "review", str(file)]

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import sys
-import time
 import types
-from itertools import islice, pairwise
-from pathlib import Path
-from typing import Any
-from uuid import uuid4
+from itertools import islice
 
 import pytest
-import rerun as rr
 
 from devices.depth import witness as depth_witness
 from devices.pairing import FramePair
@@ -22,16 +17,11 @@ from fusion.fuser import Fuser
 from fusion.registration import refinement
 from fusion.setup import FusionSetup
 from fusion.skeleton import SkeletonPair
-from recordings import layout
 from recordings.fusing.live_fusion import LiveFusion
 from recordings.session_arrays import SessionFrame
-from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import KnownSensors
-from tests.helpers.live_frames import frames, session
 from viewer_app.running.loop import run_live
-from viewer_app.sinks import live_session
 from viewer_app.sinks.sink import FanOut, Sink
-from viewer_app.viewer.rerun_process import Hub
 
 
 def walking(count: int) -> tuple[FusionSetup, list[FramePair]]:
@@ -63,43 +53,6 @@ def test_a_frame_is_handed_over_before_the_program_learns_from_it(
     setup, pairs = walking(2)
     run_live(KnownSensors(pairs, waiting), setup, FanOut([Handed()]))  # type: ignore[arg-type]
     assert done == ["handed over", *([] if waiting else ["rested"]), "learned"] * 2
-
-
-def test_the_file_pauses_between_its_messages(
-    fuser: Fuser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    done: list[str] = []
-    send = rr.RecordingStream.send_columns
-
-    def counted(stream: rr.RecordingStream, entity: str, *of: Any, **more: Any) -> None:
-        done.append("sent")
-        send(stream, entity, *of, **more)
-
-    monkeypatch.setattr(rr.RecordingStream, "send_columns", counted)
-    stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=uuid4())
-    stream.save(tmp_path / "s.rrd")
-    recorder = Recorder(stream, fuser.setup, ("a", "b"), pause=lambda: done.append("paused"))
-    recorder.record_all(frames(fuser, 15))
-    assert done.count("sent") > 10
-    assert ("sent", "sent") not in pairwise(done)
-    stream.disconnect()
-
-
-def test_a_session_s_file_gives_way_to_its_viewer(
-    fuser: Fuser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    waited: list[float] = []
-
-    class Viewer(Sink):
-        wait_until_free = staticmethod(waited.append)
-        wait_for_turn = staticmethod(time.sleep)
-
-    monkeypatch.setattr(live_session, "ViewerSink", lambda *_: Viewer())
-    with session(fuser, tmp_path / "s.rrd", Hub.on_free_ports(web=False)) as live:
-        for frame in frames(fuser, 3):
-            live.write(frame)
-    assert waited
-    assert 0.0 < max(waited) < 1.0 / 30.0
 
 
 def test_nothing_is_compiled_after_the_first_frame(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -113,33 +112,6 @@ def test_a_blocked_disk_costs_images_first(
         item for item in file._queue if isinstance(item, QueuedFrame) and item.frame.pair.a.depth is not None
     ]
     assert len(with_images) == 60
-
-
-def test_images_that_wait_for_the_encoder_count_as_queued(fuser: Fuser, tmp_path: Path) -> None:
-    blocked, encoding = threading.Event(), threading.Event()
-
-    class Blocked(Recorder):
-        def record_images(self, *_: object) -> None:
-            encoding.set()
-            blocked.wait()
-
-    file = SessionFile(
-        tmp_path / "s.rrd",
-        lambda: rr.RecordingStream("test"),
-        lambda stream: Blocked(stream, fuser.setup, ("a", "b")),
-    )
-    made = frames(fuser, 70, depth=True)
-    with file._more:  # the thread takes nothing until the queue is full
-        for number in range(60):
-            file.write(made[number])
-    assert encoding.wait(20.0)
-    for number in range(200):
-        file.write(made[number % 70])
-    try:
-        assert file.without_images >= 199  # room for that which is being encoded
-    finally:
-        blocked.set()
-        file.close()
 
 
 def test_the_viewer_gets_images_at_a_capped_rate(fuser: Fuser) -> None:

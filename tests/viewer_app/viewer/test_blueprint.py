@@ -125,15 +125,6 @@ def panes(container: rrb.Container | rrb.View) -> list[rrb.View]:
     return [view for content in contents for view in panes(content)]
 
 
-def test_inspect_has_one_subject() -> None:
-    """The scene, the trust, four limbs and one group of tabs: what fits on a laptop's screen."""
-    scene, figure, trust, *limbs = panes(layouts(KINECT_V2)["inspect"])
-    assert isinstance(scene, rrb.Spatial3DView)
-    assert isinstance(figure, rrb.TimeSeriesView)
-    assert isinstance(trust, rrb.StateTimelineView)
-    assert len(limbs) == 4
-
-
 def test_a_session_without_depth_images_promises_none() -> None:
     tabs: dict[bool, list[str]] = {}
     images: dict[bool, list[str]] = {}

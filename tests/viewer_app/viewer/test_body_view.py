@@ -83,20 +83,6 @@ def test_joints_of_a_view_are_dimmed_where_inferred_or_exchanged(side: str) -> N
 STEP = 1.0 / 512.0  # metres, of the spheres' radii
 
 
-def exchanged_in_b(made: list[SessionFrame]) -> list[SessionFrame]:
-    """The frames as if B had reported left and right exchanged in them."""
-    return [replace(frame, fused=replace(frame.fused, exchanged_b=3)) for frame in made]
-
-
-def test_a_view_has_another_class_while_its_sides_are_exchanged() -> None:
-    made = frames(known_fuser(), 4)
-    rows = SessionArrays.stack(BODY, BODY.nominal_lengths, made[:2] + exchanged_in_b(made[2:]))
-    for side, expected in (("a", ["a"] * 4), ("b", ["b", "b", "exchanged_b", "exchanged_b"])):
-        classes = shown_values(rows, layout.skeleton(side), "Points3D:class_ids")
-        assert classes.shape == (4, len(BODY))
-        assert classes.tolist() == [[layout.CLASS_IDS[key]] * len(BODY) for key in expected]
-
-
 def test_spheres_have_the_radius_of_one_standard_deviation() -> None:
     made = frames(known_fuser(), 3)
     rows = SessionArrays.stack(BODY, BODY.nominal_lengths, made)

@@ -15,8 +15,8 @@ from tests.helpers.machine import need_viewer
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.viewer import stored_clouds
-from viewer_app.viewer.rerun_process import free_port, start_viewer, stop
-from viewer_app.viewer.stored_clouds import add_clouds, clouds, has_depth_images, send_clouds
+from viewer_app.viewer.rerun_process import start_viewer, stop
+from viewer_app.viewer.stored_clouds import add_clouds, clouds, has_depth_images
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +65,6 @@ def test_only_a_session_with_images_has_clouds(saved: Path, tmp_path: Path) -> N
 
 def url_of(port: int) -> str:
     return f"rerun+http://{LOOPBACK}:{port}/proxy"
-
-
-def test_without_its_viewer_nothing_is_sent(saved: Path) -> None:
-    assert send_clouds(saved, url_of(free_port())) == 0
 
 
 def test_the_viewer_gets_the_clouds_into_the_session_although_the_file_is_deleted(saved: Path) -> None:
