@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from devices.depth.witness import depth_witness, with_witness
 from devices.sensor import SensorFrame
 from devices.simulated.imaging.rendering import halved
-from devices.simulated.kinect import PERSON, simulated_pair
+from devices.simulated.kinect import PERSON
 from fusion.body import KINECT_V2
 from fusion.errors import FusionError
 from fusion.intrinsics import NOMINAL_INTRINSICS, Intrinsics
@@ -114,19 +114,6 @@ def test_the_lens_is_opencvs() -> None:
         image = (1500 + np.indices((lens.height, lens.width))[axis]).astype(np.uint16)
         gap = depth_witness(image, lens, skeleton_with(tuple(position[0])))[WRIST, 0]
         assert (gap / along + position[0, 2]) * 1e3 - 1500 == pytest.approx(expected, abs=0.3)  # float16
-
-
-def test_a_half_and_a_full_image_say_the_same() -> None:
-    """Of the same frames; a pixel of the half image is 10 mm wide at the person."""
-    full, half = (
-        [f.people[PERSON].witness for f in simulated_pair(motion="arms", seconds=1.0, depth=size)[0].frames()]
-        for size in ("full", "half")
-    )
-    a, b = np.array(full), np.array(half)
-    difference = np.abs(a - b)
-    assert np.nanmedian(difference[..., 0]) < 0.003
-    assert np.nanmedian(difference[..., 1]) < 0.012
-    assert np.nanmedian(difference[..., 2:]) < 0.004
 
 
 def test_a_witness_has_four_numbers_a_joint() -> None:

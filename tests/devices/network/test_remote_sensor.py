@@ -134,19 +134,6 @@ def test_a_program_that_is_started_anew_is_taken_back(address: str) -> None:
         assert "zenoh:lab/a is back." in said
 
 
-def test_a_program_that_is_replaced_within_a_moment_is_noticed(address: str) -> None:
-    """Another run begins before the silence of the first is noticed; its clock and numbers are its own."""
-    with ExitStack() as stack:
-        first = publisher(address)
-        published = first.__enter__()
-        thread = stack.enter_context(SensorThread(remote(address), keep=64, limits=TimeLimits(retry_s=0.05)))
-        frames_through(published, thread, 5)
-        first.__exit__(None, None, None)
-        with publisher(address) as published:
-            frames_through(published, thread, 5)
-            assert thread.sensor.link.restarts == 1
-
-
 def test_two_programs_under_one_key_are_reported_and_the_first_goes_on(address: str) -> None:
     with ExitStack() as stack:
         published = stack.enter_context(publisher(address))

@@ -12,15 +12,12 @@ from devices.simulated.imaging.infrared import (
     Material,
     clothed_capsules,
     infrared_image,
-    materials,
 )
 from devices.simulated.imaging.rendering import FLOOR, NOTHING, WALL, surface
 from devices.simulated.kinect import simulated_pair
-from devices.simulated.person.anatomy import INDEX
 from devices.simulated.person.movements import MOTIONS
 from devices.simulated.rig import Rig
 from fusion.intrinsics import NOMINAL_INTRINSICS
-from fusion.rigid import RigidTransform
 
 LENS = NOMINAL_INTRINSICS["azure_kinect"]
 SILENT = InfraredModel(read_noise=0.0, shot_noise=0.0)
@@ -68,24 +65,6 @@ def test_noise_is_shot_and_read_noise_and_binning_halves_it(z: float) -> None:
         # 10,000 samples: 0.7 %, five times that; the light varies by 3 % over them, the noise by half of it;
         # rounding adds 1/12 twice.
         assert np.std(middle) == pytest.approx(np.hypot(expected, np.sqrt(1 / 6)), rel=0.05)
-
-
-@pytest.mark.parametrize(("name", "time"), [("arms", 6.9), ("walk", 8.6), ("sit", 8.0), ("badminton", 6.0)])
-def test_the_clothes_move_with_the_person(name: str, time: float) -> None:
-    """Every point of the dressed surface is rigid with its segment, whatever the pose."""
-    rest, posed = (MOTIONS[motion].landmarks(at)[0] for motion, at in (("startup", 0.0), (name, time)))
-    turned = RigidTransform.of(
-        np.array(((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))), (1.0, 2.0, 3.0)
-    )
-    # The same weights in any frame: they sum to one.
-    moved = clothed_capsules(turned.apply(posed))
-    np.testing.assert_allclose(moved[:, :3], turned.apply(clothed_capsules(posed)[:, :3]), atol=1e-9)
-    head = [INDEX["HEAD"], INDEX["NOSE"], INDEX["HEAD_TOP"], INDEX["EAR_LEFT"]]
-    eyes = materials() == Material.DARK
-    for marks, shapes in ((rest, clothed_capsules(rest)), (posed, clothed_capsules(posed))):
-        apart = np.linalg.norm(shapes[eyes][:, None, :3] - marks[head], axis=2)
-        expected = np.linalg.norm(clothed_capsules(rest)[eyes][:, None, :3] - rest[head], axis=2)
-        np.testing.assert_allclose(apart, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("which", [0, 1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.simulated.tracking.tracker import Tracker
 from devices.simulated.tracking.tracker_errors import TrackerErrors
-from fusion.body import AZURE_KINECT, BLAZEPOSE, BODIES, KINECT_V2, Body
+from fusion.body import AZURE_KINECT, KINECT_V2, Body
 from fusion.intrinsics import NOMINAL_INTRINSICS
 from fusion.skeleton import Skeleton, TrackingState
 from tests.helpers.pair_statistics import run_lengths
@@ -256,13 +256,3 @@ def test_a_small_stretch_keeps_bones_near_their_length_where_joints_err() -> Non
     # A held bone's parent has moved too, so its own error is another one; a quarter of something like it.
     assert np.median(held) < 0.5 * np.median(freely)
     assert bone_errors(replace(loose, stretch=0.0)).max() < 1e-6
-
-
-def test_the_real_defaults_have_every_error_turned_on() -> None:
-    for body in BODIES.values():
-        errors = TrackerErrors.of(body)
-        for knob in (field.name for field in fields(TrackerErrors)):
-            off = {"lost_seconds", "added"}
-            if body is BLAZEPOSE:  # it gives one skeleton per image, places all joints, and lost nobody
-                off |= {"not_tracked", "stale", "lost", "skin"}
-            assert getattr(errors, knob) != getattr(NONE, knob) or knob in off, knob

@@ -277,16 +277,6 @@ def test_one_recording_twice_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
     assert "Fusion needs one recording of each sensor" in one_line(capsys)
 
 
-def test_two_empty_files_are_empty_and_not_the_same(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    a, b = tmp_path / "a.csv", tmp_path / "b.csv"
-    a.touch()
-    b.touch()
-    assert duplex("fuse", a, b, "--no-viewer") == 2
-    assert "empty" in one_line(capsys)
-
-
 def test_a_number_of_too_many_digits_is_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

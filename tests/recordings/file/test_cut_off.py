@@ -11,7 +11,6 @@ from devices.events import Event
 from recordings import Session, fuse
 from recordings.errors import RecordingError
 from recordings.file.session_writer import write_session
-from tests.helpers.command_line import duplex
 from tests.helpers.recorded_pairs import write_recordings
 
 _BLOCK = 10
@@ -50,15 +49,3 @@ def test_events_are_kept_up_to_the_cut(told: Session, tmp_path: Path) -> None:
         # what was written in one go, frames and events, may be torn apart: at most two blocks
         assert kept >= set(range(0, len(found) - 2 * _BLOCK, 2)), share
     assert len(lengths) >= 3, "the cuts fall between frames"
-
-
-def test_review_says_how_to_find_lost_events_again(
-    told: Session, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    silent, cut = tmp_path / "s.rrd", tmp_path / "cut.rrd"
-    write_session(replace(told, events=()), silent)  # as version 1.0 left a session cut off before its end
-    cut.write_bytes(silent.read_bytes()[:-2000])
-    assert duplex("review", cut, "--no-viewer") == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "is not whole" in said
-    assert "Its events are lost. To find them again: duplex replay SESSION.rrd --save NEW.rrd." in said

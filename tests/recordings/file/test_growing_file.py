@@ -9,7 +9,6 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from uuid import uuid4
 
@@ -17,7 +16,6 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from devices.depth.image_thinning import without_images
 from devices.events import Event
 from fusion.body import KINECT_V1
 from fusion.fuser import Fuser
@@ -25,7 +23,6 @@ from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.file import growing_file
-from recordings.file.rrd_file import RrdFile
 from recordings.session import Session
 from recordings.session_arrays import SessionFrame
 from recordings.testing import assert_sessions_match
@@ -86,17 +83,6 @@ def finished(file: SessionFile, frames: list[SessionFrame]) -> None:
     file.close()
 
 
-def times_of(path: Path, entity: str) -> dict[int, int]:
-    """When an entity was logged: ns by frame."""
-    times: dict[int, int] = {}
-    with RrdFile(path) as file:
-        for of, batch in file.chunks(images=True):
-            if of == entity and "frame" in batch.schema.names:
-                ns = batch.column("time").cast("int64").to_pylist()
-                times.update(zip(batch.column("frame").to_pylist(), ns, strict=True))
-    return times
-
-
 def frames_in(path: Path) -> int:
     """How many frames can be read; 0 while there is none."""
     try:
@@ -129,47 +115,6 @@ def test_it_is_the_same_session_as_one_written_at_once(
     assert {path.name for path in tmp_path.iterdir()} == {"s.rrd", "o.rrd"}
     # as Rerun's own tools want it
     assert "/fused/skeleton" in rr.chunk.RrdReader(session.path).store().schema().entity_paths()
-
-
-def test_images_are_written_as_they_come_and_skeletons_in_blocks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(session_file, "_BLOCK_SECONDS", 60.0)
-    written: list[int] = []
-    record_images, record_all = Recorder.record_images, Recorder.record_all
-    monkeypatch.setattr(
-        Recorder,
-        "record_images",
-        lambda self, number, frame: (record_images(self, number, frame), written.append(number)),
-    )
-    blocks: list[list[int]] = []
-    monkeypatch.setattr(
-        Recorder,
-        "record_all",
-        lambda self, frames, numbers=(): (
-            blocks.append(list(numbers)),
-            record_all(self, frames, numbers or None),
-        ),
-    )
-    fuser, frames = fused_frames(10, depth=True)
-    frames[0] = replace(frames[0], pair=without_images(frames[0].pair))  # the first begins the session
-    file = file_of(tmp_path / "s.rrd", fuser)
-    for frame in frames:
-        file.write(frame)
-    assert eventually(lambda: written[:10] == list(range(10)))
-    assert blocks == []
-    file.finish()
-    file.close()
-    assert blocks == [list(range(10))]
-    session = Session.open(tmp_path / "s.rrd")
-    at_once = record_fused(tmp_path / "o.rrd", [frame.pair for frame in frames], calibration_of(KINECT_V1))
-    assert_sessions_match(session, at_once, position_mm=0.0)
-    for side in ("a", "b"):
-        seen = {k: getattr(frame.pair, side) for k, frame in enumerate(frames)}
-        images = dict(session.depth(side))
-        assert list(images) == [k for k, frame in seen.items() if frame is not None and k > 0]
-        assert all((image == seen[k].depth).all() for k, image in images.items())
-        assert times_of(session.path, layout.depth(side)) == {k: int(session.time_ns[k]) for k in images}
 
 
 def test_the_file_waits_for_who_goes_first(tmp_path: Path) -> None:
