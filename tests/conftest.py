@@ -1,7 +1,5 @@
 """Fixtures of all tests: the reference recordings, and stand-ins for the sensors' libraries."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Each file in ``examples/`` runs as it is, and so does each block of Python in the README."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

@@ -1,7 +1,5 @@
 """The packages' public names: found without side effects, and enough for what the documentation shows."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import subprocess

@@ -4,8 +4,6 @@ Every method gets the same simulated recordings, whose truth is known: each move
 sensors, once per seed. The figures are written to ``results/accuracy_SET.json``.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -5,8 +5,6 @@ without a position keeps its last one, as in an application. How S_B is register
 caller's choice; see :mod:`fusion.registration.rigid_fit`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

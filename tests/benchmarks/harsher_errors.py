@@ -3,8 +3,6 @@
 They test whether a method that was developed on the simulator generalizes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from typing import Any

@@ -5,8 +5,6 @@ capture to the sinks and to the viewer, alone and beside two busy processes, and
 receiver in another process. The figures are written to ``results/latency.json``.
 """
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys

@@ -3,8 +3,6 @@
 To add a method, add a row to :data:`METHODS`. A switch of our method is a row of :data:`ABLATIONS`.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Writes ``docs/benchmarks.md`` from the figures that the benchmarks left: ``make benchmarks``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from string import Template

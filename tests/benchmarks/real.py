@@ -3,8 +3,6 @@
 Each folder has the recordings ``a.csv`` and ``b.csv``. The figures are written to ``results/real.json``.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

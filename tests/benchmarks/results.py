@@ -3,8 +3,6 @@
 ``python -m tests.benchmarks.page`` makes ``docs/benchmarks.md`` from them.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

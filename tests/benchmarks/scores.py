@@ -1,7 +1,5 @@
 """Error figures of a skeleton against ground truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

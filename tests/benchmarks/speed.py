@@ -4,8 +4,6 @@ The figures are written to ``results/speed.json``. Times of the method are proce
 which other processes do not count.
 """
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The benchmarks count what they say, on made-up outcomes and on short recordings."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Trackers that no constant was fitted to: with larger errors, and with heavy-tailed errors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from itertools import islice

@@ -1,7 +1,5 @@
 """Simulated recordings with known truth, and every method on each of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace

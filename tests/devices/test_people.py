@@ -1,7 +1,5 @@
 """Choosing and following one person among several."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Simulated sensors in real time: each frame when it is due."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

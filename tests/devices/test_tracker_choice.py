@@ -1,7 +1,5 @@
 """Which body tracker runs, and why: one rule for fuse, live and doctor."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The documents list every folder and every long module, and name modules that exist."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every command in the documents is one that the program takes; those that need no sensor are run."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 from typing import Any

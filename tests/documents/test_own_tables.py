@@ -1,7 +1,5 @@
 """The start page's way from tables in other columns, units and axes to recordings."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

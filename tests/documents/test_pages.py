@@ -1,7 +1,5 @@
 """The pages of the site: their links, their messages, their pictures."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -5,8 +5,6 @@ and deviations by the cosine to the sensor, and the share of mirrored frames. ``
 tests.benchmarks.real FOLDER…`` measures the filter.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -7,8 +7,6 @@ Limits of kinds that are rarely hidden, or that the simulated person has no trut
 those of their neighbours.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 

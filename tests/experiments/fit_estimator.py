@@ -4,8 +4,6 @@ Prints the tables of :mod:`fusion.estimator.constants` from simulated recordings
 the folders (each with a.csv and b.csv): medians over recordings, by kind of joint.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass

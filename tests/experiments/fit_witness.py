@@ -4,8 +4,6 @@ Prints FLESH, SURFACE_SD and EVIDENCE as Python. The simulated person is made of
 bones; so real standard deviations are larger, and the evidence is limited to a factor of 20.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import defaultdict
 from dataclasses import dataclass, field

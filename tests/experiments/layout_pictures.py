@@ -7,8 +7,6 @@ mesa-vulkan-drivers is needed. What is missing for a run is said, and its pictur
 recordings (``DUPLEX_SHARED``), the body tracker's networks.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

@@ -6,8 +6,6 @@ Joints that are far from the truth are red; what a Kinect does not see is grey, 
 graphics driver or Debian's mesa-vulkan-drivers is needed.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import tempfile

@@ -5,8 +5,6 @@ reported as tracked (also of those of which nothing is visible), S* beside that 
 tracker, and the CPU time of an image. Its figures describe the tracker and the simulator, not the machine.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Iterable, Sequence

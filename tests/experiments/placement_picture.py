@@ -4,8 +4,6 @@
 best place come from :mod:`viewer_app.coach.standing_spot`, as in the viewer.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -4,8 +4,6 @@
 with ``--viewer`` the session goes to a viewer's hub too.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -1,7 +1,5 @@
 """Rotations of the bones: exact swing, twist by the stated convention, continuous in time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

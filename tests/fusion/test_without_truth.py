@@ -1,7 +1,5 @@
 """Figures without ground truth, on motions with known figures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

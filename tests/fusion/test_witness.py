@@ -1,7 +1,5 @@
 """Evidence and surface measurements against plain formulas."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Runs the program's commands in this process."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Compiles the kernels before pytest-xdist starts its processes, so that not each of them compiles all."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

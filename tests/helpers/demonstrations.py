@@ -1,7 +1,5 @@
 """``duplex demo`` without its clock, its images and its viewer: its pairs, its S* and its coach's advice."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

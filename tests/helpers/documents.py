@@ -1,7 +1,5 @@
 """The documents of the project, and the commands and messages in them."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

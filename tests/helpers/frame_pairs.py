@@ -1,7 +1,5 @@
 """Frames of two sensors that see a moving person, as input of the loop."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np

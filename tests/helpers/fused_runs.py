@@ -1,7 +1,5 @@
 """Fuses pairs to a session on disk, without a viewer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from uuid import uuid4

@@ -1,7 +1,5 @@
 """Kernels as plain Python functions, so that a step can be tested by itself and without compiling it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import FunctionType
 from typing import Any

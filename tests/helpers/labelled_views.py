@@ -1,7 +1,5 @@
 """Two simulated views as a body tracker labels them, in K_A's frame, with the truth beside them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path

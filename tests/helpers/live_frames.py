@@ -1,7 +1,5 @@
 """Fused frames of a person, and a live session to write them to."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``duplex live`` on stand-ins for two Kinects."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

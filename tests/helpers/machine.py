@@ -5,8 +5,6 @@ let ``.ci/run`` prove that such skips hide nothing: ``--list-machine-skips FILE`
 the tests that were skipped for such a reason, and ``--complete-machine`` makes each such skip a failure.
 """
 
-from __future__ import annotations
-
 import functools
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Writes recordings in the Azure Kinect's layout, for tests: as long and as broken as they need."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Sequence

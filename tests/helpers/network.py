@@ -1,7 +1,5 @@
 """Addresses and messages for tests of network sessions."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from devices.network.messages import FrameMessage, encode_frame

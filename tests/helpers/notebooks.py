@@ -1,7 +1,5 @@
 """Runs the cells of a Jupyter notebook in this process, without Jupyter."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

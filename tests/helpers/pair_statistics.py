@@ -4,8 +4,6 @@ They need no ground truth: they compare the views with each other, a joint with 
 bone with its mean length. The simulator can therefore be compared with real recordings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

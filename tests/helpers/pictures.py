@@ -1,7 +1,5 @@
 """A viewer without a screen, and pictures of its views."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path

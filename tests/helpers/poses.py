@@ -1,7 +1,5 @@
 """Poses whose rotations can be computed by hand, and forward kinematics that is not the program's."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

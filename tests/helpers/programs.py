@@ -1,7 +1,5 @@
 """Runs ``duplex`` in separate processes and reads their output."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -4,8 +4,6 @@ Needs numpy only. ``python pyk4a_contract.py RECORDING`` holds the pyk4a of that
 each in a process of its own, and prints the results as JSON: the library may crash in one of them.
 """
 
-from __future__ import annotations
-
 import ctypes
 import json
 import subprocess

@@ -4,8 +4,6 @@
 ``.ci/run`` does it. Without them, the tests that compare the stand-ins with the real libraries are skipped.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import platform

@@ -1,7 +1,5 @@
 """A session that was calibrated several times, as live ones are."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from uuid import uuid4

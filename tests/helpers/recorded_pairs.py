@@ -1,7 +1,5 @@
 """Recordings of one person that tests write, names of the real ones, and sessions compared bit for bit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Infrared and depth images of simulated people, for tests of the body tracker."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rig of ``../shared/rig``, the real libk4a with simulated sensors, made ready under the cache folder."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Contents of a saved session, for tests of the command line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from recordings.file.rrd_file import RrdFile

@@ -4,8 +4,6 @@ Each sensor has a clock of its own; the one that is behind goes on, so that what
 the pairing) sees the frames in the order of time. Nothing sleeps.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Eq. (1) by scipy's SLSQP: it shares no code with the solvers of :mod:`fusion.solvers`."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Instances of eq. (1), ordinary and random ones, and what is wrong with a solution."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The solver kernels for one frame, with a result that names its figures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ opened with K4A_DISABLE_SYNCHRONIZATION gives depth as it comes, and colour in c
 the colour camera resets the clock; capture sync drops all depth if it is beyond ten frames then.
 """
 
-from __future__ import annotations
-
 import heapq
 import random
 import time

@@ -1,7 +1,5 @@
 """The stand-in for libk4a and libk4abt, compiled once a session and set from the tests."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

@@ -3,8 +3,6 @@
 ``tests/devices/azure/test_pyk4a_contract.py`` holds it and the real library to the same clauses.
 """
 
-from __future__ import annotations
-
 import ctypes
 import enum
 import os

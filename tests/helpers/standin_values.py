@@ -1,7 +1,5 @@
 """Values of the stand-in for pyk4a: captures, calibrations and errors."""
 
-from __future__ import annotations
-
 import ctypes
 
 import cv2

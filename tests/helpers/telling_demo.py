@@ -1,7 +1,5 @@
 """``duplex demo`` as a process that prints a dot on stderr for each recorded frame."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

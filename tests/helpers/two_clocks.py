@@ -1,7 +1,5 @@
 """Two sensors' frames with known truth: when each was captured, what its clock said, when it arrived."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A person of known truth and two sensors of known place."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """A made-up machine's file system, as far as the checks of ``duplex doctor`` read it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 

@@ -1,7 +1,5 @@
 """Waits for other processes and threads. Only this module polls."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

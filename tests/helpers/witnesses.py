@@ -1,7 +1,5 @@
 """What depth images say about joints, in the sensor's frame."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from fusion.array_fields import new_arrays

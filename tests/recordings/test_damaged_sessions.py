@@ -1,7 +1,5 @@
 """A session damaged at random gives one line of error, or exactly the first frames of what was written."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Events at a moment, and spells with a start and an end."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A per-frame figure is declared once; memory, file and checksum agree about it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

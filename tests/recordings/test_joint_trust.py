@@ -1,7 +1,5 @@
 """Where a joint of S* came from, as colours, data and lanes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A session holds the depth witness of each joint, so that a replay needs no images."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures that are derived from the arrays of a session."""
 
-from __future__ import annotations
-
 import weakref
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The option of the scenarios."""
 
-from __future__ import annotations
-
 import pytest
 
 

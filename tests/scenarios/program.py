@@ -3,8 +3,6 @@
 Processes are forked from a server that has imported the program and loaded its kernels, where the system can.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import re

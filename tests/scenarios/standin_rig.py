@@ -4,8 +4,6 @@ The keys are those of ``../shared/rig/README.md``; the file is read again when i
 process without a compiler: libk4abt is of Python here, and its ABI is tested elsewhere.
 """
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 import random

@@ -3,8 +3,6 @@
 The keys of the configuration are those of ``../shared/rig/README.md``.
 """
 
-from __future__ import annotations
-
 import signal
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ What the program says and does is always tested. How fast it does it is tested w
 machine that does nothing else: ``pytest -n 0 tests/scenarios --figures``.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

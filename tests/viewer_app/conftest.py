@@ -1,7 +1,5 @@
 """Fixtures of the program's tests."""
 
-from __future__ import annotations
-
 import pytest
 
 from fusion.fuser import Fuser

@@ -1,7 +1,5 @@
 """The binding to libk4abt, against a stand-in with its prototypes and struct sizes."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager

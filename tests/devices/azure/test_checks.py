@@ -1,7 +1,5 @@
 """Checks of ``duplex doctor`` on made-up machines."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Faults of Azure Kinects, from the bus to the frames."""
 
-from __future__ import annotations
-
 import gc
 import os
 import sys

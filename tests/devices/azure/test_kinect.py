@@ -1,7 +1,5 @@
 """Live sensors, through a stand-in for pyk4a with the real module's names and capsules."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import itertools

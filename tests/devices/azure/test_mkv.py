@@ -1,7 +1,5 @@
 """Azure Kinect recordings: a real one, longer ones in the same layout, and broken ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import av

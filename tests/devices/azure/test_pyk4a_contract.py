@@ -1,7 +1,5 @@
 """The stand-in for pyk4a and the real library, without hardware, held to the same clauses."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from pathlib import Path

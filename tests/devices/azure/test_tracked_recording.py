@@ -1,7 +1,5 @@
 """Recordings with people: tracked by the stand-in, or joined with skeletons saved before."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Any depth camera as a sensor: a generator of images with a tracker that the tests make up."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

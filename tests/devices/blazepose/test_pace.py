@@ -1,7 +1,5 @@
 """Two trackers on one processor: they skip the same frames, then report a change to the lighter network."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Faults of two live sensors, as the pairs show them."""
 
-from __future__ import annotations
-
 import signal
 import threading
 import time

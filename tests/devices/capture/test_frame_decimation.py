@@ -1,7 +1,5 @@
 """Decimation: two trackers get the same moments."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

@@ -1,7 +1,5 @@
 """Which connected sensor is A, which is B, and which leads on the sync cable."""
 
-from __future__ import annotations
-
 import pytest
 
 from devices.capture.sensor_choice import ConnectedSensor, NeedsChoiceError, choose_two, sync_master

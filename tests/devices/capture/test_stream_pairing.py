@@ -1,7 +1,5 @@
 """Pairing of live streams, against frames whose true capture times are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Thinned depth images: their size, and the values computed from them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Depth images as points: against the lens's model written out, and an ideal lens by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

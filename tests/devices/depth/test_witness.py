@@ -1,7 +1,5 @@
 """Measurements in a depth image, against brute force on images with known surfaces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """The example for a Kinect v2 per PC, with a stand-in for kinect-next, which runs on Windows only."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

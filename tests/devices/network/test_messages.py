@@ -1,7 +1,5 @@
 """The binary layouts: round trips, and messages that are damaged, cut off, foreign or absurd."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 

@@ -1,7 +1,5 @@
 """A remote sensor over real Zenoh sessions: frames, clocks, absence, restarts, hostile input."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress

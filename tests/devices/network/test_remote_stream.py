@@ -1,7 +1,5 @@
 """Losses, clocks and restarts of remote sensors in virtual time; losses and jitter are injected."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Zenoh sessions: explicit addresses, one session per set of addresses, one line for each mistake."""
 
-from __future__ import annotations
-
 import socket
 from contextlib import ExitStack
 

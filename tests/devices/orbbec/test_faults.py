@@ -1,7 +1,5 @@
 """Faults of a live Orbbec sensor: the same as those of an Azure Kinect."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

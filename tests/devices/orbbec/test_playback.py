@@ -1,7 +1,5 @@
 """Recordings of Orbbec's SDK v2, through the stand-in's ``PlaybackDevice``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Orbbec sensors, through a stand-in for pyorbbecsdk with the real module's names."""
 
-from __future__ import annotations
-
 import itertools
 import sys
 import threading

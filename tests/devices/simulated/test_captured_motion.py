@@ -1,7 +1,5 @@
 """Claims about motion capture read from BVH."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

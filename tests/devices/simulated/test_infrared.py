@@ -1,7 +1,5 @@
 """Claims about the simulated infrared images and the dressed person in them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The simulated tracker that mistakes a back for a front."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

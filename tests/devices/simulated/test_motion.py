@@ -1,7 +1,5 @@
 """Claims about the simulated person's movements."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The simulated trackers err as real ones do, by figures that need no ground truth."""
 
-from __future__ import annotations
-
 import csv
 import os
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """Claims about the simulated depth images and what is seen in them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Faults of a simulated tracker at given times."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

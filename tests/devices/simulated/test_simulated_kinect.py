@@ -1,7 +1,5 @@
 """Claims about the simulated pair: the truth, the rig, the clocks, and repeatability."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

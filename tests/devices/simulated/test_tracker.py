@@ -1,7 +1,5 @@
 """Claims about the simulated body tracker: each parameter causes one error of the stated size."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

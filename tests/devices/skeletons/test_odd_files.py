@@ -1,7 +1,5 @@
 """Skeleton files as other programs and accidents leave them: read, or refused with a line that helps."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os

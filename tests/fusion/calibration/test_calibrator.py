@@ -1,7 +1,5 @@
 """Calibration while pairs come in: on the whole pose, on a pose seen in part, and on movement."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

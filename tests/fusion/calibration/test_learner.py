@@ -1,7 +1,5 @@
 """The calibration learner: refinements, bones, and that the calibration does not get worse."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tests of compilation on a first run."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

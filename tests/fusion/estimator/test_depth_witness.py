@@ -1,7 +1,5 @@
 """Depth images in the estimator: evidence, surface measurements, and no effect without an image."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

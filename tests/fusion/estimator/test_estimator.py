@@ -1,7 +1,5 @@
 """Properties of S* with the method duplex, on a person with known truth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Bone lengths within a view, and doubt about a whole view, as evidence on outliers."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Each step of the estimator against a plain reference: matrices, enumeration, dense solutions."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any

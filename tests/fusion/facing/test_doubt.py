@@ -1,7 +1,5 @@
 """The doubt about a view's sides when its labels are known beforehand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

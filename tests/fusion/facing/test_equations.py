@@ -1,7 +1,5 @@
 """The facing filter against plain numpy references: one frame, smoothing, live and sequence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Labels found by the facing filter: invariances, goals on simulated truth, faults."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import cycle
 

@@ -1,7 +1,5 @@
 """Tests of eqs. (10), (11)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Tests of the published scheme, eqs. (3)–(9)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from fusion.body import KINECT_V1

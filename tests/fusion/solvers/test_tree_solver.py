@@ -1,7 +1,5 @@
 """Tests of the exact solver of eq. (1)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

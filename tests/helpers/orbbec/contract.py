@@ -5,8 +5,6 @@ Without a sensor: frames, sets of frames and stream profiles can be made by hand
 prints the results as JSON.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

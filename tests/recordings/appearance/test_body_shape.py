@@ -1,7 +1,5 @@
 """The capsules of S*: from each joint to its parent, at every body."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

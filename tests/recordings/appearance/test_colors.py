@@ -1,7 +1,5 @@
 """People with red-green colour blindness tell all colours apart that have to be told apart."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """The floor is found from a standing person, also by a tilted sensor."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

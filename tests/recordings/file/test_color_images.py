@@ -1,7 +1,5 @@
 """Colour images in a session: read as given, and damage is always reported."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A session that is cut off keeps the events up to the cut."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A live session can be read while it grows, and survives a kill and a full disk."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A process that writes many files keeps no threads of their streams, and the layout is whole."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

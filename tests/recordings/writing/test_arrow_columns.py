@@ -1,7 +1,5 @@
 """Columns made without Rerun's conversions are what Rerun makes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a frame costs a viewer's stream, counted in messages: a guard of the live latency without a clock."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Sensors, floor and person are coordinate frames; a recalibration is one message."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from uuid import uuid4
 

@@ -1,7 +1,5 @@
 """Jitter measures noise and not motion; the placement's figures start at zero."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``duplex batch`` in processes of this machine: sessions, resuming, bad pairs, interruption."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """``duplex batch --scheduler``: on a Dask cluster in this process, and on one of programs."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from pathlib import Path

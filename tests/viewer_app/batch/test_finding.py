@@ -1,7 +1,5 @@
 """Which pairs ``duplex batch`` finds in a folder and in a manifest, and what it refuses."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

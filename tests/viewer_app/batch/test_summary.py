@@ -1,7 +1,5 @@
 """The summary of a batch: order, table and page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pyarrow.parquet as pq

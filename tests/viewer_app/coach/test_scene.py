@@ -1,7 +1,5 @@
 """Drawings of the coach: where to stand, which problem to solve, a better place for B."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The coach's advice over time. Time is that of the pairs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Fixtures of the commands' tests."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from pathlib import Path

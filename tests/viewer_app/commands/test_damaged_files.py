@@ -1,7 +1,5 @@
 """Files damaged at random: each is read, or refused with one line and exit code 2; never a traceback."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

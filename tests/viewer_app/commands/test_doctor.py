@@ -1,7 +1,5 @@
 """``duplex doctor`` on a bare machine and where ``duplex live`` can start."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Sessions of versions 0.1 and 1.0 open and replay bit for bit; real pairs give the results of 0.1."""
 
-from __future__ import annotations
-
 import hashlib
 import lzma
 import os

@@ -1,7 +1,5 @@
 """``duplex fuse`` on Azure Kinect recordings, written by the tests in the real layout."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """``duplex review`` lists the events and opens the viewer where something happened."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import MagicMock

@@ -1,7 +1,5 @@
 """The hard moments of the demo: they are seen in one view, S* survives them, and events name them."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

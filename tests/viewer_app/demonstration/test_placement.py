@@ -1,7 +1,5 @@
 """The demo's sensors are well placed in every movement, and badly where that is asked for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

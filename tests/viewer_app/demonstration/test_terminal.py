@@ -1,7 +1,5 @@
 """What ``duplex demo`` tells a newcomer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

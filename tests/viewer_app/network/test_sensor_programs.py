@@ -1,7 +1,5 @@
 """Sensors on several PCs: two programs publish, one fuses. One is killed and started again."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

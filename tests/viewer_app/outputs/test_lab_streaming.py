@@ -1,7 +1,5 @@
 """Lab Streaming Layer, read back by a pylsl inlet."""
 
-from __future__ import annotations
-
 from uuid import uuid4
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Outputs at the command line: ``demo``, ``live`` and ``replay --pace live``."""
 
-from __future__ import annotations
-
 import json
 import socket
 import sys

@@ -1,7 +1,5 @@
 """An output never delays the loop: its queue is bounded, the oldest frames are dropped and counted."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

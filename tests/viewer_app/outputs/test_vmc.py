@@ -1,7 +1,5 @@
 """VMC: read back by python-osc, and forward kinematics in Unity's left-handed axes."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

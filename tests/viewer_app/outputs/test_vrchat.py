@@ -1,7 +1,5 @@
 """VRChat's OSC trackers, read back by python-osc."""
 
-from __future__ import annotations
-
 import math
 import socket
 

@@ -1,7 +1,5 @@
 """The WebSocket server, read by the ``websockets`` client and by a browser, and attacked by random data."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time

@@ -1,7 +1,5 @@
 """Zenoh, read back by a second session."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

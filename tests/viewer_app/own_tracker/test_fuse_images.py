@@ -1,7 +1,5 @@
 """From images to S* by the own tracker, in ``duplex fuse`` without any SDK and in ``duplex demo``."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Infrared images in the viewer: shown with the skeleton over them, kept out of files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The numbered list of a session's events, and the event at which a review opens."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The summary in the terminal: three figures first, few lines, warnings in words."""
 
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import replace

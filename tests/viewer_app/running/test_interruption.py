@@ -1,7 +1,5 @@
 """Ctrl-C at any moment of a session, in its own process: it ends at once, and captured frames are saved."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The live loop on known pairs: the person it follows, the truth, latency, and its latency settings."""
 
-from __future__ import annotations
-
 import gc
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What the loop and its threads do first: a frame is handed over before anything that can wait."""
 
-from __future__ import annotations
-
 import sys
 import types
 from itertools import islice

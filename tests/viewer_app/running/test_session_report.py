@@ -1,7 +1,5 @@
 """What the summary of a live session says about its streams without ``--verbose``."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """A few seconds of the soak (``python -m tests.experiments.soak --minutes 10`` runs all of it)."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

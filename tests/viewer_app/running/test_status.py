@@ -1,7 +1,5 @@
 """The status line's fields, and a warning as one event and one when it is over."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The loop never waits for a viewer, and the file gets all frames."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

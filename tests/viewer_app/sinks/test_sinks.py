@@ -1,7 +1,5 @@
 """Every sink gets the loop's frames. A sink that fails does not affect the others."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

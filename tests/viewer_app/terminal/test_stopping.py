@@ -1,7 +1,5 @@
 """The end of the program: Ctrl-C while it starts, and sensors that still close."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

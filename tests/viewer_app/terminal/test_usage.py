@@ -1,7 +1,5 @@
 """A mistake on the command line gives one line that names it, and exit code 2."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import tomllib

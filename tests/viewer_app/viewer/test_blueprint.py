@@ -1,7 +1,5 @@
 """Pictures of each layout: no view reports a problem, and none is empty."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

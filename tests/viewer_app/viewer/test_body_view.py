@@ -1,7 +1,5 @@
 """S* is a body in the scene, S_A and S_B are thin, and both show where they come from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A display that does not answer delays the start by a few seconds only."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress

@@ -1,7 +1,5 @@
 """Replays and comparisons are written first and then shown, so that no viewer can delay them."""
 
-from __future__ import annotations
-
 import lzma
 import subprocess
 from collections.abc import Iterator, Sequence

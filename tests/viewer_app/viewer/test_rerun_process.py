@@ -1,7 +1,5 @@
 """Rerun's processes end with the program, however it ends."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

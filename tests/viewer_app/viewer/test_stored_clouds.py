@@ -1,7 +1,5 @@
 """The point clouds of a saved session are computed when it is viewed."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

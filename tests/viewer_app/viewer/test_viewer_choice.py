@@ -1,7 +1,5 @@
 """A session in a browser, and the addresses that can reach it."""
 
-from __future__ import annotations
-
 import io
 import socket
 from collections.abc import Iterator

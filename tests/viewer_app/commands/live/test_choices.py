@@ -1,7 +1,5 @@
 """Which sensors ``duplex live`` opens, how it pairs them, and what it refuses before it starts."""
 
-from __future__ import annotations
-
 import io
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``duplex live`` on stand-ins for two Kinects and their body tracker: sessions, options and reports."""
 
-from __future__ import annotations
-
 import gc
 import json
 import sys

@@ -1,7 +1,5 @@
 """``duplex live`` on Orbbec sensors, and on Azure Kinects with the program's own tracker."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any
