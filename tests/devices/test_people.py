@@ -35,9 +35,11 @@ def test_the_same_person_stays_chosen_when_another_is_more_central() -> None:
     assert _ids(PersonChoice(), *frames) == ["1"] * 60
 
 
-def test_a_new_id_in_the_same_place_takes_over() -> None:
+def test_a_new_id_in_the_same_place_takes_over_but_not_from_an_id_that_stays_with_its_body() -> None:
     frames = [{"1": _person(0.0)}, {"1": _person(0.02)}, {"9": _person(0.04)}, {"9": _person(0.06)}]
     assert _ids(PersonChoice(), *frames) == ["1", "1", "9", "9"]
+    nearer = {"1": _person(0.0), "2": _person(0.15)}, {"1": _person(0.15), "2": _person(0.02)}
+    assert _ids(PersonChoice(), *nearer) == ["1", "1"]
 
 
 # 0.5 m in one frame is what a runner could do, but somebody else stands exactly where the person stood.
@@ -46,12 +48,6 @@ def test_swapped_ids_do_not_swap_the_person(apart: float) -> None:
     before = {"1": _person(0.0), "2": _person(apart)}
     after = {"2": _person(0.02), "1": _person(apart - 0.02)}
     assert _ids(PersonChoice(), before, before, after, after) == ["1", "1", "2", "2"]
-
-
-def test_an_id_that_stays_with_its_body_outweighs_a_nearer_stranger() -> None:
-    before = {"1": _person(0.0), "2": _person(0.15)}
-    after = {"1": _person(0.15), "2": _person(0.02)}
-    assert _ids(PersonChoice(), before, after) == ["1", "1"]
 
 
 def test_two_who_pass_close_by_keep_their_ids() -> None:

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import rerun.blueprint as rrb
 
 from devices.pairing import FramePair
 from devices.sensor import SensorFrame
@@ -63,19 +62,3 @@ def numbers_in(file: Path) -> list[int]:
     read = Session.open(file)
     assert read.damage is None
     return [int(number) for number in read.rows.frame]
-
-
-def session_of_view(view: rrb.View, made: list[SessionFrame], folder: Path) -> Path:
-    """A session whose viewer shows one view only."""
-    file = folder / "s.rrd"
-    blueprint = rrb.Blueprint(view, auto_views=False)
-    with LiveSession(known_fuser().setup, ("a", "b"), blueprint, file=file) as live:
-        for frame in made:
-            live.write(frame)
-    return file
-
-
-def inspected_scenes() -> list[rrb.View]:
-    """The scene of *inspect*, and the one with spheres."""
-    blueprint = session_blueprint(known_fuser().setup, np.array([0.0, 0.0, 2.6]), "inspect")
-    return list(blueprint.root_container.contents[1].contents[0].contents[0].contents)

@@ -46,12 +46,7 @@ def need_viewer() -> None:
 
 def need_browser() -> str:
     """The path of a Chromium; skips the running test where there is none."""
-    return browser() or lacks("a browser", "Debian: apt install chromium")
-
-
-def browser() -> str | None:
-    """The path of a Chromium; None where there is none."""
-    return _first_of(_BROWSERS)
+    return _first_of(_BROWSERS) or lacks("a browser", "Debian: apt install chromium")
 
 
 def need_compiler() -> str:

@@ -185,15 +185,6 @@ def test_a_person_half_out_of_view_has_no_tracked_joint_outside(tracker: BlazePo
         assert (pixels[:, 0] < CAMERA.width).all()
 
 
-def test_the_same_images_give_the_same_bits_again(tracker: BlazePose) -> None:
-    images = images_of([landmarks_at("walk", 2.0)])
-    first = only(tracker.track(*images, CAMERA, 0))
-    tracker.forget()
-    second = only(tracker.track(*images, CAMERA, 0))
-    np.testing.assert_array_equal(first.positions, second.positions)
-    np.testing.assert_array_equal(first.states, second.states)
-
-
 def test_images_of_different_sizes_are_refused_in_one_line(tracker: BlazePose) -> None:
     infrared, depth = images_of([])
     with pytest.raises(DeviceError, match=r"640 × 576 pixels, the depth image 320 × 288"):

@@ -154,14 +154,6 @@ def test_two_programs_under_one_key_are_reported_and_the_first_goes_on(address: 
         assert (thread.returns, thread.sensor.link.restarts, thread.sensor.link.malformed) == (0, 0, 0)
 
 
-def test_publishing_in_a_closed_session_gives_one_line(address: str) -> None:
-    with publisher(address) as published:
-        pass
-    with pytest.raises(DeviceError, match=r"Zenoh cannot send under 'lab/a': [^\n]*\.$"):
-        published.publish(frame_at(0))
-    assert published.published == 0
-
-
 def test_another_body_after_a_restart_gives_one_line(address: str) -> None:
     far = remote(address)
     with publisher(address), far:

@@ -6,7 +6,6 @@ from uuid import uuid4
 import numpy as np
 import pytest
 import rerun as rr
-from rerun.experimental import ViewerClient
 
 from fusion.calibration.calibration import Calibration
 from fusion.rigid import RigidTransform
@@ -17,10 +16,8 @@ from recordings.writing import changes
 from recordings.writing.recorder import Recorder
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.live_frames import BODY, frames, known_fuser, session
-from tests.helpers.pictures import headless_viewer
 from tests.helpers.recalibrated import record_recalibrated
 from tests.helpers.two_views import A_FROM_B
-from tests.helpers.waiting import eventually
 
 
 def poses(path: Path, entity: str) -> list[int]:
@@ -85,18 +82,3 @@ def test_a_viewer_s_stream_gets_the_poses_again_and_again(
         stream.disconnect()
         assert poses(path, layout.kinect("b")) == expected
         assert set(expected[1:]) <= set(poses(path, layout.FLOOR))
-
-
-def test_frames_have_names_in_the_viewer(tmp_path: Path) -> None:
-    names = {name: f"tf#{entity}" for name, entity in layout.FRAME_NAMES.items()}
-    with headless_viewer(str(written_live(tmp_path / "s.rrd", 40))) as viewer:
-        assert eventually(lambda: names.items() <= edges(viewer).items(), 30.0)
-        assert all(edges(viewer)[frame].startswith("tf#/") for frame in names.values())
-
-
-def edges(viewer: ViewerClient) -> dict[str, str]:
-    """The parent of each frame; empty before the session is loaded."""
-    try:
-        return {edge["child"]: edge["parent"] for edge in viewer.get_transform_graph()["edges"]}
-    except (ConnectionError, RuntimeError, ValueError, KeyError):
-        return {}

@@ -104,13 +104,6 @@ def test_sensors_without_a_cable_have_no_common_clock(
     assert "without a common clock (master, standalone)" in " ".join(capsys.readouterr().out.split())
 
 
-def test_skeletons_for_a_skeleton_file_are_refused(
-    recorded: dict[str, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert fuse({**recorded, "a": recorded["skeletons_a"]}) == 2
-    assert "a.csv has its own skeletons" in capsys.readouterr().err
-
-
 def test_the_body_tracker_runs_over_both_recordings(
     standin: Standin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

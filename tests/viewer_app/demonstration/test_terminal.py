@@ -20,12 +20,6 @@ def test_the_demo_says_where_to_look_and_what_to_do_next(capsys: pytest.CaptureF
     assert said.endswith("Next: --motion walk, --bad-setup, or your own sensors (duplex doctor).")
 
 
-def test_a_walking_demo_does_not_suggest_itself(capsys: pytest.CaptureFixture[str]) -> None:
-    assert duplex("demo", *QUICK, "--seconds", 1, "--motion", "walk") == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert said.endswith("Next: --bad-setup, or your own sensors (duplex doctor).")
-
-
 def test_a_badly_placed_demo_is_told_what_to_mend(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     saved = tmp_path / "bad.rrd"
     assert duplex("demo", *QUICK, "--seconds", 3, "--bad-setup", "--save", saved) == 0

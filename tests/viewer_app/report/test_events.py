@@ -10,7 +10,6 @@ from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import FusedRun
 from tests.helpers.two_views import calibration_of
 from viewer_app.report.events import (
-    event_in_words,
     first_calibrated_frame,
     list_events,
     opening_event,
@@ -42,15 +41,6 @@ def test_events_are_numbered_in_order_of_time_and_a_spell_is_one_of_them() -> No
         (4, MOVED.text),
     ]
     assert [each.spell for each in listed] == [None, Spell(A_FROM, A_TO), Spell(B_FROM, None), None]
-
-
-def test_words_say_how_long_and_how_grave_without_colour() -> None:
-    _, a, b, moved = (
-        event_in_words(event) for event in list_events([CALIBRATED, A_FROM, B_FROM, A_TO, MOVED])
-    )
-    assert a == "A reports left and right exchanged. It lasted 0.7 s."
-    assert b == "B reports left and right exchanged. It lasted to the end."
-    assert moved == "Warning: A sensor seems to have been moved."
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,6 @@ from viewer_app.report import motion as motion_module
 from viewer_app.report.figures import report, truth_free_figures
 from viewer_app.report.motion import _floor, _kept_frames, encoded_motion
 from viewer_app.report.review_page import review_page
-from viewer_app.report.svg_plots import _columns_of_time
 
 pytest.importorskip("matplotlib", reason="the page's plots need matplotlib")
 
@@ -34,21 +33,6 @@ def test_files_are_named_without_their_folders() -> None:
         "right/s.csv",
     )
     assert without_folders(("Kinect 12", "Kinect 12")) == ("Kinect 12", "Kinect 12")
-
-
-def test_a_trust_map_s_columns_are_stretches_of_time() -> None:
-    time = np.arange(1500) / 30.0
-    time = time[(time < 10.0) | (time >= 40.0)]  # 30 s without a frame
-    share = np.where(time < 20.0, 1.0, 0.0)[:, None]
-    columns = _columns_of_time(time, share)[:, 0]
-    edges = np.linspace(0.0, time[-1], len(columns) + 1)
-    before, after = edges[1:] <= 9.9, edges[:-1] >= 40.0
-    between = (edges[:-1] > 10.1) & (edges[1:] < 39.9)
-    assert (columns[before] == 1.0).all()
-    assert (columns[after] == 0.0).all()
-    assert np.isnan(columns[between]).all()
-    assert before.sum() + after.sum() + between.sum() > 0.98 * len(columns)
-    assert np.isfinite(_columns_of_time(time[:9], share[:9])).all()  # fewer frames than columns
 
 
 @pytest.fixture(scope="module")
@@ -92,46 +76,6 @@ def test_the_page_stands_alone(page: Path) -> None:
     assert not re.search(
         r"nan|None", re.sub(r"<svg.*?</svg>|<canvas.*?>|<p>None\.</p>", "", text, flags=re.S)
     )
-
-
-def test_a_browser_shows_it_light_and_dark_without_network(page: Path) -> None:
-    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
-    chromium = need_browser()
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        try:
-            colors = {}
-            for scheme in ("light", "dark"):
-                tab = browser.new_page(color_scheme=scheme, viewport={"width": 1200, "height": 900})
-                asked: list[str] = []
-                said: list[str] = []
-                tab.on("request", lambda request, asked=asked: asked.append(request.url))
-                tab.on("console", lambda message, said=said: said.append(message.text))
-                tab.goto(page.as_uri())
-                assert asked == [page.as_uri()]
-                assert said == []
-                headings = tab.locator("h2").all_inner_texts()
-                assert {"All figures", "Bone lengths", "Jitter", "Trust per joint", "Timing"} <= set(headings)
-                assert tab.locator("figure svg").count() == 13
-                for box in (svg.bounding_box() for svg in tab.locator("figure svg").all()):
-                    assert box["width"] > 300
-                    assert box["height"] > 80
-                assert tab.evaluate("document.documentElement.scrollWidth") <= 1200
-                heights = [plot.bounding_box()["height"] for plot in tab.locator("figure svg").all()]
-                assert max(heights) < 2.5 * min(heights)  # the trust map's two dozen rows
-                event = tab.locator("table.words td").last
-                assert event.evaluate("e => getComputedStyle(e).textAlign") == "left"
-                phone = browser.new_page(color_scheme=scheme, viewport={"width": 390, "height": 800})
-                phone.goto(page.as_uri())
-                assert phone.evaluate("document.documentElement.scrollWidth") <= 390
-                ink = tab.locator("figure svg text").first.evaluate("e => getComputedStyle(e).fill")
-                ground = tab.evaluate("getComputedStyle(document.body).backgroundColor")
-                colors[scheme] = (ink, ground)
-                assert colors[scheme][0] == tab.evaluate("getComputedStyle(document.body).color")
-            assert colors["light"][1] != colors["dark"][1]
-            assert colors["light"][0] != colors["dark"][0]
-        finally:
-            browser.close()
 
 
 def test_the_motion_is_that_of_the_session_to_the_millimetre(session: Session) -> None:

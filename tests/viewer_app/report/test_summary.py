@@ -3,7 +3,6 @@
 import io
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,10 +17,8 @@ from recordings.session_arrays import SessionArrays
 from tests.helpers.frame_pairs import frame_pairs
 from tests.helpers.fused_runs import FusedRun
 from tests.helpers.two_views import calibration_of
-from viewer_app.report import terminal
 from viewer_app.report.figures import Figures, report, truth_free_figures, with_verdict
 from viewer_app.report.terminal import print_lines, print_summary
-from viewer_app.report.verdict import in_words, verdict
 from viewer_app.report.words import Line, detail_lines, in_mm, lead_lines
 
 
@@ -74,13 +71,6 @@ def test_the_verdict_leads_in_at_most_six_short_lines(figures: Figures) -> None:
     assert lines[0].split() == ["Verdict", "good."]
     assert lines[1].split(maxsplit=2)[2].startswith("median 31 mm, 95 % 31 mm")
     assert lines[2].split(maxsplit=1)[1].startswith("± 0.6°, from 90 frames")
-
-
-def test_all_figures_come_with_verbose_only(figures: Figures) -> None:
-    short, long = said(figures), said(figures, verbose=True)
-    assert long.startswith(short)
-    for words in ("Paired", "upper arm left", "ms per frame", "axes are"):
-        assert (words in long, words in short) == (True, False)
 
 
 @pytest.mark.parametrize(
@@ -142,11 +132,6 @@ def test_the_verdict_judges_the_calibration(figures: Figures, changed: Figures, 
     assert line.warning is not words.startswith("usable")
 
 
-def test_people_before_sensors_get_other_advice_than_readers_of_files(figures: Figures) -> None:
-    running = with_views(figures, 90.0) | {"streams": {}}
-    assert "stand still for a second" in in_words(verdict(running))
-
-
 def with_repairs(rows: SessionArrays) -> SessionArrays:
     """60 frames: A with exchanged sides in 15, 2 joints unseen in all, nobody seen in the last 10."""
     exchanged = np.zeros((60, 2), dtype=np.int8)
@@ -202,24 +187,3 @@ def test_brackets_in_a_text_are_printed_as_they_are() -> None:
     out = io.StringIO()
     print_lines(Console(file=out, width=80), [Line("Warning", "[red]a.csv[/] is cut off", warning=True)])
     assert "[red]a.csv[/] is cut off" in out.getvalue()
-
-
-@pytest.mark.parametrize(
-    ("display", "command"),
-    [(True, "duplex review a/long/folder/s.rrd"), (False, "duplex review a/long/folder/s.rrd --html")],
-)
-def test_the_next_step_is_one_line_that_works_without_a_display(
-    display: bool, command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(terminal, "has_display", lambda: display)
-    monkeypatch.setattr("sys.argv", ["pytest"])
-    monkeypatch.chdir(tmp_path)
-    file = Path("a/long/folder/s.rrd")
-    file.parent.mkdir(parents=True)
-    file.write_bytes(bytes(122_400_000))
-    out = io.StringIO()
-    terminal.say_saved(Console(file=out, width=40), file)
-    (line,) = out.getvalue().splitlines()
-    assert f"{file}, 122 MB" in line
-    assert command in line
-    assert line.endswith(".html") is not display

@@ -89,17 +89,6 @@ def test_the_status_line_says_what_goes_wrong(statuses: list[Any]) -> None:
     ]  # fmt: skip
 
 
-def test_verbose_prints_one_unbroken_line_every_half_second(statuses: list[Any]) -> None:
-    shown = Shown(verbose=True)
-    for status in statuses:
-        shown.display(status)
-        shown.now += 1 / 30
-    lines = shown.printed.getvalue().splitlines()
-    assert len(lines) == 4
-    assert all(line.startswith("fps ") and line.endswith("dropped 3/4") for line in lines)
-    assert max(map(len, lines)) > 80
-
-
 @pytest.mark.parametrize("quiet", [False, True])
 def test_a_warning_is_one_event_and_one_when_it_is_over(statuses: list[Any], quiet: bool) -> None:
     shown = Shown(quiet=quiet)

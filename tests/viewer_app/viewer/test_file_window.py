@@ -17,7 +17,6 @@ from recordings.appearance.coach_page import CoachPage
 from recordings.file.rrd_file import damage_of
 from recordings.file.session_writer import whole_recording
 from tests.helpers.machine import need_viewer
-from tests.helpers.pictures import colors_of_view
 from tests.helpers.waiting import eventually
 from viewer_app.addresses import LOOPBACK
 from viewer_app.errors import UsageError
@@ -140,27 +139,6 @@ def test_a_session_of_version_0_1_is_shown_in_the_layout_of_today(
     assert eventually(lambda: any(view.name == SCENE for view in viewer.get_state().views), 30.0)
     assert eventually(lambda: not viewer.get_state().loading, 30.0)
     assert [(view.name, report.summary) for view in viewer.get_state().views for report in view.reports] == []
-
-
-def test_a_session_of_version_1_0_is_shown_in_its_own_layout(
-    headless: list[tuple[subprocess.Popen[bytes], int]], tmp_path: Path
-) -> None:
-    """It holds a picture of the trust in each joint, of which later versions write lanes instead."""
-    from rerun.experimental import ViewerClient
-
-    path, picture = tmp_path / "walk.rrd", tmp_path / "trust.png"
-    path.write_bytes(lzma.decompress((DATA / "version_1_0" / "walk.rrd.xz").read_bytes()))
-    with file_window.in_this_layout(Session.open(path), path, CoachPage("good")) as file:
-        file_window.show(file)
-    ((_, port),) = headless
-    viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
-
-    def shown() -> bool:
-        views = {view.name: view for view in viewer.get_state().views}
-        trust = views.get("which sensor each joint follows")
-        return trust is not None and colors_of_view(viewer, trust.view_id, picture) > 100
-
-    assert eventually(shown, 30.0)
 
 
 def test_the_time_cursor_of_a_new_window_stands_where_asked(

@@ -1,7 +1,6 @@
 """``duplex live`` on stand-ins for two Kinects and their body tracker: sessions, options and reports."""
 
 import gc
-import json
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -13,7 +12,6 @@ import pytest
 from fusion.body import AZURE_KINECT
 from fusion.calibration.calibration import nominal_calibration
 from fusion.fuser import Fuser
-from fusion.setup import FusionSetup
 from recordings.calibration_file import calibration_to_json
 from recordings.file.rrd_file import read_columns
 from recordings.session import Session
@@ -24,7 +22,6 @@ from tests.helpers.standin_library import Standin
 from tests.helpers.standin_pyk4a import JPEG, Bus
 from viewer_app.commands import demo as demo_command
 from viewer_app.commands import live as live_command
-from viewer_app.report.figures import fusion_figures
 
 
 def test_two_sensors_become_a_session_and_a_summary(kinects: Bus, live: Live, tmp_path: Path) -> None:
@@ -109,19 +106,6 @@ def test_skew_drift_and_drops_are_on_the_timeline(kinects: Bus, live: Live) -> N
     # one of six frames of A has no partner
     assert unpaired[-1, 0] >= rows_of(live.saved, "/fused/skeleton") // 6 - 2 > 0
     assert (np.diff(unpaired, axis=0) >= 0).all()
-
-
-def test_a_report_has_what_that_of_fuse_has(live: Live, tmp_path: Path) -> None:
-    report = tmp_path / "report.json"
-    live("--report", report)
-    figures = json.loads(report.read_text(encoding="utf-8"))
-    assert figures["frames"]["a"] >= figures["paired"] > 0
-    assert figures["streams"]["clock_resets"] == 0
-    rows = Session.open(live.saved).rows
-    of_fuse = fusion_figures(FusionSetup(nominal_calibration(AZURE_KINECT)), rows)
-    assert of_fuse.keys() <= figures.keys()
-    live.saved = tmp_path / "t.rrd"
-    assert "report.json exists already" in live("--report", report, codes=(2,))
 
 
 def test_a_calibration_is_loaded_and_kept(live: Live, tmp_path: Path) -> None:
