@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
-from types import TracebackType
 from typing import Any
 
 from devices.capture.sensor_state import SensorState
@@ -85,9 +84,7 @@ class FramePublisher:
         declare(session.declare_queryable(f"{self._key}/{CLOCK}", self._answer))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exc_info: object) -> None:
         """Closes the session."""
         self._stack.close()
 

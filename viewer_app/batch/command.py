@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -20,14 +20,6 @@ from viewer_app.errors import UsageError
 from viewer_app.options.sensing import BatchOptions, calibration_source, recording_settings
 
 
-@dataclass(frozen=True)
-class Work:
-    """The work of a batch."""
-
-    done: tuple[Row, ...]  # sessions that an earlier call finished
-    jobs: tuple[Job, ...]  # the others
-
-
 def run(options: BatchOptions) -> None:
     """Runs the command; exits with code 1 if a pair could not be fused."""
     console = Console(highlight=False)
@@ -38,14 +30,14 @@ def run(options: BatchOptions) -> None:
         console.print(line, style="yellow", markup=False)
     _make_folder(options.out)
     tidy(options.out)
-    work = plan_work([Job(pair, options) for pair in pairs], options.force)
-    if work.done:
-        console.print(f"Sessions fused already: {len(work.done)} of {len(pairs)}.")
-    rows: dict[str, Row] = {row.job.name: row for row in work.done}
-    jobs = {job.name: job for job in work.jobs}
+    done, to_do = plan_work([Job(pair, options) for pair in pairs], options.force)
+    if done:
+        console.print(f"Sessions fused already: {len(done)} of {len(pairs)}.")
+    rows: dict[str, Row] = {row.job.name: row for row in done}
+    jobs = {job.name: job for job in to_do}
     try:
         if jobs:
-            with closing(_outcomes(work.jobs, options)) as outcomes:
+            with closing(_outcomes(to_do, options)) as outcomes:
                 for outcome in _shown(outcomes, len(jobs), console):
                     rows[outcome.name] = _row(jobs[outcome.name], outcome)
                     if outcome.error:
@@ -54,7 +46,7 @@ def run(options: BatchOptions) -> None:
         if options.scheduler is None or len(rows) == len(pairs):  # no worker is still at it
             tidy(options.out)
         # After an interruption a session may be in place whose worker did not report it any more.
-        left = [_left(job) for job in work.jobs if job.name not in rows]
+        left = [_left(job) for job in to_do if job.name not in rows]
         if rows or any(row.state == "fused" for row in left):
             _write_summary([*rows.values(), *left], options.out)
     failed = sum(row.state == "failed" for row in rows.values())
@@ -67,14 +59,15 @@ def run(options: BatchOptions) -> None:
         sys.exit(1)
 
 
-def plan_work(jobs: Sequence[Job], force: bool) -> Work:
-    """Finds which sessions are finished, by the checksums of their inputs and their options.
+def plan_work(jobs: Sequence[Job], force: bool) -> tuple[list[Row], list[Job]]:
+    """The sessions that are finished, by the checksums of their inputs and their options; and other jobs.
 
     Raises:
         UsageError: A session's folder holds other files; or its session was fused from other recordings, with
             other options or by another version, and `force` is not set.
     """
-    done, left = [], []
+    done: list[Row] = []
+    left: list[Job] = []
     for job in jobs:
         strangers = job.strangers()
         if strangers:
@@ -98,7 +91,7 @@ def plan_work(jobs: Sequence[Job], force: bool) -> Work:
             raise UsageError(
                 f"{job.folder} was fused {difference}. Choose another --out, or fuse it again with --force."
             )
-    return Work(tuple(done), tuple(left))
+    return done, left
 
 
 def _left(job: Job) -> Row:

@@ -82,11 +82,9 @@ class LabStreamingOutput(LiveOutput):
         return 1
 
     def send_event(self, event: Event) -> None:
-        """Pushes an event at the time of the last sample."""
-        if np.isfinite(self._stamp):
-            self._events.push_sample([f"{event.level}: {event.text}"], self._stamp)
-        else:
-            self._events.push_sample([f"{event.level}: {event.text}"])
+        """Pushes an event at the time of the last sample; before the first, of now."""
+        stamp = self._stamp if np.isfinite(self._stamp) else 0.0
+        self._events.push_sample([f"{event.level}: {event.text}"], stamp)
 
     def shut(self) -> None:
         """Removes the streams."""
