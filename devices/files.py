@@ -17,16 +17,18 @@ from devices.depth.image_thinning import Depth, thinned, thinned_camera
 from devices.depth.witness import with_witness
 from devices.orbbec.playback import SUFFIX as BAG
 from devices.orbbec.playback import OrbbecRecording
-from devices.pairing import FramePair, Pairing, median_interval, pair_recordings
-from devices.people import choose_person, one_person, with_successors
+from devices.pairing import FramePair, Pairing, median_interval, pair_views
+from devices.people import RecordedPeople, one_person
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.skeletons.conventions import Unit
 from devices.skeletons.file_sensor import SkeletonRecording
 from devices.tracker_choice import TrackerChoice, choose_tracker
 from fusion.body import Body
 from fusion.intrinsics import Intrinsics
+from fusion.large_arrays import give_back
+from fusion.pair_arrays import View
 from fusion.registration.clock_offset import ClockOffset
-from fusion.registration.clock_search import View, find_clock_offset
+from fusion.registration.clock_search import find_clock_offset
 
 MKV = ".mkv"
 Progress = Callable[[Iterable[SensorFrame], str, int | None], Iterable[SensorFrame]]
@@ -234,17 +236,16 @@ def read_two(
             f"{a.name} has the {len(a.body)} joints of {a.body.name}, {b.name} the {len(b.body)} of "
             f"{b.body.name}. Both sensors must be of one family."
         )
-    person_a, person_b = read_a.choose(choice_a), read_b.choose(choice_b)
     clock = None
     if offset_ns is None:
-        clock = _clock_correction(a.body, read_a.view(person_a), read_b.view(person_b))
+        clock = _clock_correction(a.body, read_a.seen, read_b.seen)
+        give_back()
         offset_ns = 0 if clock is None else round(clock.offset_ns)
     # Two clocks that were put together have no common moments: a partner is the nearest within a frame.
-    tolerance_ns = None if clock is None else median_interval(read_a.view(person_a).time_ns)
-    pairing = pair_recordings(
-        read_a.frames, read_b.frames, person_a, person_b, tolerance_ns,
-        offset_ns=offset_ns, every_frame=every_frame,
-    )  # fmt: skip
+    tolerance_ns = None if clock is None else median_interval(read_a.seen.time_ns)
+    pairing = pair_views(
+        a.body, read_a.person, read_b.person, tolerance_ns, offset_ns=offset_ns, every_frame=every_frame
+    )
     about_clocks = clock_warnings(read_a.info, read_b.info, pairing.pairs)
     if clock is not None:
         about_clocks = [
@@ -308,48 +309,43 @@ def _refuse_same(a: Path, b: Path) -> None:
         raise DeviceError(f"{a} and {b} are the same recording. Fusion needs one recording of each sensor.")
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Read:
-    """All frames of one recording, without images."""
+    """One recording without images, and the person to fuse."""
 
-    name: str
-    frames: list[SensorFrame]
+    person: View
     info: MkvInfo | None
     warnings: list[str]
 
-    def view(self, person: str) -> View:
-        """The frames in which the person is seen, as arrays."""
-        seen = [(frame.time_ns, frame.people[person]) for frame in self.frames if person in frame.people]
-        return View(
-            np.array([time_ns for time_ns, _ in seen], dtype=np.int64),
-            np.array([skeleton.positions for _, skeleton in seen]),
-            np.array([skeleton.states for _, skeleton in seen]),
-        )
-
-    def choose(self, choice: RecordingChoice) -> str:
-        """The id of the person to follow. Unless one was named, later people get the same id."""
-        person = choose_person(self.frames, choice.person, self.name, choice.person_option)
-        if choice.person is not None:
-            return person
-        self.frames, others = with_successors(self.frames, person)
-        if others:
-            named = ", ".join(map(repr, others[:5])) + (" …" if len(others) > 5 else "")
-            self.warnings.append(
-                f"{self.name}: person {named} is followed while {person!r} is not seen. "
-                f"{choice.person_option} {person} follows {person!r} alone."
-            )
-        return person
+    @property
+    def seen(self) -> View:
+        """The frames in which the person is seen."""
+        seen = self.person.states.any(axis=1)
+        return self.person if seen.all() else self.person.chosen_whole(np.flatnonzero(seen))
 
 
 def _read(source: Sensor, choice: RecordingChoice, progress: Progress) -> _Read:
     with source:
-        if not has_images(choice.path):
-            return _Read(source.name, list(source.frames()), None, list(source.warnings))
-        frames = without_images(source)
-        if choice.person is None:
-            frames = one_person(frames)  # a body tracker gives one person several ids
-        work = "tracking" if choice.is_tracked else "reading"
-        read = list(progress(frames, f"{work} {source.name}", frame_count(source)))
-        images = _images_of(source)
-        info = images.info if isinstance(images, MkvRecording) else None
-    return _Read(source.name, read, info, list(source.warnings))
+        info = None
+        if isinstance(source, SkeletonRecording):
+            people = source.people
+        else:
+            frames = without_images(source)
+            if choice.person is None:
+                frames = one_person(frames)  # a body tracker gives one person several ids
+            work = "tracking" if choice.is_tracked else "reading"
+            read = progress(frames, f"{work} {source.name}", frame_count(source))
+            people = RecordedPeople.of(source.body, read)
+            images = _images_of(source)
+            info = images.info if isinstance(images, MkvRecording) else None
+        warnings = list(source.warnings)
+    person = people.choose_person(choice.person, source.name, choice.person_option)
+    others = () if choice.person is not None else people.successors(person)
+    if others:
+        named = ", ".join(map(repr, others[:5])) + (" …" if len(others) > 5 else "")
+        warnings.append(
+            f"{source.name}: person {named} is followed while {person!r} is not seen. "
+            f"{choice.person_option} {person} follows {person!r} alone."
+        )
+    give_back()
+    return _Read(people.view((person, *others)), info, warnings)

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from devices.sensor import DeviceError, SensorFrame
-from fusion.skeleton import Skeleton, SkeletonPair
+from fusion.body import Body
+from fusion.large_arrays import Rows
+from fusion.pair_arrays import Pairs, View
+from fusion.skeleton import Skeleton, SkeletonPair, nobody
 
+PERSON = "0"
+"""The id of the only person in recorded pairs."""
 _GAP = 1.5
 """Frame intervals: if the nearest frame of the other recording is farther away, the other recording has a
 gap."""
@@ -53,6 +58,38 @@ class FramePair:
         return self.skeletons.skew_ns
 
 
+class RecordedPairs(Rows[FramePair]):
+    """Pairs without images whose skeletons are arrays; each pair is made when it is asked for.
+
+    Args:
+        skeletons: The pairs' skeletons; a view has one row for each frame of the sensor.
+    """
+
+    def __init__(self, skeletons: Pairs) -> None:
+        self.skeletons = skeletons
+
+    @staticmethod
+    def of(body: Body, pairs: Sequence[FramePair]) -> RecordedPairs:
+        """Any pairs of a body; the same object if they are of this class."""
+        if isinstance(pairs, RecordedPairs):
+            return pairs
+        return RecordedPairs(Pairs.of(body, [_in_frames(body, pair) for pair in pairs]))
+
+    def __len__(self) -> int:
+        """The number of pairs."""
+        return len(self.skeletons)
+
+    def row(self, k: int) -> FramePair:
+        """Pair k."""
+        pair = self.skeletons[k]
+        frames = zip(self.skeletons.views, self.skeletons.frames[k], (pair.a, pair.b), strict=True)
+        a, b = (
+            None if i < 0 else SensorFrame(int(view.time_ns[i]), {} if seen is None else {PERSON: seen})
+            for view, i, seen in frames
+        )
+        return FramePair(a, b, pair)
+
+
 @dataclass(frozen=True, eq=False)
 class Pairing:
     """All pairs of two recordings, and what was left over.
@@ -64,13 +101,17 @@ class Pairing:
         dropped_a, dropped_b: Frames left out.
     """
 
-    pairs: list[FramePair] = field(repr=False)
+    pairs: Sequence[FramePair] = field(repr=False)
     frames_a: int
     frames_b: int
     dropped_a: int
     dropped_b: int
     alone_a: int = 0
     alone_b: int = 0
+
+    def skeletons(self, body: Body) -> Pairs:
+        """The skeletons of the pairs."""
+        return RecordedPairs.of(body, self.pairs).skeletons
 
 
 def pair_recordings(
@@ -83,6 +124,43 @@ def pair_recordings(
     offset_ns: int = 0,
     every_frame: bool = False,
 ) -> Pairing:
+    """Pairs each frame of A with the nearest of B in time, each frame once; see :func:`pair_views`.
+
+    Args:
+        frames_a, frames_b: Frames of each recording in time order.
+        person_a, person_b: The person meant in each.
+        tolerance_ns, offset_ns, every_frame: As for :func:`pair_views`.
+
+    Raises:
+        DeviceError: A recording is empty, or the two never overlap in time.
+    """
+    time_a, time_b = (
+        np.array([frame.time_ns for frame in frames], dtype=np.int64) for frames in (frames_a, frames_b)
+    )
+    moments = _moments(time_a, time_b + offset_ns, tolerance_ns, every_frame)
+    pairs = [
+        FramePair.of(
+            None if i < 0 else frames_a[i],
+            None if j < 0 else frames_b[j],
+            person_a,
+            person_b,
+            time_ns,
+            skew_ns,
+        )
+        for time_ns, skew_ns, i, j in moments.tolist()
+    ]
+    return _pairing(pairs, moments, len(time_a), len(time_b))
+
+
+def pair_views(
+    body: Body,
+    a: View,
+    b: View,
+    tolerance_ns: int | None = None,
+    *,
+    offset_ns: int = 0,
+    every_frame: bool = False,
+) -> Pairing:
     """Pairs each frame of A with the nearest of B in time, each frame once.
 
     Two frames are a pair when each is the other's nearest and they lie within the tolerance. A frame that
@@ -90,6 +168,7 @@ def pair_recordings(
     before or after all of the other recording are left out.
 
     Args:
+        a, b: The person in all frames of each recording.
         tolerance_ns: Half the slower stream's median frame interval where None.
         offset_ns: Added to the times of B, so that both are on A's clock.
         every_frame: Whether a frame that merely finds no partner, as where one sensor is faster, is given
@@ -98,8 +177,15 @@ def pair_recordings(
     Raises:
         DeviceError: A recording is empty, or the two never overlap in time.
     """
-    time_a = np.array([frame.time_ns for frame in frames_a], dtype=np.int64)
-    time_b = np.array([frame.time_ns for frame in frames_b], dtype=np.int64) + offset_ns
+    moments = _moments(a.time_ns, b.time_ns + offset_ns, tolerance_ns, every_frame)
+    pairs = RecordedPairs(Pairs(body, (a, b), moments[:, 0], moments[:, 1], moments[:, 2:]))
+    return _pairing(pairs, moments, len(a.time_ns), len(b.time_ns))
+
+
+def _moments(
+    time_a: NDArray[np.int64], time_b: NDArray[np.int64], tolerance_ns: int | None, every_frame: bool
+) -> NDArray[np.int64]:
+    """(T, 4) time, skew, frame of A, frame of B of each pair; -1 for no frame."""
     if len(time_a) == 0 or len(time_b) == 0:
         raise DeviceError("A recording without frames cannot be paired.")
     if tolerance_ns is None:
@@ -113,28 +199,34 @@ def pair_recordings(
             f"The two recordings never overlap in time: A runs from {_span(time_a)}, B from {_span(time_b)}. "
             "They must be of the same capture, on one clock."
         )
-    pairs = [
-        FramePair.of(frames_a[i], frames_b[j], person_a, person_b, int(time_a[i]), int(skew[i]))
-        for i, j in zip(chosen.tolist(), nearest_b[chosen].tolist(), strict=True)
-    ]
     gap = 0.0 if every_frame else _GAP
-    alone_a = sorted(set(_in_gaps(time_a, time_b, gap)) - set(chosen.tolist()))
-    alone_b = sorted(set(_in_gaps(time_b, time_a, gap)) - set(nearest_b[chosen].tolist()))
-    pairs += [FramePair.of(frames_a[i], None, person_a, person_b, int(time_a[i])) for i in alone_a]
-    pairs += [FramePair.of(None, frames_b[j], person_a, person_b, int(time_b[j])) for j in alone_b]
-    pairs.sort(key=lambda pair: pair.time_ns)
-    return Pairing(
-        pairs,
-        len(time_a),
-        len(time_b),
-        len(time_a) - len(chosen) - len(alone_a),
-        len(time_b) - len(chosen) - len(alone_b),
-        len(alone_a),
-        len(alone_b),
+    alone_a = np.setdiff1d(_in_gaps(time_a, time_b, gap), chosen)
+    alone_b = np.setdiff1d(_in_gaps(time_b, time_a, gap), nearest_b[chosen])
+    moments = np.concatenate(
+        [
+            np.stack([time_a[chosen], skew[chosen], chosen, nearest_b[chosen]], axis=1),
+            np.stack([time_a[alone_a], 0 * alone_a, alone_a, 0 * alone_a - 1], axis=1),
+            np.stack([time_b[alone_b], 0 * alone_b, 0 * alone_b - 1, alone_b], axis=1),
+        ]
     )
+    return moments[np.argsort(moments[:, 0], kind="stable")]
 
 
-def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64], gap: float) -> list[int]:
+def _pairing(pairs: Sequence[FramePair], moments: NDArray[np.int64], count_a: int, count_b: int) -> Pairing:
+    with_a, with_b = (moments[:, 2:] >= 0).T
+    alone_a, alone_b = int((~with_b).sum()), int((~with_a).sum())
+    dropped_a, dropped_b = count_a - int(with_a.sum()), count_b - int(with_b.sum())
+    return Pairing(pairs, count_a, count_b, dropped_a, dropped_b, alone_a, alone_b)
+
+
+def _in_frames(body: Body, pair: FramePair) -> SkeletonPair:
+    """The skeletons at the times of their frames; without joints where only the frame is there."""
+    each = (pair.a, pair.skeletons.a), (pair.b, pair.skeletons.b)
+    a, b = (one if f is None else replace(one or nobody(body), time_ns=f.time_ns) for f, one in each)
+    return replace(pair.skeletons, a=a, b=b)
+
+
+def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64], gap: float) -> NDArray[np.int64]:
     """The frames, by index, that lie in a gap of the other recording, and not before or after all of it.
 
     The gap is the distance to the nearest frame of the other recording that must be exceeded, in its frame
@@ -142,7 +234,7 @@ def _in_gaps(times: NDArray[np.int64], others: NDArray[np.int64], gap: float) ->
     """
     apart = np.abs(others[_nearest(times, others)] - times)
     within = (times > others[0]) & (times < others[-1])
-    return np.flatnonzero(within & (apart > gap * median_interval(others))).tolist()
+    return np.flatnonzero(within & (apart > gap * median_interval(others)))
 
 
 def _person(frame: SensorFrame | None, person: str) -> Skeleton | None:

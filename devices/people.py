@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from devices.pairing import FramePair
 from devices.sensor import DeviceError, SensorFrame
+from fusion.body import Body
+from fusion.large_arrays import Rows
+from fusion.pair_arrays import View, view_of
 from fusion.rigid import RigidTransform
 from fusion.skeleton import Skeleton
 
@@ -113,51 +116,98 @@ def _bearing(at: NDArray[np.float64]) -> float:
     return abs(float(np.arctan2(at[0], at[2])))
 
 
-def choose_person(frames: Sequence[SensorFrame], wanted: str | None, source: str, flag: str) -> str:
-    """The id of the person to follow: the one wanted, else the one seen in most frames.
+class RecordedPeople(Rows[SensorFrame]):
+    """The frames of a recording without images, as arrays; each frame is made when it is asked for.
 
-    Raises:
-        DeviceError: No one is in the recording, or not the person wanted.
+    Args:
+        time_ns: (T,) the frames' times, in order.
+        ids: The tracker's ids of the people.
+        frame, person: (N,) for each skeleton the number of its frame, in order, and the index of its id.
+        skeletons: All skeletons, N rows.
     """
-    seen = Counter(person for frame in frames for person in frame.people)
-    if not seen:
-        raise DeviceError(f"{source} has {len(frames)} frames and no person in any of them.")
-    if wanted is None:
-        return max(seen, key=lambda person: (seen[person], person))
-    if wanted not in seen:
-        raise DeviceError(
-            f"{source} has no person {wanted!r}. It has "
-            f"{', '.join(f'{person!r} ({n} frames)' for person, n in seen.most_common(8))}; "
-            f"choose one with {flag}."
-        )
-    return wanted
 
+    def __init__(
+        self,
+        body: Body,
+        time_ns: NDArray[np.int64],
+        ids: Sequence[str],
+        frame: NDArray[np.int64],
+        person: NDArray[np.int64],
+        skeletons: View,
+    ) -> None:
+        self.body, self.time_ns, self.ids = body, time_ns, ids
+        self.skeletons, self._frame, self._person = skeletons, frame, person
 
-def with_successors(frames: Sequence[SensorFrame], person: str) -> tuple[list[SensorFrame], tuple[str, ...]]:
-    """Merges ids: people seen only while the followed person is absent get that person's id.
+    @staticmethod
+    def of(body: Body, frames: Iterable[SensorFrame]) -> RecordedPeople:
+        """Frames in the order of time; their images are not kept."""
+        numbers: dict[str, int] = {}
+        times: list[int] = []
+        people: list[tuple[int, int]] = []
 
-    A tracker assigns a new id to a person who returns. After the first person has left, the next one is
-    followed. Returns the frames, and the other ids, the one seen longest first.
-    """
-    when: dict[str, set[int]] = {}
-    for k, frame in enumerate(frames):
-        for name in frame.people:
-            when.setdefault(name, set()).add(k)
-    taken, others = set(when[person]), []
-    for name in sorted(when, key=lambda name: (-len(when[name]), name)):
-        if taken.isdisjoint(when[name]):
-            taken |= when[name]
-            others.append(name)
-    if not others:
-        return list(frames), ()
-    followed = []
-    for frame in frames:
-        successor = next((name for name in others if name in frame.people), None)
-        if successor is not None:
-            people = {name: who for name, who in frame.people.items() if name != successor}
-            frame = replace(frame, people={person: frame.people[successor], **people})
-        followed.append(frame)
-    return followed, tuple(others)
+        def skeletons() -> Iterator[Skeleton]:
+            for number, frame in enumerate(frames):
+                times.append(frame.time_ns)
+                for name, skeleton in frame.people.items():
+                    people.append((number, numbers.setdefault(name, len(numbers))))
+                    yield skeleton
+
+        seen = view_of(body, skeletons())
+        frame, person = np.array(people, dtype=np.int64).reshape(-1, 2).T
+        return RecordedPeople(body, np.array(times, dtype=np.int64), list(numbers), frame, person, seen)
+
+    def __len__(self) -> int:
+        """T."""
+        return len(self.time_ns)
+
+    def row(self, k: int) -> SensorFrame:
+        """Frame k."""
+        first, end = np.searchsorted(self._frame, (k, k + 1)).tolist()
+        people = {self.ids[self._person[i]]: self.skeletons.row(self.body, i) for i in range(first, end)}
+        return SensorFrame(int(self.time_ns[k]), people)
+
+    def view(self, names: Sequence[str]) -> View:
+        """The frames with one person, who has these ids one after the other."""
+        rows = np.flatnonzero(np.isin(self._person, [self.ids.index(name) for name in names]))
+        index = np.full(len(self), -1, dtype=np.int64)
+        index[self._frame[rows]] = rows
+        if len(rows) == len(self) == len(self._frame):
+            return self.skeletons._replace(time_ns=self.time_ns)
+        return self.skeletons.chosen_whole(index)._replace(time_ns=self.time_ns)
+
+    def choose_person(self, wanted: str | None, source: str, flag: str) -> str:
+        """The id of the person to follow: the one wanted, else the one seen in most frames.
+
+        Raises:
+            DeviceError: No one is in the recording, or not the person wanted.
+        """
+        counts = np.bincount(self._person, minlength=len(self.ids)).tolist()
+        seen = Counter(dict(zip(self.ids, counts, strict=True)))
+        if not seen:
+            raise DeviceError(f"{source} has {len(self)} frames and no person in any of them.")
+        if wanted is None:
+            return max(seen, key=lambda person: (seen[person], person))
+        if wanted not in seen:
+            raise DeviceError(
+                f"{source} has no person {wanted!r}. It has "
+                f"{', '.join(f'{person!r} ({n} frames)' for person, n in seen.most_common(8))}; "
+                f"choose one with {flag}."
+            )
+        return wanted
+
+    def successors(self, person: str) -> tuple[str, ...]:
+        """The ids of people seen only while the followed person is absent, the one seen longest first.
+
+        A tracker assigns a new id to a person who returns. After the first person has left, the next one is
+        followed.
+        """
+        when = {name: self._frame[self._person == k] for k, name in enumerate(self.ids)}
+        taken, others = np.zeros(len(self), dtype=bool), []
+        for name in sorted(when, key=lambda name: (name != person, -len(when[name]), name)):
+            if not taken[when[name]].any():
+                taken[when[name]] = True
+                others.append(name)
+        return tuple(others[1:])
 
 
 def one_person(frames: Iterable[SensorFrame]) -> Iterator[SensorFrame]:

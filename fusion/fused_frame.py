@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.large_arrays import Rows
 from fusion.rigid import RigidTransform
 
 
@@ -50,17 +51,53 @@ class FusedFrame:
     doubt_a: float = 0.0
     doubt_b: float = 0.0
 
-    @staticmethod
-    def of(results: Any, k: int, a_from_b: RigidTransform, time_ns: int) -> FusedFrame:
-        """Row k of a method's results, a NamedTuple whose arrays are named as these attributes."""
-        rows = {name: results[i][k] for i, name in enumerate(results._fields) if name in _NAMES}
-        values = {name: row.item() if isinstance(row, np.generic) else row for name, row in rows.items()}
-        return FusedFrame(a_from_b=a_from_b, time_ns=time_ns, **values)
-
     @property
     def has_person(self) -> bool:
         """Whether there is an S*."""
         return bool(np.isfinite(self.positions[0, 0]))
+
+
+class FusedFrames(Rows[FusedFrame]):
+    """The results of T pairs.
+
+    The attributes are those of :class:`FusedFrame`, as arrays of T rows; its default where there is none.
+
+    Args:
+        results: Of a method, a NamedTuple whose arrays are named as these attributes.
+        a_from_b: By which S_B was transformed: one t for all pairs, or (T, 3).
+        time_ns: (T,) the pairs' times.
+    """
+
+    def __init__(self, results: Any, a_from_b: RigidTransform, time_ns: NDArray[np.int64]) -> None:
+        named = zip(results._fields, results, strict=True)
+        self._results = {name: values for name, values in named if name in _NAMES}
+        self._a_from_b, self.time_ns = a_from_b, time_ns
+
+    def __getattr__(self, name: str) -> Any:
+        """The results of that name."""
+        if name not in _NAMES:
+            raise AttributeError(name)
+        return self._results.get(name, getattr(FusedFrame, name, None))
+
+    @property
+    def a_from_b(self) -> RigidTransform:
+        """(T, 3, 3) R and (T, 3) t."""
+        rotation, translation = self._a_from_b.rotation, self._a_from_b.translation
+        T = len(self)
+        return RigidTransform(np.broadcast_to(rotation, (T, 3, 3)), np.broadcast_to(translation, (T, 3)))
+
+    def __len__(self) -> int:
+        """T."""
+        return len(self.time_ns)
+
+    def row(self, k: int) -> FusedFrame:
+        """The result of pair k."""
+        rows = {name: values[k] for name, values in self._results.items()}
+        values = {name: row.item() if isinstance(row, np.generic) else row for name, row in rows.items()}
+        a_from_b = self._a_from_b
+        if a_from_b.translation.ndim > 1:
+            a_from_b = RigidTransform(a_from_b.rotation, a_from_b.translation[k])
+        return FusedFrame(a_from_b=a_from_b, time_ns=int(self.time_ns[k]), **values)
 
 
 _NAMES = {field.name for field in fields(FusedFrame)}

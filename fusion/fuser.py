@@ -11,7 +11,8 @@ from fusion.errors import FusionError
 from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.fused_frame import FusedFrame as FusedFrame
-from fusion.pair_arrays import PairStacker
+from fusion.fused_frame import FusedFrames
+from fusion.pair_arrays import Pairs, PairStacker
 from fusion.paper.paper_fusion import PaperFusion
 from fusion.registration import error_model
 from fusion.setup import FusionSetup
@@ -85,20 +86,16 @@ class Fuser:
         """
         return self._fusion.run(self._stacker.of_pair(pair, codes))[0]
 
-    def fuse_sequence(
-        self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None
-    ) -> list[FusedFrame]:
+    def fuse_sequence(self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None) -> FusedFrames:
         """Fuses the next pairs in one compiled loop; bit for bit what :meth:`update` gives one by one.
 
         Args:
             pairs: In time order.
             codes: (T, 2) as in :meth:`update`.
         """
-        return self._fusion.run(self._stacker.of_pairs(pairs, codes)) if pairs else []
+        return self._fusion.run(Pairs.of(self.setup.body, pairs).arrays(codes))
 
-    def smooth_sequence(
-        self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None
-    ) -> list[FusedFrame]:
+    def smooth_sequence(self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None) -> FusedFrames:
         """Fuses a whole recording, using the pairs before and after each pair: smoother, without lag.
 
         Args:
@@ -111,4 +108,4 @@ class Fuser:
             raise FusionError(
                 f"Only the method duplex can smooth a recording; this is {self.setup.settings.method}."
             )
-        return self._fusion.run(self._stacker.of_pairs(pairs, codes), smooth=True) if pairs else []
+        return self._fusion.run(Pairs.of(self.setup.body, pairs).arrays(codes), smooth=True)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.large_arrays import parts
 
 
 def mirrored_share(body: Body, positions: NDArray[np.floating]) -> float | None:
@@ -20,12 +21,15 @@ def mirrored_share(body: Body, positions: NDArray[np.floating]) -> float | None:
         None where no frame shows shoulders, hips, ankles and feet.
     """
     left, right = ([body.joint(f"{name} {side}") for name in _NAMES] for side in ("left", "right"))
-    at = positions.astype(np.float64)
-    shoulders, hips, ankles, feet = np.moveaxis(at[:, left] + at[:, right], 1, 0)
-    across = (at[:, left[:2]] - at[:, right[:2]]).sum(axis=1)
-    volume = np.einsum("ti,ti->t", across, np.cross(feet - ankles, shoulders - hips))
-    known = volume[np.isfinite(volume)]
-    return float((known > 0.0).mean()) if len(known) else None
+    count = mirrored = 0
+    for part in parts(len(positions)):
+        at = positions[part].astype(np.float64)
+        shoulders, hips, ankles, feet = np.moveaxis(at[:, left] + at[:, right], 1, 0)
+        across = (at[:, left[:2]] - at[:, right[:2]]).sum(axis=1)
+        volume = np.einsum("ti,ti->t", across, np.cross(feet - ankles, shoulders - hips))
+        count += int(np.count_nonzero(np.isfinite(volume)))
+        mirrored += int(np.count_nonzero(volume > 0.0))
+    return mirrored / count if count else None
 
 
 _NAMES = ("shoulder", "hip", "ankle", "foot")

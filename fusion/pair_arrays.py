@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from itertools import chain, islice
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel
-from fusion.skeleton import Skeleton, SkeletonPair
+from fusion.large_arrays import PART, GrowingArray, parts
+from fusion.skeleton import NO_FRAME, Skeleton, SkeletonPair, nobody
 
 
 class PairArrays(NamedTuple):
@@ -30,15 +32,163 @@ class PairArrays(NamedTuple):
     witness_b: NDArray[np.float32]
 
 
+class View(NamedTuple):
+    """One person in T frames of a sensor; a recording's may lie in a file (:mod:`fusion.large_arrays`)."""
+
+    time_ns: NDArray[np.int64]  # (T,) in order, on the sensor's clock
+    positions: NDArray[np.float32]  # (T, J, 3) metres in the sensor's frame; NaN where not tracked
+    states: NDArray[np.uint8]  # (T, J) tracking states; all 0 where the person is not seen
+    witness: NDArray[np.float32] | None = None  # (T, J, 4) of depth images (fusion.witness); NaN without
+
+    def skeleton(self, body: Body, k: int) -> Skeleton | None:
+        """That of frame k; None where the person is not seen."""
+        return self.row(body, k) if k >= 0 and self.states[k].any() else None
+
+    def row(self, body: Body, k: int) -> Skeleton:
+        """Skeleton k."""
+        witness = None if self.witness is None else self.witness[k]
+        return Skeleton(body, self.positions[k], self.states[k], int(self.time_ns[k]), witness)
+
+    def chosen(self, index: NDArray[np.int64]) -> View:
+        """The frames of an index, as arrays of their own; nobody is seen where it is -1."""
+        chosen: list[Any] = [None if values is None else values[index] for values in self]
+        missing = index < 0
+        if missing.any():
+            for values, nothing in zip(chosen, (NO_FRAME, np.nan, 0, np.nan), strict=True):
+                if values is not None:
+                    values[missing] = nothing
+        return View(*chosen)
+
+    def chosen_whole(self, index: NDArray[np.int64]) -> View:
+        """The same of a long recording."""
+        return joined_views(self.chosen(index[part]) for part in parts(len(index)))
+
+
+def joined_views(blocks: Iterable[View]) -> View:
+    """Consecutive frames, at least one block."""
+    time_ns, positions, states = GrowingArray(), GrowingArray(), GrowingArray()
+    witness, count = None, 0
+    for block in blocks:
+        time_ns.append(block.time_ns)
+        positions.append(block.positions)
+        states.append(block.states)
+        if witness is None and block.witness is not None:
+            witness = GrowingArray()
+            witness.append(_no_images(count, block.states.shape[1]))
+        if witness is not None:
+            unseen = block.witness is None
+            witness.append(_no_images(*block.states.shape) if unseen else np.asarray(block.witness))
+        count += len(block.time_ns)
+    images = None if witness is None else witness.whole()
+    return View(time_ns.whole(), positions.whole(), states.whole(), images)
+
+
+def view_of(body: Body, skeletons: Iterable[Skeleton]) -> View:
+    """Skeletons as arrays; a single one without joints if there are none."""
+    rest = iter(skeletons)
+    first = list(islice(rest, PART)) or [nobody(body)]
+    blocks = chain([first], iter(lambda: list(islice(rest, PART)), []))
+    return joined_views(_block_of(body, block) for block in blocks)
+
+
+def _block_of(body: Body, skeletons: list[Skeleton]) -> View:
+    nothing = _no_images(1, len(body))[0]
+    witness = [nothing if skeleton.witness is None else skeleton.witness for skeleton in skeletons]
+    return View(
+        np.array([skeleton.time_ns for skeleton in skeletons], dtype=np.int64),
+        np.array([skeleton.positions for skeleton in skeletons]),
+        np.array([skeleton.states for skeleton in skeletons]),
+        np.array(witness, np.float32) if any(s.witness is not None for s in skeletons) else None,
+    )
+
+
+def _no_images(frames: int, joints: int) -> NDArray[np.float32]:
+    return np.full((frames, joints, 4), np.nan, dtype=np.float32)
+
+
+class Pairs(Sequence[SkeletonPair]):
+    """T pairs of recorded views; each is made when it is asked for.
+
+    Args:
+        views: A's and B's frames.
+        time_ns, skew_ns: (T,) as in :class:`fusion.skeleton.SkeletonPair`.
+        frames: (T, 2) which frames of the views are paired; -1 for none.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        views: tuple[View, View],
+        time_ns: NDArray[np.int64],
+        skew_ns: NDArray[np.int64],
+        frames: NDArray[np.int64],
+    ) -> None:
+        self.body, self.views = body, views
+        self.time_ns, self.skew_ns, self.frames = time_ns, skew_ns, frames
+
+    @staticmethod
+    def of(body: Body, pairs: Sequence[SkeletonPair]) -> Pairs:
+        """Any pairs of a body; the same object if they are of this class."""
+        if isinstance(pairs, Pairs):
+            return pairs
+        frames = np.full((len(pairs), 2), -1, dtype=np.int64)
+        views = []
+        for side, skeletons in enumerate(([pair.a for pair in pairs], [pair.b for pair in pairs])):
+            seen = [k for k, skeleton in enumerate(skeletons) if skeleton is not None]
+            frames[seen, side] = range(len(seen))
+            views.append(view_of(body, (skeleton for skeleton in skeletons if skeleton is not None)))
+        times = np.array([(pair.time_ns, pair.skew_ns) for pair in pairs], dtype=np.int64).reshape(-1, 2)
+        return Pairs(body, (views[0], views[1]), times[:, 0], times[:, 1], frames)
+
+    def __len__(self) -> int:
+        """T."""
+        return len(self.time_ns)
+
+    @overload
+    def __getitem__(self, k: int) -> SkeletonPair: ...
+    @overload
+    def __getitem__(self, k: slice | NDArray[np.int64]) -> Pairs: ...
+    def __getitem__(self, k: int | slice | NDArray[np.int64]) -> SkeletonPair | Pairs:
+        """Pair k, or some of the pairs."""
+        if isinstance(k, slice | np.ndarray):
+            return Pairs(self.body, self.views, self.time_ns[k], self.skew_ns[k], self.frames[k])
+        a, b = (view.skeleton(self.body, i) for view, i in zip(self.views, self.frames[k], strict=True))
+        return SkeletonPair(a, b, int(self.time_ns[k]), int(self.skew_ns[k]))
+
+    @property
+    def seen_by_both(self) -> NDArray[np.bool_]:
+        """(T,) whether both sensors see the person."""
+        a, b = (
+            (frames >= 0) & view.states[frames].any(axis=1)
+            for view, frames in zip(self.views, self.frames.T, strict=True)
+        )
+        return np.asarray(a & b)
+
+    def arrays(self, codes: ArrayLike | None = None) -> PairArrays:
+        """The pairs as arrays of their own, which is what the kernels take.
+
+        Args:
+            codes: (T, 2) exchange codes with doubt; unknown where None.
+        """
+        a, b = (view.chosen(self.frames[:, side]) for side, view in enumerate(self.views))
+        return PairArrays(
+            np.array(self.time_ns),
+            np.array(self.skew_ns),
+            np.array(np.broadcast_to(-1, (len(self), 2)) if codes is None else codes, dtype=np.int64),
+            *(_read_only(values) for values in (a.positions, b.positions, a.states, b.states)),
+            *(_no_images(*v.states.shape) if v.witness is None else v.witness for v in (a, b)),
+        )
+
+
 class PairStacker:
-    """Makes arrays of pairs, always of the types for which the kernels are compiled."""
+    """Makes arrays of one pair at a time, always of the types for which the kernels are compiled."""
 
     def __init__(self, body: Body) -> None:
-        self._nobody = Skeleton.of(body, np.full((len(body), 3), np.nan))
-        self._no_image = np.full((len(body), 4), np.nan, dtype=np.float32)
+        self._nobody = nobody(body)
+        self._no_image: NDArray[np.float32] = _no_images(1, len(body))[0]
 
     def of_pair(self, pair: SkeletonPair, codes: tuple[int, int] | None = None) -> PairArrays:
-        """One pair; see :meth:`of_pairs`. It copies no positions."""
+        """One pair; see :meth:`Pairs.arrays`. It copies no positions."""
         a, b = pair.a or self._nobody, pair.b or self._nobody
         return PairArrays(
             np.array([pair.time_ns], dtype=np.int64),
@@ -50,25 +200,6 @@ class PairStacker:
             b.states[None],
             self._witness(a)[None],
             self._witness(b)[None],
-        )
-
-    def of_pairs(self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None) -> PairArrays:
-        """T ≥ 1 pairs.
-
-        Args:
-            codes: (T, 2) exchange codes with doubt; unknown where None.
-        """
-        a, b = [pair.a or self._nobody for pair in pairs], [pair.b or self._nobody for pair in pairs]
-        return PairArrays(
-            np.array([pair.time_ns for pair in pairs], dtype=np.int64),
-            np.array([pair.skew_ns for pair in pairs], dtype=np.int64),
-            np.array([(-1, -1)] * len(pairs) if codes is None else codes, dtype=np.int64),
-            _read_only(np.array([skeleton.positions for skeleton in a])),
-            _read_only(np.array([skeleton.positions for skeleton in b])),
-            _read_only(np.array([skeleton.states for skeleton in a])),
-            _read_only(np.array([skeleton.states for skeleton in b])),
-            np.array([self._witness(skeleton) for skeleton in a]),
-            np.array([self._witness(skeleton) for skeleton in b]),
         )
 
     def _witness(self, skeleton: Skeleton) -> NDArray[np.float32]:

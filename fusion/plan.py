@@ -8,6 +8,7 @@ live run has neither pass, because both use later frames.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,9 @@ from fusion.calibration.calibration import Calibration
 from fusion.calibration.offline import (
     LearnedCalibration,
     Progress,
+    fresh_pairs,
     learn_from_recording,
+    spaced,
     start_up_calibration,
 )
 from fusion.calibration.online import CalibrationChange
@@ -26,11 +29,18 @@ from fusion.errors import CalibrationError
 from fusion.facing.exchange import with_doubt
 from fusion.facing.model import WHOLE
 from fusion.facing.sequence import relabel_sequence, reported_pairs
+from fusion.large_arrays import parts
 from fusion.medians import median_of_known
-from fusion.pair_arrays import PairStacker
+from fusion.pair_arrays import PairArrays, Pairs
 from fusion.registration.clock_offset import ClockOffset
 from fusion.setup import FuserSettings
 from fusion.skeleton import SkeletonPair
+
+Segments = Sequence[tuple[Calibration, slice]]
+_LONG = 18_000
+"""Pairs, ten minutes at 30 per second. The registration of a longer recording is learned from pairs a tenth
+of a second apart, and its sides are found in parts."""
+_AROUND = 900  # pairs before and after a part that count for it
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,59 +79,62 @@ def plan_recording(
     Raises:
         CalibrationError: None is given, and none can be found.
     """
-    whole = slice(0, len(pairs))
+    pairs = Pairs.of(body, pairs)
     start = calibration or start_up_calibration(body, pairs)
-    views = _Views(body, pairs)
-    segments: tuple[tuple[Calibration, slice], ...] = ((start, whole),)
+    segments: tuple[tuple[Calibration, slice], ...] = ((start, slice(0, len(pairs))),)
     if settings.method != "duplex":
-        return RecordingPlan(segments, views_differ=views.difference(segments))
+        return RecordingPlan(segments, views_differ=_difference(pairs, segments))
     learned: LearnedCalibration | None = None
     if refine:
-        try:
-            learned = learn_from_recording(
-                body,
-                pairs,
-                [(int(a) & WHOLE, int(b) & WHOLE) for a, b in views.labels(segments)],
-                start,
-                skews_ns=[pair.skew_ns for pair in pairs],
-                progress=progress,
-            )
-        except CalibrationError:
-            learned = None  # nothing to learn from: the start-up pose's calibration remains
+        few = pairs if len(pairs) <= _LONG else pairs[spaced(pairs.time_ns, fresh_pairs(pairs))]
+        codes = _labels(few, ((start, slice(0, len(few))),)) & WHOLE
+        with suppress(CalibrationError):  # nothing to learn from: the start-up pose's calibration remains
+            learned = learn_from_recording(body, few, codes, start, progress=progress, timed=pairs)
     if learned is not None:
-        segments = _segments(learned, views.time_ns)
+        segments = _segments(learned, pairs.time_ns)
     return RecordingPlan(
         segments,
-        None if settings.hindsight == "none" else views.labels(segments),
+        None if settings.hindsight == "none" else _labels(pairs, segments),
         () if learned is None else learned.events,
         None if learned is None else learned.clock,
-        views.difference(segments),
+        _difference(pairs, segments),
     )
 
 
-class _Views:
-    """Both views of a recording as arrays."""
+def _difference(pairs: Pairs, segments: Segments) -> float:
+    """Metres; see :attr:`RecordingPlan.views_differ`."""
+    apart = [
+        median_of_known(np.linalg.norm(of.a - _b_in_a(of, part, segments), axis=2))
+        for part in parts(len(pairs))
+        for of in [pairs[part].arrays()]
+    ]
+    known = np.concatenate(apart)
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if len(known) else float("nan")
 
-    def __init__(self, body: Body, pairs: Sequence[SkeletonPair]) -> None:
-        self._body, self._pairs = body, PairStacker(body).of_pairs(pairs)
-        self.time_ns = self._pairs.time_ns
 
-    def difference(self, segments: Sequence[tuple[Calibration, slice]]) -> float:
-        """Metres; see :attr:`RecordingPlan.views_differ`."""
-        apart = np.linalg.norm(self._pairs.a - self._b_in_a(segments), axis=2)
-        seen = np.isfinite(apart).any(axis=1)
-        return float(np.median(median_of_known(apart[seen]))) if seen.any() else float("nan")
+def _b_in_a(pairs: PairArrays, part: slice, segments: Segments) -> NDArray[np.float64]:
+    """(T, J, 3) view B of a part of the pairs in K_A's frame."""
+    in_a = np.empty(pairs.b.shape)
+    for calibration, own in segments:
+        held = slice(max(own.start - part.start, 0), max(min(own.stop, part.stop) - part.start, 0))
+        in_a[held] = calibration.a_from_b.apply(pairs.b[held])
+    return in_a
 
-    def _b_in_a(self, segments: Sequence[tuple[Calibration, slice]]) -> NDArray[np.float64]:
-        return np.concatenate([one.a_from_b.apply(self._pairs.b[own]) for one, own in segments])
 
-    def labels(self, segments: Sequence[tuple[Calibration, slice]]) -> NDArray[np.int64]:
-        """(T, 2) exchange codes with doubt, given these calibrations."""
-        pairs = self._pairs
-        views, states = (pairs.a, self._b_in_a(segments)), (pairs.states_a, pairs.states_b)
-        reported = reported_pairs(self._body, views, states, segments[0][0].a_from_b.translation)
-        labels = relabel_sequence(self._body, reported, self.time_ns)
-        return with_doubt(labels.codes, labels.doubt)
+def _labels(pairs: Pairs, segments: Segments) -> NDArray[np.int64]:
+    """(T, 2) exchange codes with doubt, given these calibrations."""
+    codes = np.empty((len(pairs), 2), dtype=np.int64)
+    for part in parts(len(pairs), _LONG if len(pairs) <= _LONG else _LONG // 2):
+        around = slice(max(part.start - _AROUND, 0), min(part.stop + _AROUND, len(pairs)))
+        of = pairs[around].arrays()
+        views = of.a, _b_in_a(of, around, segments)
+        t = segments[0][0].a_from_b.translation
+        reported = reported_pairs(pairs.body, views, (of.states_a, of.states_b), t)
+        found = relabel_sequence(pairs.body, reported, of.time_ns)
+        own = slice(part.start - around.start, part.stop - around.start)
+        codes[part] = with_doubt(found.codes[own], found.doubt[own])
+    return codes
 
 
 def _segments(

@@ -26,6 +26,8 @@ class TrackingState(IntEnum):
 
 INFERRED, TRACKED = int(TrackingState.INFERRED), int(TrackingState.TRACKED)
 """For kernels, which compare numbers."""
+NO_FRAME = -(2**63)
+"""Capture time in arrays where a sensor gave no frame."""
 FARTHEST = 20.0
 """Metres: a larger coordinate is beyond the range of these sensors and counts as not tracked."""
 
@@ -105,6 +107,11 @@ class Skeleton:
             and np.array_equal(self.positions, earlier.positions, equal_nan=True)
             and np.array_equal(self.states, earlier.states)
         )
+
+
+def nobody(body: Body) -> Skeleton:
+    """A skeleton without a tracked joint."""
+    return Skeleton.of(body, np.full((len(body), 3), np.nan))
 
 
 def checked_joints(

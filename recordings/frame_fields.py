@@ -88,10 +88,19 @@ class FrameField:
             nothing = self.nothing(body, 1)[0]
             for k in missing:
                 values[k] = nothing
-        array = np.array(values)
+        return self._in_memory(np.array(values))
+
+    def of_block(self, body: Body, block: Any) -> NDArray[Any] | None:
+        """(T, …) values of frames that are arrays themselves; None if the figure is optional and absent."""
+        values = self.value_of(block)
+        if values is None:
+            return None
+        return self._in_memory(np.broadcast_to(values, (len(block), *self.shape_for(body))))
+
+    def _in_memory(self, values: NDArray[Any]) -> NDArray[Any]:
         if self.step is not None:
-            array = np.round(array / self.step) * self.step
-        return array.astype(self.dtype, copy=False)
+            values = np.round(values / self.step) * self.step
+        return values.astype(self.dtype, copy=False)
 
     def to_file(self, body: Body, values: NDArray[Any]) -> NDArray[Any]:
         """(T, …) in the representation of the file."""

@@ -5,6 +5,8 @@ The layout is the same live and in a file. Positions are metres; the world is K_
 
 from __future__ import annotations
 
+from fusion.skeleton import NO_FRAME as NO_FRAME
+
 APPLICATION_ID = "duplex_kinects"
 VERSION = 6
 """Version of this layout. It increases when a reader of the old layout would misread the new one."""
@@ -47,8 +49,6 @@ COACH = "/coach"
 """Text of the setup coach. Child entities are its drawings in the scene."""
 COACH_MARKS = ("spot", "sensor_a", "sensor_b", "better_b")
 """Marks of the coach: where to stand, which sensor has a problem, where B would see more."""
-NO_FRAME = -(2**63)
-"""Stored time of a sensor that gave no frame for the pair."""
 
 FLOOR = "/floor"
 """The floor: its pose in K_A's frame, and lines one metre apart."""

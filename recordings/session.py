@@ -18,8 +18,8 @@ frame.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import islice
+from dataclasses import dataclass, replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +27,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from devices.events import Event, Spell, spells_of
-from devices.pairing import FramePair, Pairing
-from devices.sensor import SensorFrame
+from devices.pairing import FramePair, Pairing, RecordedPairs
 from fusion.calibration.calibration import Calibration
+from fusion.pair_arrays import Pairs, View
 from fusion.setup import FusionSetup
-from fusion.skeleton import Skeleton
 from recordings import layout
 from recordings.errors import RecordingError
 from recordings.file.session_reader import read_session
 from recordings.images import NO_IMAGES, SessionImages
 from recordings.interpolation import positions_at
-from recordings.session_arrays import SessionArrays, SessionFrame, ViewsAgree
+from recordings.session_arrays import SessionArrays, SessionFrame, SessionFrames, ViewsAgree
 from recordings.session_data import SessionData
 from recordings.writing.checksums import fused_checksums, joint_digests
 from recordings.writing.properties import as_lists, session_properties
@@ -92,7 +91,7 @@ class Session(SessionData):
 
     @staticmethod
     def of(
-        fused: Sequence[tuple[FusionSetup, Iterable[SessionFrame]]],
+        fused: Sequence[tuple[FusionSetup, Iterable[SessionFrame | SessionFrames]]],
         sources: tuple[str, str] = ("a", "b"),
         *,
         events: Sequence[Event] = (),
@@ -102,7 +101,8 @@ class Session(SessionData):
         """Builds a session in memory from fused frames.
 
         Args:
-            fused: (setup, frames) pairs in time order; at least one frame in total. The frames are not kept.
+            fused: (setup, frames) pairs in time order, one by one or in blocks; at least one frame in total.
+                The frames are not kept.
             sources: Names of the sensors, K_A first.
             events: Events of the session.
             images: The images of the frames.
@@ -111,23 +111,32 @@ class Session(SessionData):
         Raises:
             RecordingError: There is no frame.
         """
-        parts: list[SessionArrays] = []
         calibrations: list[tuple[int, Calibration]] = []
-        count = start_ns = 0
-        for one, frames in fused:
-            first, rest = count, iter(frames)
-            while block := list(islice(rest, _BLOCK)):
-                start_ns = start_ns if count else block[0].pair.time_ns
-                numbers = range(count, count + len(block))
-                lengths = one.calibration.bone_lengths
-                parts.append(SessionArrays.stack(one.body, lengths, block, numbers, start_ns))
-                count += len(block)
-                block.clear()  # before the next one is made
-            if count > first:
-                calibrations.append((first, one.calibration))
-        if not parts:
+        checks: list[tuple[NDArray[np.uint32], NDArray[np.uint8]]] = []
+
+        def stacked() -> Iterator[SessionArrays]:
+            begun = start_ns = 0
+            for one, frames in fused:
+                first = begun
+                for block in _blocks(frames):
+                    start_ns = start_ns if begun else int(block[0].pair.time_ns)
+                    numbers = range(begun, begun + len(block))
+                    part = SessionArrays.stack(
+                        one.body, one.calibration.bone_lengths, block, numbers, start_ns
+                    )
+                    begun += len(part)
+                    checks.append((fused_checksums(part.fused), joint_digests(part.fused)))
+                    del block  # before the next one is made
+                    yield part
+                if begun > first:
+                    calibrations.append((first, one.calibration))
+
+        blocks = stacked()
+        first = next(blocks, None)
+        if first is None:
             raise RecordingError("A session needs at least one frame.")
-        rows, setup = SessionArrays.joined(parts), fused[0][0]
+        rows, setup = SessionArrays.joined(chain([first], blocks)), fused[0][0]
+        fused_crc, digests = map(np.concatenate, zip(*checks, strict=True))
         return Session(
             path=None,
             rows=rows,
@@ -138,8 +147,8 @@ class Session(SessionData):
             sources=sources,
             about=as_lists(session_properties(setup, sources, about or {})),
             events=tuple(events),
-            fused_checksums=fused_checksums(rows.fused),
-            joint_digests=joint_digests(rows.fused),
+            fused_checksums=fused_crc,
+            joint_digests=digests,
             frames_lost=0,
             damage=None,
             images=images,
@@ -259,14 +268,16 @@ class Session(SessionData):
     def whereabouts(self) -> NDArray[np.float64]:
         """(3,) metres in K_A's frame, the median position of the person; a point in front of K_A without a
         person."""
-        points = self.rows.fused.reshape(-1, 3)
+        step = max(1, len(self) // _SAMPLES)
+        some = [rows.fused[rows.frame % step == 0] for rows in self.rows.parts()]
+        points = np.concatenate(some).reshape(-1, 3)
         seen = points[np.isfinite(points).all(axis=1)]
         return np.asarray(np.median(seen, axis=0)) if len(seen) else np.array([0.0, 0.0, 2.5])
 
     @property
     def pairing(self) -> Pairing:
         """The pairs, and :attr:`frame_counts`."""
-        return Pairing(list(self.pairs()), **self.frame_counts)
+        return Pairing(self.recorded_pairs, **self.frame_counts)
 
     @property
     def frame_counts(self) -> dict[str, int]:
@@ -284,35 +295,39 @@ class Session(SessionData):
             "alone_a": alone_a, "alone_b": alone_b,
         }  # fmt: skip
 
+    @property
+    def recorded_pairs(self) -> RecordedPairs:
+        """The pairs as given by the sensors, without images, so that a session can serve as a source."""
+        rows, number = self.rows, np.arange(len(self))
+        clocks = rows.clock_a, rows.clock_b
+        views = (
+            View(rows.clock_a, rows.positions_a, rows.states_a, rows.witness_a),
+            View(rows.clock_b, rows.positions_b, rows.states_b, rows.witness_b),
+        )
+        frames = np.stack([np.where(clock == layout.NO_FRAME, -1, number) for clock in clocks], axis=1)
+        return RecordedPairs(Pairs(rows.body, views, rows.time_ns, rows.skew_ns, frames))
+
     def pairs(self, depth: bool = False) -> Iterator[FramePair]:
-        """The pairs as given by the sensors, so that a session can serve as a source."""
+        """The pairs as given by the sensors, one by one."""
         images = {side: iter(self.depth(side) if depth else ()) for side in layout.SIDES}
         ahead = {side: next(images[side], None) for side in layout.SIDES}
-        for t in range(len(self)):
-            seen: dict[str, NDArray[np.uint16] | None] = dict.fromkeys(layout.SIDES)
+        for t, pair in enumerate(self.recorded_pairs):
             for side, image in ahead.items():
                 if image is not None and image[0] == t:
-                    seen[side], ahead[side] = image[1], next(images[side], None)
-            a, b = (_sensor_frame(self.rows, side, t, seen[side]) for side in layout.SIDES)
-            time_ns, skew_ns = int(self.rows.time_ns[t]), int(self.rows.skew_ns[t])
-            yield FramePair.of(a, b, _PERSON, _PERSON, time_ns, skew_ns)
+                    pair = replace(pair, **{side: replace(getattr(pair, side), depth=image[1])})
+                    ahead[side] = next(images[side], None)
+            yield pair
 
 
 _BLOCK = 300  # frames that are turned into arrays at once
-_PERSON = "0"
-"""The id of the only person in the pairs of a session."""
+_SAMPLES = 9000  # frames, from which a person's usual place is found
 
 
-def _sensor_frame(
-    rows: SessionArrays, side: str, t: int, depth: NDArray[np.uint16] | None
-) -> SensorFrame | None:
-    """What a sensor gave for frame `t`."""
-    clock, states = int(getattr(rows, f"clock_{side}")[t]), getattr(rows, f"states_{side}")[t]
-    if clock == layout.NO_FRAME:
-        return None
-    if not states.any():
-        return SensorFrame(clock, {}, depth)
-    witness = getattr(rows, f"witness_{side}")
-    skeleton = Skeleton.of(rows.body, getattr(rows, f"positions_{side}")[t], states, clock)
-    skeleton = skeleton.with_witness(None if witness is None else witness[t])
-    return SensorFrame(clock, {_PERSON: skeleton}, depth)
+def _blocks(frames: Iterable[SessionFrame | SessionFrames]) -> Iterator[Sequence[SessionFrame]]:
+    """The frames in blocks; some are already."""
+    rest = iter(frames)
+    for first in rest:
+        if isinstance(first, SessionFrames):
+            yield first
+        else:
+            yield [first, *(frame for frame in islice(rest, _BLOCK - 1) if isinstance(frame, SessionFrame))]

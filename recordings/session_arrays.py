@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -17,8 +17,10 @@ from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.facing.model import DOUBT_STEPS
-from fusion.fuser import FusedFrame
+from fusion.fused_frame import FusedFrame, FusedFrames
+from fusion.large_arrays import GrowingArray, Rows, parts
 from fusion.medians import median_of_known
+from fusion.pair_arrays import View
 from fusion.skeleton import Skeleton
 from recordings import layout
 from recordings.frame_fields import (
@@ -48,18 +50,52 @@ class SessionFrame:
     """(J,) metres, with which S* was fused; None where the calibration tells. It is not recorded."""
 
 
+class PairBlock(NamedTuple):
+    """The pairs of :class:`SessionFrames` as arrays; the names are those of a ``FramePair``."""
+
+    time_ns: NDArray[np.int64]
+    skew_ns: NDArray[np.int64]
+    a: View
+    b: View
+
+    @property
+    def skeletons(self) -> PairBlock:
+        """The positions and states of both views."""
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class SessionFrames(Rows[SessionFrame]):
+    """T pairs and their fused frames. Its attributes are those of :class:`SessionFrame`, with T rows."""
+
+    pair: PairBlock
+    fused: FusedFrames
+    fuse_ns: int
+    pairs: Sequence[FramePair]
+    first: int  # number of the first of them among the pairs
+    truth = None
+
+    def __len__(self) -> int:
+        """T."""
+        return len(self.fused)
+
+    def row(self, k: int) -> SessionFrame:
+        """Frame k."""
+        return SessionFrame(self.pairs[self.first + k], self.fused[k], self.fuse_ns)
+
+
 POINTS = "Points3D:positions"
 _VIEW_A, _VIEW_B, _FUSED = layout.skeleton("a"), layout.skeleton("b"), layout.FUSED_SKELETON
 _CAPTURED, _STALE, _PLACEMENT = "sensors.captured_ns", "sensors.stale", "rotation_translation"
 _WEIGHT_STEP = 1.0 / 128.0  # finer steps are not visible
 
 
-def _witness(frame: SessionFrame, side: str) -> NDArray[np.float32] | None:
+def _witness(frame: SessionFrame | SessionFrames, side: str) -> NDArray[np.float32] | None:
     """The depth evidence of a skeleton; all NaN for an image without a person.
 
     An optional figure must exist in every frame of a session, including frames without a person.
     """
-    skeleton: Skeleton | None = getattr(frame.pair.skeletons, side)
+    skeleton: Skeleton | View | None = getattr(frame.pair.skeletons, side)
     if skeleton is not None:
         return skeleton.witness
     seen: SensorFrame | None = getattr(frame.pair, side)
@@ -206,8 +242,13 @@ class SessionArrays:
             start_ns: When the session began; with the first of these frames where None.
             like: Earlier frames of the session: these then have the same optional figures.
         """
-        start = frames[0].pair.time_ns if start_ns is None else start_ns
-        figures: dict[str, Any] = {name: spec.stacked(body, frames) for name, spec in FRAME_FIELDS.items()}
+        figures: dict[str, Any]
+        if isinstance(frames, SessionFrames):
+            figures = {name: spec.of_block(body, frames) for name, spec in FRAME_FIELDS.items()}
+            times = frames.pair.time_ns
+        else:
+            figures = {name: spec.stacked(body, frames) for name, spec in FRAME_FIELDS.items()}
+            times = np.array([f.pair.time_ns for f in frames], dtype=np.int64)
         if like is not None:
             for name in (name for name, spec in FRAME_FIELDS.items() if spec.optional):
                 if getattr(like, name) is None:
@@ -218,20 +259,25 @@ class SessionArrays:
             body,
             np.broadcast_to(bone_lengths, (len(frames), len(body))),
             np.array(range(len(frames)) if numbers is None else numbers, dtype=np.int64),
-            np.array([f.pair.time_ns for f in frames], dtype=np.int64) - start,
+            times - (times[0] if start_ns is None else start_ns),
             **figures,
         )
 
     @staticmethod
-    def joined(parts: Sequence[SessionArrays]) -> SessionArrays:
-        """Joins consecutive frames; a figure that a part lacks is absent in its frames."""
-        joined: dict[str, Any] = {"body": parts[0].body}
-        for name in (f.name for f in fields(SessionArrays) if f.name != "body"):
-            if any(getattr(part, name) is not None for part in parts):
-                joined[name] = np.concatenate(
-                    [part.filled(name) if name in FRAME_FIELDS else getattr(part, name) for part in parts]
-                )
-        return SessionArrays(**joined)
+    def joined(blocks: Iterable[SessionArrays]) -> SessionArrays:
+        """Joins consecutive frames; a figure that a block lacks is absent in its frames."""
+        joined: dict[str, GrowingArray] = {}
+        end = 0
+        for block in blocks:
+            for name in (f.name for f in fields(SessionArrays) if f.name != "body"):
+                if name not in joined and getattr(block, name) is not None:
+                    joined[name] = GrowingArray()
+                    if name in FRAME_FIELDS:
+                        joined[name].append(FRAME_FIELDS[name].nothing(block.body, end))
+                if name in joined:
+                    joined[name].append(block.filled(name) if name in FRAME_FIELDS else getattr(block, name))
+            end += len(block)
+        return SessionArrays(body=block.body, **{name: rows.whole() for name, rows in joined.items()})
 
     def figures(self) -> Iterator[tuple[str, FrameField, NDArray[Any]]]:
         """Name, declaration and values of every figure that these frames have."""
@@ -244,6 +290,10 @@ class SessionArrays:
         """A figure by its name; its absent value in every frame where the session does not have it."""
         values: NDArray[Any] | None = getattr(self, name)
         return FRAME_FIELDS[name].nothing(self.body, len(self)) if values is None else values
+
+    def parts(self) -> Iterator[SessionArrays]:
+        """The frames in parts, for work that would need much memory for all of them."""
+        return (self[part] for part in parts(len(self)))
 
     def __len__(self) -> int:
         """The number of frames T."""
@@ -284,13 +334,16 @@ class SessionArrays:
     @property
     def disagreement(self) -> NDArray[np.float64]:
         """(T,) metres between p and R q + t, median over the joints that both see; NaN without any."""
-        return median_of_known(self.view_difference)
+        return np.concatenate([median_of_known(rows.view_difference) for rows in self.parts()])
 
     @property
     def views_agree(self) -> ViewsAgree:
         """How far apart the views are, over all frames since the calibration."""
-        calibrated = (self.rotation != np.eye(3)).any(axis=(1, 2)) | self.translation.any(axis=1)
-        apart = self.disagreement[calibrated]
+        calibrated = [
+            (rows.rotation != np.eye(3)).any(axis=(1, 2)) | rows.translation.any(axis=1)
+            for rows in self.parts()
+        ]
+        apart = self.disagreement[np.concatenate(calibrated)]
         apart = apart[np.isfinite(apart)]
         if not len(apart):
             return ViewsAgree(math.nan, math.nan)
@@ -307,14 +360,14 @@ class ViewsAgree(NamedTuple):
     percentile_95: float
 
 
-def _exchanged(fused: FusedFrame) -> tuple[int, int] | None:
-    return None if fused.sigma is None else (fused.exchanged_a, fused.exchanged_b)
+def _exchanged(fused: FusedFrame | FusedFrames) -> NDArray[Any] | None:
+    return None if fused.sigma is None else np.stack((fused.exchanged_a, fused.exchanged_b), axis=-1)
 
 
-def _doubts(fused: FusedFrame) -> list[int] | None:
+def _doubts(fused: FusedFrame | FusedFrames) -> NDArray[Any] | None:
     if fused.sigma is None:
         return None
-    return [round(DOUBT_STEPS * doubt) for doubt in (fused.doubt_a, fused.doubt_b)]
+    return np.asarray(np.rint(DOUBT_STEPS * np.stack((fused.doubt_a, fused.doubt_b), axis=-1)))
 
 
 FRAME_FIELDS: Mapping[str, FrameField] = MappingProxyType(frame_fields(fields(SessionArrays)))

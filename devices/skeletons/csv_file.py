@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from dataclasses import dataclass
-from itertools import islice
+from collections.abc import Iterator
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.csv
 from numpy.typing import NDArray
 
-from devices.sensor import DeviceError, SensorFrame
+from devices.people import RecordedPeople
+from devices.sensor import DeviceError
 from devices.skeletons.conventions import (
     Unit,
     check_metres_forward,
@@ -24,22 +21,17 @@ from devices.skeletons.conventions import (
     impossible,
     impossible_in_words,
 )
-from devices.skeletons.read_file import ReadFile, text_bytes
+from devices.skeletons.csv_text import TextRows, codes, line_of_row, refuse_cut_off, states_of, text_rows
+from devices.skeletons.read_file import ReadFile
 from fusion.body import Body, body_of
 from fusion.errors import FusionError
-from fusion.skeleton import Skeleton, TrackingState, checked_joints
-
-COLUMNS = ("time_us", "body", "joint", "x", "y", "z")
+from fusion.pair_arrays import View, joined_views
+from fusion.skeleton import TrackingState, checked_joints
 
 LATEST_US = 9 * 10**15
 """Largest time, so that nanoseconds fit into 64 bits."""
 
-_LONGEST_HEADER = 65_536  # bytes
-_SEPARATORS = (",", ";", "\t")
-_STATES = {
-    **{state.name.lower(): state for state in TrackingState},
-    **{str(state.value): state for state in TrackingState},
-}
+_BLOCK = 4_000_000  # bytes that are read at once
 
 
 def read_csv(path: Path, unit: Unit = "auto") -> ReadFile:
@@ -54,208 +46,140 @@ def read_csv(path: Path, unit: Unit = "auto") -> ReadFile:
             repeated joint; the message names the line. Or times that are no microseconds, or positions
             of an unknown unit, or behind the sensor.
     """
-    raw = text_bytes(path)
-    text = _table(raw, path)
-    table = text.table
-    if table.num_rows == 0:
-        raise DeviceError(f"{path} has a header and no rows.")
-    time_us = text.numbers("time_us", pa.int64())
-    xyz = np.stack([text.numbers(axis, pa.float64()) for axis in "xyz"], axis=1)
-    states = _states(text)
-    if max(time_us.max(), -(time_us.min() + 1)) >= LATEST_US:  # the least integer has no absolute value
-        raise DeviceError(f"{path}: time_us goes beyond {LATEST_US}; times are microseconds.")
-    people, person = _codes(table, "body")
-    names, name = _codes(table, "joint")
     try:
-        body = body_of(set(names))
-    except FusionError as error:
-        raise DeviceError(f"{path}: {error}") from None
-    joint = np.array([body.joint(n) for n in names])[name]
-
-    times, frame = np.unique(time_us, return_inverse=True)
-    check_microseconds(path, times)
-    slot = (frame * len(people) + person) * len(body) + joint
-    backward = _backward_times(text, time_us, person * len(body) + joint)
-    _refuse_repeated(slot, text, body, backward is not None)
-    _refuse_cut_off(raw, table, frame, path)
-    positions = np.full((len(times), len(people), len(body), 3), np.nan)
-    state = np.zeros((len(times), len(people), len(body)), dtype=np.uint8)
-    positions.reshape(-1, 3)[slot] = xyz
-    metres, warning = find_unit(path, body, positions.reshape(-1, len(body), 3), unit)
-    positions *= metres
-    check_metres_forward(path, positions)
-    state.reshape(-1)[slot] = states
-    present = np.zeros((len(times), len(people)), dtype=bool)
-    present[frame, person] = True
-    joints, joint_states = checked_joints(body, positions, state, present.shape)
-    seen: list[dict[str, Skeleton]] = [{} for _ in times]
-    time_ns = (times * 1000).tolist()
-    for f, i in np.argwhere(present).tolist():
-        seen[f][people[i]] = Skeleton(body, joints[f, i], joint_states[f, i], time_ns[f])
-    frames = [SensorFrame(*each) for each in zip(time_ns, seen, strict=True)]
-    warnings = warning, backward, _impossible_positions(text, xyz * metres, states)
-    return ReadFile(body, frames, tuple(filter(None, warnings)))
+        return _Reader(path, unit).read(_BLOCK)
+    except _NotInBlocksError:
+        return _Reader(path, unit).read(-1)
 
 
-@dataclass(frozen=True, eq=False)
-class _Text:
-    """The rows of a file as text."""
-
-    table: pa.Table  # all columns, as text
-    raw: bytes  # the file's bytes
-    path: Path
-    decimal_comma: bool  # whether numbers may be written with a comma
-
-    def line(self, row: int) -> int:
-        """The number of a row's line in the file, from 1; empty lines are not rows."""
-        lines = (number for number, line in enumerate(self.raw.splitlines(), start=1) if line)
-        return next(islice(lines, row + 1, None), row + 2)
-
-    def numbers(self, column: str, kind: pa.DataType) -> NDArray[Any]:
-        """A column as numbers; an empty coordinate is NaN."""
-        text = pc.utf8_trim_whitespace(self.table[column])
-        if kind == pa.float64():
-            text = pc.if_else(pc.equal(text, ""), "nan", text)
-            if self.decimal_comma:
-                text = pc.replace_substring(text, ",", ".")
-        else:
-            text = pc.replace_substring_regex(text, r"^([0-9]+)\.0*$", r"\1")  # as pandas writes times
-        try:
-            return np.asarray(pc.cast(text, kind).to_numpy())
-        except pa.ArrowInvalid:
-            for row, value in enumerate(text.to_pylist()):
-                try:
-                    pa.scalar(value).cast(kind)
-                except pa.ArrowInvalid:
-                    wanted = "a whole number" if kind == pa.int64() else "a number"
-                    raise DeviceError(
-                        f"{self.path}, line {self.line(row)}: {column} must be {wanted}; got {value[:40]!r}."
-                    ) from None
-            raise
+class _NotInBlocksError(Exception):
+    """A block has frames before those of an earlier one, or another body."""
 
 
-def _table(raw: bytes, path: Path) -> _Text:
-    """Reads all columns as text."""
-    header = raw[:_LONGEST_HEADER].splitlines()[0].decode("utf-8-sig", "replace")
-    separator = max(_SEPARATORS, key=header.count)
-    columns = [name.strip() for name in next(csv.reader([header], delimiter=separator), [])]
-    if not set(COLUMNS) <= set(columns):  # X beside x is a column of its own
-        columns = [name.lower() for name in columns]
-    missing = [name for name in COLUMNS if name not in columns]
-    if missing:
-        raise DeviceError(
-            f"{path}: no column {', '.join(missing)}. Columns must be {','.join(COLUMNS)} and optionally "
-            f"state; the file begins with {header[:80]!r}."
-            + (" This looks like JSON: name it .json." if header.lstrip().startswith(("{", "[")) else "")
-        )
-    if len(set(columns)) < len(columns):
-        raise DeviceError(f"{path}: {header!r} repeats a column name.")
-    wrong: list[str] = []
+class _Reader:
+    """Turns the rows of a file into skeletons, block after block."""
 
-    def remember(row: pyarrow.csv.InvalidRow) -> str:
-        wrong.append(row.text)
-        return "skip"
+    def __init__(self, path: Path, unit: Unit) -> None:
+        self._path, self._unit = path, unit
+        self._body: Body | None = None
+        self._metres: float | None = None
+        self._people: dict[str, int] = {}
+        self._times: list[NDArray[np.int64]] = [np.zeros(0, dtype=np.int64)]
+        self._index: list[NDArray[np.int64]] = []
+        self._rows = self._frames = self._impossible = 0
+        self._wrong: tuple[int, NDArray[np.float64]] | None = None
+        self._warnings: dict[str, str] = {}
 
-    try:
-        table = pyarrow.csv.read_csv(
-            io.BytesIO(raw),
-            read_options=pyarrow.csv.ReadOptions(column_names=columns, skip_rows=1, use_threads=False),
-            parse_options=pyarrow.csv.ParseOptions(delimiter=separator, invalid_row_handler=remember),
-            convert_options=pyarrow.csv.ConvertOptions(
-                column_types=dict.fromkeys(columns, pa.string()), strings_can_be_null=False
-            ),
-        )
-    except pa.ArrowInvalid as error:
-        if "Empty CSV" in str(error):
-            raise DeviceError(f"{path} has a header and no rows.") from None
-        raise DeviceError(f"{path} cannot be read as CSV: {str(error).splitlines()[0]}.") from None
-    if wrong:
-        last = raw.rstrip(b"\r\n").endswith(wrong[-1].encode())
-        cells = wrong[0].count(",") + 1
-        commas = separator == "," and cells in (len(columns) + 3, len(columns) + 4)
-        raise DeviceError(
-            f"{path}{_line_of(raw, wrong[0])}: {wrong[0][:60]!r} does not have {len(columns)} columns"
-            + (
-                "; the file is cut off. Copy it again, or delete its last line."
-                if last and not commas
-                else "."
-            )
-            + (" If its numbers have decimal commas, separate the columns by semicolons." if commas else "")
-        )
-    return _Text(table, raw, path, decimal_comma=separator != ",")
+    def read(self, size: int) -> ReadFile:
+        """Reads the file in blocks of this many bytes; -1: at once."""
+        skeletons = joined_views(self._blocks(size))
+        pa.default_memory_pool().release_unused()
+        assert self._body is not None
+        frame, person = np.concatenate(self._index, axis=1)
+        if self._wrong is not None:
+            row, place = self._wrong
+            where = f"in line {line_of_row(self._path, row)}"
+            self._warnings["impossible"] = impossible_in_words(self._path, self._impossible, where, place)
+        times = np.concatenate(self._times) * 1000
+        people = RecordedPeople(self._body, times, list(self._people), frame, person, skeletons)
+        return ReadFile(self._body, people, tuple(self._warnings.values()))
 
+    def _blocks(self, size: int) -> Iterator[View]:
+        """The skeletons of each block; its last two frames wait for the next one, which may continue them."""
+        waiting: pa.Table | None = None
+        rows: tuple[NDArray[Any], ...] | None = None
+        for text, following in pairwise(chain(text_rows(self._path, size), [None])):
+            assert text is not None
+            new = self._numbers(text)
+            rows = new if rows is None else tuple(map(np.concatenate, zip(rows, new, strict=True)))
+            whole = len(rows[0])
+            if following is None:
+                refuse_cut_off(text, waiting, rows[0])
+            else:
+                begins = np.flatnonzero(np.diff(rows[0])) + 1
+                whole = int(begins[-2]) if len(begins) > 1 else 0
+            waiting = text.table
+            if whole:
+                yield self._skeletons(tuple(values[:whole] for values in rows))
+                rows = tuple(values[whole:] for values in rows)
+                self._rows += whole
 
-def _line_of(raw: bytes, text: str) -> str:
-    for number, line in enumerate(raw.splitlines(), start=1):
-        if line.decode("utf-8", "replace").strip() == text.strip():
-            return f", line {number}"
-    return ""
+    def _numbers(self, text: TextRows) -> tuple[NDArray[Any], ...]:
+        """Time, person, joint, x, y, z and state of each row."""
+        time_us = text.numbers("time_us", pa.int64())
+        xyz = np.stack([text.numbers(axis, pa.float64()) for axis in "xyz"], axis=1)
+        states = states_of(text)
+        if max(time_us.max(), -(time_us.min() + 1)) >= LATEST_US:  # the least integer has no absolute value
+            raise DeviceError(f"{self._path}: time_us goes beyond {LATEST_US}; times are microseconds.")
+        people, person = codes(text.table, "body")
+        numbers = [self._people.setdefault(name, len(self._people)) for name in people]
+        names, name = codes(text.table, "joint")
+        if self._body is None:
+            try:
+                self._body = body_of(set(names))
+            except FusionError as error:
+                raise DeviceError(f"{self._path}: {error}") from None
+        if any(self._body.find(joint) is None for joint in names):
+            raise _NotInBlocksError
+        joints = np.array([self._body.joint(joint) for joint in names])
+        return time_us, np.array(numbers)[person], joints[name], xyz, states
 
+    def _skeletons(self, rows: tuple[NDArray[Any], ...]) -> View:
+        """The skeletons of whole frames."""
+        path, body, (time_us, person, joint, xyz, states) = self._path, self._body, rows
+        assert body is not None
+        times, frame = np.unique(time_us, return_inverse=True)
+        if len(self._times[-1]) and times[0] <= self._times[-1][-1]:
+            raise _NotInBlocksError
+        check_microseconds(path, times)
+        self._warn_backward(time_us, person * len(body) + joint)
+        key, row = np.unique(frame * len(self._people) + person, return_inverse=True)
+        slot = row * len(body) + joint
+        self._refuse_repeated(slot)
+        positions = np.full((len(key), len(body), 3), np.nan)
+        state = np.zeros((len(key), len(body)), dtype=np.uint8)
+        positions.reshape(-1, 3)[slot] = xyz
+        state.reshape(-1)[slot] = states
+        if self._metres is None:
+            self._metres, warning = find_unit(path, body, positions, self._unit)
+            if warning:
+                self._warnings["unit"] = warning
+        positions *= self._metres
+        check_metres_forward(path, positions)
+        self._count_impossible(xyz * self._metres, states)
+        joints, joint_states = checked_joints(body, positions, state, (len(key),))
+        of = key // len(self._people)
+        self._index.append(np.stack([self._frames + of, key % len(self._people)]))
+        self._times.append(times)
+        self._frames += len(times)
+        return View(times[of] * 1000, joints, joint_states)
 
-def _states(text: _Text) -> NDArray[np.uint8]:
-    table = text.table
-    if "state" not in table.column_names:
-        return np.full(table.num_rows, TrackingState.TRACKED, dtype=np.uint8)
-    values, code = _codes(table, "state")
-    for k, value in enumerate(values):
-        if value.lower() not in _STATES:
-            row = int(np.flatnonzero(code == k)[0])
+    def _refuse_repeated(self, slot: NDArray[np.int64]) -> None:
+        order = np.argsort(slot, kind="stable")
+        again = order[1:][slot[order][1:] == slot[order][:-1]]
+        if len(again) and self._body is not None:
+            row = int(again.min())
+            joint = self._body.joints[int(slot[row]) % len(self._body)]
             raise DeviceError(
-                f"{text.path}, line {text.line(row)}: state {value[:40]!r} is none of tracked, inferred, "
-                "not_tracked, 2, 1, 0."
+                f"{self._path}: joint {joint} of one person has two rows in one frame, the second in line "
+                f"{line_of_row(self._path, self._rows + row)}."
+                + (" Are two recordings in one file?" if "backward" in self._warnings else "")
             )
-    return np.array([_STATES[value.lower()] for value in values], dtype=np.uint8)[code]
 
+    def _warn_backward(self, time_us: NDArray[np.int64], joint: NDArray[np.int64]) -> None:
+        """Adds a warning if the time of a joint goes back from one row to its next."""
+        order = np.argsort(joint, kind="stable")
+        times, of = time_us[order], joint[order]
+        back = order[1:][(np.diff(times) < 0) & (of[1:] == of[:-1])]
+        if len(back) and "backward" not in self._warnings:
+            line = line_of_row(self._path, self._rows + int(back.min()))
+            self._warnings["backward"] = (
+                f"{self._path}: time_us goes back in line {line}; the frames were sorted by time."
+            )
 
-def _codes(table: pa.Table, column: str) -> tuple[list[str], NDArray[np.int64]]:
-    """Returns the distinct values of a column, and the index of each row's value."""
-    encoded = pc.utf8_trim_whitespace(table[column]).combine_chunks().dictionary_encode()
-    return encoded.dictionary.to_pylist(), np.asarray(encoded.indices.to_numpy(), dtype=np.int64)
-
-
-def _refuse_repeated(slot: NDArray[np.int64], text: _Text, body: Body, backward: bool) -> None:
-    order = np.argsort(slot, kind="stable")
-    again = order[1:][slot[order][1:] == slot[order][:-1]]
-    if len(again):
-        row = int(again.min())
-        joint = body.joints[int(slot[row]) % len(body)]
-        raise DeviceError(
-            f"{text.path}: joint {joint} of one person has two rows in one frame, the second in line "
-            f"{text.line(row)}." + (" Are two recordings in one file?" if backward else "")
-        )
-
-
-def _backward_times(text: _Text, time_us: NDArray[np.int64], joint: NDArray[np.int64]) -> str | None:
-    """A warning if the time of a joint goes back from one row to its next."""
-    order = np.argsort(joint, kind="stable")
-    times, of = time_us[order], joint[order]
-    back = order[1:][(np.diff(times) < 0) & (of[1:] == of[:-1])]
-    if not len(back):
-        return None
-    line = text.line(int(back.min()))
-    return f"{text.path}: time_us goes back in line {line}; the frames were sorted by time."
-
-
-def _impossible_positions(text: _Text, metres: NDArray[np.float64], states: NDArray[np.uint8]) -> str | None:
-    """A warning about positions of tracked joints that no sensor can report."""
-    wrong = np.flatnonzero(impossible(metres) & (states != TrackingState.NOT_TRACKED))
-    if not len(wrong):
-        return None
-    row = int(wrong[0])
-    return impossible_in_words(text.path, len(wrong), f"in line {text.line(row)}", metres[row])
-
-
-def _refuse_cut_off(raw: bytes, table: pa.Table, frame: NDArray[np.int64], path: Path) -> None:
-    # Without a newline at the end, the last value may have lost digits. Some writers omit that newline, so
-    # the file is rejected only if this value is shorter than others, or if the last frame lacks rows.
-    if raw.endswith(b"\n"):
-        return
-    rows = np.bincount(frame)
-    last = table[table.column_names[-1]]
-    decimals = pc.utf8_length(pc.replace_substring_regex(last, r"^[^.]*\.?", "")).to_numpy()
-    is_number = table.column_names[-1] in ("x", "y", "z")
-    if (len(rows) > 1 and rows[-1] < rows[-2]) or (is_number and decimals[-1] < decimals.max()):
-        raise DeviceError(
-            f"{path} seems to be cut off in its last line, {raw.splitlines()[-1].decode()[-40:]!r}. Copy it "
-            "again; if that line is complete, end it with a newline."
-        )
+    def _count_impossible(self, metres: NDArray[np.float64], states: NDArray[np.uint8]) -> None:
+        """Counts positions of tracked joints that no sensor can report."""
+        wrong = np.flatnonzero(impossible(metres) & (states != TrackingState.NOT_TRACKED))
+        self._impossible += len(wrong)
+        if len(wrong) and self._wrong is None:
+            self._wrong = self._rows + int(wrong[0]), metres[wrong[0]]

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
+from devices.people import RecordedPeople
 from devices.sensor import DeviceError, Sensor, SensorFrame
 from devices.skeletons.conventions import Unit, frozen, upside_down
 from devices.skeletons.csv_file import read_csv
@@ -33,7 +34,14 @@ class SkeletonRecording(Sensor):
         self._path = path
         self._unit = unit
         self._body: Body | None = None
-        self._frames: Sequence[SensorFrame] = ()
+        self._people: RecordedPeople | None = None
+
+    @property
+    def people(self) -> RecordedPeople:
+        """The content of the file; known while it is open."""
+        if self._people is None:
+            raise DeviceError(f"{self.name} is not open.")
+        return self._people
 
     @property
     def body(self) -> Body:  # type: ignore[override]
@@ -58,23 +66,22 @@ class SkeletonRecording(Sensor):
             raise DeviceError(f"{self.name} cannot be read: {error.strerror or error}.") from None
         except MemoryError:
             raise DeviceError(f"{self.name} is too large for the memory of this machine.") from None
-        if not read.frames:
+        if not read.people:
             raise DeviceError(f"{self.name} has no frames.")
-        people = [person for frame in read.frames for person in frame.people.values()]
-        if people and not any(person.has_position.any() for person in people):
+        if read.people.ids and not read.people.skeletons.states.any():
             raise DeviceError(f"{self.name}: no joint has a position in any frame.")
-        self._body, self._frames = read.body, read.frames
+        self._body, self._people = read.body, read.people
         self.warnings = [
             *read.warnings,
-            *upside_down(self.name, read.body, read.frames),
-            *frozen(self.name, read.frames),
+            *upside_down(self.name, read.body, read.people),
+            *frozen(self.name, read.people),
         ]
         return self
 
     def __exit__(self, *exc_info: object) -> None:
         """Releases the frames."""
-        self._frames = ()
+        self._people = None
 
     def frames(self) -> Iterator[SensorFrame]:
         """Returns an iterator over the frames in time order."""
-        return iter(self._frames)
+        return iter(self._people or ())

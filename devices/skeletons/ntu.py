@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from devices.people import RecordedPeople
 from devices.sensor import DeviceError, SensorFrame
 from devices.skeletons.conventions import Unit
 from devices.skeletons.read_file import ReadFile, text_bytes
@@ -44,7 +45,7 @@ def read_ntu(path: Path, unit: Unit = "auto") -> ReadFile:
                 KINECT_V2, rows[:, :3] * _SENSOR_FROM_CAMERA_SPACE, rows[:, 3].astype(int), time_ns
             )
         frames.append(SensorFrame(time_ns, people))
-    return ReadFile(KINECT_V2, frames)
+    return ReadFile(KINECT_V2, RecordedPeople.of(KINECT_V2, frames))
 
 
 class _Lines:

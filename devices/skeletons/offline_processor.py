@@ -49,7 +49,7 @@ def read_json(path: Path, unit: Unit = "auto") -> ReadFile:
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise DeviceError(f"{path}, {where}: not as offline_processor writes it ({what}).") from None
-    return ReadFile(body, *in_time_order(path, frames))
+    return ReadFile(body, *in_time_order(path, body, frames))
 
 
 def _frame(frame: dict[str, Any], body: Body, joint: np.ndarray[Any, np.dtype[np.int64]]) -> SensorFrame:

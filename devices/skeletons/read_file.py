@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+from devices.people import RecordedPeople
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import Body
 
@@ -26,12 +28,17 @@ class ReadFile:
     """The content of a skeleton file."""
 
     body: Body
-    frames: list[SensorFrame]  # in time order
+    people: RecordedPeople
     warnings: tuple[str, ...] = ()  # what the user should know about the file, a line each
 
 
 def text_bytes(path: Path) -> bytes:
-    """The bytes of a text file in UTF-8.
+    """The bytes of a text file in UTF-8; see :func:`text_blocks`."""
+    return b"".join(text_blocks(path))
+
+
+def text_blocks(path: Path, size: int = -1) -> Iterator[bytes]:
+    """The lines of a text file in UTF-8, in blocks of about this many bytes.
 
     Raises:
         DeviceError: The file is no regular file, is empty, has another format, or is not UTF-8.
@@ -46,24 +53,42 @@ def text_bytes(path: Path) -> bytes:
                 raise DeviceError(f"{path} is not a file of skeletons but {words}.")
         if b"\0" * _FEWEST_NULS in start:
             raise DeviceError(f"{path} is not text: it contains zero bytes.")
-        raw = start + file.read()
-    if not raw.strip():
-        raise DeviceError(f"{path} is empty.")
+        read = lines = 0
+        while more := file.read(size):
+            raw, start = start + more, b""
+            if size > 0 and len(more) == size:
+                end = raw.rfind(b"\n") + 1
+                raw, start = raw[:end], raw[end:]
+            _check_text(path, raw, read, lines)
+            if read == 0 and not raw.strip():
+                break
+            read, lines = read + len(raw), lines + raw.count(b"\n")
+            yield raw
+        if start.strip():
+            _check_text(path, start, read, lines)
+            yield start
+        elif read == 0:
+            raise DeviceError(f"{path} is empty.")
+
+
+def _check_text(path: Path, raw: bytes, before: int, lines: int) -> None:
+    """Refuses what is not text; so many bytes and lines of the file come before."""
     nuls = raw.find(b"\0" * _FEWEST_NULS)
     if nuls >= 0:
-        line = _line_at(raw, nuls)
+        line = lines + raw.count(b"\n", 0, nuls) + 1
         raise DeviceError(f"{path} is damaged: zero bytes in line {line}. Copy it again, or delete the rest.")
     try:
         raw.decode("utf-8")
     except UnicodeDecodeError as error:
-        line = _line_at(raw, error.start)
+        line = lines + raw.count(b"\n", 0, error.start) + 1
         raise DeviceError(
-            f"{path} is not text in UTF-8: byte {error.start + 1}, in line {line}. Save it as UTF-8."
+            f"{path} is not text in UTF-8: byte {before + error.start + 1}, in line {line}. Save it as UTF-8."
         ) from None
-    return raw
 
 
-def in_time_order(path: Path, frames: list[SensorFrame]) -> tuple[list[SensorFrame], tuple[str, ...]]:
+def in_time_order(
+    path: Path, body: Body, frames: list[SensorFrame]
+) -> tuple[RecordedPeople, tuple[str, ...]]:
     """The frames sorted by time, with a warning if they were not.
 
     Raises:
@@ -75,11 +100,6 @@ def in_time_order(path: Path, frames: list[SensorFrame]) -> tuple[list[SensorFra
             raise DeviceError(f"{path}: two frames have the same time, {after.time_ns // 1000} µs.")
     for number, (before, after) in enumerate(pairwise(frames), start=1):
         if after.time_ns < before.time_ns:
-            return ordered, (
-                f"{path}: the time goes back at frame {number}; the frames were sorted by time.",
-            )
-    return ordered, ()
-
-
-def _line_at(raw: bytes, offset: int) -> int:
-    return raw.count(b"\n", 0, offset) + 1
+            warning = f"{path}: the time goes back at frame {number}; the frames were sorted by time."
+            return RecordedPeople.of(body, ordered), (warning,)
+    return RecordedPeople.of(body, ordered), ()

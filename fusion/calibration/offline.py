@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
@@ -11,6 +15,8 @@ from fusion.calibration.calibration import Calibration, calibrate
 from fusion.calibration.online import CalibrationChange, CalibrationLearner, LearnerSettings, prior_of
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.errors import CalibrationError
+from fusion.large_arrays import PART, give_back, parts
+from fusion.pair_arrays import Pairs
 from fusion.registration.clock_offset import ClockOffset, clock_offset_of
 from fusion.registration.error_model import disagreement
 from fusion.registration.keyframes import Evidence, KeyframeSet, evidence_of, match_sides
@@ -19,7 +25,7 @@ from fusion.registration.refinement import held_out_gain
 from fusion.registration.rigid_fit import label_free_fit
 from fusion.registration.robust_fit import RobustFit, fit_robust, registration_of
 from fusion.rigid import RigidTransform
-from fusion.skeleton import SkeletonPair
+from fusion.skeleton import NO_FRAME, SkeletonPair
 
 Progress = Callable[[Sequence[int]], Iterable[int]]
 _KEYFRAMES = 128  # per span; the tempering of the fit was chosen for this number
@@ -29,6 +35,7 @@ poses but many moments, because a tracker's scale changes within a second."""
 _FEWEST = 12
 _SPACING_NS, _PROPOSED_NS = 95_000_000, 3_000_000_000
 """Pairs and refinements of the first pass, which only has to find when a sensor was moved."""
+_PROPOSALS = 200  # at most; in recordings longer than ten minutes the refinements are farther apart
 _LABEL_FREE = "label-free fit of the first half minute"
 
 
@@ -58,12 +65,13 @@ def start_up_calibration(body: Body, pairs: Sequence[SkeletonPair]) -> Calibrati
     Raises:
         CalibrationError: No frame shows a person to both sensors, or the views cannot be registered.
     """
+    pairs = Pairs.of(body, pairs)
     held, how = find_start_up_pose(body, pairs)
     try:
         return calibrate(body, held, how)
     except CalibrationError:
-        fresh = [pairs[k] for k in _fresh(pairs)]
-        found = label_free_fit(body, evidence_of(body, fresh[:: max(1, len(fresh) // _KEYFRAMES)]))
+        fresh = fresh_pairs(pairs)
+        found = label_free_fit(body, evidence_of(body, pairs[fresh[:: max(1, len(fresh) // _KEYFRAMES)]]))
         if found is None:
             raise
         return Calibration(body, found, body.nominal_lengths, "label-free fit of the recording")
@@ -72,11 +80,11 @@ def start_up_calibration(body: Body, pairs: Sequence[SkeletonPair]) -> Calibrati
 def learn_from_recording(
     body: Body,
     pairs: Sequence[SkeletonPair],
-    codes: Sequence[tuple[int, int]] | None = None,
+    codes: NDArray[np.int64] | None = None,
     start: Calibration | None = None,
     settings: LearnerSettings | None = None,
-    skews_ns: Sequence[int] | None = None,
     progress: Progress = iter,
+    timed: Sequence[SkeletonPair] | None = None,
 ) -> LearnedCalibration:
     """Learns one calibration from a recording, or one for each span between knocks.
 
@@ -86,80 +94,93 @@ def learn_from_recording(
     Args:
         codes: (T, 2) exchange codes of A and B: bit 0 arms, bit 1 legs; 0 where None.
         start: The initial calibration; that of the recording's start-up pose where None.
-        skews_ns: Capture time of B minus that of A by the time stamps; 0 where None.
+        timed: All pairs, for the offset of the clocks, where ``pairs`` are some of them.
 
     Raises:
         CalibrationError: No frame shows a person to both sensors, or too few joints.
     """
     settings = settings or LearnerSettings()
-    codes = [(0, 0)] * len(pairs) if codes is None else codes
-    skews_ns = [0] * len(pairs) if skews_ns is None else skews_ns
-    fresh = _fresh(pairs)
+    pairs = Pairs.of(body, pairs)
+    fresh = fresh_pairs(pairs)
+    codes = np.zeros((len(pairs), 2), dtype=np.int64) if codes is None else np.asarray(codes)
+    seen = _Fresh(pairs[fresh], codes[fresh])
     start = start or start_up_calibration(body, pairs)
-    start = _best_start(body, [pairs[k] for k in fresh], [codes[k] for k in fresh], start, settings)
+    start = _best_start(seen, start, settings)
 
-    rarely = replace(settings.refinement, interval_ns=_PROPOSED_NS)
+    length_ns = int(pairs.time_ns[-1] - pairs.time_ns[0]) if len(pairs) else 0
+    rarely = replace(settings.refinement, interval_ns=max(_PROPOSED_NS, length_ns // _PROPOSALS))
     learner = CalibrationLearner(body, start, replace(settings, refinement=rarely, clock=False, bones=False))
     changes: list[CalibrationChange] = []
-    for k in progress(_spaced(pairs, fresh)):
-        changes += learner.observe(pairs[k], codes[k], (False, False), skews_ns[k])
+    for number, k in enumerate(progress(spaced(pairs.time_ns, fresh).tolist())):
+        if number % PART == 0:
+            give_back()
+        changes += learner.observe(pairs[k], (int(codes[k, 0]), int(codes[k, 1])))
 
-    knocks = _lasting_knocks(
-        body, [pairs[k] for k in fresh], [codes[k] for k in fresh], changes, start, settings
-    )
-    begins = [pairs[0].time_ns, *(int(change.since_ns or 0) for change in knocks)]
+    knocks = _lasting_knocks(seen, changes, start, settings)
+    begins = [int(pairs.time_ns[0]), *(int(change.since_ns or 0) for change in knocks)]
     starts = [start, *(change.calibration for change in knocks)]
     spans, bone_evidence = [], []
-    for number, (begin_ns, first) in enumerate(zip(begins, starts, strict=True)):
-        end_ns = begins[number + 1] if number + 1 < len(begins) else None
-        within = [
-            k for k in fresh
-            if pairs[k].time_ns >= begin_ns and (end_ns is None or pairs[k].time_ns < end_ns)
-        ]  # fmt: skip
-        frames = KeyframeSet(body, _KEYFRAMES)
-        for k in within:
-            frames.add(pairs[k], codes[k])
-        calibration = _refit(body, frames.evidence, first, settings) if settings.refine else first
+    for begin_ns, end_ns, first in zip(begins, [*begins[1:], None], starts, strict=True):
+        calibration = (
+            _refit(body, seen.keyframes(begin_ns, end_ns), first, settings) if settings.refine else first
+        )
         spans.append(CalibrationSpan(begin_ns, calibration))
-        even = within[:: max(1, len(within) // _BONE_PAIRS)]
-        evidence = evidence_of(body, [pairs[k] for k in even], [codes[k] for k in even])
+        within = seen.within(begin_ns, end_ns)
+        even = range(within.start, within.stop, max(1, (within.stop - within.start) // _BONE_PAIRS))
+        evidence = evidence_of(body, [seen.pairs[k] for k in even], seen.codes[list(even)].tolist())
         match_sides(body, evidence, calibration.a_from_b)
         bone_evidence.append((evidence, calibration))
     if settings.bones:
         spans = _with_bones(body, spans, bone_evidence)
     clock = None
     if settings.clock:
-        last = [k for k in fresh if len(begins) == 1 or pairs[k].time_ns < begins[1]]
-        clock = clock_offset_of(
-            body, [pairs[k] for k in last], spans[0].calibration.a_from_b, [skews_ns[k] for k in last]
-        )
+        if timed is not None:
+            pairs = Pairs.of(body, timed)
+            fresh = fresh_pairs(pairs)
+        if len(begins) > 1:
+            fresh = fresh[pairs.time_ns[fresh] < begins[1]]
+        clock = clock_offset_of(body, pairs[fresh], spans[0].calibration.a_from_b)
     return LearnedCalibration(tuple(spans), clock, tuple(knocks))
 
 
+class _Fresh(NamedTuple):
+    """The pairs of a recording that show something new, and their exchange codes."""
+
+    pairs: Pairs
+    codes: NDArray[np.int64]
+
+    def within(self, begin_ns: int, end_ns: int | None) -> slice:
+        """The pairs from one time to another, or to the end."""
+        times = self.pairs.time_ns
+        end = len(times) if end_ns is None else int(np.searchsorted(times, end_ns))
+        return slice(int(np.searchsorted(times, begin_ns)), end)
+
+    def keyframes(self, begin_ns: int, end_ns: int | None) -> Evidence:
+        """The keyframes of the pairs within these times."""
+        frames = KeyframeSet(self.pairs.body, _KEYFRAMES)
+        within = self.within(begin_ns, end_ns)
+        for part in parts(within.stop - within.start):
+            first = within.start + part.start
+            times = self.pairs.time_ns[first : within.start + part.stop].tolist()
+            for k, time_ns in enumerate(times, first):
+                if frames.due(time_ns):
+                    frames.add(self.pairs[k], (int(self.codes[k, 0]), int(self.codes[k, 1])))
+        return frames.evidence
+
+
 def _lasting_knocks(
-    body: Body,
-    pairs: Sequence[SkeletonPair],
-    codes: Sequence[tuple[int, int]],
-    changes: Sequence[CalibrationChange],
-    start: Calibration,
-    settings: LearnerSettings,
+    seen: _Fresh, changes: Sequence[CalibrationChange], start: Calibration, settings: LearnerSettings
 ) -> list[CalibrationChange]:
     """The knocks that were followed and that explain all pairs up to the next, not only the first seconds."""
     followed = [change for change in changes if change.kind == "knocked"]
     times = [int(change.since_ns or 0) for change in followed]
     knocks: list[CalibrationChange] = []
-    begin_ns = pairs[0].time_ns if pairs else 0
-    for number, change in enumerate(followed):
-        moved_ns = times[number]
-        end_ns = times[number + 1] if number + 1 < len(times) else pairs[-1].time_ns + 1
-        before, after = KeyframeSet(body, _KEYFRAMES), KeyframeSet(body, _KEYFRAMES)
-        for pair, code in zip(pairs, codes, strict=True):
-            if begin_ns <= pair.time_ns < moved_ns:
-                before.add(pair, code)
-            elif moved_ns + settings.knock.moving_ns <= pair.time_ns < end_ns:
-                after.add(pair, code)
+    begin_ns = NO_FRAME
+    for change, moved_ns, end_ns in zip(followed, times, [*times[1:], None], strict=False):
+        before = seen.keyframes(begin_ns, moved_ns)
+        after = seen.keyframes(moved_ns + settings.knock.moving_ns, end_ns)
         old = next((c.calibration for c in reversed(changes) if c.time_ns < moved_ns), start)
-        if _is_knock(body, before.evidence, after.evidence, old.a_from_b, settings):
+        if _is_knock(seen.pairs.body, before, after, old.a_from_b, settings):
             knocks.append(change)
             begin_ns = moved_ns
     return knocks
@@ -178,42 +199,40 @@ def _is_knock(
     return found.gain > settings.knock.needed(found.keyframes)
 
 
-def _fresh(pairs: Sequence[SkeletonPair]) -> list[int]:
+def fresh_pairs(pairs: Pairs) -> NDArray[np.int64]:
     """Indices of the pairs with two views, neither of which is stale."""
-    fresh = []
-    before: SkeletonPair | None = None
-    for k, pair in enumerate(pairs):
-        if pair.a is not None and pair.b is not None:
-            stale = before is not None and (pair.a.repeats(before.a) or pair.b.repeats(before.b))
-            if not stale:
-                fresh.append(k)
-        before = pair
-    return fresh
+    fresh: list[NDArray[np.int64]] = []
+    for part in parts(len(pairs)):
+        first = max(part.start - 1, 0)  # the pair before tells whether the first one is stale
+        now = pairs[first : part.stop].arrays()
+        both = now.states_a.any(axis=1) & now.states_b.any(axis=1)
+        both &= ~(_repeats(now.a, now.states_a) | _repeats(now.b, now.states_b))
+        both[: part.start - first] = False
+        fresh.append(first + np.flatnonzero(both))
+    return np.concatenate([np.zeros(0, dtype=np.int64), *fresh])
 
 
-def _spaced(pairs: Sequence[SkeletonPair], chosen: Sequence[int]) -> list[int]:
+def _repeats(positions: NDArray[np.float32], states: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """(T,) whether a frame of a view repeats the one before."""
+    same = (positions[1:] == positions[:-1]) | (np.isnan(positions[1:]) & np.isnan(positions[:-1]))
+    again = same.all(axis=(1, 2)) & (states[1:] == states[:-1]).all(axis=1)
+    return np.concatenate(([False], again))
+
+
+def spaced(time_ns: NDArray[np.int64], chosen: NDArray[np.int64]) -> NDArray[np.int64]:
     """Those of the chosen pairs that lie a tenth of a second apart: errors of neighbours are alike."""
-    spaced: list[int] = []
-    for k in chosen:
-        if not spaced or pairs[k].time_ns - pairs[spaced[-1]].time_ns >= _SPACING_NS:
-            spaced.append(k)
-    return spaced
+    times, k = time_ns[chosen], 0
+    kept: list[int] = []
+    while k < len(times):
+        kept.append(k)
+        k = int(np.searchsorted(times, times[k] + _SPACING_NS))
+    return chosen[kept]
 
 
-def _best_start(
-    body: Body,
-    pairs: Sequence[SkeletonPair],
-    codes: Sequence[tuple[int, int]],
-    start: Calibration,
-    settings: LearnerSettings,
-) -> Calibration:
+def _best_start(seen: _Fresh, start: Calibration, settings: LearnerSettings) -> Calibration:
     """The given start, or the label-free fit of the first half minute if that fits it far better."""
-    until_ns = pairs[0].time_ns + 30_000_000_000 if pairs else 0
-    frames = KeyframeSet(body, _KEYFRAMES)
-    for pair, code in zip(pairs, codes, strict=True):
-        if pair.time_ns <= until_ns:
-            frames.add(pair, code)
-    evidence = frames.evidence
+    body = seen.pairs.body
+    evidence = seen.keyframes(NO_FRAME, int(seen.pairs.time_ns[:1].sum()) + 30_000_000_001)
     if len(evidence.a) < _FEWEST:
         return start
     other = label_free_fit(body, evidence)

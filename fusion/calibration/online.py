@@ -85,14 +85,12 @@ class CalibrationLearner:
         pair: SkeletonPair,
         codes: tuple[int, int] = (0, 0),
         stale: tuple[bool, bool] = (False, False),
-        skew_ns: int = 0,
     ) -> list[CalibrationChange]:
         """Takes the next pair.
 
         Args:
             codes: Exchange codes of A and of B: bit 0 the arms, bit 1 the legs.
             stale: Whether A and B repeat their last skeletons.
-            skew_ns: Capture time of B minus that of A by the time stamps.
 
         Returns:
             The changes, in order; usually none.
@@ -113,7 +111,7 @@ class CalibrationLearner:
         if self._settings.bones:
             changes += self._learn_bones(pair.time_ns)
         if self._settings.clock:
-            clock = self._clock.observe(pair, self.calibration.a_from_b, skew_ns)
+            clock = self._clock.observe(pair, self.calibration.a_from_b)
             if clock is not None:
                 changes.append(
                     CalibrationChange("clock", clock.event, pair.time_ns, self.calibration, clock=clock)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 from fusion.body import Body
 from fusion.calibration.calibration import FEWEST_PAIRS
 from fusion.errors import CalibrationError
+from fusion.large_arrays import parts
+from fusion.pair_arrays import Pairs
 from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
 
 _SHORTEST_NS = 1_000_000_000
@@ -23,6 +26,7 @@ _LONGEST_NS = 3_000_000_000
 _FEWEST_SHARED = 4  # main joints that both sensors track, of a pose that each sees in part
 _STILL = 0.040  # metres RMS about the window's mean; real still poses tremble by 1–20 mm a joint
 _ARM_ANGLE = np.radians(25.0)  # shoulder → wrist against the trunk's axis
+_LONG = 18_000  # pairs, ten minutes
 _LEG_ANGLE = np.radians(12.0)  # hips' centre → one ankle against the other
 
 _MAIN_JOINTS = (
@@ -111,7 +115,7 @@ class StartUpPose:
         return np.where(tracked[..., None], at, np.float32(np.nan))
 
 
-def find_start_up_pose(body: Body, pairs: Sequence[SkeletonPair]) -> tuple[list[SkeletonPair], str]:
+def find_start_up_pose(body: Body, pairs: Sequence[SkeletonPair]) -> tuple[Sequence[SkeletonPair], str]:
     """Chooses the pairs of a recording to calibrate on, and describes them.
 
     The first start-up pose held for a second or more; in a recording without one, the calmest two seconds
@@ -120,40 +124,35 @@ def find_start_up_pose(body: Body, pairs: Sequence[SkeletonPair]) -> tuple[list[
     Raises:
         CalibrationError: No frame shows a person to both sensors.
     """
-    pose = StartUpPose(body)
-    for pair in _worth_watching(body, pairs):
+    pairs, pose = Pairs.of(body, pairs), StartUpPose(body)
+    for pair in _worth_watching(pairs):
         held = pose.end() if pair is None else pose.watch(pair)
         if held is not None:
             return held, f"start-up pose at {_seconds(pairs, held[0]):.1f} s, {len(held)} frames"
-    calm = _calmest(body, pairs)
+    calm = _calmest(pairs)
     return calm, (
         f"no start-up pose found; calmest window instead, at {_seconds(pairs, calm[0]):.1f} s, "
         f"{len(calm)} frames"
     )
 
 
-def _worth_watching(body: Body, pairs: Sequence[SkeletonPair]) -> Iterator[SkeletonPair | None]:
+def _worth_watching(pairs: Pairs) -> Iterator[SkeletonPair | None]:
     """The pairs in runs long enough to be a start-up pose, each run ended by None.
 
     This is vectorised, so that only the candidates of a long recording are examined one by one.
     """
-    seen = [(k, pair.a, pair.b) for k, pair in enumerate(pairs) if pair.a is not None and pair.b is not None]
+    main = main_joints(pairs.body)
     holds = np.zeros(len(pairs) + 1, dtype=bool)  # the last one does not hold
-    if seen:
-        main = main_joints(body)
-        tracked = [np.array([s.states for s in side]) == TrackingState.TRACKED for side in _sides(seen)]
-        apart = [_limbs_apart(body, np.array([s.positions for s in side])) for side in _sides(seen)]
-        both = tracked[0][:, main].all(axis=1) & tracked[1][:, main].all(axis=1)
-        holds[[k for k, _, _ in seen]] = both & (apart[0] | apart[1])
+    for part in parts(len(pairs)):
+        of = pairs[part].arrays()
+        tracked = (of.states_a == TrackingState.TRACKED) & (of.states_b == TrackingState.TRACKED)
+        apart = _limbs_apart(pairs.body, of.a) | _limbs_apart(pairs.body, of.b)
+        holds[part] = tracked[:, main].all(axis=1) & apart
     edges = np.flatnonzero(np.diff(np.concatenate(([False], holds)).astype(np.int8)))
     for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if end - first >= FEWEST_PAIRS:
             yield from pairs[first:end]
             yield None
-
-
-def _sides(seen: list[tuple[int, Skeleton, Skeleton]]) -> tuple[list[Skeleton], list[Skeleton]]:
-    return [a for _, a, _ in seen], [b for _, _, b in seen]
 
 
 def main_joints(body: Body) -> NDArray[np.int64]:
@@ -181,28 +180,36 @@ def _limbs_apart(body: Body, positions: NDArray[np.float32]) -> NDArray[np.bool_
     return np.asarray((left > _ARM_ANGLE) & (right > _ARM_ANGLE) & (legs > _LEG_ANGLE))
 
 
-def _calmest(body: Body, pairs: Sequence[SkeletonPair], seconds: float = 2.0) -> list[SkeletonPair]:
-    seen = [(k, pair.a, pair.b) for k, pair in enumerate(pairs) if pair.a is not None and pair.b is not None]
-    if not seen:
+def _calmest(pairs: Pairs, seconds: float = 2.0) -> Sequence[SkeletonPair]:
+    """The calmest window; of a long recording, windows within parts of ten minutes count."""
+    both = [part.start + np.flatnonzero(pairs[part].seen_by_both) for part in parts(len(pairs))]
+    seen = np.concatenate([np.zeros(0, dtype=np.int64), *both])
+    if len(seen) == 0:
         raise CalibrationError(
             "No frame shows a person to both sensors. Check that the two recordings overlap and that the "
             "person stands in both views."
         )
-    main = main_joints(body)
-    views = [np.array([s.positions[main] for s in side]) for side in _sides(seen)]  # (T, M, 3) each
-    tracked = [np.array([s.states for s in side])[:, main] == TrackingState.TRACKED for side in _sides(seen)]
-    share = (tracked[0] & tracked[1]).mean(axis=1)
-    time = np.array([pairs[k].time_ns for k, _, _ in seen])
-    ends = np.searchsorted(time, time + int(seconds * 1e9))
+    each = (_calm_windows(pairs[seen[part]], seconds) for part in parts(len(seen), _LONG))
+    found = list(chain.from_iterable(each))
+    if not found:  # too short or too sparse for a choice
+        return pairs[seen]
+    return min(found, key=lambda window: window[:2])[2]  # the best seen, and of these the calmest
+
+
+def _calm_windows(pairs: Pairs, seconds: float) -> Iterator[tuple[float, float, Pairs]]:
+    """The best window, if there is any: its share of joints that are not seen, their tremble, its pairs."""
+    main, of = main_joints(pairs.body), pairs.arrays()
+    tracked = (of.states_a == TrackingState.TRACKED) & (of.states_b == TrackingState.TRACKED)
+    share = tracked[:, main].mean(axis=1)
+    ends = np.searchsorted(of.time_ns, of.time_ns + int(seconds * 1e9))
     count = ends - np.arange(len(ends))
-    spans = time[ends - 1] - time >= 0.75 * seconds * 1e9
+    spans = of.time_ns[ends - 1] - of.time_ns >= 0.75 * seconds * 1e9
     starts = np.flatnonzero(spans & (count >= FEWEST_PAIRS))
-    if len(starts) == 0:  # too short or too sparse for a choice
-        return [pairs[k] for k, _, _ in seen]
-    missing = 1.0 - _window_sums(share, starts, ends[starts]) / (ends - np.arange(len(ends)))[starts]
-    tremble = np.maximum(*(_window_tremble(view, starts, ends[starts]) for view in views))
-    best = int(np.lexsort((tremble, missing.round(1)))[0])  # the best seen, and of these the calmest
-    return [pairs[k] for k, _, _ in seen[starts[best] : ends[starts][best]]]
+    if len(starts):
+        missing = (1.0 - _window_sums(share, starts, ends[starts]) / count[starts]).round(1)
+        tremble = np.maximum(*(_window_tremble(view[:, main], starts, ends[starts]) for view in (of.a, of.b)))
+        best = int(np.lexsort((tremble, missing))[0])
+        yield float(missing[best]), float(tremble[best]), pairs[starts[best] : ends[starts[best]]]
 
 
 def _window_sums(

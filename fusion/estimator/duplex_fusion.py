@@ -14,7 +14,7 @@ from fusion.estimator.estimator import estimate_pairs
 from fusion.estimator.smoother import Trace, smooth_pairs
 from fusion.estimator.views import relabel
 from fusion.facing.model import FacingState, new_facing_model
-from fusion.fused_frame import FusedFrame
+from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import PairArrays
 from fusion.setup import FusionSetup
 
@@ -76,7 +76,7 @@ class DuplexFusion:
             self._constants,
         )
 
-    def run(self, pairs: PairArrays, smooth: bool = False) -> list[FusedFrame]:
+    def run(self, pairs: PairArrays, smooth: bool = False) -> FusedFrames:
         """Fuses the next pairs.
 
         Args:
@@ -89,5 +89,4 @@ class DuplexFusion:
         estimate_pairs(self._filter, pairs, output, trace)
         if smooth:
             smooth_pairs(self._filter.model, self._filter.solve, trace, output)
-        a_from_b = self._setup.calibration.a_from_b
-        return [FusedFrame.of(output, k, a_from_b, int(time)) for k, time in enumerate(pairs.time_ns)]
+        return FusedFrames(output, self._setup.calibration.a_from_b, pairs.time_ns)

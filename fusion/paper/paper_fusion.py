@@ -7,7 +7,7 @@ from typing import Any
 from numba import typeof
 
 from fusion.array_fields import new_arrays
-from fusion.fused_frame import FusedFrame
+from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import PairArrays
 from fusion.paper import method
 from fusion.rigid import RigidTransform
@@ -44,12 +44,11 @@ class PaperFusion:
         given = self._model, self._memory, result, pairs, 0
         method.prepare.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
 
-    def run(self, pairs: PairArrays) -> list[FusedFrame]:
+    def run(self, pairs: PairArrays) -> FusedFrames:
         """Fuses the next pairs. The paper uses neither skew, nor exchanged sides, nor images."""
         result = new_arrays(method.Result, T=len(pairs.time_ns), J=pairs.a.shape[1])
         published = self._setup.settings.method == "published"
         fuse = method.fuse_frames_as_published if published else method.fuse_frames
         fuse(self._model, self._memory, result, pairs)
-        rotation = self._setup.calibration.a_from_b.rotation
-        fits = [RigidTransform(rotation, translation) for translation in result.translation]
-        return [FusedFrame.of(result, k, fits[k], int(time)) for k, time in enumerate(pairs.time_ns)]
+        a_from_b = RigidTransform(self._setup.calibration.a_from_b.rotation, result.translation)
+        return FusedFrames(result, a_from_b, pairs.time_ns)

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
+from fusion.pair_arrays import Pairs
 from fusion.registration.error_model import relative_noise
 from fusion.rigid import RigidTransform
-from fusion.skeleton import TRACKED, Skeleton, SkeletonPair
+from fusion.skeleton import TRACKED, SkeletonPair
 
 Array = NDArray[np.float64]
 
@@ -33,6 +34,7 @@ _SLOPE = 2  # frames before and after, between which a velocity is measured
 _FAR = 2.5  # robust deviations above which a residual counts less
 _CERTAIN_NS = 5_000_000  # standard deviation below which an offset is reported
 _CHANGED = 3.0  # standard deviations
+_MOST = 18_000  # pairs of a recording
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ class ClockOffsetEstimator:
 
     def __init__(self, body: Body) -> None:
         self._points = _Points(body)
-        self._pending: list[tuple[SkeletonPair, int]] = []
+        self._pending: list[SkeletonPair] = []
         self._windows: deque[_Window] = deque(maxlen=_WINDOWS)
         self._told: ClockOffset | None = None
 
@@ -94,21 +96,17 @@ class ClockOffsetEstimator:
         """The current estimate; None before there was enough motion."""
         return _combined(list(self._windows))
 
-    def observe(self, pair: SkeletonPair, a_from_b: RigidTransform, skew_ns: int = 0) -> ClockOffset | None:
+    def observe(self, pair: SkeletonPair, a_from_b: RigidTransform) -> ClockOffset | None:
         """Takes a pair that is neither stale nor one-sided.
 
         Returns:
             The estimate, when it becomes certain or changes beyond its uncertainty.
         """
-        if self._pending and pair.time_ns - self._pending[0][0].time_ns >= _WINDOW_NS:
-            pairs = [pair for pair, _ in self._pending]
-            skews = np.array([skew for _, skew in self._pending])
-            times = np.array([pair.time_ns for pair in pairs], dtype=np.float64)
-            views = self._points.of(pairs, a_from_b)
-            self._windows.extend(_windows(self._points, views, times, skews, 0.0))
-            self._pending = [(pair, skew_ns)]
+        if self._pending and pair.time_ns - self._pending[0].time_ns >= _WINDOW_NS:
+            self._windows.extend(_windows(self._points, *self._points.of(self._pending, a_from_b), 0.0))
+            self._pending = [pair]
             return self._news()
-        self._pending.append((pair, skew_ns))
+        self._pending.append(pair)
         return None
 
     def _news(self) -> ClockOffset | None:
@@ -124,28 +122,28 @@ class ClockOffsetEstimator:
 
 
 def clock_offset_of(
-    body: Body, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform, skews_ns: Sequence[int] | None = None
+    body: Body, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform
 ) -> ClockOffset | None:
     """The offset and skew of a whole recording, up to a tenth of a second.
 
     The regression is repeated with B interpolated at the offset found so far.
-    :mod:`fusion.registration.clock_search` finds larger offsets.
+    :mod:`fusion.registration.clock_search` finds larger offsets. Of a long recording, minutes that are
+    evenly spaced count.
 
     Args:
         body: Of both views.
         pairs: In order, without stale ones and with both views.
         a_from_b: R and t.
-        skews_ns: How much later B captured than A by the time stamps; 0 where None.
 
     Returns:
         None where there is too little motion.
     """
     if len(pairs) < 4 * _SLOPE + 2:
         return None
-    points = _Points(body)
-    skews = np.zeros(len(pairs)) if skews_ns is None else np.array(skews_ns, dtype=np.float64)
-    times = np.array([pair.time_ns for pair in pairs], dtype=np.float64)
-    views = points.of(pairs, a_from_b)
+    points, pairs = _Points(body), Pairs.of(body, pairs)
+    minute = (pairs.time_ns - pairs.time_ns[0]) // 60_000_000_000
+    pairs = pairs[np.flatnonzero(minute % -(-len(pairs) // _MOST) == 0)]
+    views, times, skews = points.of(pairs, a_from_b)
     found: ClockOffset | None = None
     offset_ns = skew_ppm = 0.0
     for _ in range(4):
@@ -166,21 +164,21 @@ class _Points:
     """Joints of the midline and midpoints of joints with two sides."""
 
     def __init__(self, body: Body) -> None:
+        self._body = body
         self.own, self.other = body.midpoints
         self.noise = relative_noise(body)[self.own]
 
-    def of(self, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform) -> tuple[Array, Array]:
-        """(T, M, 3) the points of A and of B, in K_A's frame; NaN where not tracked."""
-        a, b = (
-            self._view([view for view in each if view is not None])
-            for each in zip(*((pair.a, pair.b) for pair in pairs), strict=True)
-        )
-        return a, a_from_b.apply(b)
+    def of(
+        self, pairs: Sequence[SkeletonPair], a_from_b: RigidTransform
+    ) -> tuple[tuple[Array, Array], Array, Array]:
+        """(T, M, 3) the points of A and of B, in K_A's frame, NaN where not tracked; times and skews, ns."""
+        of = Pairs.of(self._body, pairs).arrays()
+        views = self._view(of.a, of.states_a), a_from_b.apply(self._view(of.b, of.states_b))
+        return views, of.time_ns.astype(np.float64), of.skew_ns.astype(np.float64)
 
-    def _view(self, skeletons: Sequence[Skeleton]) -> Array:
-        positions = np.array([skeleton.positions for skeleton in skeletons])
-        positions[np.array([skeleton.states for skeleton in skeletons]) != TRACKED] = np.nan
-        return np.asarray(0.5 * (positions[:, self.own] + positions[:, self.other]), dtype=np.float64)
+    def _view(self, positions: NDArray[np.float32], states: NDArray[np.uint8]) -> Array:
+        at = np.where((states == TRACKED)[..., None], positions, np.float32(np.nan))
+        return np.asarray(0.5 * (at[:, self.own] + at[:, self.other]), dtype=np.float64)
 
 
 def _windows(

@@ -7,13 +7,12 @@ tells which one puts the person in the same place.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.errors import CalibrationError
+from fusion.pair_arrays import View
 from fusion.registration.clock_offset import ClockOffset
 from fusion.registration.rigid_fit import fit_recording
 from fusion.skeleton import TRACKED
@@ -22,7 +21,7 @@ Array = NDArray[np.float64]
 
 _REACH_NS = 30_000_000_000
 _GRID_NS = 33_333_333
-_LONGEST_SPAN_NS = 3_600_000_000_000
+_LONGEST_SPAN_NS = 1_200_000_000_000
 _SLOPE = 2  # frames before and after, between which a speed is measured
 _LONGEST_NS = 300_000_000  # a longer interval is a gap
 _FASTEST = 8.0  # m/s: a faster joint has jumped
@@ -43,37 +42,26 @@ _CERTAIN = 3.0  # standard errors by which a candidate must be better than any o
 _CORRELATED = 2.0  # standard errors are larger by this factor, because neighbouring frames are alike
 
 
-class View(NamedTuple):
-    """One person in the T frames of a sensor.
-
-    Attributes:
-        time_ns: (T,) increasing.
-        positions: (T, J, 3) metres, in the sensor's frame.
-        states: (T, J) tracking states.
-    """
-
-    time_ns: NDArray[np.int64]
-    positions: NDArray[np.float32]
-    states: NDArray[np.uint8]
-
-
 def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     """The time to add to B's clock so that both views show one motion.
 
     Args:
         body: Of both views.
-        a, b: The views. Where their times do not overlap, the search begins with equal first times.
+        a, b: The frames in which the person is seen. Where their times do not overlap, the search begins with
+            equal first times.
 
     Returns:
         None where the motion does not tell.
     """
     if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
         return None
-    hour = np.abs(a.time_ns - np.median(a.time_ns)) < _LONGEST_SPAN_NS // 2
-    a = View._make(values[hour] for values in a)  # enough, and without times of another day
+    middle = np.abs(a.time_ns - np.median(a.time_ns)) < _LONGEST_SPAN_NS // 2
+    a = a.chosen(np.flatnonzero(middle))  # enough, and without times of another day
     apart = b.time_ns[0] > a.time_ns[-1] or a.time_ns[0] > b.time_ns[-1]
     base = int(a.time_ns[0] - b.time_ns[0]) if apart else 0
-    shifted = b._replace(time_ns=b.time_ns + base)
+    times, reach = b.time_ns + base, _REACH_NS + 1_000_000_000
+    within = np.flatnonzero((times > a.time_ns[0] - reach) & (times < a.time_ns[-1] + reach))
+    shifted = b.chosen(within)._replace(time_ns=times[within])
     besides = () if apart else (0,)
     peaks = _peaks(body, a, shifted, besides)
     if len(peaks) == len(besides):

@@ -121,7 +121,7 @@ class KeyframeSet:
         Returns:
             Whether the pair became a keyframe.
         """
-        if pair.a is None or pair.b is None or (self._selective and not self._due(pair.time_ns)):
+        if pair.a is None or pair.b is None or (self._selective and not self.due(pair.time_ns)):
             return False
         a, weight_a = relabelled(pair.a, codes[0])
         b, weight_b = relabelled(pair.b, codes[1])
@@ -150,7 +150,8 @@ class KeyframeSet:
         """Exchanges left and right of B's limbs where they then agree with A's; see :func:`match_sides`."""
         match_sides(self._body, self.evidence, a_from_b)
 
-    def _due(self, time_ns: int) -> bool:
+    def due(self, time_ns: int) -> bool:
+        """Whether enough time has passed since the newest keyframe."""
         return self._newest is None or time_ns - self._store.time_ns[self._newest] >= _SHORTEST_NS
 
     def _new(self, a: Array, weight: Array, time_ns: int) -> bool:

@@ -108,6 +108,8 @@ class KnockDetector:
         self._settings = settings or KnockSettings()
         self._own, self._other = body.midpoints
         self._blocks: deque[_Block] = deque(maxlen=self._settings.history)
+        self._offsets: deque[Array] = deque(maxlen=self._settings.history)  # of each block, under _offset_by
+        self._offset_by: RigidTransform | None = None
         self._pairs: list[SkeletonPair] = []
         self._quiet_ns = 0
         self.a_from_b = a_from_b
@@ -117,6 +119,7 @@ class KnockDetector:
         """Uses another transform and forgets the history."""
         self.a_from_b, self.since_ns = a_from_b, None
         self._blocks.clear()
+        self._offsets.clear()
         self._pairs.clear()
 
     def withdraw(self, now_ns: int) -> None:
@@ -136,12 +139,13 @@ class KnockDetector:
         if np.count_nonzero(np.isfinite(block.a[:, 0] + block.b[:, 0])) < _FEWEST_POINTS:
             return
         self._blocks.append(block)
+        every = self._update_offsets()
         newest = list(self._blocks)[-self._settings.blocks :]
         before_ns = newest[0].start_ns if self.since_ns is None else self.since_ns
         usual = [past for past in self._blocks if past.start_ns < before_ns]
         if len(usual) < self._settings.fewest or start_ns < self._quiet_ns:
             return
-        offsets, history = self._offsets(newest), self._offsets(usual)
+        offsets, history = every[-len(newest) :], every[: len(usual)]
         middle = np.median(history, axis=0)
         sd = float(np.median(np.linalg.norm(history - middle, axis=1))) / _NORM_OF_SD
         off = offsets - middle
@@ -159,10 +163,16 @@ class KnockDetector:
                 first = len(usual) - int(np.argmin(np.append(late[::-1], False)))
                 self.since_ns = (usual + newest)[first].start_ns
 
-    def _offsets(self, blocks: Sequence[_Block]) -> Array:
+    def _update_offsets(self) -> Array:
         """(N, 3) the median difference of the views over the points of each block."""
-        apart = np.array([b.a for b in blocks]) - self.a_from_b.apply(np.array([b.b for b in blocks]))
-        return median_of_known(apart)
+        new = [self._blocks[-1]]
+        if self._offset_by is not self.a_from_b:
+            self._offsets.clear()
+            new = list(self._blocks)
+        apart = np.array([b.a for b in new]) - self.a_from_b.apply(np.array([b.b for b in new]))
+        self._offsets.extend(median_of_known(apart))
+        self._offset_by = self.a_from_b
+        return np.array(self._offsets)
 
     def _mean_points(self, view: Sequence[Skeleton | None]) -> Array:
         """(M, 3) mean over time of the midpoints that are tracked in every frame of the block."""

@@ -19,12 +19,14 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from fusion.large_arrays import give_back
 from recordings import layout
 from recordings.errors import RecordingError
 
 PROPERTIES = "/__properties"
 
 _MAGIC = b"RRF2"
+_KEPT = 32_000_000  # bytes of the file that are in memory at once
 _FILE_HEADER = 12
 _MESSAGE = struct.Struct("<QQ")  # kind, length of the content
 _END, _CHUNK, _LAST_KIND = 0, 2, 3
@@ -116,8 +118,11 @@ class RrdFile:
 
     def messages(self) -> Iterator[tuple[int, int, int]]:
         """Kind, start and end of each message's content, up to the end or the first incomplete message."""
-        offset, size = _FILE_HEADER, len(self._data)
+        offset, size, kept_from = _FILE_HEADER, len(self._data), 0
         while offset + _MESSAGE.size <= size:
+            if offset > kept_from + _KEPT:
+                give_back(self._data)
+                kept_from = offset
             kind, length = _MESSAGE.unpack_from(self._data, offset)
             begin, end = offset + _MESSAGE.size, offset + _MESSAGE.size + length
             if kind > _LAST_KIND:

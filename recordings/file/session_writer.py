@@ -11,6 +11,7 @@ import os
 import shutil
 import sys
 import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -22,6 +23,7 @@ import rerun as rr
 import rerun_bindings
 
 from devices.events import Event
+from fusion.large_arrays import parts
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
 from recordings.errors import RecordingError
@@ -31,6 +33,7 @@ from recordings.writing.recorder import Recorder
 
 _BLOCK = 300
 """Frames per write: a file that is cut off loses at most ten seconds more than what is missing."""
+_MOST_BLOCKS = 400  # Rerun keeps some kB of each block and entity until the file is complete
 _FLUSH_WITHIN = 60  # seconds
 _FULL = 65_536  # bytes: with less space, a disk is full
 LEFT_AFTER = 2.0
@@ -78,18 +81,19 @@ def write_session(
             recorder.coach(page)
         if segments[0][1].start < first:  # its calibration event comes before the range
             recorder.event(Event(f"calibrated: {segments[0][0].calibration.how}"), placed=True)
-        events = [event for event in session.events if first <= event.frame < end]
+        events = deque(sorted((e for e in session.events if first <= e.frame < end), key=lambda e: e.frame))
         for setup, own in segments:
             if own.start > first:
                 recorder.recalibrated(setup)
-            stop = min(own.stop, end)
-            for begin in range(max(own.start, first), stop, block):
-                part = slice(begin, min(begin + block, stop))
+            begin = max(own.start, first)
+            for part in parts(min(own.stop, end) - begin, max(block, (end - first) // _MOST_BLOCKS)):
+                part = slice(begin + part.start, begin + part.stop)
                 rows = session.rows[part]
                 rows = replace(rows, frame=rows.frame - first, time_ns=rows.time_ns - start_ns)
                 recorder.record_rows(rows, (session.fused_checksums[part], session.joint_digests[part]))
                 # with their frames: a file that is cut off keeps the events up to the cut
-                for event in (event for event in events if part.start <= event.frame < part.stop):
+                while events and events[0].frame < part.stop:
+                    event = events.popleft()
                     moment = event.frame - first, event.time_ns - start_ns
                     recorder.event(event.placed(*moment), placed=True)
         damaged = _copy_images(session, recorder, first, end)
@@ -173,13 +177,13 @@ def check_whole(path: Path) -> None:
 def _copy_images(session: SessionData, recorder: Recorder, first: int, end: int) -> int:
     """Logs the images of frames `first` to `end` (exclusive); returns the number of damaged images."""
     damaged = 0
-    time_ns = (session.rows.time_ns - session.rows.time_ns[first]).tolist()
+    time_ns = session.rows.time_ns - session.rows.time_ns[first]
     for side in layout.SIDES:
         depth, color = session.depth(side, first, end), session.color(side, first, end)
         for frame, image in depth:
-            recorder.record_depth(side, frame - first, time_ns[frame], image)
+            recorder.record_depth(side, frame - first, int(time_ns[frame]), image)
         for frame, picture in color:
-            recorder.record_color(side, frame - first, time_ns[frame], picture)
+            recorder.record_color(side, frame - first, int(time_ns[frame]), picture)
         damaged += depth.damaged + color.damaged
     return damaged
 

@@ -9,6 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from devices.depth.image_thinning import Depth
 from devices.events import Event
@@ -20,11 +21,11 @@ from fusion.errors import CalibrationError
 from fusion.handedness import mirrored_share
 from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings, Hindsight
-from recordings.fusing.pairs import Segments, calibration_event, fuse_segments, setups_of
+from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
 from recordings.fusing.view_events import watch
 from recordings.images import RecordingImages
 from recordings.session import Session
-from recordings.session_arrays import SessionFrame
+from recordings.session_arrays import SessionFrames
 
 _UNRELATED = 0.2  # metres
 _LARGEST_OFFSET_MS = 1e12  # so that nanoseconds fit into 64 bits
@@ -86,15 +87,13 @@ def fuse(
     )
     settings = replace(settings or FuserSettings(), hindsight=hindsight)
     read = read_for(settings, choices, choose_tracker(tracker), offset_ms)
-    pairs = read.pairing.pairs
-    plan = plan_recording(
-        read.body, [pair.skeletons for pair in pairs], settings, calibration, refine and calibration is None
-    )
+    skeletons = read.pairing.skeletons(read.body)
+    plan = plan_recording(read.body, skeletons, settings, calibration, refine and calibration is None)
     if not force:
         check_related(read, plan, str(a), str(b))
     segments = setups_of(plan, settings, read.cameras(depth))
-    frames = fuse_segments(segments, pairs, plan.codes)
-    return fused_session(read, plan, segments, frames, without_folders((str(a), str(b))), depth)
+    blocks = fuse_segments(segments, read.pairing.pairs, plan.codes)
+    return fused_session(read, plan, segments, blocks, without_folders((str(a), str(b))), depth)
 
 
 def read_for(
@@ -138,10 +137,8 @@ def check_related(read: TwoRecordings, plan: RecordingPlan, a: str, b: str) -> N
     """
     if not plan.views_differ > _UNRELATED:
         return
-    skeletons = [pair.skeletons for pair in read.pairing.pairs]
-    for name, views in ((a, [pair.a for pair in skeletons]), (b, [pair.b for pair in skeletons])):
-        positions = np.array([view.positions for view in views if view is not None])
-        if (mirrored_share(read.body, positions) or 0.0) > 0.5:
+    for name, view in zip((a, b), read.pairing.skeletons(read.body).views, strict=True):
+        if (mirrored_share(read.body, view.positions) or 0.0) > 0.5:
             raise CalibrationError(
                 f"{name} is the mirror image of a person: change the sign of x in it. --force fuses it as "
                 "it is."
@@ -166,7 +163,7 @@ def fused_session(
     read: TwoRecordings,
     plan: RecordingPlan,
     segments: Segments,
-    frames: Iterable[SessionFrame],
+    blocks: Iterable[SessionFrames],
     sources: tuple[str, str],
     depth: Depth,
     progress: Progress = quietly,
@@ -177,16 +174,16 @@ def fused_session(
         read: The recordings.
         plan: Plan of the recordings.
         segments: Setups with which they were fused.
-        frames: Fused frames; they are not kept.
+        blocks: Fused frames; they are not kept.
         sources: Names of the recordings.
         depth: How many depth images the session contains; they are read from the recordings on demand.
         progress: Shows the progress of reading the depth images.
     """
-    first_ns = read.pairing.pairs[0].time_ns
-    events = _events_of(read, plan, segments, first_ns)
-    watched = watch(read.body, frames, first_ns, events)
+    times = read.pairing.skeletons(read.body).time_ns
+    events = _events_of(read, plan, segments, times)
+    watched = watch(read.body, blocks, int(times[0]), events)
     return Session.of(
-        [(setup, islice(watched, own.stop - own.start)) for setup, own in segments],
+        [(setup, islice(watched, block_count([(setup, own)]))) for setup, own in segments],
         sources,
         events=events,  # those of the views come in while the frames are taken
         images=RecordingImages(read, depth, progress),
@@ -205,17 +202,17 @@ def _about(read: TwoRecordings, plan: RecordingPlan) -> dict[str, str | float]:
     return about
 
 
-def _events_of(read: TwoRecordings, plan: RecordingPlan, segments: Segments, first_ns: int) -> list[Event]:
+def _events_of(
+    read: TwoRecordings, plan: RecordingPlan, segments: Segments, times: NDArray[np.int64]
+) -> list[Event]:
     """Returns calibrations, warnings and events of the learner, in time order."""
-    pairs = read.pairing.pairs
-    times = np.array([pair.time_ns for pair in pairs], dtype=np.int64)
-    events = [calibration_event(setup, own, times - first_ns) for setup, own in segments]
+    events = [calibration_event(setup, own, times - times[0]) for setup, own in segments]
     events += [Event(text, "WARN") for text in read.warnings]
     if plan.clock is not None:
         events.append(Event(plan.clock.event))
     for change in plan.changes:
-        frame = min(int(np.searchsorted(times, change.time_ns)), len(pairs) - 1)
-        events.append(Event(change.event, "WARN").placed(frame, int(times[frame]) - first_ns))
+        frame = min(int(np.searchsorted(times, change.time_ns)), len(times) - 1)
+        events.append(Event(change.event, "WARN").placed(frame, int(times[frame] - times[0])))
     return sorted(events, key=lambda event: event.frame)
 
 

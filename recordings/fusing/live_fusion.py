@@ -90,7 +90,7 @@ class LiveFusion:
         if self._learner is not None and self.calibrator.final:
             codes = fused.exchanged_a & WHOLE, fused.exchanged_b & WHOLE
             stale = fused.stale_a, fused.stale_b
-            changes = self._learner.observe(pair.skeletons, codes, stale, pair.skeletons.skew_ns)
+            changes = self._learner.observe(pair.skeletons, codes, stale)
             self._changes += changes
             for change in changes:
                 knocked = change.kind == "knocked"

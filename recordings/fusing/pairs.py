@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.events import Event
-from devices.pairing import FramePair
+from devices.pairing import FramePair, RecordedPairs
 from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
+from fusion.large_arrays import parts
 from fusion.plan import RecordingPlan
 from fusion.setup import FuserSettings, FusionSetup
-from recordings.session_arrays import SessionFrame
+from recordings.session_arrays import PairBlock, SessionFrame, SessionFrames
 
 _BLOCK = 256  # pairs that are fused in one compiled loop
 Segments = Sequence[tuple[FusionSetup, slice]]
@@ -28,10 +29,24 @@ def setups_of(
     return [(FusionSetup(calibration, settings, *cameras), own) for calibration, own in plan.segments]
 
 
+def block_count(segments: Segments) -> int:
+    """How many blocks :func:`fuse_segments` yields."""
+    return sum(-((own.start - own.stop) // _block_size(setup, own)) for setup, own in segments)
+
+
+def _block_size(setup: FusionSetup, own: slice) -> int:
+    """The number of pairs that are fused at once: all of them where later ones count."""
+    return max(own.stop - own.start, 1) if _smooths(setup) else _BLOCK
+
+
+def _smooths(setup: FusionSetup) -> bool:
+    return setup.settings.method == "duplex" and setup.settings.hindsight == "whole"
+
+
 def fuse_segments(
     segments: Segments, pairs: Sequence[FramePair], codes: NDArray[np.int64] | None = None
-) -> Iterator[SessionFrame]:
-    """Fuses a recording with the calibration of each segment.
+) -> Iterator[SessionFrames]:
+    """Fuses a recording with the calibration of each segment, and yields block after block.
 
     The method ``duplex`` keeps its state from segment to segment; the paper's methods start each one anew.
 
@@ -41,22 +56,22 @@ def fuse_segments(
         codes: (T, 2) exchange codes with doubt; None: found pair by pair.
     """
     fuser: Fuser | None = None
+    recorded = RecordedPairs.of(segments[0][0].body, pairs).skeletons
     for setup, own in segments:
         if fuser is None or setup.settings.method != "duplex":
             fuser = Fuser(setup)
         else:
             fuser.recalibrate(setup)
-        smooth = setup.settings.method == "duplex" and setup.settings.hindsight == "whole"
-        fuse = fuser.smooth_sequence if smooth else fuser.fuse_sequence
-        step = own.stop - own.start if smooth else _BLOCK
-        for first in range(own.start, own.stop, max(step, 1)):
-            block = slice(first, min(first + step, own.stop))
-            before = time.perf_counter_ns()
-            skeletons = [pair.skeletons for pair in pairs[block]]
-            fused = fuse(skeletons, None if codes is None else codes[block])
-            each = (time.perf_counter_ns() - before) // len(skeletons)
-            for pair, frame in zip(pairs[block], fused, strict=True):
-                yield SessionFrame(pair, frame, each)
+        fuse = fuser.smooth_sequence if _smooths(setup) else fuser.fuse_sequence
+        for part in parts(own.stop - own.start, _block_size(setup, own)):
+            own_part = slice(own.start + part.start, own.start + part.stop)
+            before, block = time.perf_counter_ns(), recorded[own_part]
+            fused = fuse(block, None if codes is None else codes[own_part])
+            each = (time.perf_counter_ns() - before) // len(fused)
+            a, b = (view.chosen(block.frames[:, k]) for k, view in enumerate(block.views))
+            yield SessionFrames(
+                PairBlock(block.time_ns, block.skew_ns, a, b), fused, each, pairs, own_part.start
+            )
 
 
 def fuse_one(fuser: Fuser, pair: FramePair, codes: tuple[int, int] | None = None) -> SessionFrame:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,11 @@ from devices.events import Event
 from fusion.body import Body
 from fusion.fused_frame import FusedFrame
 from fusion.joint_kinds import of_kind
-from fusion.skeleton import Skeleton, SkeletonPair, TrackingState
-from recordings.session_arrays import SessionFrame
+from fusion.rigid import RigidTransform
+from fusion.skeleton import SkeletonPair, TrackingState
+from recordings.session_arrays import SessionFrames
 
+Array = NDArray[Any]
 _PARTS = {0: "trunk", 1: "arms", 2: "legs", 3: "whole body"}
 _LIMBS = {"arm": ("elbow", "wrist", "hand", "tip"), "leg": ("knee", "ankle", "foot")}  # kinds of joints
 _FEWEST = 2  # joints
@@ -58,16 +61,51 @@ class ViewEvents:
 
     def observe(self, seen: SkeletonPair, fused: FusedFrame) -> list[Event]:
         """Returns the events that start or end with the next frame; that of a lost limb starts 0.5 s late."""
-        views = (
-            ("A", seen.a, fused.weights_a, fused.exchanged_a),
-            ("B", seen.b, fused.weights_b, fused.exchanged_b),
+        views = seen.a, seen.b
+        rows = [None if view is None else (view.positions[None], view.states[None]) for view in views]
+        weights = fused.weights_a[None], fused.weights_b[None]
+        codes = np.array([(fused.exchanged_a, fused.exchanged_b)])
+        times = np.array([fused.time_ns])
+        found = self._observe(times, rows, weights, codes, fused.positions[None], fused.a_from_b)
+        return [event for _, event in found]
+
+    def observe_all(self, frames: SessionFrames) -> list[tuple[int, Event]]:
+        """Returns the events of the next frames, each with the number of its frame among them."""
+        fused, pair = frames.fused, frames.pair
+        codes = np.stack(
+            [np.broadcast_to(of, len(fused)) for of in (fused.exchanged_a, fused.exchanged_b)], axis=1
         )
-        events: list[Event] = []
-        for sensor, skeleton, weights, code in views:
-            events += self._exchanges(sensor, code, fused.time_ns)
-            if skeleton is not None and not code and fused.has_person:
-                self._find_lost(sensor, skeleton, weights, fused)
-        return events + self._losses(fused.time_ns)
+        rows = [(view.positions, view.states) for view in (pair.a, pair.b)]
+        a_from_b = RigidTransform(fused.a_from_b.rotation[0], fused.a_from_b.translation[:, None])
+        weights = fused.weights_a, fused.weights_b
+        return self._observe(fused.time_ns, rows, weights, codes, fused.positions, a_from_b)
+
+    def _observe(
+        self, times: Array, views: Sequence[Any], weights: Sequence[Array], codes: Array, fused: Array,
+        a_from_b: RigidTransform,
+    ) -> list[tuple[int, Event]]:  # fmt: skip
+        lost: dict[int, list[tuple[str, str, float]]] = {}
+        for side, view in enumerate(views):
+            if view is None:
+                continue
+            overruled = (view[1] == TrackingState.TRACKED) & (weights[side] < _OVERRULED)
+            if np.count_nonzero(overruled) < _FEWEST:
+                continue
+            off = np.linalg.norm((a_from_b.apply(view[0]) if side else view[0]) - fused, axis=2)
+            wrong = overruled & (off > _FAR) & (codes[:, side, None] == 0)
+            for limb, joints in self._limbs.items():
+                for k in np.flatnonzero(np.count_nonzero(wrong[:, joints], axis=1) >= _FEWEST).tolist():
+                    farthest = float(off[k, joints][wrong[k, joints]].max())
+                    lost.setdefault(k, []).append(("AB"[side], limb, farthest))
+        events: list[tuple[int, Event]] = []
+        for k, (time_ns, code) in enumerate(zip(times.tolist(), codes.tolist(), strict=True)):
+            now = [*self._exchanges("A", code[0], time_ns), *self._exchanges("B", code[1], time_ns)]
+            for sensor, limb, farthest in lost.get(k, ()):
+                limb_lost = self._lost.setdefault((sensor, limb), _LostLimb(time_ns, time_ns, farthest))
+                limb_lost.last_ns, limb_lost.farthest = time_ns, max(limb_lost.farthest, farthest)
+            now += self._losses(time_ns)
+            events += [(k, event) for event in now]
+        return events
 
     def _exchanges(self, sensor: str, code: int, time_ns: int) -> list[Event]:
         since_ns = self._exchanged_since_ns.get(sensor)
@@ -82,22 +120,6 @@ class ViewEvents:
             text = f"{sensor} reports left and right correctly again, after {seconds:.1f} s."
             return [Event(text, "INFO", topic, "end")]
         return []
-
-    def _find_lost(
-        self, sensor: str, skeleton: Skeleton, weights: NDArray[np.float64], fused: FusedFrame
-    ) -> None:
-        overruled = (skeleton.states == TrackingState.TRACKED) & (weights < _OVERRULED)
-        if np.count_nonzero(overruled) < _FEWEST:
-            return
-        positions = skeleton.positions if sensor == "A" else fused.a_from_b.apply(skeleton.positions)
-        off = np.linalg.norm(positions - fused.positions, axis=1)
-        wrong = overruled & (off > _FAR)
-        for limb, joints in self._limbs.items():
-            if np.count_nonzero(wrong[joints]) < _FEWEST:
-                continue
-            farthest = float(off[joints][wrong[joints]].max())
-            lost = self._lost.setdefault((sensor, limb), _LostLimb(fused.time_ns, fused.time_ns, farthest))
-            lost.last_ns, lost.farthest = fused.time_ns, max(lost.farthest, farthest)
 
     def _losses(self, time_ns: int) -> list[Event]:
         events: list[Event] = []
@@ -118,11 +140,12 @@ class ViewEvents:
 
 
 def watch(
-    body: Body, frames: Iterable[SessionFrame], first_ns: int, events: list[Event]
-) -> Iterator[SessionFrame]:
-    """Passes frames on in time order and appends their events; the first pair is at ``first_ns``."""
-    views = ViewEvents(body)
-    for number, frame in enumerate(frames):
-        found = views.observe(frame.pair.skeletons, frame.fused)
-        events += [event.placed(number, frame.fused.time_ns - first_ns) for event in found]
-        yield frame
+    body: Body, blocks: Iterable[SessionFrames], first_ns: int, events: list[Event]
+) -> Iterator[SessionFrames]:
+    """Passes blocks on in time order and appends their events; the first pair is at ``first_ns``."""
+    views, number = ViewEvents(body), 0
+    for block in blocks:
+        for k, event in views.observe_all(block):
+            events.append(event.placed(number + k, int(block.fused.time_ns[k]) - first_ns))
+        number += len(block)
+        yield block

@@ -100,24 +100,26 @@ class QualityLog:
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
-        self._kept: list[tuple[NDArray[np.float32], ...]] = []  # S_A, S_B, S* of each frame
+        self._kept: NDArray[np.float32] | None = None  # (3, n, J, 3) S_A, S_B, S* of the last frames
         self._first: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         for name, lines in entity_styles.QUALITY_LINES.items():
             stream.log(layout.stream_figure(name), lines, static=True)
 
     def record(self, rows: SessionArrays) -> None:
         """Takes frames in time order."""
-        for t in range(len(rows)):
-            each = rows.positions_a[t], rows.positions_b[t], rows.fused[t].astype(np.float32)
-            self._kept.append(each)
-            if len(self._kept) < (3 if self._first is None else _QUALITY_EVERY + 2):
-                continue
-            jitters = [1e3 * jitter(np.array(of)) for of in zip(*self._kept, strict=True)]
-            self._kept = self._kept[-2:]
+        each = np.stack((rows.positions_a, rows.positions_b, rows.fused.astype(np.float32)))
+        if self._kept is not None:
+            each = np.concatenate((self._kept, each), axis=1)
+        before = each.shape[1] - len(rows)
+        while each.shape[1] >= (window := 3 if self._first is None else _QUALITY_EVERY + 2):
+            t = window - 1 - before
             set_time(self._stream, rows.frame[t], rows.time_ns[t])
+            jitters = [1e3 * jitter(of) for of in each[:, :window]]
             self._stream.log(layout.stream_figure("jitter_mm"), rr.Scalars(jitters))
             moved = self._moved(rows.rotation[t], rows.translation[t])
             self._stream.log(layout.stream_figure("placement"), rr.Scalars(moved))
+            each, before = each[:, window - 2 :], before - (window - 2)
+        self._kept = each
 
     def _moved(self, rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> tuple[float, float]:
         """Millimetres and degrees between the first pose of K_B and this one."""

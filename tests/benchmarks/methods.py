@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
@@ -153,7 +154,7 @@ def as_recorded(settings: FuserSettings, refine: bool = True) -> Callable[[Recor
         skeletons = [pair.skeletons for pair in recording.pairs]
         plan = plan_recording(recording.body, skeletons, settings, refine=refine)
         segments = setups_of(plan, settings, (None, None))
-        frames = list(fuse_segments(segments, recording.pairs, plan.codes))
+        frames = list(chain.from_iterable(fuse_segments(segments, recording.pairs, plan.codes)))
         return _found([f.fused for f in frames], float(np.median([f.fuse_ns for f in frames])) * 1e-3)
 
     return find

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from devices.people import PersonChoice, choose_person, with_successors
+from devices.people import PersonChoice, RecordedPeople
 from devices.sensor import DeviceError, SensorFrame
 from fusion.body import AZURE_KINECT
 from fusion.skeleton import Skeleton
@@ -81,13 +81,13 @@ def _alone(times_ns: range, person: str) -> list[SensorFrame]:
 
 
 def test_the_person_seen_longest_is_followed_unless_another_is_wanted() -> None:
-    frames = [*_alone(range(5), "1"), *_alone(range(5, 12), "2")]
-    assert choose_person(frames, None, "a.csv", "--person-a") == "2"
-    assert choose_person(frames, "1", "a.csv", "--person-a") == "1"
+    people = RecordedPeople.of(AZURE_KINECT, [*_alone(range(5), "1"), *_alone(range(5, 12), "2")])
+    assert people.choose_person(None, "a.csv", "--person-a") == "2"
+    assert people.choose_person("1", "a.csv", "--person-a") == "1"
     with pytest.raises(DeviceError, match=r"no person '9'.*'2' \(7 frames\).*--person-a"):
-        choose_person(frames, "9", "a.csv", "--person-a")
+        people.choose_person("9", "a.csv", "--person-a")
     with pytest.raises(DeviceError, match="no person in any"):
-        choose_person([SensorFrame(0)], None, "a.csv", "--person-a")
+        RecordedPeople.of(AZURE_KINECT, [SensorFrame(0)]).choose_person(None, "a.csv", "--person-a")
 
 
 def test_the_next_person_is_followed_under_the_same_id() -> None:
@@ -99,11 +99,11 @@ def test_the_next_person_is_followed_under_the_same_id() -> None:
     ]
     beside = _alone(range(3, 4), "3")[0].people | frames[3].people
     frames[3] = SensorFrame(3, beside)  # someone else, at the same time
-    followed, others = with_successors(frames, "2")
-    assert others == ("4", "5")
-    assert [list(frame.people) for frame in followed] == [["2"]] * 3 + [["3", "2"]] + [["2"]] * 3 + [[]] + [
-        ["2"]
-    ] * 4
-    assert followed[9].people["2"] is frames[9].people["4"]
-    alone = _alone(range(2), "2")
-    assert with_successors(alone, "2") == (alone, ())
+    people = RecordedPeople.of(AZURE_KINECT, frames)
+    assert [list(frame.people) for frame in people] == [list(frame.people) for frame in frames]
+    assert people.successors("2") == ("4", "5")
+    followed = people.view(("2", "4", "5"))
+    np.testing.assert_array_equal(followed.time_ns, range(12))
+    assert followed.states.any(axis=1).tolist() == [True] * 7 + [False] + [True] * 4
+    np.testing.assert_array_equal(followed.positions[9], frames[9].people["4"].positions)
+    assert RecordedPeople.of(AZURE_KINECT, _alone(range(2), "2")).successors("2") == ()

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from devices.pairing import pair_recordings
-from devices.people import choose_person
 from devices.sensor import SensorFrame
 from devices.simulated.kinect import PERSON, simulated_pair
 from devices.skeletons.file_sensor import SkeletonRecording
@@ -46,9 +45,8 @@ def simulated(body: Body, motion: str, seed: int) -> Recording:
 def real(folder: Path) -> Recording:
     """A pair of CSV files."""
     with SkeletonRecording(folder / "a.csv") as a, SkeletonRecording(folder / "b.csv") as b:
-        frames_a, frames_b = list(a.frames()), list(b.frames())
-    people = choose_person(frames_a, None, "A", ""), choose_person(frames_b, None, "B", "")
-    return recording_of(frames_a, frames_b, *people)
+        people = a.people.choose_person(None, "A", ""), b.people.choose_person(None, "B", "")
+        return recording_of(list(a.frames()), list(b.frames()), *people)
 
 
 def recording_of(

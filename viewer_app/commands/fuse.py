@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.progress import track
 
@@ -15,12 +16,12 @@ from devices.files import RecordingChoice, TwoRecordings, not_of_libk4a
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration, calibrate
 from fusion.fuser import Fuser
+from fusion.pair_arrays import Pairs
 from fusion.plan import RecordingPlan, plan_recording
 from fusion.setup import FuserSettings
-from fusion.skeleton import SkeletonPair
 from recordings.calibration_file import calibration_to_json, read_calibration
 from recordings.fusing.files import check_related, fused_session, read_for, without_folders
-from recordings.fusing.pairs import fuse_segments, setups_of
+from recordings.fusing.pairs import block_count, fuse_segments, setups_of
 from recordings.session import Session
 from viewer_app.errors import UsageError
 from viewer_app.options.sensing import FuseOptions, calibration_source, recording_settings
@@ -65,8 +66,8 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     sources = without_folders((str(options.a), str(options.b)))
     progress = _progress(console)
     fused = fuse_segments(segments, read.pairing.pairs, plan.codes)
-    frames = progress(fused, "fusing", len(read.pairing.pairs))
-    session = fused_session(read, plan, segments, frames, sources, options.depth, progress)
+    blocks = progress(fused, "fusing", block_count(segments))
+    session = fused_session(read, plan, segments, blocks, sources, options.depth, progress)
     figures = report(session)
     with session_file(options.save, viewing is not None and viewing.opens) as file:
         if file is not None:
@@ -99,7 +100,7 @@ def _plan(
     options: FuseOptions, settings: FuserSettings, read: TwoRecordings, console: Console
 ) -> RecordingPlan:
     """Learns the registration, or keeps the one that is given."""
-    skeletons = [pair.skeletons for pair in read.pairing.pairs]
+    skeletons = read.pairing.skeletons(read.body)
     source = calibration_source(options.calibrate)
     calibration = _calibrate(source, read.body, skeletons)
     refine = not (options.no_refine or isinstance(source, Path))
@@ -133,11 +134,11 @@ def _summarise(console: Console, options: FuseOptions, session: Session, figures
         say_more(console)
 
 
-def _calibrate(source: Path | float | None, body: Body, pairs: Sequence[SkeletonPair]) -> Calibration | None:
+def _calibrate(source: Path | float | None, body: Body, pairs: Pairs) -> Calibration | None:
     """The calibration that is asked for; None where the recording's start-up pose is to give it."""
     if source is None:
         return None
     if isinstance(source, Path):
         return read_calibration(source, body)
-    chosen = [pair for pair in pairs if pair.time_ns - pairs[0].time_ns <= source * 1e9]
+    chosen = pairs[np.flatnonzero(pairs.time_ns - pairs.time_ns[0] <= source * 1e9)]
     return calibrate(body, chosen, f"first {source:g} s, {len(chosen)} frames")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,11 @@ from fusion.facing.model import DOUBT_STEPS
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
-from recordings.fusing.pairs import Segments, calibration_event, fuse_segments, setups_of
+from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
 from recordings.fusing.view_events import watch
 from recordings.images import NO_IMAGES
 from recordings.session import Session
-from recordings.session_arrays import SessionFrame
+from recordings.session_arrays import SessionFrames
 from recordings.writing.checksums import fused_checksums, joint_digests
 from viewer_app.errors import UsageError
 from viewer_app.options.sessions import ReplayOptions
@@ -61,8 +62,8 @@ def run(options: ReplayOptions) -> None:
     segments, codes = _plan(session, settings)
     with planned.opened(segments[0][0]) as outputs:
         announce_outputs(console, outputs)
-        frames = _fused(options, session, segments, codes, outputs, console)
-    replayed = _replayed(session, segments, frames, with_images=options.save is not None)
+        blocks = _fused(options, session, segments, codes, outputs, console)
+        replayed = _replayed(session, segments, blocks, with_images=options.save is not None)
     figures = report(replayed)
     damaged = 0
     window = not options.no_viewer and not options.verify and has_display()
@@ -88,7 +89,7 @@ def _plan(session: Session, settings: FuserSettings) -> tuple[Segments, NDArray[
     if settings.method == "duplex" and session.settings.method != "duplex":
         # The session has neither labels nor a refined calibration: they are found as for two recordings.
         settings = replace(settings, hindsight="labels")
-        skeletons = [pair.skeletons for pair in session.pairs()]
+        skeletons = session.recorded_pairs.skeletons
         plan = plan_recording(session.body, skeletons, settings, session.calibration)
         return setups_of(plan, settings, (session.intrinsics_a, session.intrinsics_b)), plan.codes
     codes = None
@@ -107,31 +108,35 @@ def _fused(
     codes: NDArray[np.int64] | None,
     outputs: Sequence[LiveOutput],
     console: Console,
-) -> list[SessionFrame]:
+) -> Iterator[SessionFrames]:
     """Fuses the pairs of a session, at the recorded times where S* is sent to outputs."""
-    pairs = list(session.pairs())
-    fused: Iterator[SessionFrame] = fuse_segments(segments, pairs, codes)
-    if options.pace == "live":
-        warm_up(Fuser(segments[0][0]), console)
-        setups = {own.start: setup for setup, own in segments}
-        fused = played(fused, FanOut(outputs), setups, session.events)
-    quiet = not console.is_terminal
-    return list(track(fused, "fusing", len(pairs), console=console, transient=True, disable=quiet))
+    blocks = fuse_segments(segments, session.recorded_pairs, codes)
+    quiet, count = not console.is_terminal, block_count(segments)
+    shown = track(blocks, "fusing", count, console=console, transient=True, disable=quiet)
+    if options.pace == "fast":
+        yield from shown
+        return
+    warm_up(Fuser(segments[0][0]), console)
+    setups = {own.start: setup for setup, own in segments}
+    fused = list(shown)
+    for _ in played(chain.from_iterable(fused), FanOut(outputs), setups, session.events):
+        pass
+    yield from fused
 
 
-def _replayed(session: Session, segments: Segments, frames: list[SessionFrame], with_images: bool) -> Session:
+def _replayed(
+    session: Session, segments: Segments, blocks: Iterable[SessionFrames], with_images: bool
+) -> Session:
     """The session of the replay, with the events that it found itself."""
-    first_ns = frames[0].pair.time_ns
     events = [calibration_event(setup, own, session.time_ns) for setup, own in segments]
-    frames = list(watch(session.body, frames, first_ns, events))
-    about = session.origin | {"first_frame": session.first_frame, "replay_of": session.name}
-    return Session.of(
-        [(setup, frames[own]) for setup, own in segments],
+    watched = watch(session.body, blocks, int(session.time_ns[0]), events)
+    replayed = Session.of(
+        [(setup, islice(watched, block_count([(setup, own)]))) for setup, own in segments],
         session.sources,
-        events=sorted(events, key=lambda event: event.frame),
         images=session.images if with_images else NO_IMAGES,
-        about=about,
+        about=session.origin | {"first_frame": session.first_frame, "replay_of": session.name},
     )
+    return replace(replayed, events=tuple(sorted(events, key=lambda event: event.frame)))
 
 
 def _planned(options: ReplayOptions) -> OutputPlan:

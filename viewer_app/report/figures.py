@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.handedness import mirrored_share
+from fusion.large_arrays import parts
 from fusion.registration.rigid_fit import fit_recording
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
@@ -25,6 +26,8 @@ from viewer_app.coach.standing_spot import FARTHEST, nearest
 from viewer_app.output_files import write_text
 from viewer_app.report.verdict import Figures as Figures
 from viewer_app.report.verdict import verdict
+
+_SAMPLES = 100_000  # frames, from which a median distance is found
 
 
 def report(session: Session) -> Figures:
@@ -110,18 +113,15 @@ def truth_free_figures(session: Session) -> dict[str, float | None]:
 
 def method_figures(rows: SessionArrays) -> Figures:
     """Bones, errors, repaired data, time, and how well the views agree since the calibration."""
-    lengths, target = rows.bone_length_of_each, rows.bone_lengths
     apart = rows.views_agree
+    mean, std, worst, rms = _bones(rows)
     bones = {}
     for joint in rows.body.bone_joints:
-        of_bone: Figures = {"target_m": float(target[-1, joint])}
-        for key, length in zip(("a", "b", "fused"), lengths[:, :, joint], strict=True):
-            of_bone[key] = {"mean_m": _of_finite(np.mean, length), "std_mm": _of_finite(np.std, length * 1e3)}
-        of_bone["fused"]["max_error_mm"] = _of_finite(
-            np.max, np.abs(lengths[2, :, joint] - target[:, joint]) * 1e3
-        )
+        of_bone: Figures = {"target_m": float(rows.bone_lengths[-1, joint])}
+        for k, key in enumerate(("a", "b", "fused")):
+            of_bone[key] = {"mean_m": _known(mean[k, joint]), "std_mm": _known(1e3 * std[k, joint])}
+        of_bone["fused"]["max_error_mm"] = _known(1e3 * worst[2, joint])
         bones[rows.body.bones[joint]] = of_bone
-    error = (lengths - target)[:, :, rows.body.bone_joints] * 1e3
     seconds = float(rows.time_ns[-1] - rows.time_ns[0]) * 1e-9
     return {
         "fused_frames": len(rows),
@@ -134,7 +134,7 @@ def method_figures(rows: SessionArrays) -> Figures:
         },
         "bones": bones,
         "bone_error_mm": {
-            key: {"rms": _of_finite(_rms, error[k]), "max": _of_finite(np.max, np.abs(error[k]))}
+            key: {"rms": _known(1e3 * rms[k]), "max": _known(1e3 * np.fmax.reduce(worst[k]))}
             for k, key in enumerate(("a", "b", "fused"))
         },
         "views_agree_mm": {
@@ -149,6 +149,34 @@ def method_figures(rows: SessionArrays) -> Figures:
     }
 
 
+def _bones(rows: SessionArrays) -> tuple[NDArray[np.float64], ...]:
+    """Figures of the bones of S_A, S_B and S*, metres; NaN where a bone is never seen.
+
+    Returns:
+        (3, J) means and standard deviations of the lengths, (3, J) largest errors, (3,) RMS of all errors.
+    """
+    count, total, square, of_errors, worst = (np.zeros((3, len(rows.body))) for _ in range(5))
+    for part in rows.parts():
+        length = part.bone_length_of_each
+        known = np.isfinite(length)
+        count += known.sum(axis=1)
+        total += np.where(known, length, 0.0).sum(axis=1)
+        error = np.where(known, length - part.bone_lengths, 0.0)
+        of_errors += (error**2).sum(axis=1)
+        worst = np.maximum(worst, np.abs(error).max(axis=1))
+    with np.errstate(invalid="ignore"):
+        mean = total / count
+        for part in rows.parts():
+            off = part.bone_length_of_each - mean[:, None]
+            square += np.where(np.isfinite(off), off**2, 0.0).sum(axis=1)
+        rms = np.sqrt(of_errors.sum(axis=1) / count.sum(axis=1))
+        return mean, np.sqrt(square / count), np.where(count > 0.0, worst, np.nan), rms
+
+
+def _known(figure: float) -> float | None:
+    return float(figure) if math.isfinite(figure) else None
+
+
 def _in_mm(metres: float) -> float | None:
     return None if math.isnan(metres) else metres * 1e3
 
@@ -156,10 +184,15 @@ def _in_mm(metres: float) -> float | None:
 def _distances(setup: FusionSetup, rows: SessionArrays) -> Figures:
     """Median distance of the trunk from each sensor along its axis, and the sensor's range, metres."""
     torso, far = list(rows.body.torso), FARTHEST[rows.body.name]
-    positions, cameras = (rows.positions_a, rows.positions_b), (setup.intrinsics_a, setup.intrinsics_b)
+    cameras = setup.intrinsics_a, setup.intrinsics_b
+    every = max(1, len(rows) // _SAMPLES)
+    depths = (
+        np.concatenate([positions[part][::every, torso, 2] for part in parts(len(rows))])
+        for positions in (rows.positions_a, rows.positions_b)
+    )
     return {
-        side: {"median": _of_finite(np.median, at[:, torso, 2]), "near": nearest(camera), "far": far}
-        for side, at, camera in zip("ab", positions, cameras, strict=True)
+        side: {"median": _of_finite(np.median, z), "near": nearest(camera), "far": far}
+        for side, z, camera in zip("ab", depths, cameras, strict=True)
     }
 
 
@@ -174,7 +207,10 @@ def _repaired(rows: SessionArrays) -> Figures:
         exchanged = {
             key: _of_finite(np.mean, rows.exchanged[seen, k] != 0) for k, key in enumerate(("a", "b"))
         }
-    return {"exchanged": exchanged, "unseen_joints": _of_finite(np.mean, rows.predicted[seen])}
+    return {
+        "exchanged": exchanged,
+        "unseen_joints": float(rows.predicted[seen].mean()) if seen.any() else None,
+    }
 
 
 def save_report(path: Path | None, figures: Figures) -> None:
@@ -189,10 +225,6 @@ def _of_finite(figure: Any, values: NDArray[Any]) -> float | None:
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]
     return float(figure(finite)) if finite.size else None
-
-
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _percentile(values: NDArray[Any], percent: float) -> float | None:

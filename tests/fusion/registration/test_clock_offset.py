@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,8 +44,8 @@ def test_the_delay_of_a_recording_is_found_to_a_fraction_of_a_frame(delay: float
 
 
 def test_known_skew_is_not_counted_again() -> None:
-    pairs = swaying(0.012)
-    found = clock_offset_of(KINECT_V2, pairs, A_FROM_B, [12_000_000] * len(pairs))
+    pairs = [replace(pair, skew_ns=12_000_000) for pair in swaying(0.012)]
+    found = clock_offset_of(KINECT_V2, pairs, A_FROM_B)
     assert found is not None
     assert abs(found.offset_ns) < 2e6
     assert not found.significant

@@ -1,0 +1,111 @@
+"""Long recordings: bounded memory, the same result in parts, and temporary files without a name."""
+
+from __future__ import annotations
+
+import errno
+import gc
+import os
+import tempfile
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from devices.files import RecordingChoice, read_two
+from devices.skeletons import csv_file
+from devices.skeletons.csv_file import read_csv
+from fusion import large_arrays, plan
+from fusion.body import KINECT_V2
+from fusion.errors import FusionError
+from fusion.large_arrays import GrowingArray
+from fusion.plan import plan_recording
+from fusion.setup import FuserSettings
+from recordings import fuse
+from tests.helpers.recorded_pairs import write_view
+from tests.helpers.two_views import A_FROM_B, moving
+
+
+def write_walk(folder: Path, frames: int) -> tuple[Path, Path]:
+    """Two noisy views of a person who moves."""
+    folder.mkdir()
+    truth, rng = moving(KINECT_V2, frames), np.random.default_rng(frames)
+    a, b = (view + rng.normal(0.0, 0.005, truth.shape) for view in (truth, A_FROM_B.inverse().apply(truth)))
+    return write_view(folder / "a.csv", KINECT_V2, a), write_view(folder / "b.csv", KINECT_V2, b)
+
+
+def test_a_fused_recording_keeps_a_few_hundred_bytes_of_each_pair_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Positions of both views and of S* alone are 1,200 bytes; as one object each, pairs were 10 kB."""
+    monkeypatch.setattr(large_arrays, "_LARGE", 10_000)  # bytes: every array of a long recording is larger
+    held = {}
+    fuse(*write_walk(tmp_path / "first", 100))  # what is held for the process
+    for frames in (150, 450):
+        files = write_walk(tmp_path / str(frames), frames)
+        gc.collect()
+        tracemalloc.start()
+        session = fuse(*files)
+        gc.collect()
+        held[frames], _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert len(session) == frames
+    assert (held[450] - held[150]) / 300 < 300.0
+
+
+def test_a_csv_is_the_same_in_blocks_and_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, _ = write_walk(tmp_path / "walk", 40)
+    header, *lines = path.read_text().splitlines()
+    shuffled = tmp_path / "shuffled.csv"
+    order = np.random.default_rng(1).permutation(len(lines))
+    shuffled.write_text("\n".join([header, *(lines[k] for k in order)]) + "\n")
+    whole = read_csv(path).people
+    monkeypatch.setattr(csv_file, "_BLOCK", 5000)  # three frames
+    for each in (read_csv(path), read_csv(shuffled)):
+        np.testing.assert_array_equal(each.people.time_ns, whole.time_ns)
+        for values, expected in zip(each.people.skeletons[:3], whole.skeletons[:3], strict=True):
+            np.testing.assert_array_equal(values, expected)
+    assert read_csv(path).warnings == ()
+    assert "time_us goes back" in read_csv(shuffled).warnings[0]
+
+
+def test_a_plan_in_parts_is_that_of_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = write_walk(tmp_path / "walk", 600)
+    pairs = read_two(*map(RecordingChoice, files)).pairing.skeletons(KINECT_V2)
+    settings = FuserSettings(hindsight="labels")
+    whole = plan_recording(KINECT_V2, pairs, settings)
+    monkeypatch.setattr(plan, "_LONG", 250)
+    monkeypatch.setattr(plan, "_AROUND", 60)
+    in_parts = plan_recording(KINECT_V2, pairs, settings)
+    (first, _), (other, span) = whole.segments[0], in_parts.segments[0]
+    assert span == slice(0, 600)
+    # 200 pairs instead of 600: both are the truth within their deviation
+    assert np.degrees(first.a_from_b.angle_to(other.a_from_b)) < 0.5
+    assert in_parts.codes is not None
+    assert whole.codes is not None
+    np.testing.assert_array_equal(in_parts.codes & 3, whole.codes & 3)
+
+
+def test_a_large_array_has_no_name_and_is_what_was_appended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(large_arrays, "_LARGE", 100)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    rows = np.arange(120, dtype=np.float32).reshape(20, 2, 3)
+    array = GrowingArray()
+    for row in rows:
+        array.append(np.broadcast_to(row, (1, 2, 3)))
+    np.testing.assert_array_equal(array.whole(), rows)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_room_for_a_large_array_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    class FullDisk:
+        def write(self, _: Any) -> int:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(large_arrays, "_LARGE", 100)
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: FullDisk())
+    with pytest.raises(FusionError, match=r"No space left on device. .*TMPDIR"):
+        GrowingArray().append(np.zeros(100))
