@@ -6,6 +6,7 @@ import filecmp
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,14 +32,14 @@ from fusion.registration.clock_offset import ClockOffset
 from fusion.registration.clock_search import find_clock_offset
 
 MKV = ".mkv"
-Progress = Callable[[Iterable[SensorFrame], str, int | None], Iterable[SensorFrame]]
-"""Shows progress: takes frames, a description of the work, and the number of frames if known."""
+Progress = Callable[[Iterable[Any], str, int | None], Iterable[Any]]
+"""Shows progress: takes frames or parts of the work, a description of it, and their number if known."""
 
 _CLOCKS_AGREE_NS = 1_000_000
 """Tolerance between the measured and the configured sync delay; the sensors are accurate to 0.1 ms."""
 
 
-def quietly(frames: Iterable[SensorFrame], what: str, total: int | None) -> Iterable[SensorFrame]:
+def quietly(frames: Iterable[Any], what: str, total: int | None) -> Iterable[Any]:
     """A :data:`Progress` that shows nothing."""
     del what, total
     return frames

@@ -23,6 +23,7 @@ import rerun as rr
 import rerun_bindings
 
 from devices.events import Event
+from devices.files import Progress, quietly
 from fusion.large_arrays import parts
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
@@ -49,6 +50,7 @@ def write_session(
     first: int = 0,
     end: int | None = None,
     block: int = _BLOCK,
+    progress: Progress = quietly,
 ) -> int:
     """Writes frames `first` to `end` (exclusive) of a session to a new file.
 
@@ -85,8 +87,9 @@ def write_session(
         for setup, own in segments:
             if own.start > first:
                 recorder.recalibrated(setup)
-            begin = max(own.start, first)
-            for part in parts(min(own.stop, end) - begin, max(block, (end - first) // _MOST_BLOCKS)):
+            begin, size = max(own.start, first), max(block, (end - first) // _MOST_BLOCKS)
+            count = min(own.stop, end) - begin
+            for part in progress(parts(count, size), "writing", -(-count // size)):
                 part = slice(begin + part.start, begin + part.stop)
                 rows = session.rows[part]
                 rows = replace(rows, frame=rows.frame - first, time_ns=rows.time_ns - start_ns)

@@ -72,7 +72,8 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     with session_file(options.save, viewing is not None and viewing.opens) as file:
         if file is not None:
             with whole_file(file) as partial:
-                write_for_viewer(session, partial, session_page(setup, figures), active=options.layout)
+                page = session_page(setup, figures)
+                write_for_viewer(session, partial, page, active=options.layout, progress=progress)
         if viewing is not None and viewing.window and file is not None:
             show(file)
         _summarise(console, options, session, figures)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from devices.files import Progress, quietly
 from fusion.setup import FusionSetup
 from recordings import layout
 from recordings.appearance.coach_page import CoachPage
@@ -35,6 +36,7 @@ def write_for_viewer(
     setup: FusionSetup | None = None,
     first: int = 0,
     end: int | None = None,
+    progress: Progress = quietly,
 ) -> int:
     """Writes frames of a session with its page and the layouts.
 
@@ -49,7 +51,9 @@ def write_for_viewer(
     blueprint = session_blueprint(
         setup or session.last_setup, session.whereabouts, active, depth=has_depth(session)
     )
-    return write_session(session, path, blueprint=blueprint, page=page, first=first, end=end)
+    return write_session(
+        session, path, blueprint=blueprint, page=page, first=first, end=end, progress=progress
+    )
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import gc
 import os
 import tempfile
 import tracemalloc
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ from fusion.errors import FusionError
 from fusion.large_arrays import GrowingArray
 from fusion.plan import plan_recording
 from fusion.setup import FuserSettings
-from recordings import fuse
+from recordings import Session, fuse
+from recordings.file.session_writer import write_session
 from tests.helpers.recorded_pairs import write_view
 from tests.helpers.two_views import A_FROM_B, moving
 
@@ -109,3 +111,16 @@ def test_no_room_for_a_large_array_is_said_in_one_line(monkeypatch: pytest.Monke
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: FullDisk())
     with pytest.raises(FusionError, match=r"No space left on device. .*TMPDIR"):
         GrowingArray().append(np.zeros(100))
+
+
+def test_writing_shows_how_far_it_is(tmp_path: Path) -> None:
+    session, shown = fuse(*write_walk(tmp_path / "walk", 100)), []
+
+    def progress(blocks: Iterable[slice], what: str, total: int) -> Iterable[slice]:
+        seen = list(blocks)
+        shown.append((what, total, len(seen)))
+        return seen
+
+    write_session(session, tmp_path / "s.rrd", block=30, progress=progress)
+    assert shown == [("writing", 4, 4)]
+    assert len(Session.open(tmp_path / "s.rrd")) == 100
