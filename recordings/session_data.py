@@ -93,6 +93,11 @@ class SessionData:
         return {name: known[name][0] for name in names if name in known}
 
     @property
+    def method_revision(self) -> int:
+        """The revision of the method that S* was computed with (:data:`fusion.setup.REVISIONS`)."""
+        return int(self.about["session"].get("method_revision", [1])[0])
+
+    @property
     def dropped(self) -> tuple[int | None, int | None]:
         """Frames of A and B that were left out before saving; None where not recorded, as by 1.0."""
         known = self.about["session"]

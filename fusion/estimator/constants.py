@@ -113,6 +113,8 @@ class Constants(NamedTuple):
     joints lie within one of them from the truth."""
     bones: bool = True
     """Whether the bones are held. An ablation only: S* always has its bones."""
+    heading: bool = True
+    """Whether shoulders and hips are turned towards the heading. An ablation only."""
 
     @staticmethod
     def of(body: Body) -> Constants:

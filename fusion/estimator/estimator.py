@@ -14,6 +14,7 @@ from fusion.estimator.bones import (
 )
 from fusion.estimator.covariance import find_covers, set_covariances, set_rays
 from fusion.estimator.evidence import depth_evidence, length_evidence, measure_surface
+from fusion.estimator.heading import turn_girdles
 from fusion.estimator.kalman import kalman_update, predict, start_joints, update_common_error
 from fusion.estimator.offsets import decay_offsets, update_offsets, update_usual_offsets
 from fusion.estimator.outliers import inflate_on_surprise, outlier_probabilities, store_outlier_state
@@ -52,7 +53,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     if not anyone_seen(pairs, k):
         write_empty_row(output, k)
         return
-    # correct exchanged left and right
+    # find the heading, and correct exchanged left and right
     relabel(model, filter.facing_model, filter.facing, views, pairs.codes[k], dt)
     # evidence of the depth images about each joint
     depth_evidence(model, filter.facing_model, views, pairs, k)
@@ -60,6 +61,9 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     remove_scales(model, state, views, dt)
     # evidence of the bones' lengths within each view
     length_evidence(model, state, views)
+    # shoulders and hips towards the heading
+    if model.constants.heading:
+        turn_girdles(filter.facing_model, filter.facing, views)
     # predict positions, velocities and variances
     predict(model, state, dt)
     trace_prediction(model, state, trace, k, dt)

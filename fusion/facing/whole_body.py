@@ -18,11 +18,14 @@ are exchanged at once, both prices count. Continuity of the labels changes the o
 **Evidence**, log L, with f the heading's unit vector; every term has a weight, because successive frames are
 correlated:
 
-* axes (only these depend on m): −β(κ (1 − cos)) + ½ log κ, a von Mises density of the angle between f and the
-  axis, reversed where the view is mirrored; κ = 1/σ² from the table;
+* axes (only these depend on m): −β(κ (1 − cos)) + ½ log κ, a von Mises density of the angle between the axis
+  and the one that the tracker reports for f; κ = 1/σ² from the table. A Kinect v2 reports an angle to the
+  sensor that is smaller than the true one (``reported_angle``), with probability 1 − ``unbiased``. A mirrored
+  view reports −f, or, with probability ``folded``, f with its component towards the sensor reversed. Both
+  densities are mixtures;
 * cues: −β(½ ((x − μ)/σ)²) − log σ, a normal density of x = cue · f, with μ and σ by the cosine to the sensor;
   β(c) = c / (1 + c / most) limits the effect of a single outlier, and more so that of a bent knee;
-* motion: w |v|² cos(v, f), with |v| capped: people rarely walk backwards fast.
+* motion: w |v|⁴ cos(v, f), with |v| capped: people walk backwards slowly, hardly ever fast.
 """
 
 from __future__ import annotations
@@ -80,8 +83,9 @@ def prior_belief(state):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _cosine(state, view, n):  # type: ignore[no-untyped-def]
-    f, s = state.headings[n], state.toward[view]
+def cosine_to_sensor(state, view, f):  # type: ignore[no-untyped-def]
+    """Cosine between a horizontal unit vector and the direction to the sensor."""
+    s = state.toward[view]
     return f[0] * s[0] + f[1] * s[1] + f[2] * s[2]
 
 
@@ -166,7 +170,7 @@ def log_likelihood(model, state, stale):  # type: ignore[no-untyped-def]
     k = model.constants
     v, likelihood = state.velocity, state.likelihood
     speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
-    pace = k.motion_weight * min(speed, k.motion_cap) ** 2 / max(speed, 1e-9)
+    pace = k.motion_weight * min(speed, k.motion_cap) ** 4 / max(speed, 1e-9)
     if stale[0] and stale[1]:
         pace = 0.0
     for n in range(len(state.headings)):
@@ -174,7 +178,7 @@ def log_likelihood(model, state, stale):  # type: ignore[no-untyped-def]
         common = pace * (v[0] * f[0] + v[1] * f[1] + v[2] * f[2])
         axis_a = axis_b = 0.0
         for view in range(2):
-            cosine = _cosine(state, view, n)
+            cosine = cosine_to_sensor(state, view, f)
             state.shares[view, n] = mirrored_share(k, cosine)
             if stale[view]:
                 continue
@@ -192,7 +196,8 @@ def log_likelihood(model, state, stale):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _in_table(table, cosine):  # type: ignore[no-untyped-def]
+def in_table(table, cosine):  # type: ignore[no-untyped-def]
+    """A value of a table of :class:`fusion.facing.model.FacingConstants`."""
     node = 2.0 * (1.0 - max(-1.0, min(1.0, cosine)))
     i = min(int(node), _INTERVALS - 1)
     return table[i] + (node - i) * (table[i + 1] - table[i])
@@ -206,29 +211,49 @@ def _cue_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-def
         trust = state.cue_trust[view, row]
         if trust > 0.0:
             kind = row // 2
-            sigma = _in_table(model.cue_sigma[kind], cosine)
+            sigma = in_table(model.cue_sigma[kind], cosine)
             d = state.cues[view, row]
-            z = (d[0] * f[0] + d[1] * f[1] + d[2] * f[2] - _in_table(model.cue_mean[kind], cosine)) / sigma
+            z = (d[0] * f[0] + d[1] * f[1] + d[2] * f[2] - in_table(model.cue_mean[kind], cosine)) / sigma
             most = k.bent_floor if kind == 0 and z > 0.0 else k.cue_floor
-            total -= trust * (_bounded(0.5 * z * z, most) + _in_table(model.cue_log[kind], cosine))
+            total -= trust * (_bounded(0.5 * z * z, most) + in_table(model.cue_log[kind], cosine))
     still = max(k.still_weight, min(1.0, state.speed[view] / k.moving_speed))
     return k.cue_weight * still * total
 
 
 @inner_kernel
 def _axis_evidence(model, state, view, f, cosine):  # type: ignore[no-untyped-def]
-    """Sum of the log densities of shoulder and hip axis if the person faces f: as they are, and reversed."""
+    """Sum of the log densities of shoulder and hip axis if the person faces f: as they are, and mirrored."""
     straight = back = 0.0
-    kappa = _in_table(model.axis_kappa, cosine)
+    kappa, s = in_table(model.axis_kappa, cosine), state.toward[view]
+    folded, most = model.constants.folded, model.constants.axis_floor
+    # the reported direction for f is toward s + across f
+    toward, across = 0.0, 1.0
+    if folded > 0.0:
+        angle = in_table(model.reported_angle, cosine)
+        across = math.sin(angle) / math.sqrt(max(1.0 - cosine * cosine, 1e-12))
+        toward = math.cos(angle) - across * cosine
     for girdle in range(2):
         trust = state.axis_trust[view, girdle]
         if trust > 0.0:
             g = state.axes[view, girdle]
             along = g[0] * f[0] + g[1] * f[1] + g[2] * f[2]
+            nearing = g[0] * s[0] + g[1] * s[1] + g[2] * s[2]
             peak = 0.5 * math.log(kappa)
-            straight += trust * (peak - _bounded(kappa * (1.0 - along), model.constants.axis_floor))
-            back += trust * (peak - _bounded(kappa * (1.0 + along), model.constants.axis_floor))
+            as_shown, mirrored = _bounded(kappa * (1.0 - along), most), _bounded(kappa * (1.0 + along), most)
+            if folded > 0.0:
+                other = _bounded(kappa * (1.0 - toward * nearing - across * along), most)
+                as_shown = _mixture(as_shown, other, 1.0 - model.constants.unbiased)
+                other = _bounded(kappa * (1.0 - along + 2.0 * cosine * nearing), most)
+                mirrored = _mixture(mirrored, other, folded)
+            straight += trust * (peak - as_shown)
+            back += trust * (peak - mirrored)
     return model.constants.axis_weight * straight, model.constants.axis_weight * back
+
+
+@inner_kernel
+def _mixture(cost, other, share):  # type: ignore[no-untyped-def]
+    """The cost of a mixture of two densities; ``share`` is that of the other."""
+    return -math.log((1.0 - share) * math.exp(-cost) + share * math.exp(-other))
 
 
 @inner_kernel

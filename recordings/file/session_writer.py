@@ -72,7 +72,10 @@ def write_session(
     end = len(session) if end is None else min(end, len(session))
     if not 0 <= first < end:
         raise RecordingError(f"{session} has {len(session)} frames; none from {first} to {end}.")
-    about = session.origin | {"first_frame": session.first_frame + first}
+    about = session.origin | {
+        "first_frame": session.first_frame + first,
+        "method_revision": session.method_revision,
+    }
     if (first, end) != (0, len(session)):  # nobody knows which frames were dropped in this part
         about = {name: value for name, value in about.items() if not name.startswith("dropped")}
     with whole_recording(path, blueprint) as stream:

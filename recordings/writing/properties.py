@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fusion.intrinsics import Intrinsics
-from fusion.setup import FusionSetup
+from fusion.setup import REVISIONS, FusionSetup
 from recordings import layout
 
 
@@ -29,6 +29,7 @@ def session_properties(
             "layout_version": layout.VERSION,
             "written_by": f"duplex-kinects {version('duplex-kinects')}",
             "body": setup.body.name,
+            "method_revision": REVISIONS[setup.settings.method],
             "bone_names": [name or "root" for name in setup.body.bones],
             "source_a": sources[0],
             "source_b": sources[1],

@@ -1,8 +1,9 @@
 """Where the tables of the facing filter come from: ``python -m tests.experiments.facing FOLDER…``.
 
 Each folder holds a.csv and b.csv of a person who walks about before two Kinects. It prints the cues' means
-and deviations by the cosine to the sensor, and the share of mirrored frames. ``python -m
-tests.benchmarks.real FOLDER…`` measures the filter.
+and deviations by the cosine to the sensor, the share of mirrored frames, and the angle to the sensor that
+shoulders and hips show, by the angle of a straight path. ``python -m tests.benchmarks.real FOLDER…`` measures
+the filter.
 """
 
 import argparse
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.facing.model import TRUNK, WHOLE, FacingConstants, new_facing_model
-from tests.helpers.labelled_views import Floats, Views, real_views
+from tests.helpers.labelled_views import Floats, Views, heading, real_views
 
 NODES = (1.0, 0.5, 0.0, -0.5, -1.0)
 
@@ -42,6 +43,35 @@ def tables(pairs: list[Views], constants: FacingConstants) -> None:
         print()
 
 
+def reported_angles(pairs: list[Views]) -> None:
+    """Prints percentiles of the angle to the sensor that the trunk shows, by that of a straight path."""
+    true, shown = [], []
+    for views in pairs:
+        body, seconds = views.body, np.gradient(views.time_ns * 1e-9)
+        trunk = [body.joint(n + side) for n in ("Shoulder", "Hip") for side in ("Left", "Right")]
+        centre = 0.5 * (views.a + views.b_in_a)[:, trunk].mean(axis=1)
+        centre = np.stack([np.convolve(c, np.ones(9) / 9, "same") for c in centre.T], axis=1)
+        way = np.gradient(centre, axis=0) / seconds[:, None]
+        path = np.unwrap(np.arctan2(way[:, 2], way[:, 0]))
+        used = (np.hypot(way[:, 0], way[:, 2]) > 0.8) & (
+            np.abs(np.gradient(path) / seconds) < np.radians(40.0)
+        )
+        used[:12] = used[-12:] = False
+        for at, sensor in ((views.a, np.zeros(3)), (views.b_in_a, views.sensor_b)):
+            to, front = sensor - at[:, body.root], heading(body, at)
+            to_sensor, facing = (np.arctan2(x[used, 2], x[used, 0]) for x in (to, front))
+            angle, seen = ((x - to_sensor + np.pi) % (2.0 * np.pi) - np.pi for x in (path[used], facing))
+            true.append(np.degrees(np.abs(angle)))
+            shown.append(np.degrees(seen * np.sign(angle)))
+    angles, reported = np.concatenate(true), np.concatenate(shown)
+    for low in range(0, 180, 20):
+        here = reported[(angles >= low) & (angles < low + 20)]
+        few, middle, most = np.nanpercentile(here, (16, 50, 84))
+        print(
+            f"{low}° to {low + 20}°: {len(here)} frames, reported {middle:.0f}° ({few:.0f}° to {most:.0f}°)"
+        )
+
+
 def _cues(views: Views, at: Floats) -> Floats:
     """(T, 5, 3) knees before hip–ankle, elbows behind shoulder–wrist, head before the neck."""
     body, found = views.body, []
@@ -60,7 +90,9 @@ def main() -> None:
     )
     parser.add_argument("folders", nargs="+", type=Path)
     options = parser.parse_args()
-    tables([real_views(folder) for folder in options.folders], FacingConstants())
+    pairs = [real_views(folder) for folder in options.folders]
+    tables(pairs, FacingConstants())
+    reported_angles(pairs)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from fusion.facing.exchange import with_doubt
 from fusion.facing.model import DOUBT_STEPS
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
-from fusion.setup import FuserSettings
+from fusion.setup import REVISIONS, FuserSettings
 from recordings.fusing.pairs import Segments, block_count, calibration_event, fuse_segments, setups_of
 from recordings.fusing.view_events import watch
 from recordings.images import NO_IMAGES
@@ -59,6 +59,8 @@ def run(options: ReplayOptions) -> None:
         )
     planned = _planned(options)
     print_damage(console, session)
+    if session.settings.method == settings.method and session.method_revision != REVISIONS[settings.method]:
+        console.print(f"The method {settings.method} has changed since this session was made; S* is today's.")
     segments, codes = _plan(session, settings)
     with planned.opened(segments[0][0]) as outputs:
         announce_outputs(console, outputs)

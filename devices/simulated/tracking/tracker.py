@@ -105,9 +105,9 @@ class Tracker:
         reported = reported + shaking * (1.0 + (e.inferred_jitter - 1.0) * weight) * self._jitter
 
         states = np.where(hidden, self._spell, int(TrackingState.TRACKED)).astype(np.uint8)
-        facing = self._facing(joints)
+        angle = math.atan2(self._facing(joints, sideways=True), self._facing(joints))
         told = self._script is not None and self._script.mirrors(time_ns)
-        reported, states = self._mirroring.apply(reported, states, self._front(joints), facing, told)
+        reported, states = self._mirroring.apply(reported, states, self._front(joints), angle, told)
         if self._last is not None and stale < e.stale:
             reported, states = self._last
         self._last = reported, states

@@ -79,7 +79,7 @@ _KINECT_V2 = TrackerErrors(
         "tip": 0.005,
         "thumb": 0.014, "knee": 0.0018, "ankle": 0.001, "foot": 0.002, "face": 0.003,
     },
-    moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.97),
+    moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.97, faces_sensor=1.0, heading_sd=0.2),
     stale=0.05, lost=0.002,
 )  # fmt: skip
 _AZURE = TrackerErrors(
@@ -96,7 +96,7 @@ _AZURE = TrackerErrors(
         "tip": 0.005,
         "thumb": 0.014, "knee": 0.0018, "ankle": 0.001, "foot": 0.002, "face": 0.003,
     },
-    moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.35),
+    moving_jitter=0.002, jitter_memory=0.7, mirroring=Mirroring(back=0.05),
     stale=0.04, lost=0.001,
 )  # fmt: skip
 _BLAZEPOSE = TrackerErrors(

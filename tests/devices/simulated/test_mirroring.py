@@ -24,25 +24,25 @@ def standing(body: Body = KINECT_V2) -> np.ndarray:
     return (joints - root) * (-1.0, 1.0, -1.0) + root  # half a turn about the vertical
 
 
-def watch(mirroring: Mirroring, frames: int, cosine: float, body: Body = KINECT_V2) -> np.ndarray:
+def watch(mirroring: Mirroring, frames: int, angle: float, body: Body = KINECT_V2) -> np.ndarray:
     joints, states = standing(body), np.full(len(body), 2, dtype=np.uint8)
     tracker = MirroringTracker(body, mirroring, 1 / 30, np.random.default_rng(0))
-    return np.array([tracker.apply(joints, states, BACK, cosine)[0] for _ in range(frames)])
+    return np.array([tracker.apply(joints, states, BACK, angle)[0] for _ in range(frames)])
 
 
 @pytest.mark.parametrize("cosine", [-1.0, -0.55, -0.3])
 def test_the_share_of_mirrored_frames_is_what_the_knob_says(cosine: float) -> None:
     mirroring = Mirroring(back=0.9, seconds=0.1, crossing_seconds=0.0, legs_later=0.0)
     truth = standing()
-    wrong = swapped(KINECT_V2, watch(mirroring, 9000, cosine), np.tile(truth, (9000, 1, 1)))
+    wrong = swapped(KINECT_V2, watch(mirroring, 9000, np.arccos(cosine)), np.tile(truth, (9000, 1, 1)))
     # 300 s in spells of 0.1 s: at least 1500 independent ones, known to √(¼ / 1500) = 1.3 %; four times.
     assert wrong.mean() == pytest.approx(mirroring.share(cosine), abs=0.052)
 
 
 def test_places_stay_and_labels_are_exchanged_but_for_what_depth_hardly_shows() -> None:
-    mirroring = Mirroring(back=1.0, seconds=0.01, legs_later=0.0)
+    mirroring = Mirroring(back=1.0, centre=1.0, width=0.01, seconds=0.01, legs_later=0.0)
     truth = standing()
-    last = watch(mirroring, 60, -2.0)[-1]  # beyond any table: always mirrored
+    last = watch(mirroring, 60, np.pi)[-1]
     foot, ankle = KINECT_V2.joint("FootLeft"), KINECT_V2.joint("AnkleLeft")
     for name in ("ShoulderLeft", "HipRight", "Head", "SpineBase", "AnkleLeft"):
         j = KINECT_V2.joint(name)
@@ -56,8 +56,10 @@ def test_places_stay_and_labels_are_exchanged_but_for_what_depth_hardly_shows() 
 
 
 def test_the_tracker_changes_over_smoothly_and_the_legs_later() -> None:
-    mirroring = Mirroring(back=1.0, seconds=1e-3, crossing_seconds=0.3, legs_later=0.5)
-    joints = watch(mirroring, 60, -2.0)
+    mirroring = Mirroring(
+        back=1.0, centre=1.0, width=0.01, seconds=1e-3, crossing_seconds=0.3, legs_later=0.5
+    )
+    joints = watch(mirroring, 60, np.pi)
     # 3 w² − 2 w³ is at most 1.5 times as steep as its mean: 9 frames for the way from one side to the other.
     width = np.linalg.norm(
         joints[0, KINECT_V2.joint("HandTipLeft")] - joints[0, KINECT_V2.joint("HandTipRight")]
@@ -76,7 +78,7 @@ def test_a_person_who_faces_the_sensor_is_never_mirrored() -> None:
         errors = TrackerErrors.of(body)
         assert errors.mirroring.share(0.0) < 0.01
         assert errors.mirroring.share(1.0) < 1e-5
-        joints = watch(replace(errors.mirroring), 300, 1.0, body)
+        joints = watch(replace(errors.mirroring, heading_sd=0.0), 300, 0.0, body)
         np.testing.assert_array_equal(joints, np.tile(standing(body), (300, 1, 1)))
 
 

@@ -12,6 +12,7 @@ from fusion.body import BODIES, KINECT_V2, Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
+from fusion.estimator.constants import Constants
 from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
 from fusion.rigid import RigidTransform
@@ -24,8 +25,10 @@ FLOAT32 = 3e-6  # m: of a coordinate of up to 4 m, through R and t and along the
 Array = NDArray[np.float64]
 
 
-def fuser(smoothing: float = 0.5, body: Body = BODY) -> Fuser:
-    return Fuser(FusionSetup(calibration_of(body), FuserSettings(smoothing=smoothing)))
+def fuser(smoothing: float = 0.5, body: Body = BODY, calibration: Calibration | None = None) -> Fuser:
+    """Without headings: these artificial people have no front."""
+    setup = FusionSetup(calibration or calibration_of(body), FuserSettings(smoothing=smoothing))
+    return Fuser(setup, Constants.of(body)._replace(heading=False))
 
 
 def recording(truth: Array, sd: float = 0.0, seed: int = 0, body: Body = BODY) -> list[SkeletonPair]:
@@ -199,10 +202,10 @@ def test_another_calibration_makes_no_jump_and_is_followed() -> None:
         A_FROM_B.translation + np.array((0.05, 0.0, 0.03)),
     )
     wrong = Calibration(BODY, off, BODY.nominal_lengths, "knocked")
-    found = Fuser(FusionSetup(wrong))
-    before = [found.update(pair) for pair in pairs[:60]]
+    found = fuser(calibration=wrong)
+    before = [found.update(pair, (0, 0)) for pair in pairs[:60]]
     found.recalibrate(FusionSetup(calibration_of(BODY)))
-    after = [found.update(pair) for pair in pairs[60:]]
+    after = [found.update(pair, (0, 0)) for pair in pairs[60:]]
     assert apart(after[0].positions, before[-1].positions).max() < 0.006
     assert (
         np.median(apart(after[-1].positions, truth[-1]))
@@ -223,11 +226,11 @@ def test_a_corrected_calibration_leaves_no_error_behind(before: int, metres: flo
         pair if k < before else replace(pair, b=changed(pair.b, moved.inverse().apply))
         for k, pair in enumerate(recording(truth, 0.002))
     ]
-    found = Fuser(FusionSetup(old))
+    found = fuser(calibration=old)
     for pair in pairs[: before + 60]:
-        found.update(pair)
+        found.update(pair, (0, 0))
     found.recalibrate(FusionSetup(replace(old, a_from_b=old.a_from_b @ moved)))
-    last = [found.update(pair).positions for pair in pairs[before + 60 :]][-30:]
+    last = [found.update(pair, (0, 0)).positions for pair in pairs[before + 60 :]][-30:]
     assert np.median(apart(np.array(last), truth[-30:])) < 0.005
 
 

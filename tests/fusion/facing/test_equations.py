@@ -34,7 +34,7 @@ def reference_likelihood(c: FacingConstants, views: Views, k: int, state: Facing
     angles = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
     front = np.stack((np.cos(angles), 0.0 * angles, np.sin(angles)), axis=1)
     speed = np.linalg.norm(state.velocity)
-    common = c.motion_weight * min(speed, c.motion_cap) ** 2 * (front @ state.velocity) / speed
+    common = c.motion_weight * min(speed, c.motion_cap) ** 4 * (front @ state.velocity) / speed
     axis = []
     trunk = [body.joint(n + side) for n in ("Shoulder", "Hip") for side in ("Left", "Right")]
     root = 0.5 * (views.a[k] + views.b_in_a[k])[trunk].mean(axis=0)
@@ -57,8 +57,14 @@ def reference_likelihood(c: FacingConstants, views: Views, k: int, state: Facing
             log_sigma = table(tuple(np.log(sigma)), cosine)
             common = common - weight * share * (cost / (1.0 + cost / most) + log_sigma)
         kappa = table(tuple(np.array(c.axis_sigma) ** -2.0), cosine)
+        reported = np.radians(table(c.reported_angle, cosine))[:, None]
+        ahead = toward / np.linalg.norm(toward)
+        aside = front - cosine[:, None] * ahead
+        aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+        shown = np.cos(reported) * ahead + np.sin(reported) * aside
+        folded = front - 2.0 * cosine[:, None] * ahead
         both = []
-        for sign in (1.0, -1.0):
+        for mirrored in (False, True):
             total = 0.0
             for name in ("Shoulder", "Hip"):
                 left = at[body.joint(name + "Left")] - at[body.joint(name + "Right")]
@@ -66,8 +72,13 @@ def reference_likelihood(c: FacingConstants, views: Views, k: int, state: Facing
                 width = np.linalg.norm(flat)
                 nominal = 2.0 * body.nominal_lengths[body.joint(name + "Left")]
                 trust = min(1.0, width / (0.7 * nominal)) ** 2
-                cost = kappa * (1.0 - sign * (front @ flat) / width)
-                total = total + trust * (0.5 * np.log(kappa) - cost / (1.0 + cost / c.axis_floor))
+                density = 0.0
+                parts = ((1.0 - c.folded, -front), (c.folded, folded)) if mirrored else (
+                    (c.unbiased, front), (1.0 - c.unbiased, shown))  # fmt: skip
+                for share, expected in parts:
+                    cost = kappa * (1.0 - expected @ flat / width)
+                    density = density + share * np.exp(-cost / (1.0 + cost / c.axis_floor))
+                total = total + trust * (0.5 * np.log(kappa) + np.log(density))
             both.append(c.axis_weight * total)
         axis.append(both)
     (a_right, a_wrong), (b_right, b_wrong) = axis

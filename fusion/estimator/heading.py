@@ -1,0 +1,70 @@
+"""Shoulders and hips turned towards the heading of the facing filter.
+
+A Kinect v2 reports shoulders and hips that face it more than the person does, and from behind nearly
+anywhere. This error lasts as long as the pose, so that no average over time or over the views removes it. The
+facing filter (:mod:`fusion.facing`) knows that error, and has further evidence on the heading.
+"""
+
+from __future__ import annotations
+
+import math
+
+from fusion.compiling.kernels import inner_kernel
+from fusion.facing.model import HIP, SHOULDER
+from fusion.facing.whole_body import cosine_to_sensor, in_table
+
+_SHORTEST = 1e-3  # metres: a shorter horizontal span has no direction
+_CONFIDENCES = 1e-3, 1.0 - 1e-6  # smallest and largest
+
+
+@inner_kernel
+def turn_girdles(facing_model, facing, views):  # type: ignore[no-untyped-def]
+    """Turns shoulders and hips of each view about the vertical through their middle.
+
+    With δ the angle from the axis of shoulders or hips, l × u, to the heading:
+
+        turn = w δ,    w = σ² / (σ² + s²),    s² = -2 ln ρ
+
+    where σ is the axis's lasting error by the angle to the sensor (``axis_bias``), and ρ the length of the
+    mean of the headings' unit vectors under the filter's belief: s is the standard deviation of a wrapped
+    normal distribution with that mean. A body whose axes have no such error (σ = 0) is left as it is, and so
+    is a pair whose known labels are not those that the filter finds: its heading belongs to the latter.
+
+    Args:
+        facing_model, facing: Of the facing filter, after its update.
+        views: Re-labelled positions, which are changed, and states.
+    """
+    f, u = facing.facing, facing.frame_up
+    if not math.isfinite(f[0]) or views.codes[0] != facing.codes[0] or views.codes[1] != facing.codes[1]:
+        return
+    confidence = min(max(facing.confidence[0], _CONFIDENCES[0]), _CONFIDENCES[1])
+    variance = -2.0 * math.log(confidence)
+    for v in range(2):
+        sigma = in_table(facing_model.constants.axis_bias, cosine_to_sensor(facing, v, f))
+        weight = sigma * sigma / (sigma * sigma + variance)
+        for girdle in (SHOULDER, HIP):
+            left, right = facing_model.pairs[girdle, 0], facing_model.pairs[girdle, 1]
+            if weight > 0.0 and views.states[v, left] != 0 and views.states[v, right] != 0:
+                _turn_pair(views.positions[v], left, right, f, u, weight)
+
+
+@inner_kernel
+def _turn_pair(x, left, right, f, u, weight):  # type: ignore[no-untyped-def]
+    d0, d1, d2 = x[left, 0] - x[right, 0], x[left, 1] - x[right, 1], x[left, 2] - x[right, 2]
+    a0, a1, a2 = d1 * u[2] - d2 * u[1], d2 * u[0] - d0 * u[2], d0 * u[1] - d1 * u[0]
+    if math.sqrt(a0 * a0 + a1 * a1 + a2 * a2) < _SHORTEST:
+        return
+    along = a0 * f[0] + a1 * f[1] + a2 * f[2]
+    across = u[0] * (a1 * f[2] - a2 * f[1]) + u[1] * (a2 * f[0] - a0 * f[2]) + u[2] * (a0 * f[1] - a1 * f[0])
+    angle = weight * math.atan2(across, along)
+    # Rodrigues' rotation of d about u: its change is (cos - 1) h + sin (u x d), with h = a x u horizontal
+    less, sine = math.cos(angle) - 1.0, math.sin(angle)
+    height = d0 * u[0] + d1 * u[1] + d2 * u[2]
+    h0, h1, h2 = d0 - height * u[0], d1 - height * u[1], d2 - height * u[2]
+    c0, c1, c2 = less * h0 - sine * a0, less * h1 - sine * a1, less * h2 - sine * a2
+    x[left, 0] += 0.5 * c0
+    x[left, 1] += 0.5 * c1
+    x[left, 2] += 0.5 * c2
+    x[right, 0] -= 0.5 * c0
+    x[right, 1] -= 0.5 * c1
+    x[right, 2] -= 0.5 * c2
