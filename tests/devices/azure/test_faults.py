@@ -12,7 +12,7 @@ from devices.azure import pyk4a_access
 from devices.azure.kinect import KinectSensor
 from devices.azure.pyk4a_access import connected_kinects
 from devices.azure.settings import KinectSettings
-from devices.azure.tracking.body_tracker import TrackerSettings
+from devices.azure.tracking.body_tracker import BodyTracker, TrackerSettings
 from devices.capture.sensor_choice import choose_two
 from devices.capture.usb import usb_kinects
 from devices.live_sensors import connected_sensors
@@ -216,3 +216,28 @@ def test_a_busy_orbbec_shows_late_and_is_called_busy(bus: Bus, sync: str) -> Non
     bus.devices = [Device("CL8H741005K", orbbec=True, busy=True)]
     with pytest.raises(DeviceError, match="cannot be opened: it is busy"):
         _kinect("CL8H741005K", sync=sync, trust_jacks=False).__enter__()
+
+
+def test_a_kinect_says_what_it_waits_for(bus: Bus, standin: Standin, monkeypatch: pytest.MonkeyPatch) -> None:
+    bus.native, bus.devices = standin.library, [Device("000123")]
+    heard: list[str] = []
+    sensor = KinectSensor("000123", tracker=TrackerSettings(library=standin.path))
+    open_tracker = BodyTracker.open
+
+    def loading(tracker: BodyTracker, calibration: int) -> None:
+        heard.append(sensor.waits_for)
+        open_tracker(tracker, calibration)
+
+    monkeypatch.setattr(BodyTracker, "open", loading)
+    with sensor:
+        heard.append(sensor.waits_for)
+        frames = sensor.frames()
+        bus.devices[0].at[0] = lambda: heard.append("depth")
+        pop = BodyTracker.pop
+        monkeypatch.setattr(BodyTracker, "pop", lambda *given: heard.append(sensor.waits_for) or pop(*given))
+        next(frames)
+        frames.close()
+    loads, result = "its body tracker, which loads its network", "its body tracker's result"
+    assert list(dict.fromkeys(heard)) == [loads, "", "depth", result]
+    assert sensor.waits_for == ""
+    gc.collect()
