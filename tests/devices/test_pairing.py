@@ -66,13 +66,14 @@ def test_an_offset_puts_the_frames_of_b_on_the_clock_of_a() -> None:
     st.lists(st.integers(0, 2000), min_size=1, max_size=60, unique=True),
     st.lists(st.integers(0, 2000), min_size=1, max_size=60, unique=True),
     st.integers(1, 300),
+    st.booleans(),
 )
 def test_no_frame_pairs_twice_or_beyond_the_tolerance(
-    times_a: list[int], times_b: list[int], tolerance: int
+    times_a: list[int], times_b: list[int], tolerance: int, every_frame: bool
 ) -> None:
     a, b = frames_at(sorted(times_a)), frames_at(sorted(times_b))
     try:
-        pairing = pair_recordings(a, b, "0", "0", tolerance)
+        pairing = pair_recordings(a, b, "0", "0", tolerance, every_frame=every_frame)
     except DeviceError:
         assert min(abs(x - y) for x in times_a for y in times_b) > tolerance
         return
@@ -83,6 +84,9 @@ def test_no_frame_pairs_twice_or_beyond_the_tolerance(
     paired = [pair for pair in pairing.pairs if pair.a is not None and pair.b is not None]
     assert len(paired) + pairing.alone_a + pairing.dropped_a == len(times_a)
     assert len(paired) + pairing.alone_b + pairing.dropped_b == len(times_b)
+    if every_frame:  # only frames before or after all of the other recording are left out
+        assert pairing.dropped_a <= sum(not min(times_b) < t < max(times_b) for t in times_a)
+        assert pairing.dropped_b <= sum(not min(times_a) < t < max(times_a) for t in times_b)
     assert len(pairing.pairs) == len(paired) + pairing.alone_a + pairing.alone_b
     # the closest two frames of all always find each other
     closest = min(abs(x - y) for x in times_a for y in times_b)

@@ -259,3 +259,5 @@ def test_a_clock_that_is_seconds_off_is_corrected_and_every_frame_is_fused(
     assert duplex("fuse", a, b, "--offset", "-3000", "--no-viewer", "--report", two) == 0
     assert "clocks differ" not in capsys.readouterr().out
     assert figures_of(two)["paired"] == 151
+    assert duplex("fuse", a, b, "--offset", "nan", "--no-viewer") == 2
+    assert "The offset of the clocks is nan ms; give at most 1e12 milliseconds." in capsys.readouterr().err
