@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from devices.capture.stream_pairing import PairingFigures
 from devices.pairing import FramePair
-from devices.sensor import SensorFrame
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.facing.model import DOUBT_STEPS
@@ -91,15 +90,14 @@ _WEIGHT_STEP = 1.0 / 128.0  # finer steps are not visible
 
 
 def _witness(frame: SessionFrame | SessionFrames, side: str) -> NDArray[np.float32] | None:
-    """The depth evidence of a skeleton; all NaN for an image without a person.
+    """The depth evidence of a skeleton; all NaN without a person or frame, if a sensor of the pair has images.
 
-    An optional figure must exist in every frame of a session, including frames without a person.
+    An optional figure that the first frame of a session lacks is absent in the whole session.
     """
     skeleton: Skeleton | View | None = getattr(frame.pair.skeletons, side)
-    if skeleton is not None:
-        return skeleton.witness
-    seen: SensorFrame | None = getattr(frame.pair, side)
-    if seen is None or seen.depth is None:
+    if isinstance(frame, SessionFrames) or (skeleton is not None and skeleton.witness is not None):
+        return None if skeleton is None else skeleton.witness
+    if all(seen is None or seen.depth is None for seen in (frame.pair.a, frame.pair.b)):
         return None
     return np.full((len(frame.fused.positions), 4), np.nan, dtype=np.float32)
 

@@ -1,17 +1,20 @@
 """A session holds the depth witness of each joint, so that a replay needs no images."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from devices.pairing import pair_recordings
 from devices.simulated.kinect import PERSON, simulated_pair
-from fusion.calibration.calibration import calibrate
+from fusion.calibration.calibration import Calibration, calibrate
 from fusion.calibration.start_up_pose import find_start_up_pose
 from fusion.fuser import Fuser
+from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
 from recordings import Session
 from recordings.fusing.pairs import fuse_one
+from recordings.session_arrays import SessionArrays
 
 
 def test_a_session_gives_the_witness_back_bit_for_bit_without_the_images(tmp_path: Path) -> None:
@@ -32,3 +35,20 @@ def test_a_session_gives_the_witness_back_bit_for_bit_without_the_images(tmp_pat
             np.testing.assert_array_equal(other.witness, one.witness)
             seen += int(np.isfinite(one.witness).any(axis=1).sum())
     assert seen > 60 * 20  # most joints of most frames
+
+
+def test_a_session_that_begins_with_one_sensor_keeps_the_witness_of_the_other() -> None:
+    a, b, _ = simulated_pair(motion="still", seconds=0.5, depth="half")
+    pairs = pair_recordings(list(a.frames()), list(b.frames()), PERSON, PERSON).pairs
+    lengths = a.body.nominal_lengths
+    fuser = Fuser(
+        FusionSetup(Calibration(a.body, RigidTransform.of(np.eye(3), np.ones(3)), lengths, "known"))
+    )
+    alone = replace(pairs[0], b=None, skeletons=replace(pairs[0].skeletons, b=None))
+    first, later = ([fuse_one(fuser, pair)] for pair in (alone, pairs[1]))
+    begun = SessionArrays.stack(a.body, lengths, first)
+    assert begun.witness_b is not None
+    assert np.isnan(begun.witness_b).all()
+    gone_on = SessionArrays.stack(a.body, lengths, later, like=begun)
+    assert gone_on.witness_b is not None
+    assert np.isfinite(gone_on.witness_b).any()
