@@ -58,15 +58,11 @@ class FramePair:
         return self.skeletons.skew_ns
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class RecordedPairs(Rows[FramePair]):
-    """Pairs without images whose skeletons are arrays; each pair is made when it is asked for.
+    """Pairs without images whose skeletons are arrays; each pair is made when it is asked for."""
 
-    Args:
-        skeletons: The pairs' skeletons; a view has one row for each frame of the sensor.
-    """
-
-    def __init__(self, skeletons: Pairs) -> None:
-        self.skeletons = skeletons
+    skeletons: Pairs  # of views with one row for each frame of the sensor
 
     @staticmethod
     def of(body: Body, pairs: Sequence[FramePair]) -> RecordedPairs:

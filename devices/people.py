@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,27 +116,16 @@ def _bearing(at: NDArray[np.float64]) -> float:
     return abs(float(np.arctan2(at[0], at[2])))
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class RecordedPeople(Rows[SensorFrame]):
-    """The frames of a recording without images, as arrays; each frame is made when it is asked for.
+    """The frames of a recording without images, as arrays; each frame is made when it is asked for."""
 
-    Args:
-        time_ns: (T,) the frames' times, in order.
-        ids: The tracker's ids of the people.
-        frame, person: (N,) for each skeleton the number of its frame, in order, and the index of its id.
-        skeletons: All skeletons, N rows.
-    """
-
-    def __init__(
-        self,
-        body: Body,
-        time_ns: NDArray[np.int64],
-        ids: Sequence[str],
-        frame: NDArray[np.int64],
-        person: NDArray[np.int64],
-        skeletons: View,
-    ) -> None:
-        self.body, self.time_ns, self.ids = body, time_ns, ids
-        self.skeletons, self._frame, self._person = skeletons, frame, person
+    body: Body
+    time_ns: NDArray[np.int64]  # (T,) the frames' times, in order
+    ids: Sequence[str]  # the tracker's ids of the people
+    frame: NDArray[np.int64]  # (N,) of each skeleton: number of its frame, in order
+    person: NDArray[np.int64]  # (N,) index of its id
+    skeletons: View  # N rows
 
     @staticmethod
     def of(body: Body, frames: Iterable[SensorFrame]) -> RecordedPeople:
@@ -162,16 +151,16 @@ class RecordedPeople(Rows[SensorFrame]):
 
     def row(self, k: int) -> SensorFrame:
         """Frame k."""
-        first, end = np.searchsorted(self._frame, (k, k + 1)).tolist()
-        people = {self.ids[self._person[i]]: self.skeletons.row(self.body, i) for i in range(first, end)}
+        first, end = np.searchsorted(self.frame, (k, k + 1)).tolist()
+        people = {self.ids[self.person[i]]: self.skeletons.row(self.body, i) for i in range(first, end)}
         return SensorFrame(int(self.time_ns[k]), people)
 
     def view(self, names: Sequence[str]) -> View:
         """The frames with one person, who has these ids one after the other."""
-        rows = np.flatnonzero(np.isin(self._person, [self.ids.index(name) for name in names]))
+        rows = np.flatnonzero(np.isin(self.person, [self.ids.index(name) for name in names]))
         index = np.full(len(self), -1, dtype=np.int64)
-        index[self._frame[rows]] = rows
-        if len(rows) == len(self) == len(self._frame):
+        index[self.frame[rows]] = rows
+        if len(rows) == len(self) == len(self.frame):
             return self.skeletons._replace(time_ns=self.time_ns)
         return self.skeletons.chosen_whole(index)._replace(time_ns=self.time_ns)
 
@@ -181,7 +170,7 @@ class RecordedPeople(Rows[SensorFrame]):
         Raises:
             DeviceError: No one is in the recording, or not the person wanted.
         """
-        counts = np.bincount(self._person, minlength=len(self.ids)).tolist()
+        counts = np.bincount(self.person, minlength=len(self.ids)).tolist()
         seen = Counter(dict(zip(self.ids, counts, strict=True)))
         if not seen:
             raise DeviceError(f"{source} has {len(self)} frames and no person in any of them.")
@@ -201,7 +190,7 @@ class RecordedPeople(Rows[SensorFrame]):
         A tracker assigns a new id to a person who returns. After the first person has left, the next one is
         followed.
         """
-        when = {name: self._frame[self._person == k] for k, name in enumerate(self.ids)}
+        when = {name: self.frame[self.person == k] for k, name in enumerate(self.ids)}
         taken, others = np.zeros(len(self), dtype=bool), []
         for name in sorted(when, key=lambda name: (name != person, -len(when[name]), name)):
             if not taken[when[name]].any():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import chain, islice
 from typing import Any, NamedTuple, overload
 
@@ -106,25 +107,15 @@ def _no_images(frames: int, joints: int) -> NDArray[np.float32]:
     return np.full((frames, joints, 4), np.nan, dtype=np.float32)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Pairs(Sequence[SkeletonPair]):
-    """T pairs of recorded views; each is made when it is asked for.
+    """T pairs of recorded views; each is made when it is asked for."""
 
-    Args:
-        views: A's and B's frames.
-        time_ns, skew_ns: (T,) as in :class:`fusion.skeleton.SkeletonPair`.
-        frames: (T, 2) which frames of the views are paired; -1 for none.
-    """
-
-    def __init__(
-        self,
-        body: Body,
-        views: tuple[View, View],
-        time_ns: NDArray[np.int64],
-        skew_ns: NDArray[np.int64],
-        frames: NDArray[np.int64],
-    ) -> None:
-        self.body, self.views = body, views
-        self.time_ns, self.skew_ns, self.frames = time_ns, skew_ns, frames
+    body: Body
+    views: tuple[View, View]
+    time_ns: NDArray[np.int64]  # (T,) as in SkeletonPair
+    skew_ns: NDArray[np.int64]
+    frames: NDArray[np.int64]  # (T, 2) which frames of the views are paired; -1 for none
 
     @staticmethod
     def of(body: Body, pairs: Sequence[SkeletonPair]) -> Pairs:
