@@ -102,6 +102,7 @@ def write_session(
                     event = events.popleft()
                     moment = event.frame - first, event.time_ns - start_ns
                     recorder.event(event.placed(*moment), placed=True)
+                _flush(stream, path)  # else all that a slow disk has not yet written would be in memory
         damaged = _copy_images(session, recorder, first, end)
         recorder.finish()
     return damaged
