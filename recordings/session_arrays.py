@@ -90,7 +90,7 @@ _WEIGHT_STEP = 1.0 / 128.0  # finer steps are not visible
 
 
 def _witness(frame: SessionFrame | SessionFrames, side: str) -> NDArray[np.float32] | None:
-    """The depth evidence of a skeleton; all NaN without a person or frame, if a sensor of the pair has images.
+    """The depth evidence of a skeleton; all NaN without a person or frame, if a sensor has images.
 
     An optional figure that the first frame of a session lacks is absent in the whole session.
     """
