@@ -117,7 +117,7 @@ def test_a_fused_skeleton_keeps_its_sides(body: str) -> None:
     assert np.max(found) <= 0.04, found
 
 
-@pytest.mark.parametrize("motion", ["walk", "turn", "backwards", "arms@120"])
+@pytest.mark.parametrize("motion", ["walk", "turn", "arms@120"])
 def test_sides_swapped_at_random_never_reach_the_fused_skeleton(motion: str) -> None:
     views = simulated_views(motion, tracker="random", seed=4001)
     before = swapped(views.body, views.a, views.truth) | swapped(views.body, views.b_in_a, views.truth)

@@ -48,9 +48,11 @@ def test_people_who_hardly_move_tell_no_offset() -> None:
     assert find_clock_offset(AZURE_KINECT, a, b._replace(time_ns=b.time_ns + 2_000_000_000)) is None
 
 
-def test_two_people_with_different_movements_have_no_offset() -> None:
+def test_two_people_with_different_movements_have_no_certain_offset() -> None:
+    """An offset is applied if it is certain to two frames (:mod:`devices.files`)."""
     a, b = views_of("arms", 64)[0], views_of("walk", 65)[1]
-    assert find_clock_offset(AZURE_KINECT, a, b) is None
+    found = find_clock_offset(AZURE_KINECT, a, b)
+    assert found is None or found.sd_ns > 4 * FRAME_NS
 
 
 def test_one_stray_time_does_not_make_the_search_long() -> None:
