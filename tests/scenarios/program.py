@@ -9,7 +9,7 @@ import re
 import signal
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
@@ -30,11 +30,13 @@ class Run:
     Attributes:
         code: Exit code; negative: the signal that ended it.
         said: What it printed.
+        ended_s: Seconds from the last signal to the end.
     """
 
     code: int
     said: str
-    folder: Path
+    ended_s: float
+    folder: Path = field(default=Path())
 
 
 def main(arguments: list[str], folder: Path, rig: Path | None) -> None:
@@ -106,13 +108,14 @@ def run(
             else:
                 conf |= action
                 _write(folder, conf)
+    ended_s = time.monotonic() - since
     hung = process.is_alive()
     if hung:
         process.kill()
     process.join()
     assert not hung, f"still runs after {_LIMIT_S:g} s: {_said(folder)}"
     assert not todo, f"never: {todo[0]}, but {_said(folder)}"
-    return Run(process.exitcode or 0, _said(folder), folder)
+    return Run(process.exitcode or 0, _said(folder), ended_s, folder)
 
 
 def _said(folder: Path) -> str:

@@ -171,7 +171,8 @@ def test_figures_without_truth_follow_where_they_were_computed(session: Session,
     lines = {line.label: line.text for line in detail_lines(figures)}
     rough = {key: 1e3 * (found[f"rough_{key}"] or 0.0) for key in ("a", "fused")}
     assert f"S* {in_mm(rough['fused'])}, S_A {in_mm(rough['a'])}" in lines["Roughness"]
-    assert lines["Jumps"].startswith("above 150 mm per frame: S* 0 %, S_A 0 %")
+    assert lines["Jumps"].startswith("above 150 mm per frame: S* ")
+    assert ", S_A 0 %, S_B 0 % of steps; S* alone " in lines["Jumps"]
     halves = math.degrees(found["halves_rotation_off"] or 0.0)
     assert f"the fits of both halves differ by {halves:.1f}°" in lines["Registration"]
     assert halves < 1.0
