@@ -68,8 +68,8 @@ def test_a_client_reads_the_description_then_frames_and_events(server: WebSocket
             np.testing.assert_allclose(at, frame.fused.positions, atol=0.5e-4 + 1e-9)  # four digits
             np.testing.assert_allclose(said["confidence"], confidence(frame.fused), atol=0.5e-3 + 1e-9)
             np.testing.assert_allclose(said["sigma"], frame.fused.sigma, atol=0.5e-4 + 1e-9)
-            # rotations have five digits, bones at most 0.5 m, the tree has eight levels: 0.04 mm; positions have
-            # four digits: 0.05 mm for the root and for the joint
+            # rotations have five digits, bones at most 0.5 m, the tree has eight levels: 0.04 mm;
+            # positions have four digits: 0.05 mm for the root and for the joint
             made = at[KINECT_V2.root] + np.zeros((25, 3))
             turns = Rotation.from_quat(said["rotations"])
             for j in KINECT_V2.order[1:]:
