@@ -49,7 +49,7 @@ class GrowingArray:
                     rest = rest[self._file.write(rest) :]
         except OSError as error:
             raise FusionError(
-                f"A recording this long needs more room in the folder {tempfile.gettempdir()}: "
+                f"A recording this long needs temporary files in the folder {tempfile.gettempdir()}: "
                 f"{error.strerror or error}. The variable TMPDIR names another folder."
             ) from None
         self._parts = [rows[:0]]

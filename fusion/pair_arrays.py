@@ -62,6 +62,8 @@ class View(NamedTuple):
 
     def chosen_whole(self, index: NDArray[np.int64]) -> View:
         """The same of a long recording."""
+        if len(index) == 0:
+            return self.chosen(index)
         return joined_views(self.chosen(index[part]) for part in parts(len(index)))
 
 

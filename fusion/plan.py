@@ -85,8 +85,8 @@ def plan_recording(
     if settings.method != "duplex":
         return RecordingPlan(segments, views_differ=_difference(pairs, segments))
     learned: LearnedCalibration | None = None
-    if refine:
-        few = pairs if len(pairs) <= _LONG else pairs[spaced(pairs.time_ns, fresh_pairs(pairs))]
+    few = pairs if len(pairs) <= _LONG else pairs[spaced(pairs.time_ns, fresh_pairs(pairs))]
+    if refine and len(few):
         codes = _labels(few, ((start, slice(0, len(few))),)) & WHOLE
         with suppress(CalibrationError):  # nothing to learn from: the start-up pose's calibration remains
             learned = learn_from_recording(body, few, codes, start, progress=progress, timed=pairs)

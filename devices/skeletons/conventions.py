@@ -60,7 +60,7 @@ def find_unit(
     """
     if unit != "auto":
         return METRES[unit][0], ""
-    stature = _stature(body, positions)
+    stature = stature_of(body, positions)
     if stature is None or _PEOPLE_IN_METRES[0] <= stature <= _PEOPLE_IN_METRES[1]:
         return 1.0, ""
     for metres, words in METRES.values():
@@ -169,7 +169,7 @@ def frozen(name: str, frames: Sequence[SensorFrame]) -> list[str]:
     return [f"{name}: almost every frame repeats the one before. Its body tracker did not follow the person."]
 
 
-def _stature(body: Body, positions: NDArray[np.float64]) -> float | None:
+def stature_of(body: Body, positions: NDArray[np.float64]) -> float | None:
     """How tall the person is, in the unit of (N, J, 3) positions; None if too few bones were seen."""
     some = positions[:: max(1, len(positions) // _SAMPLES)].copy()
     some[~(np.abs(some) < _LARGEST)] = np.nan

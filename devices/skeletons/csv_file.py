@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from devices.skeletons.conventions import (
     find_unit,
     impossible,
     impossible_in_words,
+    stature_of,
 )
 from devices.skeletons.csv_text import TextRows, codes, line_of_row, refuse_cut_off, states_of, text_rows
 from devices.skeletons.read_file import ReadFile
@@ -53,7 +54,7 @@ def read_csv(path: Path, unit: Unit = "auto") -> ReadFile:
 
 
 class _NotInBlocksError(Exception):
-    """A block has frames before those of an earlier one, or another body."""
+    """A block has frames before those of an earlier one, or another body, or looks wrong by itself."""
 
 
 class _Reader:
@@ -67,11 +68,13 @@ class _Reader:
         self._times: list[NDArray[np.int64]] = [np.zeros(0, dtype=np.int64)]
         self._index: list[NDArray[np.int64]] = []
         self._rows = self._frames = self._impossible = 0
+        self._in_blocks = False
         self._wrong: tuple[int, NDArray[np.float64]] | None = None
         self._warnings: dict[str, str] = {}
 
     def read(self, size: int) -> ReadFile:
         """Reads the file in blocks of this many bytes; -1: at once."""
+        self._in_blocks = size > 0
         skeletons = joined_views(self._blocks(size))
         pa.default_memory_pool().release_unused()
         assert self._body is not None
@@ -131,7 +134,7 @@ class _Reader:
         times, frame = np.unique(time_us, return_inverse=True)
         if len(self._times[-1]) and times[0] <= self._times[-1][-1]:
             raise _NotInBlocksError
-        check_microseconds(path, times)
+        self._check(check_microseconds, path, times)
         self._warn_backward(time_us, person * len(body) + joint)
         key, row = np.unique(frame * len(self._people) + person, return_inverse=True)
         slot = row * len(body) + joint
@@ -141,11 +144,13 @@ class _Reader:
         positions.reshape(-1, 3)[slot] = xyz
         state.reshape(-1)[slot] = states
         if self._metres is None:
-            self._metres, warning = find_unit(path, body, positions, self._unit)
+            if self._in_blocks and self._unit == "auto" and stature_of(body, positions) is None:
+                raise _NotInBlocksError
+            self._metres, warning = self._check(find_unit, path, body, positions, self._unit)
             if warning:
                 self._warnings["unit"] = warning
         positions *= self._metres
-        check_metres_forward(path, positions)
+        self._check(check_metres_forward, path, positions)
         self._count_impossible(xyz * self._metres, states)
         joints, joint_states = checked_joints(body, positions, state, (len(key),))
         of = key // len(self._people)
@@ -153,6 +158,15 @@ class _Reader:
         self._times.append(times)
         self._frames += len(times)
         return View(times[of] * 1000, joints, joint_states)
+
+    def _check(self, check: Callable[..., Any], *values: object) -> Any:
+        """The result of a check; where the values look wrong in a block, the whole file decides."""
+        try:
+            return check(*values)
+        except DeviceError:
+            if self._in_blocks:
+                raise _NotInBlocksError from None
+            raise
 
     def _refuse_repeated(self, slot: NDArray[np.int64]) -> None:
         order = np.argsort(slot, kind="stable")

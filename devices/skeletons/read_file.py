@@ -59,6 +59,8 @@ def text_blocks(path: Path, size: int = -1) -> Iterator[bytes]:
             if size > 0 and len(more) == size:
                 end = raw.rfind(b"\n") + 1
                 raw, start = raw[:end], raw[end:]
+                if end == 0:  # no line ends here, or they are those of an old Mac
+                    continue
             _check_text(path, raw, read, lines)
             if read == 0 and not raw.strip():
                 break

@@ -55,10 +55,14 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
     """
     if min(len(a.time_ns), len(b.time_ns)) < _FEWEST:
         return None
-    middle = np.abs(a.time_ns - np.median(a.time_ns)) < _LONGEST_SPAN_NS // 2
-    a = a.chosen(np.flatnonzero(middle))  # enough, and without times of another day
-    apart = b.time_ns[0] > a.time_ns[-1] or a.time_ns[0] > b.time_ns[-1]
-    base = int(a.time_ns[0] - b.time_ns[0]) if apart else 0
+    of_a, of_b = _usual_times(a.time_ns), _usual_times(b.time_ns)
+    apart = of_b[0] > of_a[-1] or of_a[0] > of_b[-1]
+    base = int(of_a[0] - of_b[0]) if apart else 0
+    # the middle of what both saw is enough
+    middle = (max(of_a[0], of_b[0] + base) + min(of_a[-1], of_b[-1] + base)) // 2
+    a = a.chosen(np.flatnonzero(np.abs(a.time_ns - middle) < _LONGEST_SPAN_NS // 2))
+    if len(a.time_ns) < _FEWEST:
+        return None
     times, reach = b.time_ns + base, _REACH_NS + 1_000_000_000
     within = np.flatnonzero((times > a.time_ns[0] - reach) & (times < a.time_ns[-1] + reach))
     shifted = b.chosen(within)._replace(time_ns=times[within])
@@ -80,6 +84,12 @@ def find_clock_offset(body: Body, a: View, b: View) -> ClockOffset | None:
         if mismatch[0] < _AMBIGUOUS * mismatch[1] or _better(costs[other], costs[best]):
             return None
     return _refined(a, shifted, offsets[best], base)
+
+
+def _usual_times(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The times without those of another day: within four times the usual length of so many frames."""
+    usual = 4 * len(time_ns) * int(np.median(np.diff(time_ns)))
+    return time_ns[np.abs(time_ns - np.median(time_ns)) <= usual]
 
 
 def _refined(a: View, b: View, near_ns: int, base_ns: int) -> ClockOffset | None:

@@ -7,6 +7,7 @@ import pytest
 
 from devices.simulated.kinect import PERSON, simulated_pair
 from fusion.body import AZURE_KINECT
+from fusion.registration import clock_search
 from fusion.registration.clock_search import View, find_clock_offset
 from tests.helpers.two_views import FRAME_NS
 
@@ -41,6 +42,15 @@ def test_recordings_that_begin_at_their_own_zero_on_another_day_are_aligned() ->
     found = find_clock_offset(AZURE_KINECT, a, b._replace(time_ns=b.time_ns + 86_400_000_000_000))
     assert found is not None
     assert found.offset_ns == pytest.approx(-86_400_000_000_000, abs=FRAME_NS / 3)
+
+
+def test_long_recordings_are_compared_where_they_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clock_search, "_LONGEST_SPAN_NS", 20_000_000_000)
+    a, b = views_of("walk", 67, seconds=80.0)
+    early = b.chosen(np.flatnonzero(b.time_ns < 25_000_000_000))
+    found = find_clock_offset(AZURE_KINECT, a, early._replace(time_ns=early.time_ns - 400_000_000))
+    assert found is not None
+    assert found.offset_ns == pytest.approx(400_000_000, abs=FRAME_NS / 3)
 
 
 def test_people_who_hardly_move_tell_no_offset() -> None:

@@ -7,7 +7,7 @@ import gc
 import os
 import tempfile
 import tracemalloc
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from devices.files import RecordingChoice, read_two
+from devices.sensor import DeviceError
 from devices.skeletons import csv_file
 from devices.skeletons.csv_file import read_csv
 from fusion import large_arrays, plan
@@ -70,6 +71,57 @@ def test_a_csv_is_the_same_in_blocks_and_at_once(tmp_path: Path, monkeypatch: py
             np.testing.assert_array_equal(values, expected)
     assert read_csv(path).warnings == ()
     assert "time_us goes back" in read_csv(shuffled).warnings[0]
+
+
+def nobody_at_first(rows: list[str]) -> list[str]:
+    half = len(rows) // 2
+    feet = [row.split(",") for row in rows]
+    scaled = [[*row[:3], *(f"{float(x) / 0.3048:.5f}" for x in row[3:6]), *row[6:]] for row in feet]
+    return [",".join([*row[:3], "", "", "", *row[6:]]) for row in scaled[:half]] + [
+        ",".join(row) for row in scaled[half:]
+    ]
+
+
+def nobody_as_minus_one_at_last(rows: list[str]) -> list[str]:
+    end = 30 * len(KINECT_V2)
+    return rows[:end] + [
+        ",".join([*row.split(",")[:3], "-1", "-1", "-1", "not_tracked"]) for row in rows[end:]
+    ]
+
+
+def slow_at_last(rows: list[str]) -> list[str]:
+    end = 37 * len(KINECT_V2)
+    late = [row.split(",", 1) for row in rows[end:]]
+    return rows[:end] + [
+        f"{int(time) + 10_000_000 * (k // len(KINECT_V2) + 1)},{rest}" for k, (time, rest) in enumerate(late)
+    ]
+
+
+@pytest.mark.parametrize("change", [nobody_at_first, nobody_as_minus_one_at_last, slow_at_last, list])
+@pytest.mark.parametrize("line_end", ["\n", "\r"])
+def test_a_part_of_a_csv_that_looks_wrong_by_itself_is_judged_by_the_whole(
+    change: Callable[[list[str]], list[str]], line_end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, _ = write_walk(tmp_path / "walk", 40)
+    header, *rows = path.read_text().splitlines()
+    path.write_text(line_end.join([header, *change(rows)]) + line_end, newline="")
+    whole = read_csv(path)
+    monkeypatch.setattr(csv_file, "_BLOCK", 5000)  # three frames
+    in_blocks = read_csv(path)
+    assert in_blocks.warnings == whole.warnings
+    for values, expected in zip(in_blocks.people.skeletons[:3], whole.people.skeletons[:3], strict=True):
+        np.testing.assert_array_equal(values, expected)
+
+
+def test_a_person_without_any_joint_is_said_in_one_line(tmp_path: Path) -> None:
+    a, b = write_walk(tmp_path / "walk", 120)
+    header, *rows = a.read_text().splitlines()
+    times = dict.fromkeys(row.split(",")[0] for row in rows)
+    empty = [f"{time},9,{joint},,,,not_tracked" for time in times for joint in KINECT_V2.joints]
+    stated = [f"{row},tracked" if row.count(",") == 5 else row for row in rows]
+    a.write_text("\n".join([header if "state" in header else f"{header},state", *stated, *empty]) + "\n")
+    with pytest.raises((DeviceError, FusionError), match="No frame shows a person to both sensors"):
+        fuse(a, b, person_a="9")
 
 
 def test_a_plan_in_parts_is_that_of_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
