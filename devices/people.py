@@ -146,7 +146,7 @@ class RecordedPeople(Rows[SensorFrame]):
         return RecordedPeople(body, np.array(times, dtype=np.int64), list(numbers), frame, person, seen)
 
     def __len__(self) -> int:
-        """T."""
+        """The number of frames T."""
         return len(self.time_ns)
 
     def row(self, k: int) -> SensorFrame:

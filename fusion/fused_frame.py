@@ -87,7 +87,7 @@ class FusedFrames(Rows[FusedFrame]):
         return RigidTransform(np.broadcast_to(rotation, (T, 3, 3)), np.broadcast_to(translation, (T, 3)))
 
     def __len__(self) -> int:
-        """T."""
+        """The number of frames T."""
         return len(self.time_ns)
 
     def row(self, k: int) -> FusedFrame:

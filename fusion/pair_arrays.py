@@ -134,7 +134,7 @@ class Pairs(Sequence[SkeletonPair]):
         return Pairs(body, (views[0], views[1]), times[:, 0], times[:, 1], frames)
 
     def __len__(self) -> int:
-        """T."""
+        """The number of pairs T."""
         return len(self.time_ns)
 
     @overload

@@ -75,7 +75,7 @@ class SessionFrames(Rows[SessionFrame]):
     truth = None
 
     def __len__(self) -> int:
-        """T."""
+        """The number of frames T."""
         return len(self.fused)
 
     def row(self, k: int) -> SessionFrame:

@@ -45,13 +45,16 @@ def relabel(model, facing_model, facing, views, codes, dt):  # type: ignore[no-u
     """Corrects exchanged sides, and removes the measurements of a stale skeleton.
 
     Args:
-        facing: State of the facing filter (:mod:`fusion.facing.filter`); updated.
+        facing: State of the facing filter (:mod:`fusion.facing.filter`); updated where codes or heading are
+            needed.
         views: Positions and states are written.
         codes: (2,) known labels, as from a pass over a whole recording: exchange codes with doubt
             (:func:`fusion.facing.exchange.with_doubt`); -1 where unknown.
     """
-    pair = ReportedPair(views.reported, views.reported_states, views.stale, model.translation, model.up)
-    update_facing(facing_model, facing, pair, dt)
+    biased = facing_model.constants.folded > 0.0  # then the heading is needed, too
+    if biased or codes[0] & DOUBT_UNKNOWN or codes[1] & DOUBT_UNKNOWN:
+        pair = ReportedPair(views.reported, views.reported_states, views.stale, model.translation, model.up)
+        update_facing(facing_model, facing, pair, dt)
     for v in range(2):
         views.codes[v] = codes[v] & _CODE_MASK if codes[v] >= 0 else facing.codes[v]
         if codes[v] & DOUBT_UNKNOWN:

@@ -37,8 +37,8 @@ class Mirroring:
     The values for the Kinect v2 were measured on five real walks of three people with
     ``python -m tests.experiments.facing``. The share of mirrored frames depends on the cosine between the
     person's front and the direction to the sensor: 0 % above 0, 2 % at −0.1, 16 % at −0.4, 63 % at −0.6,
-    93 % at −0.8 and 99 % at −1. The share for the Azure Kinect is an assumption, for lack of recordings with
-    turned backs. Three real Azure Kinects around a man in a T-pose who turns never reported him mirrored.
+    93 % at −0.8 and 99 % at −1. The share for the Azure Kinect is an upper
+    bound: three real ones around a man in a T-pose who turned never reported him mirrored.
 
     The angles that shoulders and hips show were measured on the straight parts of the same walks.
     """
@@ -52,7 +52,8 @@ class Mirroring:
     faces_sensor: float = 0.0
     """How much of the angle by which shoulders and hips face the sensor more than the person does, and of the
     folding from behind, is applied; 0 to 1."""
-    heading_sd: float = 0.0  # standard deviation of the heading of shoulders and hips, radians
+    heading_sd: float = 0.0
+    """Standard deviation of the heading of shoulders and hips, radians, where ``faces_sensor`` is above 0."""
     folded: float = 0.5  # share of changes to mirrored labels after which the axis is folded
 
     def share(self, cosine: float) -> float:
