@@ -1,5 +1,6 @@
 """Writes ``docs/benchmarks.md`` from the figures that the benchmarks left: ``make benchmarks``."""
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from string import Template
@@ -33,18 +34,15 @@ def page() -> str:
         real=_real(results.read("real")["figures"]),
         speed=_speed(results.read("speed")),
         latency=_latency(results.read("latency")),
-        origins=_table(("command, after `python -m tests.benchmarks.`", "load before"), origins),
+        origins="\n".join(origins),
     )
 
 
-def _origin(name: str) -> tuple[str, ...]:
-    document = results.read(name)
-    machine = document["machine"]
-    load = "–" if machine["load"] is None else f"{machine['load']:.1f}"
-    command = document["command"].removeprefix("python -m tests.benchmarks.")
+def _origin(name: str) -> str:
+    command = results.read(name)["command"].removeprefix("python -m tests.benchmarks.")
     if name == "real":  # one folder after the other
         command = command.partition(" kinect")[0] + " FOLDER…"
-    return f"`{command}`", load
+    return re.sub(r" --processes \d+", "", command)  # changes no figure
 
 
 def _methods(figures: dict[str, Any]) -> str:
