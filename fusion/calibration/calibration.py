@@ -23,6 +23,9 @@ POSE_TURN, POSE_APART = np.radians(2.3), 0.05
 MOVEMENT_TURN, MOVEMENT_SHIFT, MOVEMENT_APART = np.radians(1.5), 0.06, 0.08
 """Of movement: largest standard deviations of R, radians, and of t, metres at the person; median distance of
 the views' joints, metres."""
+MOVEMENT_SAME, MOVEMENT_GAIN = np.radians(3.0), 10.0
+"""Of movement: largest angle between fits that are one solution, radians; log likelihood by which the best
+one must beat the others."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,8 @@ from fusion.body import Body
 from fusion.calibration.bone_lengths import robust_bone_lengths
 from fusion.calibration.calibration import (
     MOVEMENT_APART,
+    MOVEMENT_GAIN,
+    MOVEMENT_SAME,
     MOVEMENT_SHIFT,
     MOVEMENT_TURN,
     POSE_APART,
@@ -42,8 +44,6 @@ from fusion.skeleton import SkeletonPair
 
 _EVERY_NS = 1_000_000_000
 _FEWEST, _MOST = 16, 64  # keyframes; as for a refinement, and enough for a first fit
-_SAME_TURN = np.radians(3.0)  # fits this near to each other are one solution
-_GAIN = 10.0  # log likelihood by which the best solution must beat the others
 _PROVISIONAL_PAIRS = 30
 
 
@@ -88,7 +88,7 @@ class GradualCalibration:
             return None
         fit, evidence = found
         self._before, self._last = fit, fit.a_from_b
-        agree = before is not None and before.a_from_b.angle_to(fit.a_from_b) < _SAME_TURN
+        agree = before is not None and before.a_from_b.angle_to(fit.a_from_b) < MOVEMENT_SAME
         return found if agree and _certain(fit, evidence) else None
 
     def _best(self, provisional: RigidTransform) -> Generator[None, None, tuple[RobustFit, Evidence] | None]:
@@ -117,8 +117,8 @@ class GradualCalibration:
         if not fits:
             return None
         cost, best, shown = min(fits, key=lambda item: item[0])
-        others = [c for c, fit, _ in fits if fit.a_from_b.angle_to(best.a_from_b) > _SAME_TURN]
-        return (best, shown) if min(others, default=np.inf) > cost + _GAIN else None
+        others = [c for c, fit, _ in fits if fit.a_from_b.angle_to(best.a_from_b) > MOVEMENT_SAME]
+        return (best, shown) if min(others, default=np.inf) > cost + MOVEMENT_GAIN else None
 
 
 def _certain(fit: RobustFit, evidence: Evidence) -> bool:
