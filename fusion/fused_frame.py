@@ -32,6 +32,8 @@ class FusedFrame:
         exchanged_a, exchanged_b: Which sides of the view were exchanged: bit 0 arms, bit 1 legs, 3 the whole
             body; bit 2 where the trunk does not go with them (:mod:`fusion.facing.model`).
         doubt_a, doubt_b: Probability that the sides of the view are wrong all the same.
+        heading: (3,) horizontal direction in which the person faces, in K_A's frame; its length, from 0 to 1,
+            is the confidence. NaN where it is unknown; None with the paper's methods.
     """
 
     positions: NDArray[np.float64]
@@ -50,6 +52,7 @@ class FusedFrame:
     exchanged_b: int = 0
     doubt_a: float = 0.0
     doubt_b: float = 0.0
+    heading: NDArray[np.float64] | None = None
 
     @property
     def has_person(self) -> bool:

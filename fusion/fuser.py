@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from numpy.typing import ArrayLike
-
 from fusion.compiling.kernels import compiled_meanwhile
 from fusion.errors import FusionError
 from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
+from fusion.facing.labels import Labels
 from fusion.fused_frame import FusedFrame as FusedFrame
 from fusion.fused_frame import FusedFrames
 from fusion.pair_arrays import Pairs, PairStacker
@@ -74,32 +73,30 @@ class Fuser:
         self.setup = setup
         self._fusion.recalibrate(setup)
 
-    def update(self, pair: SkeletonPair, codes: tuple[int, int] | None = None) -> FusedFrame:
+    def update(self, pair: SkeletonPair, labels: Labels | None = None) -> FusedFrame:
         """Fuses the next pair.
 
         Args:
             pair: Both skeletons in their own sensors' frames, of the calibration's body. A sensor that sees
                 no one gives None, and S* comes from the other alone; with neither there is no S*.
-            codes: Which sides of A and of B are exchanged, where that is known
-                (:func:`fusion.facing.sequence.relabel_sequence`), with the doubt about it
-                (:func:`fusion.facing.exchange.with_doubt`) or without; found pair by pair where None.
+            labels: One row, where something is known beforehand about sides and heading.
         """
-        return self._fusion.run(self._stacker.of_pair(pair, codes))[0]
+        return self._fusion.run(self._stacker.of_pair(pair, labels))[0]
 
-    def fuse_sequence(self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None) -> FusedFrames:
+    def fuse_sequence(self, pairs: Sequence[SkeletonPair], labels: Labels | None = None) -> FusedFrames:
         """Fuses the next pairs in one compiled loop; bit for bit what :meth:`update` gives one by one.
 
         Args:
             pairs: In time order.
-            codes: (T, 2) as in :meth:`update`.
+            labels: Of each pair; found pair by pair where None.
         """
-        return self._fusion.run(Pairs.of(self.setup.body, pairs).arrays(codes))
+        return self._fusion.run(Pairs.of(self.setup.body, pairs).arrays(labels))
 
-    def smooth_sequence(self, pairs: Sequence[SkeletonPair], codes: ArrayLike | None = None) -> FusedFrames:
+    def smooth_sequence(self, pairs: Sequence[SkeletonPair], labels: Labels | None = None) -> FusedFrames:
         """Fuses a whole recording, using the pairs before and after each pair: smoother, without lag.
 
         Args:
-            pairs, codes: As in :meth:`fuse_sequence`.
+            pairs, labels: As in :meth:`fuse_sequence`.
 
         Raises:
             FusionError: The method is one of the paper's, which treat each frame on its own.
@@ -108,4 +105,4 @@ class Fuser:
             raise FusionError(
                 f"Only the method duplex can smooth a recording; this is {self.setup.settings.method}."
             )
-        return self._fusion.run(Pairs.of(self.setup.body, pairs).arrays(codes), smooth=True)
+        return self._fusion.run(Pairs.of(self.setup.body, pairs).arrays(labels), smooth=True)

@@ -9,10 +9,11 @@ from itertools import chain, islice
 from typing import Any, NamedTuple, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel
+from fusion.facing.labels import Labels
 from fusion.large_arrays import PART, GrowingArray, parts
 from fusion.skeleton import NO_FRAME, Skeleton, SkeletonPair, nobody
 
@@ -22,9 +23,7 @@ class PairArrays(NamedTuple):
 
     time_ns: NDArray[np.int64]  # (T,) the pairs' times
     skew_ns: NDArray[np.int64]  # (T,) capture time of B minus that of A
-    codes: NDArray[np.int64]
-    """(T, 2) exchange codes of A and B with doubt (:func:`fusion.facing.exchange.with_doubt`) where they are
-    known, -1 where the facing filter finds them."""
+    labels: Labels
     a: NDArray[np.float32]  # (T, J, 3) metres; NaN where not tracked
     b: NDArray[np.float32]
     states_a: NDArray[np.uint8]  # (T, J) tracking states; all 0 where the sensor sees no one
@@ -157,17 +156,13 @@ class Pairs(Sequence[SkeletonPair]):
         )
         return np.asarray(a & b)
 
-    def arrays(self, codes: ArrayLike | None = None) -> PairArrays:
-        """The pairs as arrays of their own, which is what the kernels take.
-
-        Args:
-            codes: (T, 2) exchange codes with doubt; unknown where None.
-        """
+    def arrays(self, labels: Labels | None = None) -> PairArrays:
+        """The pairs as arrays of their own, which is what the kernels take, with labels as far as known."""
         a, b = (view.chosen(self.frames[:, side]) for side, view in enumerate(self.views))
         return PairArrays(
             np.array(self.time_ns),
             np.array(self.skew_ns),
-            np.array(np.broadcast_to(-1, (len(self), 2)) if codes is None else codes, dtype=np.int64),
+            labels or Labels.unknown(len(self)),
             *(_read_only(values) for values in (a.positions, b.positions, a.states, b.states)),
             *(_no_images(*v.states.shape) if v.witness is None else v.witness for v in (a, b)),
         )
@@ -177,16 +172,16 @@ class PairStacker:
     """Makes arrays of one pair at a time, always of the types for which the kernels are compiled."""
 
     def __init__(self, body: Body) -> None:
-        self._nobody = nobody(body)
+        self._nobody, self._unknown = nobody(body), Labels.unknown(1)
         self._no_image: NDArray[np.float32] = _no_images(1, len(body))[0]
 
-    def of_pair(self, pair: SkeletonPair, codes: tuple[int, int] | None = None) -> PairArrays:
+    def of_pair(self, pair: SkeletonPair, labels: Labels | None = None) -> PairArrays:
         """One pair; see :meth:`Pairs.arrays`. It copies no positions."""
         a, b = pair.a or self._nobody, pair.b or self._nobody
         return PairArrays(
             np.array([pair.time_ns], dtype=np.int64),
             np.array([pair.skew_ns], dtype=np.int64),
-            np.array([(-1, -1) if codes is None else codes], dtype=np.int64),
+            labels or self._unknown,
             a.positions[None],
             b.positions[None],
             a.states[None],

@@ -26,7 +26,7 @@ from fusion.calibration.offline import (
 )
 from fusion.calibration.online import CalibrationChange
 from fusion.errors import CalibrationError
-from fusion.facing.exchange import with_doubt
+from fusion.facing.labels import Labels
 from fusion.facing.model import WHOLE
 from fusion.facing.sequence import relabel_sequence, reported_pairs
 from fusion.large_arrays import parts
@@ -49,9 +49,7 @@ class RecordingPlan:
 
     segments: tuple[tuple[Calibration, slice], ...]
     """Each calibration, with the pairs that it holds for; in order, without gaps."""
-    codes: NDArray[np.int64] | None = None
-    """(T, 2) which sides of A and of B are exchanged, with the doubt about it
-    (:func:`fusion.facing.exchange.with_doubt`); None where the method or the settings use no later frames."""
+    labels: Labels | None = None  # None where the method or the settings use no later frames
     changes: tuple[CalibrationChange, ...] = ()  # events of the learner: a sensor that was moved
     clock: ClockOffset | None = None  # offset of B's clock, from the motion; None where unknown
     views_differ: float = float("nan")
@@ -87,7 +85,7 @@ def plan_recording(
     learned: LearnedCalibration | None = None
     few = pairs if len(pairs) <= _LONG else pairs[spaced(pairs.time_ns, fresh_pairs(pairs))]
     if refine and len(few):
-        codes = _labels(few, ((start, slice(0, len(few))),)) & WHOLE
+        codes = _labels(few, ((start, slice(0, len(few))),)).codes & WHOLE
         with suppress(CalibrationError):  # nothing to learn from: the start-up pose's calibration remains
             learned = learn_from_recording(body, few, codes, start, progress=progress, timed=pairs)
     if learned is not None:
@@ -122,9 +120,9 @@ def _b_in_a(pairs: PairArrays, part: slice, segments: Segments) -> NDArray[np.fl
     return in_a
 
 
-def _labels(pairs: Pairs, segments: Segments) -> NDArray[np.int64]:
-    """(T, 2) exchange codes with doubt, given these calibrations."""
-    codes = np.empty((len(pairs), 2), dtype=np.int64)
+def _labels(pairs: Pairs, segments: Segments) -> Labels:
+    """Exchanged sides and heading under these calibrations, from earlier and later pairs."""
+    labels = []
     for part in parts(len(pairs), _LONG if len(pairs) <= _LONG else _LONG // 2):
         around = slice(max(part.start - _AROUND, 0), min(part.stop + _AROUND, len(pairs)))
         of = pairs[around].arrays()
@@ -133,8 +131,8 @@ def _labels(pairs: Pairs, segments: Segments) -> NDArray[np.int64]:
         reported = reported_pairs(pairs.body, views, (of.states_a, of.states_b), t)
         found = relabel_sequence(pairs.body, reported, of.time_ns)
         own = slice(part.start - around.start, part.stop - around.start)
-        codes[part] = with_doubt(found.codes[own], found.doubt[own])
-    return codes
+        labels.append(found.rows(own).as_stored())
+    return Labels.joined(labels)
 
 
 def _segments(

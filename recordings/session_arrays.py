@@ -15,7 +15,7 @@ from devices.capture.stream_pairing import PairingFigures
 from devices.pairing import FramePair
 from fusion.body import Body
 from fusion.calibration.bone_lengths import bone_lengths_of
-from fusion.facing.model import DOUBT_STEPS
+from fusion.facing.labels import DOUBT_STEPS, HEADING_STEPS
 from fusion.fused_frame import FusedFrame, FusedFrames
 from fusion.large_arrays import GrowingArray, Rows, parts
 from fusion.medians import median_of_known
@@ -222,6 +222,18 @@ class SessionArrays:
         np.uint8, (2,), layout.QUALITY, "side_doubt", np.uint8, lambda f: _doubts(f.fused), optional=True
     )
     """(T, 2) probability that the sides of A and of B are wrong all the same, in 1/255; ``duplex`` only."""
+    heading: NDArray[np.float32] | None = per_frame(
+        np.float32,
+        (3,),
+        layout.QUALITY,
+        "heading",
+        np.float16,
+        "fused.heading",
+        optional=True,
+        step=1.0 / HEADING_STEPS,
+    )
+    """(T, 3) horizontal direction in which the person faces, in K_A's frame; its length, from 0 to 1, is the
+    confidence. ``duplex`` only."""
 
     @staticmethod
     def stack(

@@ -82,6 +82,7 @@ class Views(NamedTuple):
     delays: Annotated[Array, (2,)]  # s, capture time minus the pair's
     codes: Annotated[Ints, (2,)]  # exchange codes; see :mod:`fusion.facing.model`
     side_doubt: Annotated[Array, (2,)]  # probability that a view's sides are still wrong
+    heading: Annotated[Array, (3,), np.nan]  # see :class:`fusion.facing.labels.Labels`
     rays: Annotated[Array, (2, "J", 3)]  # unit vectors from the sensor to the joint
     covers: Annotated[Ints, (2, "J"), -1]  # covering joint nearest in the viewing plane, or -1
     cover_distances: Annotated[Array, (2, "J")]  # its distance across the ray, metres
@@ -136,6 +137,7 @@ class Output(NamedTuple):
     exchanged_b: Annotated[Ints, ("T",)]
     doubt_a: Annotated[Array, ("T",)]
     doubt_b: Annotated[Array, ("T",)]
+    heading: Annotated[Array, ("T", 3)]
     iterations: Annotated[Ints, ("T",)]
     stale_a: Annotated[NDArray[np.bool_], ("T",)]
     stale_b: Annotated[NDArray[np.bool_], ("T",)]

@@ -48,7 +48,7 @@ class DuplexFusion:
     def compile(self, pairs: PairArrays) -> None:
         """Compiles a large part of the code that does not call the solver, for arrays like these."""
         filter = self._filter
-        given = filter.model, filter.facing_model, filter.facing, filter.views, pairs.codes[0], 0.0
+        given = filter.model, filter.facing_model, filter.facing, filter.views, pairs.labels, 0, 0.0
         relabel.compile(tuple(map(typeof, given)))  # type: ignore[attr-defined]
 
     def recalibrate(self, setup: FusionSetup) -> None:

@@ -54,7 +54,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
         write_empty_row(output, k)
         return
     # find the heading, and correct exchanged left and right
-    relabel(model, filter.facing_model, filter.facing, views, pairs.codes[k], dt)
+    relabel(model, filter.facing_model, filter.facing, views, pairs.labels, k, dt)
     # evidence of the depth images about each joint
     depth_evidence(model, filter.facing_model, views, pairs, k)
     # remove each view's own scale
@@ -63,7 +63,7 @@ def estimate_pair(filter, pairs, output, trace, k):  # type: ignore[no-untyped-d
     length_evidence(model, state, views)
     # shoulders and hips towards the heading
     if model.constants.heading:
-        turn_girdles(filter.facing_model, filter.facing, views)
+        turn_girdles(filter.facing_model, filter.facing.frame_up, model.translations, views)
     # predict positions, velocities and variances
     predict(model, state, dt)
     trace_prediction(model, state, trace, k, dt)
@@ -117,6 +117,8 @@ def elapsed(state, time_ns):  # type: ignore[no-untyped-def]
 @inner_kernel
 def write_empty_row(output, k):  # type: ignore[no-untyped-def]
     """Writes row k of the output for a pair in which neither sensor sees a person."""
+    for c in range(3):
+        output.heading[k, c] = math.nan
     for i in range(output.positions.shape[1]):
         output.predicted[k, i] = True
         output.weights_a[k, i] = output.weights_b[k, i] = 0.0
@@ -133,6 +135,8 @@ def write_row(state, views, solve, output, k):  # type: ignore[no-untyped-def]
     """Writes row k of the output: S*, and each view's share of the information on each joint."""
     output.exchanged_a[k], output.exchanged_b[k] = views.codes[0], views.codes[1]
     output.doubt_a[k], output.doubt_b[k] = views.side_doubt[0], views.side_doubt[1]
+    for c in range(3):
+        output.heading[k, c] = views.heading[c]
     for i in range(output.positions.shape[1]):
         information_a = _information(views, 0, i)
         information_b = _information(views, 1, i)

@@ -11,14 +11,14 @@ import math
 
 from fusion.compiling.kernels import inner_kernel
 from fusion.facing.model import HIP, SHOULDER
-from fusion.facing.whole_body import cosine_to_sensor, in_table
+from fusion.facing.whole_body import in_table
 
 _SHORTEST = 1e-3  # metres: a shorter horizontal span has no direction
 _CONFIDENCES = 1e-3, 1.0 - 1e-6  # smallest and largest
 
 
 @inner_kernel
-def turn_girdles(facing_model, facing, views):  # type: ignore[no-untyped-def]
+def turn_girdles(facing_model, up, sensors, views):  # type: ignore[no-untyped-def]
     """Turns shoulders and hips of each view about the vertical through their middle.
 
     With δ the angle from the axis of shoulders or hips, l × u, to the heading:
@@ -27,25 +27,41 @@ def turn_girdles(facing_model, facing, views):  # type: ignore[no-untyped-def]
 
     where σ is the axis's lasting error by the angle to the sensor (``axis_bias``), and ρ the length of the
     mean of the headings' unit vectors under the filter's belief: s is the standard deviation of a wrapped
-    normal distribution with that mean. A body whose axes have no such error (σ = 0) is left as it is, and so
-    is a pair whose known labels are not those that the filter finds: its heading belongs to the latter.
+    normal distribution with that mean. A body whose axes have no such error (σ = 0) is left as it is.
 
     Args:
-        facing_model, facing: Of the facing filter, after its update.
-        views: Re-labelled positions, which are changed, and states.
+        facing_model: Of the body.
+        up: (3,) upward unit vector.
+        sensors: (2, 3) positions of the sensors, metres.
+        views: The heading, re-labelled positions, which are changed, and states.
     """
-    f, u = facing.facing, facing.frame_up
-    if not math.isfinite(f[0]) or views.codes[0] != facing.codes[0] or views.codes[1] != facing.codes[1]:
+    f = views.heading
+    length = math.sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
+    if not length > 0.0:  # also where there is none
         return
-    confidence = min(max(facing.confidence[0], _CONFIDENCES[0]), _CONFIDENCES[1])
-    variance = -2.0 * math.log(confidence)
+    variance = -2.0 * math.log(min(max(length, _CONFIDENCES[0]), _CONFIDENCES[1]))
     for v in range(2):
-        sigma = in_table(facing_model.constants.axis_bias, cosine_to_sensor(facing, v, f))
-        weight = sigma * sigma / (sigma * sigma + variance)
         for girdle in (SHOULDER, HIP):
             left, right = facing_model.pairs[girdle, 0], facing_model.pairs[girdle, 1]
-            if weight > 0.0 and views.states[v, left] != 0 and views.states[v, right] != 0:
-                _turn_pair(views.positions[v], left, right, f, u, weight)
+            if views.states[v, left] == 0 or views.states[v, right] == 0:
+                continue
+            x = views.positions[v]
+            cosine = _cosine_to_sensor(x, left, right, sensors[v], f, up) / length
+            sigma = in_table(facing_model.constants.axis_bias, cosine)
+            if sigma > 0.0:
+                _turn_pair(x, left, right, f, up, sigma * sigma / (sigma * sigma + variance))
+
+
+@inner_kernel
+def _cosine_to_sensor(x, left, right, sensor, f, u):  # type: ignore[no-untyped-def]
+    """Horizontal component of f towards the sensor, seen from the middle of two joints."""
+    d0 = sensor[0] - 0.5 * (x[left, 0] + x[right, 0])
+    d1 = sensor[1] - 0.5 * (x[left, 1] + x[right, 1])
+    d2 = sensor[2] - 0.5 * (x[left, 2] + x[right, 2])
+    height = d0 * u[0] + d1 * u[1] + d2 * u[2]
+    d0, d1, d2 = d0 - height * u[0], d1 - height * u[1], d2 - height * u[2]
+    distance = math.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+    return (d0 * f[0] + d1 * f[1] + d2 * f[2]) / max(distance, _SHORTEST)
 
 
 @inner_kernel

@@ -6,12 +6,11 @@ import math
 
 from fusion.compiling.kernels import inner_kernel
 from fusion.facing.exchange import exchange
-from fusion.facing.filter import update_facing
-from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS, DOUBT_UNKNOWN, ReportedPair
+from fusion.facing.filter import update_facing, update_up
+from fusion.facing.model import ReportedPair
 from fusion.pair_arrays import repeats
 from fusion.skeleton import TRACKED
 
-_CODE_MASK = DOUBT_UNKNOWN - 1  # the exchange code of a label
 _SHORTEST_BONE = 0.12  # metres: shorter bones carry little information on the scale
 _USUAL_ERROR = 0.15  # a relative error at which a bone's weight is a quarter
 _FEWEST_BONES = 4  # bones
@@ -41,26 +40,31 @@ def transform_views(model, state, views, pairs, k):  # type: ignore[no-untyped-d
 
 
 @inner_kernel
-def relabel(model, facing_model, facing, views, codes, dt):  # type: ignore[no-untyped-def]
+def relabel(model, facing_model, facing, views, labels, k, dt):  # type: ignore[no-untyped-def]
     """Corrects exchanged sides, and removes the measurements of a stale skeleton.
 
     Args:
-        facing: State of the facing filter (:mod:`fusion.facing.filter`); updated where codes or heading are
-            needed.
-        views: Positions and states are written.
-        codes: (2,) known labels, as from a pass over a whole recording: exchange codes with doubt
-            (:func:`fusion.facing.exchange.with_doubt`); -1 where unknown.
+        facing: State of the facing filter (:mod:`fusion.facing.filter`); updated where a label is missing.
+        views: Positions, states and heading are written.
+        labels, k: Pair k of :class:`fusion.facing.labels.Labels`.
     """
+    codes, doubt, heading = labels.codes[k], labels.doubt[k], labels.heading[k]
     biased = facing_model.constants.folded > 0.0  # then the heading is needed, too
-    if biased or codes[0] & DOUBT_UNKNOWN or codes[1] & DOUBT_UNKNOWN:
-        pair = ReportedPair(views.reported, views.reported_states, views.stale, model.translation, model.up)
+    pair = ReportedPair(views.reported, views.reported_states, views.stale, model.translation, model.up)
+    missing = codes[0] < 0 or codes[1] < 0 or math.isnan(doubt[0]) or math.isnan(doubt[1])
+    if missing or (biased and math.isnan(heading[0])):
         update_facing(facing_model, facing, pair, dt)
+    elif biased:
+        update_up(facing_model, facing, pair)
     for v in range(2):
-        views.codes[v] = codes[v] & _CODE_MASK if codes[v] >= 0 else facing.codes[v]
-        if codes[v] & DOUBT_UNKNOWN:
-            views.side_doubt[v] = facing.doubt[v]
-        else:
-            views.side_doubt[v] = (codes[v] >> DOUBT_BIT) / DOUBT_STEPS
+        views.codes[v] = codes[v] if codes[v] >= 0 else facing.codes[v]
+        views.side_doubt[v] = facing.doubt[v] if math.isnan(doubt[v]) else doubt[v]
+    # the filter's heading belongs to the labels that it finds
+    agreed = views.codes[0] == facing.codes[0] and views.codes[1] == facing.codes[1]
+    for c in range(3):
+        found = facing.confidence[0] * facing.facing[c] if agreed else math.nan
+        views.heading[c] = found if math.isnan(heading[c]) else heading[c]
+    for v in range(2):
         exchange(
             facing_model, views.reported[v], views.reported_states[v], views.codes[v], views.positions[v],
             views.states[v],

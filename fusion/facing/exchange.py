@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from fusion.compiling.kernels import inner_kernel, kernel
-from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS, DOUBT_UNKNOWN, HIP, SHOULDER, TRUNK, WHOLE
+from fusion.facing.model import HIP, SHOULDER, TRUNK, WHOLE
 from fusion.skeleton import INFERRED, TRACKED
 
 
@@ -37,20 +34,6 @@ def exchange(model, positions, states, code, out_positions, out_states):  # type
         if trunk and model.heading_placed[j] and state == TRACKED:
             state = INFERRED
         out_states[j] = state
-
-
-def with_doubt(codes: ArrayLike, doubt: ArrayLike | None) -> NDArray[np.int64]:
-    """Labels: exchange codes together with the doubt about them, in one integer each.
-
-    Args:
-        codes: (T, 2) exchange codes of A and of B.
-        doubt: (T, 2) from 0 to 1; rounded to steps of 1/255, as sessions store it. Left to the facing filter
-            where None, as it was in a live session.
-    """
-    if doubt is None:
-        return np.asarray(codes, dtype=np.int64) | DOUBT_UNKNOWN
-    steps = np.round(DOUBT_STEPS * np.asarray(doubt, dtype=np.float64)).astype(np.int64)
-    return np.asarray(np.asarray(codes, dtype=np.int64) + (steps << DOUBT_BIT))
 
 
 @inner_kernel

@@ -33,13 +33,9 @@ def update_facing(model, state, pair, dt):  # type: ignore[no-untyped-def]
 @inner_kernel
 def update_evidence(model, state, pair, dt):  # type: ignore[no-untyped-def]
     """Computes the evidence of the pair: log-likelihood, probabilities of exchanges and turns."""
-    known = math.isfinite(pair.up[0])
+    update_up(model, state, pair)
     for view in range(2):
         state.since[view] += dt
-        if not known and not pair.stale[view]:
-            learn_up(model, state, pair.positions[view])
-    set_headings(state, pair.up if known else state.up)
-    for view in range(2):
         state.odds[view] = 1.0
         state.velocity_change[view, 0] = state.velocity_change[view, 1] = state.velocity_change[view, 2] = 0.0
         state.rates[view] = 0.0  # a stale skeleton keeps its labels
@@ -53,6 +49,16 @@ def update_evidence(model, state, pair, dt):  # type: ignore[no-untyped-def]
     set_sensor_directions(state, pair.sensor_b)
     set_turning(model.constants, state, dt)
     log_likelihood(model, state, pair.stale)
+
+
+@inner_kernel
+def update_up(model, state, pair):  # type: ignore[no-untyped-def]
+    """Updates the upward direction, which is learned from the person where it is unknown."""
+    known = math.isfinite(pair.up[0])
+    for view in range(2):
+        if not known and not pair.stale[view]:
+            learn_up(model, state, pair.positions[view])
+    set_headings(state, pair.up if known else state.up)
 
 
 @inner_kernel

@@ -20,10 +20,6 @@ WHOLE; sessions of version 1.0 and earlier also contain arms or legs alone."""
 TRUNK = 4
 """Added to a code of such a session if the trunk differs from it: LEGS + TRUNK exchanges legs and trunk,
 WHOLE + TRUNK arms and legs without the trunk. The trunk is shoulders, hips and face."""
-DOUBT_BIT, DOUBT_STEPS = 8, 255
-"""A label is an exchange code and, in the bits from DOUBT_BIT on, the doubt about it in 1/DOUBT_STEPS."""
-DOUBT_UNKNOWN = 1 << (DOUBT_BIT - 1)
-"""Set in a label whose doubt is left to the facing filter; also set in -1, a label that is unknown."""
 SHOULDER, HIP, ELBOW, WRIST, KNEE, ANKLE = range(6)
 """The pairs of joints that evidence comes from, as rows of ``FacingModel.pairs``."""
 

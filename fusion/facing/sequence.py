@@ -12,22 +12,11 @@ from fusion.body import Body
 from fusion.compiling.kernels import inner_kernel, kernel
 from fusion.facing.evidence import measure_view, upright_direction
 from fusion.facing.filter import FORGET_SECONDS, decide, update_facing
+from fusion.facing.labels import Labels
 from fusion.facing.model import HEADINGS, FacingModel, FacingState, ReportedPair, new_facing_model
 from fusion.facing.whole_body import retrodict, set_headings, set_turning
 
 Floats = NDArray[np.float64]
-
-
-class Labels(NamedTuple):
-    """Which labels each view of a recording has exchanged, and how the person faces.
-
-    The fields are those of :class:`fusion.facing.model.FacingState`, for each of T pairs.
-    """
-
-    codes: Annotated[NDArray[np.int64], ("T", 2)]
-    facing: Annotated[Floats, ("T", 3)]
-    doubt: Annotated[Floats, ("T", 2)]
-    mirrored: Annotated[Floats, ("T", 2)]
 
 
 class _History(NamedTuple):
@@ -55,7 +44,7 @@ def relabel_sequence(
     """
     model, state = model or new_facing_model(body), new_arrays(FacingState, J=len(body))
     times = np.asarray(time_ns, dtype=np.int64)
-    labels = new_arrays(Labels, T=len(times))
+    labels = Labels.unknown(len(times))
     history = new_arrays(_History, T=len(times) if smooth else 0)
     intervals = np.diff(times, prepend=times[:1]) * 1e-9
     _forward(model, state, pairs, intervals, labels, history)
@@ -108,7 +97,7 @@ def _store_labels(state, labels, k):  # type: ignore[no-untyped-def]
         labels.codes[k, view], labels.doubt[k, view] = state.codes[view], state.doubt[view]
         labels.mirrored[k, view] = state.mirrored[view]
     for c in range(3):
-        labels.facing[k, c] = state.facing[c]
+        labels.heading[k, c] = state.confidence[0] * state.facing[c]
 
 
 @kernel

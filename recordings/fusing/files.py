@@ -92,7 +92,7 @@ def fuse(
     if not force:
         check_related(read, plan, str(a), str(b))
     segments = setups_of(plan, settings, read.cameras(depth))
-    blocks = fuse_segments(segments, read.pairing.pairs, plan.codes)
+    blocks = fuse_segments(segments, read.pairing.pairs, plan.labels)
     return fused_session(read, plan, segments, blocks, without_folders((str(a), str(b))), depth)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from devices.events import Event
 from devices.pairing import FramePair, RecordedPairs
+from fusion.facing.labels import Labels
 from fusion.fuser import Fuser
 from fusion.intrinsics import Intrinsics
 from fusion.large_arrays import parts
@@ -44,7 +45,7 @@ def _smooths(setup: FusionSetup) -> bool:
 
 
 def fuse_segments(
-    segments: Segments, pairs: Sequence[FramePair], codes: NDArray[np.int64] | None = None
+    segments: Segments, pairs: Sequence[FramePair], labels: Labels | None = None
 ) -> Iterator[SessionFrames]:
     """Fuses a recording with the calibration of each segment, and yields block after block.
 
@@ -53,7 +54,7 @@ def fuse_segments(
     Args:
         segments: Segments in order, without gaps.
         pairs: Pairs of all segments.
-        codes: (T, 2) exchange codes with doubt; None: found pair by pair.
+        labels: Of all pairs; None: found pair by pair.
     """
     fuser: Fuser | None = None
     recorded = RecordedPairs.of(segments[0][0].body, pairs).skeletons
@@ -66,7 +67,7 @@ def fuse_segments(
         for part in parts(own.stop - own.start, _block_size(setup, own)):
             own_part = slice(own.start + part.start, own.start + part.stop)
             before, block = time.perf_counter_ns(), recorded[own_part]
-            fused = fuse(block, None if codes is None else codes[own_part])
+            fused = fuse(block, None if labels is None else labels.rows(own_part))
             each = (time.perf_counter_ns() - before) // len(fused)
             a, b = (view.chosen(block.frames[:, k]) for k, view in enumerate(block.views))
             yield SessionFrames(
@@ -74,10 +75,10 @@ def fuse_segments(
             )
 
 
-def fuse_one(fuser: Fuser, pair: FramePair, codes: tuple[int, int] | None = None) -> SessionFrame:
-    """Fuses a pair and measures the time; ``codes`` as in :meth:`fusion.fuser.Fuser.update`."""
+def fuse_one(fuser: Fuser, pair: FramePair) -> SessionFrame:
+    """Fuses a pair and measures the time."""
     before = time.perf_counter_ns()
-    fused = fuser.update(pair.skeletons, codes)
+    fused = fuser.update(pair.skeletons)
     return SessionFrame(pair, fused, time.perf_counter_ns() - before)
 
 

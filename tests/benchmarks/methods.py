@@ -17,6 +17,7 @@ from devices.pairing import FramePair
 from fusion.body import Body
 from fusion.calibration.calibration import Calibration
 from fusion.estimator.constants import Constants
+from fusion.facing.labels import Labels
 from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
@@ -121,13 +122,13 @@ class Method:
 
 
 def fused(
-    settings: FuserSettings, codes: tuple[int, int] | None = None, **constants: Any
+    settings: FuserSettings, labels: Labels | None = None, **constants: Any
 ) -> Callable[[RecordedPair], Found]:
     """Our program with these settings, pair by pair.
 
     Args:
         settings: The method's choices.
-        codes: Which sides are exchanged in every pair, whatever the facing filter would say.
+        labels: Of every pair, whatever the facing filter would say.
         constants: Of :class:`fusion.estimator.constants.Constants`, in place of the body's own.
     """
 
@@ -140,7 +141,7 @@ def fused(
         for pair in recording.pairs:
             skeletons = pair.skeletons
             before = time.perf_counter_ns()
-            frames.append(fuser.update(skeletons, codes))
+            frames.append(fuser.update(skeletons, labels))
             cost.append(time.perf_counter_ns() - before)
         return _found(frames, float(np.median(cost)) * 1e-3)
 
@@ -154,7 +155,7 @@ def as_recorded(settings: FuserSettings, refine: bool = True) -> Callable[[Recor
         skeletons = [pair.skeletons for pair in recording.pairs]
         plan = plan_recording(recording.body, skeletons, settings, refine=refine)
         segments = setups_of(plan, settings, (None, None))
-        frames = list(chain.from_iterable(fuse_segments(segments, recording.pairs, plan.codes)))
+        frames = list(chain.from_iterable(fuse_segments(segments, recording.pairs, plan.labels)))
         return _found([f.fused for f in frames], float(np.median([f.fuse_ns for f in frames])) * 1e-3)
 
     return find
@@ -272,7 +273,7 @@ ABLATIONS: tuple[Method, ...] = (
     ),
     Method("without bones", "ablation", fused(DEFAULT, bones=False)),
     Method("without anisotropy", "ablation", fused(DEFAULT, along_ray=1.0)),
-    Method("without facing", "ablation", fused(DEFAULT, (0, 0))),
+    Method("without facing", "ablation", fused(DEFAULT, Labels.with_sides([(0, 0)]))),
     Method("without scale", "ablation", fused(DEFAULT, scale_sd=0.0)),
     Method("without lengths", "ablation", fused(DEFAULT, length_limit=0.0)),
     Method(WITHOUT_DEPTH, "ablation", without_depth(replace(DEFAULT, hindsight="labels"))),

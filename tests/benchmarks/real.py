@@ -46,7 +46,7 @@ def fuse_pair(body: Body, skeletons: Sequence[SkeletonPair]) -> FusedPair:
     plan = plan_recording(body, skeletons, settings)
     pairs = [FramePair(None, None, pair) for pair in skeletons]
     segments = setups_of(plan, settings, (None, None))
-    frames = [fused for block in fuse_segments(segments, pairs, plan.codes) for fused in block.fused]
+    frames = [fused for block in fuse_segments(segments, pairs, plan.labels) for fused in block.fused]
     nowhere = np.full((len(body), 3), np.nan)
 
     def positions(side: str) -> NDArray[np.float64]:

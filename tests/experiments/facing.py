@@ -27,8 +27,9 @@ def tables(pairs: list[Views], constants: FacingConstants) -> None:
         for view, (at, sensor) in enumerate(((views.a, np.zeros(3)), (views.b_in_a, views.sensor_b))):
             toward = (sensor - at[:, views.body.root]) * (1.0, 0.0, 1.0)
             toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-            cosines.append(np.sum(toward * labels.facing, axis=1))
-            found = np.sum(_cues(views, at) * labels.facing[:, None], axis=2)
+            facing = labels.heading / np.linalg.norm(labels.heading, axis=1, keepdims=True)
+            cosines.append(np.sum(toward * facing, axis=1))
+            found = np.sum(_cues(views, at) * facing[:, None], axis=2)
             cues.append(np.where(moving[:, None], found, np.nan))
             mirrored.append(trunk[:, view])
     cosine, cue, share = np.concatenate(cosines), np.concatenate(cues), np.concatenate(mirrored)

@@ -54,7 +54,7 @@ def compile_kernels(options: BatchOptions) -> None:
     plan = plan_recording(KINECT_V1, [pair.skeletons for pair in pairs], settings)
     segments = setups_of(plan, settings, (None, None))
     warm_up(Fuser(segments[0][0]), Console(highlight=False))
-    for _ in fuse_segments(segments, pairs, plan.codes):
+    for _ in fuse_segments(segments, pairs, plan.labels):
         pass
 
 

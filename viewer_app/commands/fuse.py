@@ -65,7 +65,7 @@ def fuse_files(options: FuseOptions, console: Console) -> tuple[Session, Figures
     warm_up(Fuser(setup), console)
     sources = without_folders((str(options.a), str(options.b)))
     progress = _progress(console)
-    fused = fuse_segments(segments, read.pairing.pairs, plan.codes)
+    fused = fuse_segments(segments, read.pairing.pairs, plan.labels)
     blocks = progress(fused, "fusing", block_count(segments))
     session = fused_session(read, plan, segments, blocks, sources, options.depth, progress)
     figures = report(session)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from fusion.facing.exchange import with_doubt
-from fusion.facing.model import DOUBT_STEPS
+from fusion.facing.labels import DOUBT_STEPS, Labels
 from fusion.fuser import Fuser
 from fusion.plan import plan_recording
 from fusion.setup import REVISIONS, FuserSettings
@@ -61,10 +60,10 @@ def run(options: ReplayOptions) -> None:
     print_damage(console, session)
     if session.settings.method == settings.method and session.method_revision != REVISIONS[settings.method]:
         console.print(f"The method {settings.method} has changed since this session was made; S* is today's.")
-    segments, codes = _plan(session, settings)
+    segments, labels = _plan(session, settings)
     with planned.opened(segments[0][0]) as outputs:
         announce_outputs(console, outputs)
-        blocks = _fused(options, session, segments, codes, outputs, console)
+        blocks = _fused(options, session, segments, labels, outputs, console)
         replayed = _replayed(session, segments, blocks, with_images=options.save is not None)
     figures = report(replayed)
     damaged = 0
@@ -86,33 +85,35 @@ def run(options: ReplayOptions) -> None:
         sys.exit(1)
 
 
-def _plan(session: Session, settings: FuserSettings) -> tuple[Segments, NDArray[np.int64] | None]:
-    """The setups of the replay, and the exchange codes that are given to it; None: they are found."""
+def _plan(session: Session, settings: FuserSettings) -> tuple[Segments, Labels | None]:
+    """The setups of the replay, and the labels that are given to it; None: they are found."""
     if settings.method == "duplex" and session.settings.method != "duplex":
         # The session has neither labels nor a refined calibration: they are found as for two recordings.
         settings = replace(settings, hindsight="labels")
         skeletons = session.recorded_pairs.skeletons
         plan = plan_recording(session.body, skeletons, settings, session.calibration)
-        return setups_of(plan, settings, (session.intrinsics_a, session.intrinsics_b)), plan.codes
-    codes = None
-    if session.rows.exchanged is not None:
-        steps = session.rows.side_doubt
-        doubt = 0.0 if steps is None else steps / DOUBT_STEPS
-        # where the sides were found pair by pair, the doubt about them is found again, to the bit
-        codes = with_doubt(session.rows.exchanged, None if settings.hindsight == "none" else doubt)
-    return list(session.setups(settings)), codes
+        return setups_of(plan, settings, (session.intrinsics_a, session.intrinsics_b)), plan.labels
+    rows, labels = session.rows, None
+    if rows.exchanged is not None:
+        # where the sides were found pair by pair, doubt and heading are found again, to the bit
+        again = settings.hindsight == "none"
+        doubt = 0.0 if rows.side_doubt is None else rows.side_doubt / DOUBT_STEPS
+        labels = Labels.with_sides(rows.exchanged, np.nan if again else doubt)
+        if rows.heading is not None and not again:
+            labels.heading[:] = rows.heading
+    return list(session.setups(settings)), labels
 
 
 def _fused(
     options: ReplayOptions,
     session: Session,
     segments: Segments,
-    codes: NDArray[np.int64] | None,
+    labels: Labels | None,
     outputs: Sequence[LiveOutput],
     console: Console,
 ) -> Iterator[SessionFrames]:
     """Fuses the pairs of a session, at the recorded times where S* is sent to outputs."""
-    blocks = fuse_segments(segments, session.recorded_pairs, codes)
+    blocks = fuse_segments(segments, session.recorded_pairs, labels)
     quiet, count = not console.is_terminal, block_count(segments)
     shown = track(blocks, "fusing", count, console=console, transient=True, disable=quiet)
     if options.pace == "fast":

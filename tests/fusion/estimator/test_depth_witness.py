@@ -11,6 +11,7 @@ from fusion.body import KINECT_V2
 from fusion.estimator import outliers
 from fusion.estimator.arrays import Model, Solve, State, Views, new_model
 from fusion.estimator.evidence import depth_evidence, measure_surface
+from fusion.facing.labels import Labels
 from fusion.facing.model import ARMS, WHOLE, new_facing_model
 from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
@@ -46,7 +47,7 @@ def witnessed(
 
 def fused(pairs: list[SkeletonPair], method: str = "duplex") -> list[FusedFrame]:
     setup = FusionSetup(calibration_of(BODY), FuserSettings(method=method))  # type: ignore[arg-type]
-    return Fuser(setup).fuse_sequence(pairs, np.zeros((len(pairs), 2)))
+    return Fuser(setup).fuse_sequence(pairs, Labels.with_sides(np.zeros((len(pairs), 2))))
 
 
 def recording(frames: int = 60) -> list[SkeletonPair]:
@@ -89,7 +90,7 @@ def test_one_by_one_and_all_at_once_are_the_same_bits_with_images() -> None:
     ]
     pairs[30] = replace(pairs[30], b=None)
     fuser = Fuser(FusionSetup(calibration_of(BODY)))
-    one_by_one = [fuser.update(pair, (0, 0)) for pair in pairs]
+    one_by_one = [fuser.update(pair, Labels.with_sides([(0, 0)])) for pair in pairs]
     assert same_bits(one_by_one, fused(pairs))
 
 

@@ -13,6 +13,7 @@ from fusion.calibration.bone_lengths import bone_lengths_of
 from fusion.calibration.calibration import Calibration
 from fusion.errors import FusionError
 from fusion.estimator.constants import Constants
+from fusion.facing.labels import Labels
 from fusion.fused_frame import FusedFrame
 from fusion.fuser import Fuser
 from fusion.rigid import RigidTransform
@@ -45,7 +46,7 @@ def changed(skeleton: Skeleton | None, change: Callable[[Array], Array]) -> Skel
 
 def fused(pairs: list[SkeletonPair], smoothing: float = 0.5, body: Body = BODY) -> list[FusedFrame]:
     """S* without correction of sides: these artificial people have no front."""
-    return fuser(smoothing, body).fuse_sequence(pairs, np.zeros((len(pairs), 2)))
+    return fuser(smoothing, body).fuse_sequence(pairs, Labels.with_sides(np.zeros((len(pairs), 2))))
 
 
 def positions(frames: list[FusedFrame]) -> Array:
@@ -203,9 +204,9 @@ def test_another_calibration_makes_no_jump_and_is_followed() -> None:
     )
     wrong = Calibration(BODY, off, BODY.nominal_lengths, "knocked")
     found = fuser(calibration=wrong)
-    before = [found.update(pair, (0, 0)) for pair in pairs[:60]]
+    before = [found.update(pair, Labels.with_sides([(0, 0)])) for pair in pairs[:60]]
     found.recalibrate(FusionSetup(calibration_of(BODY)))
-    after = [found.update(pair, (0, 0)) for pair in pairs[60:]]
+    after = [found.update(pair, Labels.with_sides([(0, 0)])) for pair in pairs[60:]]
     assert apart(after[0].positions, before[-1].positions).max() < 0.006
     assert (
         np.median(apart(after[-1].positions, truth[-1]))
@@ -228,9 +229,9 @@ def test_a_corrected_calibration_leaves_no_error_behind(before: int, metres: flo
     ]
     found = fuser(calibration=old)
     for pair in pairs[: before + 60]:
-        found.update(pair, (0, 0))
+        found.update(pair, Labels.with_sides([(0, 0)]))
     found.recalibrate(FusionSetup(replace(old, a_from_b=old.a_from_b @ moved)))
-    last = [found.update(pair, (0, 0)).positions for pair in pairs[before + 60 :]][-30:]
+    last = [found.update(pair, Labels.with_sides([(0, 0)])).positions for pair in pairs[before + 60 :]][-30:]
     assert np.median(apart(np.array(last), truth[-30:])) < 0.005
 
 
@@ -248,7 +249,7 @@ def test_more_smoothing_is_calmer_and_less_follows_each_frame() -> None:
 def test_a_smoothed_recording_is_nearer_to_the_truth_and_has_exact_bones() -> None:
     truth = moving(BODY, 200)
     pairs = recording(truth, 0.015)
-    filtered, smoothed = fused(pairs), fuser().smooth_sequence(pairs, np.zeros((200, 2)))
+    filtered, smoothed = fused(pairs), fuser().smooth_sequence(pairs, Labels.with_sides(np.zeros((200, 2))))
     off, smooth_off = (apart(positions(frames), truth)[10:-10].mean() for frames in (filtered, smoothed))
     assert smooth_off < 0.9 * off
     rough, smooth_rough = (
@@ -275,7 +276,7 @@ def test_the_reported_deviation_holds_the_truth() -> None:
             for p in recording(truth, 0.003, seed)
         ]
         found = Fuser(FusionSetup(calibration_of(body)), k._replace(spread=1.0))
-        frames = found.fuse_sequence(pairs, np.zeros((len(pairs), 2)))[40:]
+        frames = found.fuse_sequence(pairs, Labels.with_sides(np.zeros((len(pairs), 2))))[40:]
         sigma = np.array([frame.sigma for frame in frames])
         inside.append([np.mean(apart(positions(frames), truth[40:]) < n * sigma) for n in (1, 2)])
     one, two = np.mean(inside, axis=0)

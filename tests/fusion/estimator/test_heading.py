@@ -10,7 +10,7 @@ from fusion.compiling.kernels import kernel
 from fusion.estimator.arrays import Views
 from fusion.estimator.constants import Constants
 from fusion.estimator.heading import turn_girdles
-from fusion.facing.model import FacingState, new_facing_model
+from fusion.facing.model import new_facing_model
 from fusion.fuser import Fuser
 from fusion.rigid import RigidTransform
 from fusion.setup import FusionSetup
@@ -20,18 +20,18 @@ from tests.helpers.two_views import standing
 
 
 @kernel
-def turn(model, facing, views):  # type: ignore[no-untyped-def]
-    turn_girdles(model, facing, views)
+def turn(model, up, sensors, views):  # type: ignore[no-untyped-def]
+    turn_girdles(model, up, sensors, views)
 
 
 def turned(body: Body, to: Floats, confidence: float) -> tuple[Floats, Floats]:
     """(J, 3) a person before and after, whose back is turned to both sensors, with the heading ``to``."""
-    views, facing = new_arrays(Views, J=len(body)), new_arrays(FacingState, J=len(body))
+    views = new_arrays(Views, J=len(body))
     before = standing(body)
     views.positions[:], views.states[:] = before, 2
-    facing.facing[:], facing.confidence[0] = to, confidence
-    facing.frame_up[:], facing.toward[:] = (0.0, -1.0, 0.0), -to
-    turn(new_facing_model(body), facing, views)
+    views.heading[:] = confidence * to
+    sensors = np.stack([before.mean(axis=0) - 100.0 * to] * 2)
+    turn(new_facing_model(body), np.array((0.0, -1.0, 0.0)), sensors, views)
     np.testing.assert_array_equal(views.positions[0], views.positions[1])
     return before, views.positions[0]
 

@@ -15,6 +15,7 @@ from fusion.estimator.constants import Constants
 from fusion.estimator.duplex_fusion import DuplexFusion
 from fusion.estimator.estimator import elapsed
 from fusion.estimator.evidence import length_evidence
+from fusion.facing.labels import Labels
 from fusion.fuser import Fuser
 from fusion.setup import FusionSetup
 from fusion.skeleton import Skeleton
@@ -117,7 +118,12 @@ def test_the_bones_tell_which_view_of_a_wrist_is_wrong() -> None:
         for some in (pairs, bad):
             fuser = Fuser(setup)
             fuser._fusion = DuplexFusion(setup, constants)
-            found.append([f.positions[wrist] for f in fuser.fuse_sequence(some, np.zeros((len(some), 2)))])
+            found.append(
+                [
+                    f.positions[wrist]
+                    for f in fuser.fuse_sequence(some, Labels.with_sides(np.zeros((len(some), 2))))
+                ]
+            )
         return float(np.linalg.norm(np.array(found[0]) - found[1], axis=1)[70:85].mean())
 
     default = Constants.of(BODY)

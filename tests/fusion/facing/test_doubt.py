@@ -7,8 +7,8 @@ import pytest
 
 from fusion.body import KINECT_V2
 from fusion.calibration.calibration import Calibration
-from fusion.facing.exchange import with_doubt
-from fusion.facing.model import DOUBT_BIT, DOUBT_STEPS, DOUBT_UNKNOWN, LEGS, WHOLE
+from fusion.facing.labels import Labels
+from fusion.facing.model import LEGS, WHOLE
 from fusion.fuser import Fuser
 from fusion.setup import FuserSettings, FusionSetup
 from fusion.skeleton import Skeleton, SkeletonPair
@@ -29,11 +29,13 @@ def walk(count: int) -> list[SkeletonPair]:
     return pairs
 
 
-def test_a_label_is_a_code_and_its_doubt() -> None:
-    labels = with_doubt([[WHOLE, 0], [5, 7]], [[0.0, 1.0], [0.2, 0.5019]])
-    np.testing.assert_array_equal(labels & 0xFF, [[WHOLE, 0], [5, 7]])
-    # Rounded to the nearest step.
-    np.testing.assert_array_equal(labels >> DOUBT_BIT, [[0, DOUBT_STEPS], [51, 128]])
+def test_labels_are_stored_to_the_nearest_step() -> None:
+    labels = Labels.with_sides([[WHOLE, 0], [5, 7]], [[0.0, 1.0], [0.2, 0.5019]])
+    labels.heading[:] = (0.2, 0.0, -0.9)
+    stored = labels.as_stored()
+    np.testing.assert_array_equal(stored.codes, labels.codes)
+    np.testing.assert_array_equal(stored.doubt * np.float32(255.0), [[0, 255], [51, 128]])
+    np.testing.assert_array_equal(stored.heading, np.array([(205, 0, -922)] * 2, np.float32) / 1024)
 
 
 def test_recorded_sides_without_doubt_give_a_live_run_again() -> None:
@@ -41,19 +43,21 @@ def test_recorded_sides_without_doubt_give_a_live_run_again() -> None:
     pairs = walk(40)
     fuser, again = Fuser(SETUP), Fuser(SETUP)
     live = [fuser.update(pair) for pair in pairs]
-    codes = with_doubt([(frame.exchanged_a, frame.exchanged_b) for frame in live], None)
-    for frame, pair, (a, b) in zip(live, pairs, codes.tolist(), strict=True):
-        replayed = again.update(pair, (a, b))
+    labels = Labels.with_sides([(frame.exchanged_a, frame.exchanged_b) for frame in live], np.nan)
+    for k, (frame, pair) in enumerate(zip(live, pairs, strict=True)):
+        replayed = again.update(pair, labels.rows(slice(k, k + 1)))
         assert (replayed.doubt_a, replayed.doubt_b) == (frame.doubt_a, frame.doubt_b)
         assert replayed.positions.tobytes() == frame.positions.tobytes()
-    legs = again.update(replace(pairs[0], time_ns=40 * FRAME_NS), (LEGS | DOUBT_UNKNOWN, DOUBT_UNKNOWN))
+    legs = again.update(replace(pairs[0], time_ns=40 * FRAME_NS), Labels.with_sides([(LEGS, 0)], np.nan))
     assert legs.exchanged_a == LEGS, "version 1.0 exchanged limbs alone"
 
 
 def test_the_fused_frame_tells_code_and_doubt() -> None:
     fuser = Fuser(SETUP)
-    label_a, label_b = with_doubt([WHOLE, 0], [0.0, 0.4]).tolist()
-    frame = fuser.update(walk(1)[0], (label_a, label_b))
+    labels = Labels.with_sides([(WHOLE, 0)], (0.0, 0.4))
+    labels.heading[:] = (0.5, 0.0, 0.5)
+    frame = fuser.update(walk(1)[0], labels)
+    np.testing.assert_array_equal(frame.heading, labels.heading[0])
     assert (frame.exchanged_a, frame.exchanged_b) == (WHOLE, 0)
     assert (frame.doubt_a, frame.doubt_b) == (0.0, pytest.approx(0.4))
 
@@ -70,9 +74,9 @@ def test_a_view_with_doubtful_sides_pulls_the_limbs_less() -> None:
     off = []
     for doubt in (0.0, 1.0):
         fuser = Fuser(SETUP)
-        labels = with_doubt(np.zeros((40, 2)), [(0.0, doubt if k >= 30 else 0.0) for k in range(40)])
+        labels = Labels.with_sides(np.zeros((40, 2)), [(0.0, doubt if k >= 30 else 0.0) for k in range(40)])
         frames = fuser.fuse_sequence(wrong, labels)
-        right = Fuser(SETUP).fuse_sequence(pairs, np.zeros((40, 2), dtype=np.int64))
+        right = Fuser(SETUP).fuse_sequence(pairs, Labels.with_sides(np.zeros((40, 2))))
         limbs = KINECT_V2.mirror != np.arange(len(KINECT_V2))
         off.append(
             np.mean(

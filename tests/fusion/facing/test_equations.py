@@ -161,12 +161,13 @@ def test_live_and_sequence_agree_bit_for_bit_and_repeat() -> None:
     views = simulated_views("walk", seconds=8.0)
     one, other = views.relabel(up=UP, smooth=False), views.relabel(up=UP, smooth=False)
     model, state = new_facing_model(KINECT_V2), new_arrays(FacingState, J=len(KINECT_V2))
-    for name in ("codes", "facing", "doubt", "mirrored"):
+    for name in ("codes", "heading", "doubt", "mirrored"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     seconds = np.diff(views.time_ns, prepend=views.time_ns[0]) * 1e-9
     stale = [np.r_[False, (np.diff(x, axis=0) == 0.0).all(axis=(1, 2))] for x in (views.a, views.b_in_a)]
     for k in range(len(seconds)):
         update_facing(model, state, views.reported_at(k, UP, (stale[0][k], stale[1][k])), seconds[k])
         np.testing.assert_array_equal(state.codes, one.codes[k])
-        np.testing.assert_array_equal(state.facing, one.facing[k])
-        np.testing.assert_array_equal(state.mirrored, one.mirrored[k])
+        heading = (state.confidence[0] * state.facing).astype(np.float32)
+        np.testing.assert_array_equal(heading, one.heading[k])
+        np.testing.assert_array_equal(state.mirrored.astype(np.float32), one.mirrored[k])

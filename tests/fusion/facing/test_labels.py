@@ -39,7 +39,7 @@ def test_a_reflected_scene_gives_the_reflected_answer() -> None:
     assert (plain.codes > 0).any()
     np.testing.assert_array_equal(plain.codes, reflected.codes)
     # Equal but for the order of sums: 36 headings are their own mirror image.
-    np.testing.assert_allclose(plain.facing * (-1.0, 1.0, 1.0), reflected.facing, atol=1e-4)
+    np.testing.assert_allclose(plain.heading * (-1.0, 1.0, 1.0), reflected.heading, atol=1e-4)
     np.testing.assert_allclose(plain.mirrored, reflected.mirrored, atol=1e-4)
 
 
@@ -53,7 +53,7 @@ def test_exchanging_the_sensors_exchanges_the_answers() -> None:
     one, two = views.relabel(up=UP), other.relabel(up=UP)
     assert (one.codes > 0).any()
     np.testing.assert_array_equal(one.codes, two.codes[:, ::-1])
-    np.testing.assert_allclose(one.facing, two.facing, atol=1e-4)
+    np.testing.assert_allclose(one.heading, two.heading, atol=1e-4)
     np.testing.assert_allclose(one.mirrored, two.mirrored[:, ::-1], atol=1e-4)
 
 
@@ -171,7 +171,7 @@ def test_heads_that_both_trackers_place_too_far_back_do_not_turn_the_person(moti
     views = simulated_views(motion, seconds=12.0, seed=1)
     for smooth in (False, True):
         labels = views.relabel(smooth=smooth)
-        assert (np.sum(labels.facing * heading(views.body, views.truth), axis=1)[60:] > 0.0).all()
+        assert (np.sum(labels.heading * heading(views.body, views.truth), axis=1)[60:] > 0.0).all()
 
 
 def test_a_missing_view_and_a_missing_person() -> None:

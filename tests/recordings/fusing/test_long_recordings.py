@@ -136,9 +136,9 @@ def test_a_plan_in_parts_is_that_of_the_whole(tmp_path: Path, monkeypatch: pytes
     assert span == slice(0, 600)
     # 200 pairs instead of 600: both are the truth within their deviation
     assert np.degrees(first.a_from_b.angle_to(other.a_from_b)) < 0.5
-    assert in_parts.codes is not None
-    assert whole.codes is not None
-    np.testing.assert_array_equal(in_parts.codes & 3, whole.codes & 3)
+    assert in_parts.labels is not None
+    assert whole.labels is not None
+    np.testing.assert_array_equal(in_parts.labels.codes, whole.labels.codes)
 
 
 def test_a_large_array_has_no_name_and_is_what_was_appended(
